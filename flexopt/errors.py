@@ -1,0 +1,120 @@
+"""The errors that flexopt raises, and how their sentences are put together.
+
+In: faults found anywhere in the package. Out: one exception tree under `FlexoptError`; every message names the
+field, the value, its unit and what is allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing wrong with an input: the field's path, the offending value as text (if any), and the sentence."""
+
+    field: str
+    sentence: str
+    value: str | None = None
+
+    def __str__(self) -> str:
+        given = "" if self.value is None else f" = {self.value}"
+        return f"{self.field}{given}: {self.sentence}"
+
+
+class FlexoptError(Exception):
+    """Root of every error that flexopt raises on purpose.
+
+    Attributes:
+        faults: each fault on its own, when the input had several.
+    """
+
+    def __init__(self, message: str, faults: Sequence[Fault] = ()) -> None:
+        super().__init__(message)
+        self.faults = tuple(faults)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready description of the error."""
+        return {
+            "type": type(self).__name__,
+            "message": str(self),
+            "faults": [{"field": f.field, "value": f.value, "sentence": f.sentence} for f in self.faults],
+        }
+
+
+class InputError(FlexoptError, ValueError):
+    """An argument or option is not usable: wrong shape, not finite, out of its range, unknown word."""
+
+
+class ModelError(InputError):
+    """A machine or problem file (or the dictionary in its place) is not usable."""
+
+
+class UnreachableTarget(InputError):
+    """No posture puts the end-point on the target.
+
+    Attributes:
+        miss: how far outside the reach the target lies, m.
+        base_intervals: intervals of the placement coordinate that would bring it within reach, m.
+    """
+
+    def __init__(self, message: str, *, miss: float, base_intervals: Sequence[tuple[float, float]] = ()) -> None:
+        super().__init__(message)
+        self.miss = miss
+        self.base_intervals = tuple(base_intervals)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready description, with the miss and the placements that would do."""
+        intervals = [list(interval) for interval in self.base_intervals]
+        return super().to_dict() | {"miss": self.miss, "base_intervals": intervals}
+
+
+class SingularPosture(InputError):
+    """The rigid-body Jacobian loses rank, so the end-point cannot be driven in every direction.
+
+    Attributes:
+        joint: the joint that would lead out of the singularity fastest.
+        angle: its angle, rad.
+    """
+
+    def __init__(self, message: str, *, joint: str, angle: float) -> None:
+        super().__init__(message)
+        self.joint = joint
+        self.angle = angle
+
+
+class NoSolutionFound(FlexoptError):
+    """A solve did not end in a point that passes the independent checks.
+
+    Attributes:
+        violations: constraint name -> size of its violation, in the constraint's unit.
+        iterate: the best iterate by variable name, SI.
+    """
+
+    def __init__(self, message: str, *, violations: dict[str, float], iterate: dict[str, float]) -> None:
+        super().__init__(message)
+        self.violations = violations
+        self.iterate = iterate
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready description, with the violated constraints and the best iterate."""
+        return super().to_dict() | {"violations": self.violations, "iterate": self.iterate}
+
+
+class FlexoptWarning(UserWarning):
+    """A result is right but needs care: repeated frequencies, a feature that is missing."""
+
+
+def sentence_list(heading: str, faults: Sequence[Fault]) -> str:
+    """One message that lists every fault, a line each."""
+    if len(faults) == 1:
+        return f"{heading}: {faults[0]}"
+    return f"{heading} ({len(faults)} faults):\n" + "\n".join(f"  - {fault}" for fault in faults)
+
+
+def raise_if_any(error: type[FlexoptError], heading: str, faults: Sequence[Fault]) -> None:
+    """Raise `error` with all `faults` in one message; do nothing when there are none."""
+    if faults:
+        raise error(sentence_list(heading, faults), faults)

@@ -1,0 +1,127 @@
+"""A configuration problem as validated data: a machine, a target for its end-point, and how to choose."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr
+
+from flexopt.model.machine import FileModel, Machine
+from flexopt.model.quantities import COORDINATE_MAX, BaseRange, check_number, checked
+
+Control = Literal["inverse", "transpose"]
+Elbow = Literal["up", "down"]
+CONTROLS: tuple[Control, ...] = ("inverse", "transpose")
+ELBOWS: tuple[Elbow, ...] = ("up", "down")
+SINGULARITY_MARGIN_DEG = 10.0
+STARTS_MAX = 10_000
+
+
+def check_objective(value: Any) -> str:
+    """`w1`, `w2`, …, or `V`."""
+    if not isinstance(value, str) or not re.fullmatch(r"V|w[1-9][0-9]*", value):
+        raise ValueError("must be w1, w2, … (one mode) or V (a weighted sum)")
+    return value
+
+
+def check_weights(value: Any) -> tuple[float, ...]:
+    """The weights α of V = Σ αi wi: non-negative, not all zero."""
+    if not isinstance(value, list | tuple) or not value:
+        raise ValueError("must be a list of numbers, one for each mode")
+    weights = tuple(check_number(part, "", low=0.0, high=1e6) for part in value)  # pyright: ignore[reportUnknownVariableType]
+    if not any(weights):
+        raise ValueError("at least one weight must be positive")
+    return weights
+
+
+def check_point(value: Any) -> tuple[float, ...]:
+    """A point in the plane, inertial frame, m."""
+    if not isinstance(value, list | tuple) or len(value) != 2:  # pyright: ignore[reportUnknownArgumentType]
+        raise ValueError("must be two numbers x, y in m, inertial frame")
+    return tuple(check_number(part, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX) for part in value)  # pyright: ignore[reportUnknownVariableType]
+
+
+def check_margin_deg(value: Any) -> float:
+    """An angle from singular postures, degrees."""
+    return check_number(value, "°", low=0.01, high=80.0)
+
+
+def check_gain(value: Any) -> float:
+    """The servo gain kr of ε_max."""
+    return check_number(value, "", above=0.0, high=1e15)
+
+
+def check_starts(value: Any) -> int:
+    """How many starts at most."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= STARTS_MAX:
+        raise ValueError(f"must be a whole number between 1 and {STARTS_MAX}")
+    return value
+
+
+def check_seed(value: Any) -> int:
+    """A seed."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**32:
+        raise ValueError("must be a whole number between 0 and 2³² − 1")
+    return value
+
+
+def check_base(value: Any) -> tuple[float, ...]:
+    """A placement of the base: one number x in m (alone or in a list)."""
+    parts: list[Any] = list(value) if isinstance(value, list | tuple) else [value]  # pyright: ignore[reportUnknownArgumentType]
+    if len(parts) != 1:
+        raise ValueError("must be one number: a planar machine is placed by x, in m")
+    return tuple(check_number(part, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX) for part in parts)
+
+
+class Target(FileModel):
+    """Where the end-point shall be."""
+
+    end_point: Annotated[tuple[float, ...], checked(check_point)]
+
+
+class SelectionOptions(FileModel):
+    """How to choose among the configurations that reach the target (keys of `[selection]`)."""
+
+    objective: Annotated[str, checked(check_objective)] = "w1"
+    weights: Annotated[tuple[float, ...], checked(check_weights)] | None = None
+    control: Control = "inverse"
+    gravity: bool = False
+    base: Annotated[tuple[float, ...], checked(check_base)] | None = None
+    base_range: BaseRange | None = None
+    elbow: Elbow = "up"
+    singularity_margin_deg: Annotated[float, checked(check_margin_deg)] = SINGULARITY_MARGIN_DEG
+    starts: Annotated[int, checked(check_starts)] | None = None
+    seed: Annotated[int, checked(check_seed)] = 0
+
+    @property
+    def singularity_margin(self) -> float:
+        """The distance from singular postures, rad."""
+        return math.radians(self.singularity_margin_deg)
+
+
+class Problem(FileModel):
+    """A configuration problem (`flexopt.load_problem` reads one from a file)."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    name: str = Field(min_length=1)
+    description: str = ""
+    source: str = ""
+    machine: str = Field(min_length=1)
+    target: Target
+    selection: SelectionOptions = SelectionOptions()
+
+    _loaded: Machine | None = PrivateAttr(default=None)
+
+    def with_machine(self, machine: Machine) -> Problem:
+        """The same problem, holding its machine."""
+        twin = self.model_copy()
+        twin._loaded = machine
+        return twin
+
+    @property
+    def loaded_machine(self) -> Machine:
+        """The machine that the file names."""
+        assert self._loaded is not None
+        return self._loaded

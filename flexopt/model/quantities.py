@@ -1,0 +1,94 @@
+"""Physical quantities as validated types: unit, allowed range, and the sentence that says so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+from pydantic_core import PydanticCustomError
+
+
+def range_sentence(unit: str, above: float | None, low: float | None, high: float) -> str:
+    """The allowed range in words, with its unit."""
+    suffix = f" {unit}" if unit else ""
+    if above is not None:
+        return f"must be greater than {above:g} and at most {high:g}{suffix}"
+    return f"must lie between {low:g} and {high:g}{suffix}"
+
+
+def check_number(value: Any, unit: str, *, above: float | None = None, low: float | None = None, high: float) -> float:
+    """Return `value` as a float, or raise `ValueError` with a sentence that names unit and range."""
+    allowed = range_sentence(unit, above, low, high)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        kind = {str: "text", bool: "true/false", list: "a list", dict: "a table"}.get(type(value), type(value).__name__)
+        raise ValueError(f"must be a number, not {kind}; it {allowed}")
+    try:
+        number = float(value)
+    except OverflowError:
+        raise ValueError(allowed) from None
+    if not math.isfinite(number):
+        raise ValueError(f"must be finite; it {allowed}")
+    if (above is not None and not number > above) or (low is not None and number < low) or number > high:
+        raise ValueError(allowed)
+    return number
+
+
+def _quantity(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> BeforeValidator:
+    def validate(value: Any) -> float:
+        try:
+            return check_number(value, unit, above=above, low=low, high=high)
+        except ValueError as error:
+            raise PydanticCustomError("quantity", "{sentence}", {"sentence": str(error)}) from None
+
+    return BeforeValidator(validate)
+
+
+def checked(check: Callable[[Any], Any]) -> BeforeValidator:
+    """A validator from a function that raises `ValueError` with the whole sentence."""
+
+    def validate(value: Any) -> Any:
+        try:
+            return check(value)
+        except ValueError as error:
+            raise PydanticCustomError("quantity", "{sentence}", {"sentence": str(error)}) from None
+
+    return BeforeValidator(validate)
+
+
+# The upper ends are far beyond any machine; they keep squares and products of the numbers finite.
+LENGTH_MAX = 1e4
+Length = Annotated[float, _quantity("m", above=0.0, high=LENGTH_MAX)]
+LengthOrZero = Annotated[float, _quantity("m", low=0.0, high=LENGTH_MAX)]
+Offset = Annotated[float, _quantity("m", low=-LENGTH_MAX, high=LENGTH_MAX)]
+Mass = Annotated[float, _quantity("kg", above=0.0, high=1e9)]
+MassOrZero = Annotated[float, _quantity("kg", low=0.0, high=1e9)]
+Inertia = Annotated[float, _quantity("kg m²", above=0.0, high=1e15)]
+Stiffness = Annotated[float, _quantity("N/m", above=0.0, high=1e15)]
+RotationalStiffness = Annotated[float, _quantity("N m/rad", above=0.0, high=1e15)]
+Damping = Annotated[float, _quantity("N s/m", low=0.0, high=1e12)]
+RotationalDamping = Annotated[float, _quantity("N m s/rad", low=0.0, high=1e12)]
+ANGLE_MAX = 4 * math.pi
+Angle = Annotated[float, _quantity("rad", low=-ANGLE_MAX, high=ANGLE_MAX)]
+Acceleration = Annotated[float, _quantity("m/s²", low=0.0, high=1e3)]
+COORDINATE_MAX = 1e6
+Coordinate = Annotated[float, _quantity("m", low=-COORDINATE_MAX, high=COORDINATE_MAX)]
+
+
+def ordered_pair(unit: str, low: float, high: float, *, allow_equal: bool = False) -> BeforeValidator:
+    """A [lower, upper] pair of numbers in `unit`, in order."""
+
+    def check(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list | tuple) or len(value) != 2:  # pyright: ignore[reportUnknownArgumentType]
+            raise ValueError(f"must be a pair [lower, upper] in {unit}")
+        lower, upper = (check_number(part, unit, low=low, high=high) for part in value)  # pyright: ignore[reportUnknownVariableType]
+        if upper < lower or (upper == lower and not allow_equal):
+            raise ValueError(f"is reversed or empty: the lower end must be below the upper end, in {unit}")
+        return lower, upper
+
+    return checked(check)
+
+
+JointLimits = Annotated[tuple[float, float], ordered_pair("rad", -ANGLE_MAX, ANGLE_MAX)]
+BaseRange = Annotated[tuple[float, float], ordered_pair("m", -COORDINATE_MAX, COORDINATE_MAX, allow_equal=True)]

@@ -1,0 +1,8 @@
+"""From a machine to CasADi graphs: kinematics and its inverse, dynamics, rest and static deflection, linearisation.
+
+In: a validated `Machine`. Out: a `Plant` of SX graphs and named Functions; everything downstream reads only that.
+"""
+
+from flexopt.plant.inverse_kinematics import inverse_kinematics as inverse_kinematics
+from flexopt.plant.plant import Plant as Plant
+from flexopt.plant.plant import build_plant as build_plant

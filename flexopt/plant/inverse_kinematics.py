@@ -1,0 +1,144 @@
+"""All postures that put the end-point on a target from a given placement."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from flexopt.errors import NoSolutionFound
+from flexopt.model import Machine
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.problem import Elbow, check_seed
+from flexopt.plant.plant import Plant, build_plant
+from flexopt.plant.reach import unreachable
+
+ELBOW_SIGN: dict[Elbow, float] = {"up": -1.0, "down": 1.0}
+LEADING_SAMPLES = 64
+# Rounding may push |cos| past 1 by this much on the edge of the reach.
+EDGE = 1e-12
+
+
+def inverse_kinematics(
+    machine: Machine, target: Any, *, base: Any = 0.0, gravity: bool = False, seed: int = 0
+) -> list[Vector]:
+    """Postures q_a (n,) in rad with r(q) = target, passive joints at rest, inside the joint limits.
+
+    Two actuated joints: every branch in closed form, elbow up (last joint negative) before elbow down. More: a set of
+    distinct postures, both branches of the last two joints over a low-discrepancy sample of the joints before them.
+
+    Args:
+        machine: from `flexopt.load`.
+        target: end-point (2,), m, inertial frame.
+        base: placement x, m.
+        gravity: the end-point under static deflection, instead of at rest.
+        seed: shifts the sample for three joints and more.
+
+    Raises:
+        InputError: an argument is not finite or has the wrong shape.
+        UnreachableTarget: by how many metres, and from which placements it would be reachable.
+    """
+    arguments = Arguments("inverse_kinematics")
+    machine = arguments.machine(machine)
+    point, placement = arguments.point(target, "target"), arguments.base(base)
+    arguments.flag("gravity", gravity)
+    arguments.checked("seed", seed, check_seed, 0)
+    arguments.done()
+    plant = build_plant(machine)
+    leading = leading_samples(plant, LEADING_SAMPLES, seed)
+    bases = np.repeat(placement[:, None], leading.shape[1], axis=1)
+    found: list[Vector] = []
+    within_reach = False
+    for sign in ELBOW_SIGN.values():
+        postures, reached = branch(plant, point, bases, leading, sign)
+        within_reach = within_reach or bool(reached.any())
+        found += [p for p in postures[:, reached].T if inside_limits(machine, p[:, None])[0]]
+    if not found:
+        why = "every posture that reaches it breaks a joint limit" if within_reach else ""
+        raise unreachable(plant, point, placement, why)
+    if gravity:
+        found = [_under_gravity(plant, point, placement, posture) for posture in found]
+    return _distinct(found)
+
+
+def branch(plant: Plant, target: Vector, bases: Vector, leading: Vector, sign: float) -> tuple[Vector, Any]:
+    """One elbow branch over many placements at once.
+
+    Args:
+        plant: the machine's plant.
+        target: (2,), m, inertial frame.
+        bases: (n_b, N) placements.
+        leading: (n − 2, N) angles of the joints before the last two.
+        sign: −1 elbow up, +1 elbow down.
+
+    Returns:
+        postures (n, N), shifted by 2π into the joint limits where that is possible, and a mask (N,) of those that reach.
+    """
+    count = bases.shape[1]
+    out = plant.posture_at(
+        np.repeat(target[:, None], count, axis=1), bases, leading, np.full((1, count), sign), plant.parameter_values
+    )
+    postures, cosine = out[0].full(), out[1].full().ravel()
+    for row, (low, high) in enumerate(plant.machine.limits):
+        angle = postures[row]
+        angle = np.where(angle < low - EDGE, angle + 2 * math.pi, angle)
+        postures[row] = np.where(angle > high + EDGE, angle - 2 * math.pi, angle)
+    return postures, np.abs(cosine) <= 1 + EDGE
+
+
+def inside_limits(machine: Machine, postures: Vector) -> Any:
+    """Mask (N,) of the postures (n, N) that keep every joint limit."""
+    low, high = np.array(machine.limits).T[:, :, None]
+    return np.all((postures >= low - EDGE) & (postures <= high + EDGE), axis=0)
+
+
+def leading_samples(plant: Plant, count: int, seed: int) -> Vector:
+    """(n − 2, count) angles of the joints before the last two, spread evenly over their limits; (0, 1) for two joints."""
+    n = plant.n_actuated - 2
+    if n == 0:
+        return np.zeros((0, 1))
+    low, high = np.clip(np.array(plant.machine.limits[:n]).T, -math.pi, math.pi)
+    return low[:, None] + (high - low)[:, None] * low_discrepancy(n, count, seed)
+
+
+def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:
+    """(dimensions, count) points in the unit cube: Kronecker's sequence on the generalised golden ratio.
+
+    The ratio g solves g^(d+1) = g + 1 and the steps are g^−1 … g^−d, which fill the cube evenly for every count.
+    """
+    ratio = 2.0
+    for _ in range(64):
+        ratio = (1 + ratio) ** (1 / (dimensions + 1))
+    steps = ratio ** -np.arange(1, dimensions + 1)
+    shift = np.random.default_rng(seed).random(dimensions)
+    return (shift[:, None] + steps[:, None] * np.arange(count)) % 1.0
+
+
+def _distinct(postures: list[Vector]) -> list[Vector]:
+    """The same list without repeats (both elbows agree where the arm is straight)."""
+    kept: list[Vector] = []
+    for posture in postures:
+        if all(np.abs(posture - other).max() > 1e-7 for other in kept):
+            kept.append(posture)
+    return kept
+
+
+def _under_gravity(plant: Plant, target: Vector, base: Vector, posture: Vector) -> Vector:
+    """Newton's method from the posture at rest to the one whose deflected end-point is on the target."""
+    for _ in range(20):
+        q_p = plant.deflected(base, posture, plant.parameter_values)
+        q = np.concatenate([q_p.full().ravel(), posture])
+        error = plant.end_point(q, base, plant.parameter_values).full().ravel() - target
+        if np.abs(error).max() < 1e-13 * (1 + np.abs(target).max()):
+            break
+        jacobian = plant.rigid_jacobian(q, base, plant.parameter_values).full()
+        posture = posture - np.linalg.lstsq(jacobian, error, rcond=None)[0]
+    else:
+        if not np.abs(error).max() < 1e-9:  # pyright: ignore[reportPossiblyUnboundVariable]
+            raise NoSolutionFound(
+                "inverse kinematics under gravity did not converge: the deflected end-point stays off the target",
+                violations={"target": float(np.abs(error).max())},  # pyright: ignore[reportPossiblyUnboundVariable]
+                iterate=dict(zip(plant.machine.joints, posture.tolist(), strict=True)),
+            )
+    return posture

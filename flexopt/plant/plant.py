@@ -1,0 +1,298 @@
+"""The plant of a machine: named Functions, the SX graphs behind them, and the operating point at a posture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+
+from flexopt.algebra import apply_pseudo_inverse, solve_spd
+from flexopt.model import Machine
+from flexopt.model.problem import Control
+from flexopt.plant.planar import ChainGraph, TipGraph, build_chain, build_tip
+
+# Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
+STATIC_ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """SX graphs at a configuration where the machine stands still. Shapes as in `Plant`."""
+
+    q: ca.SX
+    end_point: ca.SX
+    jacobian: ca.SX
+    rigid_jacobian: ca.SX
+    mass: ca.SX
+    stiffness: ca.SX
+    damping: ca.SX
+    static_residual: ca.SX
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The equations of one machine: M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = τ (article, section 2).
+
+    Coordinates q (n_q,) list the passive ones first, then the actuated ones, relative angles in rad and
+    displacements in m, inertial frame; v (n_q,) is their rate. `base` (n_b,) is the placement, which moves the springs'
+    anchor and the rest configuration; p (n_par,) are the machine's parameters. Every Function takes its inputs by
+    name; `base` defaults to 0, and one that is forgotten gives NaN; `parameter_values` holds the machine's own p.
+
+    Attributes:
+        machine: where it comes from.
+        graph: the SX graphs themselves, with their symbols q, v, base, posture, p.
+    """
+
+    machine: Machine
+    graph: ChainGraph
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of q, passive first."""
+        return self.graph.coordinates
+
+    @property
+    def n_passive(self) -> int:
+        """m, the number of passive coordinates."""
+        return self.graph.n_passive
+
+    @property
+    def n_coordinates(self) -> int:
+        """n_q, the number of all coordinates."""
+        return self.graph.q.shape[0]
+
+    @property
+    def n_actuated(self) -> int:
+        """n, the number of actuated joints."""
+        return self.n_coordinates - self.n_passive
+
+    @property
+    def n_base(self) -> int:
+        """n_b, the number of placement coordinates."""
+        return self.graph.base.shape[0]
+
+    @property
+    def n_task(self) -> int:
+        """Rows of the end-point task."""
+        return self.graph.end_point.shape[0]
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of p."""
+        return tuple(parameter.name for parameter in self.machine.parameters)
+
+    @cached_property
+    def parameter_values(self) -> ca.DM:
+        """The machine's own p (n_par, 1)."""
+        return ca.DM([parameter.value for parameter in self.machine.parameters])
+
+    @cached_property
+    def end_point(self) -> ca.Function:
+        """r(q), (n_task,), m, inertial frame. Inputs q, base, p."""
+        return self._of_configuration("end_point", self.graph.end_point, "r")
+
+    @cached_property
+    def skeleton(self) -> ca.Function:
+        """Ground point, every joint and the end-point in order, (n_task, n_bodies + 1), m. Inputs q, base, p."""
+        return self._of_configuration("skeleton", self.graph.skeleton, "points")
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """J = ∂r/∂q, (n_task, n_q); article, section 3.3. Inputs q, base, p."""
+        return self._of_configuration("jacobian", ca.densify(ca.jacobian(self.graph.end_point, self.graph.q)), "J")
+
+    @cached_property
+    def rigid_jacobian(self) -> ca.Function:
+        """Jv = ∂r/∂q_a, (n_task, n), the Jacobian of the arm on rigid ground; article, section 3.2. Inputs q, base, p."""
+        full = ca.jacobian(self.graph.end_point, self.graph.q)
+        return self._of_configuration("rigid_jacobian", ca.densify(full[:, self.n_passive :]), "Jv")
+
+    @cached_property
+    def base_jacobian(self) -> ca.Function:
+        """J_B = ∂r/∂[base, posture] at rest, (n_task, n_b + n); article, section 4. Inputs base, posture, p."""
+        g = self.graph
+        at_rest = ca.substitute(g.end_point, g.q, g.rest)
+        jacobian = ca.densify(ca.jacobian(at_rest, ca.vertcat(g.base, g.posture)))
+        return self._of_posture("base_jacobian", [jacobian], ["J_B"])
+
+    @cached_property
+    def mass(self) -> ca.Function:
+        """M(q), (n_q, n_q). Inputs q, base, p."""
+        return self._of_configuration("mass", self.graph.mass, "M")
+
+    @cached_property
+    def bias(self) -> ca.Function:
+        """h(q, v), (n_q,): Coriolis and centrifugal terms, no gravity, no damping. Inputs q, v, base, p."""
+        g = self.graph
+        return self._function("bias", {"q": g.q, "v": g.v, "base": g.base, "p": g.p}, [g.bias], ["h"])
+
+    @cached_property
+    def gravity(self) -> ca.Function:
+        """g(q), (n_q,): generalised gravity force, the gradient of the potential. Inputs q, base, p."""
+        return self._of_configuration("gravity", self.graph.gravity, "g")
+
+    @cached_property
+    def stiffness(self) -> ca.Function:
+        """K, (n_q, n_q): springs of the passive coordinates, zero for the actuated ones. Input p."""
+        return self._function("stiffness", {"p": self.graph.p}, [self.graph.stiffness], ["K"])
+
+    @cached_property
+    def damping(self) -> ca.Function:
+        """D, (n_q, n_q). Input p."""
+        return self._function("damping", {"p": self.graph.p}, [self.graph.damping], ["D"])
+
+    @cached_property
+    def rest(self) -> ca.Function:
+        """q_rest, (n_q,): the springs' anchor with the arm at `posture`. Inputs base, posture, p."""
+        return self._of_posture("rest", [self.graph.rest], ["q"])
+
+    @cached_property
+    def singularity_sine_squared(self) -> ca.Function:
+        """Distance from singular postures at rest: 0 where Jv loses rank, sin² θ3 for two links. Inputs base, posture, p."""
+        g = self.graph
+        at_rest = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
+        return self._of_posture("singularity_sine_squared", [at_rest], ["sine_squared"])
+
+    @cached_property
+    def tip(self) -> TipGraph:
+        """Closed-form inverse kinematics of the last two actuated joints."""
+        return build_tip(self.machine, self.graph)
+
+    @cached_property
+    def posture_at(self) -> ca.Function:
+        """Posture that puts the end-point on a target, closed form, passive joints at rest.
+
+        Inputs target (n_task,), base, leading (n − 2,), elbow (−1 up, +1 down), p; outputs posture (n,) and cos_elbow,
+        beyond ±1 where the target is out of reach.
+        """
+        t, g = self.tip, self.graph
+        inputs = {"target": t.target, "base": g.base, "leading": t.leading, "elbow": t.elbow, "p": g.p}
+        return self._function("posture_at", inputs, [t.posture, t.cos_elbow], ["posture", "cos_elbow"])
+
+    @cached_property
+    def arm_segments(self) -> ca.Function:
+        """Where the first actuated joint sits at rest, (n_task,), m, and the lengths between joints, (n,), m.
+
+        Inputs base, p.
+        """
+        t, g = self.tip, self.graph
+        leading = ca.SX.zeros(t.leading.shape[0], 1)
+        outputs = ca.substitute([t.first_joint_point, t.segment_lengths], [t.leading], [leading])
+        return self._function("arm_segments", {"base": g.base, "p": g.p}, outputs, ["first_joint", "lengths"])
+
+    @cached_property
+    def gravity_stiffness(self) -> ca.Function:
+        """∂g_p/∂q_p, (m, m): gravity's stiffness in the passive block. Inputs q, base, p."""
+        g, m = self.graph, self.n_passive
+        block = ca.jacobian(g.gravity[:m], g.q[:m])
+        return self._of_configuration("gravity_stiffness", ca.densify(block), "K_g")
+
+    @cached_property
+    def deflected(self) -> ca.Function:
+        """Passive coordinates (m,) at static equilibrium under gravity, the actuators holding `posture`.
+
+        Solves K_p (q_p − q_p,rest) + g_p(q) = 0 by Newton's method from rest; check `static_residual` before use.
+        Values only: derivatives are taken by `operating_point`, which adds two steps that are differentiated.
+        Inputs base, posture, p.
+        """
+        g = self.graph
+        q_p = self.rest(g.base, g.posture, g.p)[: self.n_passive]
+        for _ in range(STATIC_ITERATIONS):
+            q_p = self._newton_step(q_p, g.base, g.posture, g.p)
+        return self._of_posture("deflected", [q_p], ["q_p"])
+
+    def operating_point(
+        self, base: ca.SX, posture: ca.SX, p: ca.SX, deflection: ca.SX | None = None
+    ) -> OperatingPoint:
+        """Graphs at rest, or under gravity about the passive coordinates `deflection` (m,) from `deflected`.
+
+        Under gravity two Newton steps start from `deflection`, held constant, so that first and second derivatives are
+        exact, and gravity's stiffness enters the passive block only: the actuators hold their own weight.
+        """
+        m = self.n_passive
+        q = self.rest(base, posture, p)
+        stiffness = self.stiffness(p)
+        residual = ca.SX.zeros(m, 1)
+        if deflection is not None:
+            q_p = deflection
+            for _ in range(2):
+                q_p = self._newton_step(q_p, base, posture, p)
+            residual = self._static_force(deflection, base, posture, p)
+            q = ca.vertcat(q_p, posture)
+            stiffness = ca.SX(stiffness)
+            stiffness[:m, :m] += self.gravity_stiffness(q, base, p)
+        return OperatingPoint(
+            q=q,
+            end_point=self.end_point(q, base, p),
+            jacobian=self.jacobian(q, base, p),
+            rigid_jacobian=self.rigid_jacobian(q, base, p),
+            mass=self.mass(q, base, p),
+            stiffness=stiffness,
+            damping=self.damping(p),
+            static_residual=residual,
+        )
+
+    def linearisation(self, control: Control = "inverse", *, gravity: bool = False) -> ca.Function:
+        """The linear plant that the task-space controller sees: x = [q̇; q − q_d], ẋ = A x + B f, y = C x.
+
+        A = [[−M⁻¹D, −M⁻¹K], [I, 0]], B = [M⁻¹E; 0] Jvᵀ (transpose) or [M⁻¹E; 0] Jv⁺ (inverse; Moore–Penrose for a
+        redundant arm), C = [0, J]; article, section 3.3 and eq. (2).
+
+        Returns:
+            Function of base, posture, p with outputs A (2 n_q, 2 n_q), B (2 n_q, n_task), C (n_task, 2 n_q).
+        """
+        g, n, m = self.graph, self.n_coordinates, self.n_passive
+        deflection = self.deflected(g.base, g.posture, g.p) if gravity else None
+        at = self.operating_point(g.base, g.posture, g.p, deflection)
+        identity = ca.SX(ca.DM.eye(n))
+        jv = at.rigid_jacobian
+        task_to_joints = jv.T if control == "transpose" else apply_pseudo_inverse(jv, ca.SX(ca.DM.eye(self.n_task)))
+        accelerations = solve_spd(at.mass, ca.horzcat(-at.damping, -at.stiffness, identity[:, m:] @ task_to_joints))
+        a = ca.vertcat(accelerations[:, : 2 * n], ca.horzcat(identity, ca.SX.zeros(n, n)))
+        b = ca.vertcat(accelerations[:, 2 * n :], ca.SX.zeros(n, self.n_task))
+        c = ca.horzcat(ca.SX.zeros(self.n_task, n), at.jacobian)
+        return self._of_posture(f"linearisation_{control}", [a, b, c], ["A", "B", "C"])
+
+    def _static_force(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
+        m = self.n_passive
+        rest = self.rest(base, posture, p)[:m]
+        return self.stiffness(p)[:m, :m] @ (q_p - rest) + self.gravity(ca.vertcat(q_p, posture), base, p)[:m]
+
+    def _newton_step(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
+        m = self.n_passive
+        tangent = self.stiffness(p)[:m, :m] + self.gravity_stiffness(ca.vertcat(q_p, posture), base, p)
+        return q_p - ca.solve(tangent, self._static_force(q_p, base, posture, p))
+
+    def _of_configuration(self, name: str, expression: ca.SX, output: str) -> ca.Function:
+        g = self.graph
+        return self._function(name, {"q": g.q, "base": g.base, "p": g.p}, [expression], [output])
+
+    def _of_posture(self, name: str, expressions: list[ca.SX], outputs: list[str]) -> ca.Function:
+        g = self.graph
+        dense = [ca.densify(expression) for expression in expressions]
+        return self._function(name, {"base": g.base, "posture": g.posture, "p": g.p}, dense, outputs)
+
+    def _function(
+        self, name: str, inputs: dict[str, ca.SX], expressions: list[ca.SX], outputs: list[str]
+    ) -> ca.Function:
+        # A forgotten input would silently be 0; NaN shows.
+        default = [0.0 if key == "base" else float("nan") for key in inputs]
+        options = {"cse": True, "default_in": default}
+        return ca.Function(name, list(inputs.values()), expressions, list(inputs), outputs, options)
+
+    def __repr__(self) -> str:
+        return (
+            f"Plant({self.machine.name!r}: {self.n_passive} passive ({', '.join(self.coordinates[: self.n_passive])}), "
+            f"{self.n_actuated} actuated ({', '.join(self.machine.joints)}), {len(self.parameter_names)} parameters)"
+        )
+
+
+@lru_cache(maxsize=32)
+def build_plant(machine: Machine) -> Plant:
+    """The plant of a machine (built once for each machine and kept).
+
+    Args:
+        machine: from `flexopt.load`.
+    """
+    return Plant(machine, build_chain(machine))

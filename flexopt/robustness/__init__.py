@@ -1,0 +1,10 @@
+"""Modes, residues and measures of a plant, with exact derivatives.
+
+In: a `Plant` and an operating point. Out: frequencies, residues R_0 and R_i, measures w_i, in-phase flags, and their
+derivatives, as Functions (`measures`) or as numbers in one result (`evaluate`).
+"""
+
+from flexopt.robustness.evaluation import Evaluation as Evaluation
+from flexopt.robustness.evaluation import evaluate as evaluate
+from flexopt.robustness.measures import Measures as Measures
+from flexopt.robustness.measures import build_measures as build_measures

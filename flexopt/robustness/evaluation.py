@@ -1,0 +1,344 @@
+"""All measures of one posture, as numbers."""
+
+from __future__ import annotations
+
+import math
+import warnings as python_warnings
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
+from flexopt.model import Machine
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.problem import Control, check_gain
+from flexopt.model.provenance import provenance
+from flexopt.plant.singularity import check_regular
+from flexopt.robustness.damped import DampedModes, damped_modes
+from flexopt.robustness.measures import Measures, build_measures
+
+SOLVE_TOLERANCE = 1e-8
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Exact derivatives of the measures.
+
+    Attributes:
+        variables: placement coordinates, then actuated joints.
+        w: ∂w_i/∂variables, (m, n_b + n), per m or rad.
+        parameters: names of the machine's parameters p.
+        w_parameters: ∂w_i/∂p, (m, n_par).
+    """
+
+    variables: tuple[str, ...]
+    w: Vector
+    parameters: tuple[str, ...]
+    w_parameters: Vector
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What one posture is worth. m modes, ordered by frequency; r task rows. SI and rad unless the name says otherwise.
+
+    Attributes:
+        machine: the machine's name.
+        control: `"inverse"` or `"transpose"`.
+        base, base_coordinates: placement (n_b,) and its names.
+        posture, joints: actuated joints (n,), rad, and their names.
+        end_point: (r,), m, inertial frame.
+        frequencies_hz, damping_ratios: (m,). Undamped frequencies and φᵀDφ/(2ω); with `damped` those of the poles.
+        w: w_i = λmin(R_i + R_iᵀ), (m,), article eq. (7); with `damped` λmin(N0 + N0ᵀ).
+        scale: |a_i||b_i|, (m,), the size of R_i = a_i b_iᵀ, to compare w_i with.
+        rigid: λmin(R_0 + R_0ᵀ); negative values mean that the rigid part is not passive.
+        in_phase: trace R_i > 0;  in_phase_strict: every diagonal element of R_i ≥ 0.
+        rigid_residue: R_0 (r, r);  residues: R_i (m, r, r), summed over the cluster where frequencies repeat.
+        gradient: exact derivatives of w.
+        clusters: groups of modes with equal frequencies, for which w is that of the cluster's sum.
+        condition: cond Jv.
+        static_deflection: passive coordinates minus their rest values, (m,); zero without gravity.
+        self_motion_unstabilised: whether the arm has more joints than task rows, so that a motion exists that the
+            end-point neither sees nor controls.
+        epsilon_max: not computed yet, None.
+        gain: servo gain kr for ε_max.
+        damped: numerators N0, N1 and poles with damping, where asked for.
+        damped_difference: largest |w_damped − w_undamped| / (|a||b|), where damping was asked for.
+        skeleton: ground point, joints and end-point, (r, n_bodies + 1), m, inertial frame.
+        warnings: sentences about repeated frequencies and the like.
+    """
+
+    machine: str
+    control: Control
+    base: Vector
+    base_coordinates: tuple[str, ...]
+    posture: Vector
+    joints: tuple[str, ...]
+    end_point: Vector
+    frequencies_hz: Vector
+    damping_ratios: Vector
+    w: Vector
+    scale: Vector
+    rigid: float
+    in_phase: tuple[bool, ...]
+    in_phase_strict: tuple[bool, ...]
+    rigid_residue: Vector
+    residues: Vector
+    gradient: Gradient
+    clusters: tuple[tuple[int, ...], ...]
+    condition: float
+    static_deflection: Vector
+    self_motion_unstabilised: bool
+    epsilon_max: float | None
+    gain: float
+    damped: DampedModes | None
+    damped_difference: float | None
+    skeleton: Vector
+    warnings: tuple[str, ...]
+    provenance: dict[str, Any] = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary (keys as in the command line's `--json`)."""
+        damped = self.damped and {
+            "poles": [[pole.real, pole.imag] for pole in self.damped.poles],
+            "N0": self.damped.n0,
+            "N1": self.damped.n1,
+            "difference": self.damped_difference,
+        }
+        document = {
+            "machine": self.machine,
+            "control": self.control,
+            "base": self.base,
+            "base_coordinates": self.base_coordinates,
+            "posture": self.posture,
+            "joints": self.joints,
+            "end_point": self.end_point,
+            "frequencies_hz": self.frequencies_hz,
+            "damping_ratios": self.damping_ratios,
+            "w": self.w,
+            "scale": self.scale,
+            "rigid": self.rigid,
+            "in_phase": self.in_phase,
+            "in_phase_strict": self.in_phase_strict,
+            "epsilon_max": self.epsilon_max,
+            "gain": self.gain,
+            "gradient": {
+                "variables": self.gradient.variables,
+                "w": self.gradient.w,
+                "epsilon_max": None,
+                "parameters": self.gradient.parameters,
+                "w_parameters": self.gradient.w_parameters,
+            },
+            "residues": {"R0": self.rigid_residue, "R": self.residues},
+            "clusters": self.clusters,
+            "condition": self.condition,
+            "static_deflection": self.static_deflection,
+            "self_motion_unstabilised": self.self_motion_unstabilised,
+            "damped": damped,
+            "warnings": self.warnings,
+            "provenance": self.provenance,
+        }
+        return cast(dict[str, Any], json_ready(document))
+
+    def __repr__(self) -> str:
+        angles = ", ".join(f"{j} {a:.4f}" for j, a in zip(self.joints, self.posture, strict=True))
+        placed = ", ".join(f"{c} {b:.4f}" for c, b in zip(self.base_coordinates, self.base, strict=True))
+        point = ", ".join(f"{x:.4f}" for x in self.end_point)
+        lines = [
+            f"{self.machine}, Jacobian {self.control} control: base {placed} m; {angles} rad; end-point ({point}) m",
+            "  mode   frequency    damping             w      w/|a||b|   in phase",
+        ]
+        for i, w in enumerate(self.w):
+            phase = "strictly" if self.in_phase_strict[i] else "yes" if self.in_phase[i] else "no"
+            ratio = w / self.scale[i] if self.scale[i] > 0 else 0.0
+            lines.append(
+                f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e} {w:13.5e} {ratio:13.5e}   {phase}"
+            )
+        lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {self.rigid:.5e}; cond Jv = {self.condition:.4g}")
+        if self.damped_difference is not None:
+            lines.append(f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|")
+        return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
+
+
+def evaluate(
+    machine: Machine,
+    posture: Any,
+    *,
+    base: Any = 0.0,
+    control: Control = "inverse",
+    gain: float = 5e5,
+    damped: bool = False,
+    gravity: bool = False,
+) -> Evaluation:
+    """Frequencies, residues, measures w_i and their exact gradients at one posture.
+
+    Passive coordinates are at rest, or with `gravity` at static equilibrium with gravity's stiffness in the passive block.
+
+    Args:
+        machine: from `flexopt.load`.
+        posture: actuated joints (n,), rad.
+        base: placement x, m.
+        control: Jacobian `"inverse"` (the Moore–Penrose inverse for a redundant arm) or `"transpose"`.
+        gain: servo gain kr of the margin ε_max, which this version does not compute yet.
+        damped: measures from the numerators N0 of the damped plant instead of R_i.
+        gravity: solve for the static deflection.
+
+    Raises:
+        InputError: an argument has the wrong shape, is not finite or lies outside its range (all faults in one message);
+            under gravity, the springs do not hold the machine; with `damped`, a mode is overdamped.
+        SingularPosture: Jv loses rank.
+        NoSolutionFound: the static deflection or the modes did not converge.
+
+    Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, eqs. (1)–(10); mode derivatives after Fox and
+    Kapoor, AIAA Journal 6(12), 1968.
+    """
+    arguments = Arguments("evaluate")
+    machine = arguments.machine(machine)
+    angles, placement = arguments.posture(machine, posture), arguments.base(base)
+    control = arguments.control(control)
+    kr = arguments.checked("gain", gain, check_gain, 1.0)
+    arguments.flag("damped", damped)
+    arguments.flag("gravity", gravity)
+    arguments.done()
+    return evaluate_checked(machine, angles, placement, control=control, gain=kr, damped=damped, gravity=gravity)
+
+
+def evaluate_checked(
+    machine: Machine, posture: Vector, base: Vector, *, control: Control, gain: float, damped: bool, gravity: bool
+) -> Evaluation:
+    """`evaluate` for arguments that are known to be good."""
+    measures = build_measures(machine, control, gravity)
+    plant = measures.plant
+    p = plant.parameter_values
+    m, r = plant.n_passive, plant.n_task
+    rest = plant.rest(base, posture, p).full().ravel()
+    condition = check_regular(plant, rest, base)
+    v = {name: value.full() for name, value in measures.values(base=base, posture=posture, p=p).items()}
+    _check_solved(measures, v, base)
+    gradients = measures.gradients(base, posture, p)
+    w_z, w_p = gradients[0].full(), gradients[1].full()
+
+    a, b, same = v["a"], v["b"], v["same"]
+    residues = np.stack([(a * same[i]) @ b.T for i in range(m)])
+    traces = np.trace(residues, axis1=1, axis2=2)
+    diagonals = np.diagonal(residues, axis1=1, axis2=2)
+    omega = np.sqrt(v["omega_squared"].ravel())
+    w, frequencies, ratios = v["w"].ravel(), omega / (2 * math.pi), v["zeta"].ravel()
+    scale = np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
+    groups = sorted({tuple(np.flatnonzero(row > 0.5).tolist()) for row in same})
+    clusters = tuple(g for g in groups if len(g) > 1)
+    detail, difference = None, None
+    if damped:
+        detail = damped_modes(machine, base, posture, control, gravity)
+        difference = float(np.max(np.abs(detail.w - w) / np.where(scale > 0, scale, 1.0)))
+        clusters = detail.clusters
+        w, w_z, w_p = detail.w, detail.w_z, detail.w_p
+        frequencies = np.abs(detail.poles) / (2 * math.pi)
+        ratios = -detail.poles.real / np.abs(detail.poles)
+    sentences = _warnings(clusters, frequencies, damped)
+    for sentence in sentences:
+        python_warnings.warn(sentence, FlexoptWarning, stacklevel=3)
+    _check_finite(w, w_z[[i for i in range(m) if not any(i in c for c in clusters)]], frequencies, ratios, traces)
+    options = {"gain": gain, "damped": damped, "gravity": gravity}
+    return Evaluation(
+        machine=machine.name,
+        control=control,
+        base=base,
+        base_coordinates=machine.base_coordinates,
+        posture=posture,
+        joints=machine.joints,
+        end_point=v["end_point"].ravel(),
+        frequencies_hz=frequencies,
+        damping_ratios=ratios,
+        w=w,
+        scale=scale,
+        rigid=float(np.linalg.eigvalsh(v["rigid"] + v["rigid"].T)[0]),
+        in_phase=tuple(bool(t > 0) for t in traces),
+        in_phase_strict=tuple(bool(np.all(d >= 0)) for d in diagonals),
+        rigid_residue=v["rigid"],
+        residues=residues,
+        gradient=Gradient((*machine.base_coordinates, *machine.joints), w_z, plant.parameter_names, w_p),
+        clusters=clusters,
+        condition=condition,
+        static_deflection=v["q"].ravel()[:m] - rest[:m],
+        self_motion_unstabilised=plant.n_actuated > r,
+        epsilon_max=None,
+        gain=gain,
+        damped=detail,
+        damped_difference=difference,
+        skeleton=plant.skeleton(v["q"], base, p).full(),
+        warnings=sentences,
+        provenance=provenance(machine, control=control, **options),
+    )
+
+
+def _check_solved(measures: Measures, v: dict[str, Vector], base: Vector) -> None:
+    """Static equilibrium and modes, verified from their own equations."""
+    plant, p = measures.plant, measures.plant.parameter_values
+    q, modes, values = v["q"].ravel(), v["modes"], v["omega_squared"].ravel()
+    m = plant.n_passive
+    if not np.all(np.isfinite(q)):
+        raise NoSolutionFound("the static deflection under gravity diverged", violations={}, iterate={})
+    stiffness = plant.stiffness(p).full()
+    if measures.gravity:
+        force = np.abs(plant.gravity(q, base, p).full()[:m]).max()
+        residual = float(np.abs(v["static_residual"]).max())
+        if not residual <= SOLVE_TOLERANCE * (1.0 + force):
+            raise NoSolutionFound(
+                f"the static deflection under gravity did not converge: {residual:.3g} N or N m left over",
+                violations={"static equilibrium": residual},
+                iterate=dict(zip(plant.coordinates, q.tolist(), strict=True)),
+            )
+        stiffness[:m, :m] += plant.gravity_stiffness(q, base, p).full()
+        if np.linalg.eigvalsh(stiffness[:m, :m])[0] <= 0:
+            raise InputError(
+                "gravity: the springs do not hold the machine in this posture (K_p with gravity's stiffness is not "
+                "positive definite); a stiffer base or smaller masses would"
+            )
+    _check_finite(modes, values, v["w"], v["a"], v["b"], v["rigid"])
+    mass = plant.mass(q, base, p).full()
+    root = np.sqrt(values)
+    worst = max(
+        float(np.abs(modes.T @ mass @ modes - np.eye(m)).max()),
+        float(np.abs((modes.T @ stiffness @ modes) / np.outer(root, root) - np.eye(m)).max()),
+    )
+    if not worst <= SOLVE_TOLERANCE:
+        raise NoSolutionFound(
+            f"the modes did not converge (orthogonality off by {worst:.2g}); the machine's masses or stiffnesses differ "
+            "by too many orders of magnitude",
+            violations={"mode orthogonality": worst},
+            iterate={},
+        )
+
+
+def _check_finite(*arrays: Vector) -> None:
+    if not all(np.all(np.isfinite(array)) for array in arrays):
+        raise InputError(
+            "the machine's numbers are too far apart for double precision: masses, lengths or stiffnesses overflow or "
+            "cancel; check their units"
+        )
+
+
+def _warnings(clusters: tuple[tuple[int, ...], ...], frequencies: Vector, damped: bool) -> tuple[str, ...]:
+    sentences: list[str] = []
+    for group in clusters:
+        modes = " and ".join(str(i + 1) for i in group)
+        at = float(np.mean(frequencies[list(group)]))
+        gradient = " and has no gradient" if damped else ""
+        sentences.append(
+            f"modes {modes} share the frequency {at:.6g} Hz, so their residues are not unique: w is that of their sum{gradient}"
+        )
+    return tuple(sentences)
+
+
+def json_ready(value: Any) -> Any:
+    """Plain lists, numbers and text; NaN and infinity become None."""
+    if isinstance(value, np.ndarray | np.generic):
+        return json_ready(value.tolist())  # pyright: ignore[reportUnknownMemberType]
+    if isinstance(value, dict):
+        return {str(k): json_ready(v) for k, v in cast(dict[Any, Any], value).items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(v) for v in cast(list[Any], value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

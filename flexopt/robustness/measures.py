@@ -1,0 +1,170 @@
+"""The measures of a machine as CasADi Functions of placement, posture and parameters: values and exact derivatives.
+
+Every Function stands on one graph, `Measures.graph`, in which the solutions of the iterations (static deflection,
+eigenvectors) enter as a vector `held` that is not differentiated; the graph itself is exact to second order about them
+(see `flexopt.algebra.eigen`). Composing it with `hold`, which computes that vector, gives values, gradients and Hessians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+
+from flexopt.model import Machine
+from flexopt.model.problem import Control
+from flexopt.plant import Plant, build_plant
+from flexopt.robustness.modes import continue_modes, reduced_pencil, solve_modes
+from flexopt.robustness.residues import measure, residue_factors, rigid_residue, symmetric_part_vectors
+
+
+@dataclass(frozen=True)
+class MeasureGraph:
+    """SX graphs of the measures in `base`, `posture`, `p` and `held`. m modes, r task rows.
+
+    Attributes:
+        omega_squared: ω_i², (m, 1), ascending.
+        zeta: φ_iᵀ D φ_i / (2 ω_i), (m, 1): damping ratios to first order in the damping.
+        modes: φ_i, (n_q, m), mass-normalised.
+        a, b: columns of R_i = a_i b_iᵀ, (r, m).
+        same: clusters of equal frequencies, (m, m).
+        w: w_i, (m, 1).
+        rigid: R_0, (r, r).
+        q, end_point: configuration (n_q,) and r(q) (r,).
+        static_residual: force left over by the static deflection (m,); 0 without gravity.
+    """
+
+    omega_squared: ca.SX
+    zeta: ca.SX
+    modes: ca.SX
+    a: ca.SX
+    b: ca.SX
+    same: ca.SX
+    w: ca.SX
+    rigid: ca.SX
+    q: ca.SX
+    end_point: ca.SX
+    static_residual: ca.SX
+
+    def outputs(self) -> dict[str, ca.SX]:
+        """Name -> graph."""
+        return {name: ca.densify(getattr(self, name)) for name in self.__dataclass_fields__}
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Measures of one machine under one controller.
+
+    Functions take base (n_b,), posture (n,) and p (n_par,). The number of modes is m = `plant.n_passive`.
+    """
+
+    plant: Plant
+    control: Control
+    gravity: bool
+
+    @cached_property
+    def _held(self) -> dict[str, ca.SX]:
+        """Symbols of what `hold` computes, by name."""
+        m, r = self.plant.n_passive, self.plant.n_task
+        sizes = {"deflection": (m if self.gravity else 0, 1)}
+        sizes |= {"omega_squared": (m, 1), "modes": (m, m), "same": (m, m), "symmetric_parts": (r, r * m)}
+        return {name: ca.SX.sym(name, *size) for name, size in sizes.items()}
+
+    @cached_property
+    def held(self) -> ca.SX:
+        """All of it as one vector symbol."""
+        return ca.veccat(*self._held.values())
+
+    @cached_property
+    def hold(self) -> ca.Function:
+        """(base, posture, p) -> held: deflection and eigenvectors by iteration; its derivative is zero by declaration."""
+        g, plant = self.plant.graph, self.plant
+        deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else None
+        at = plant.operating_point(g.base, g.posture, g.p, deflection)
+        pencil = reduced_pencil(at, plant.n_passive)
+        values, modes, same = solve_modes(pencil)
+        a, b = residue_factors(at, pencil, modes, self.control)
+        parts = symmetric_part_vectors(a, b, same)
+        held = ca.veccat(*([deflection] if deflection is not None else []), values, modes, same, parts)
+        return self._function("hold", [], {"held": held}, {"is_diff_out": [False]})
+
+    @cached_property
+    def graph(self) -> MeasureGraph:
+        """The measures as SX graphs of base, posture, p and held."""
+        g, plant, held = self.plant.graph, self.plant, self._held
+        m, n = plant.n_passive, plant.n_actuated
+        at = plant.operating_point(g.base, g.posture, g.p, held["deflection"] if self.gravity else None)
+        pencil = reduced_pencil(at, m)
+        same = held["same"]
+        omega_squared, modes = continue_modes(pencil, held["omega_squared"], held["modes"], same)
+        a, b = residue_factors(at, pencil, modes, self.control)
+        full = ca.vertcat(modes, pencil.follow @ modes)
+        zeta = ca.diag(full.T @ at.damping @ full) / (2 * ca.sqrt(omega_squared))
+        assert full.shape == (m + n, m)
+        return MeasureGraph(
+            omega_squared=omega_squared,
+            zeta=zeta,
+            modes=full,
+            a=a,
+            b=b,
+            same=same,
+            w=ca.vertcat(*(measure(a, b, same, held["symmetric_parts"], i) for i in range(m))),
+            rigid=rigid_residue(at, pencil, self.control),
+            q=at.q,
+            end_point=at.end_point,
+            static_residual=at.static_residual,
+        )
+
+    @cached_property
+    def values(self) -> ca.Function:
+        """(base, posture, p) -> every output of `MeasureGraph`, by name."""
+        return self._composed("measures", self.graph.outputs())
+
+    @cached_property
+    def w(self) -> ca.Function:
+        """(base, posture, p) -> w (m, 1), with |a_i||b_i| beside it as `scale` (m, 1)."""
+        g = self.graph
+        scale = ca.sqrt(ca.sum1(g.a**2) * ca.sum1(g.b**2)).T
+        return self._composed("w", {"w": g.w, "scale": scale, "end_point": g.end_point})
+
+    @cached_property
+    def gradients(self) -> ca.Function:
+        """(base, posture, p) -> exact ∂w/∂[base, posture] (m, n_b + n) as `w_z` and ∂w/∂p (m, n_par) as `w_p`."""
+        g = self.plant.graph
+        by_configuration = ca.jacobian(self.graph.w, ca.vertcat(g.base, g.posture))
+        return self._composed("gradients", {"w_z": by_configuration, "w_p": ca.jacobian(self.graph.w, g.p)})
+
+    @cached_property
+    def nested(self) -> ca.Function:
+        """(base, posture, p) -> w, end_point as an MX Function that can be differentiated twice, exactly (for NLPs)."""
+        graph = self.graph
+        inner = self._function("of_held", [self.held], {"w": graph.w, "end_point": graph.end_point}, {})
+        g = self.plant.graph
+        symbols = [ca.MX.sym(name, s.shape[0]) for name, s in (("base", g.base), ("posture", g.posture), ("p", g.p))]
+        outputs = inner(*symbols, self.hold(*symbols))
+        return ca.Function("measures", symbols, list(outputs), ["base", "posture", "p"], ["w", "end_point"])
+
+    def _composed(self, name: str, outputs: Mapping[str, ca.SX]) -> ca.Function:
+        """The Function of (base, posture, p) in which `held` is computed by `hold`, all inlined."""
+        g = self.plant.graph
+        inner = self._function(name, [self.held], outputs, {})
+        results = inner.call([g.base, g.posture, g.p, self.hold(g.base, g.posture, g.p)])
+        return self._function(name, [], dict(zip(outputs, results, strict=True)), {})
+
+    def _function(
+        self, name: str, extra: list[ca.SX], outputs: Mapping[str, ca.SX], options: dict[str, object]
+    ) -> ca.Function:
+        g = self.plant.graph
+        names = ["base", "posture", "p", *(["held"] if extra else [])]
+        dense = [ca.densify(output) for output in outputs.values()]
+        return ca.Function(
+            name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), {"cse": True, **options}
+        )
+
+
+@lru_cache(maxsize=64)
+def build_measures(machine: Machine, control: Control = "inverse", gravity: bool = False) -> Measures:
+    """The measures of a machine (built once for each machine, controller and gravity option, and kept)."""
+    return Measures(build_plant(machine), control, gravity)

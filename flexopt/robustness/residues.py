@@ -1,0 +1,85 @@
+"""Residue matrices of the modal decomposition P(s) = R_0/s² + Σ R_i / (s² + 2 ζ_i ω_i s + ω_i²), and w_i."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from flexopt.algebra import apply_pseudo_inverse_transposed, safe_norm, solve_spd, symmetric_eigen
+from flexopt.algebra.dense import TINY, apply_pseudo_inverse
+from flexopt.model.problem import Control
+from flexopt.plant.plant import OperatingPoint
+from flexopt.robustness.modes import ReducedPencil
+
+
+def residue_factors(
+    at: OperatingPoint, pencil: ReducedPencil, modes: ca.SX, control: Control
+) -> tuple[ca.SX, ca.SX]:
+    """Columns a_i = J φ_i and b_i of R_i = a_i b_iᵀ, each (n_task, m).
+
+    b_i = Jv φ_a (transpose) or (Jv⁺)ᵀ φ_a (inverse); article, eqs. (3)–(6).
+    """
+    m = modes.shape[0]
+    actuated = pencil.follow @ modes
+    a = at.jacobian[:, :m] @ modes + at.jacobian[:, m:] @ actuated
+    if control == "transpose":
+        return a, at.rigid_jacobian @ actuated
+    return a, apply_pseudo_inverse_transposed(at.rigid_jacobian, actuated)
+
+
+def rigid_residue(at: OperatingPoint, pencil: ReducedPencil, control: Control) -> ca.SX:
+    """R_0 = Jv M̂⁻¹ Jvᵀ (transpose) or Jv M̂⁻¹ Jv⁺ (inverse), (n_task, n_task)."""
+    jv = at.rigid_jacobian
+    if control == "transpose":
+        return jv @ solve_spd(pencil.actuated_mass, jv.T)
+    return jv @ solve_spd(pencil.actuated_mass, apply_pseudo_inverse(jv, ca.SX(ca.DM.eye(jv.shape[0]))))
+
+
+def summed_residue(a: ca.SX, b: ca.SX, same: ca.SX, i: int) -> ca.SX:
+    """Σ_j a_j b_jᵀ over the cluster of mode i, (n_task, n_task): R_i itself where the frequency is simple."""
+    return (a * ca.repmat(same[i, :], a.shape[0], 1)) @ b.T
+
+
+def symmetric_part_vectors(a: ca.SX, b: ca.SX, same: ca.SX) -> ca.SX:
+    """Eigenvectors of R_i + R_iᵀ for every mode, side by side, (n_task, n_task m). Values only."""
+    parts: list[ca.SX] = []
+    for i in range(a.shape[1]):
+        residue = summed_residue(a, b, same, i)
+        parts.append(symmetric_eigen(residue + residue.T)[1])
+    return ca.horzcat(*parts)
+
+
+def measure(a: ca.SX, b: ca.SX, same: ca.SX, vectors: ca.SX, i: int) -> ca.SX:
+    """w_i = λmin(R_i + R_iᵀ), eq. (7): in rank-one form where mode i is simple, of the cluster's sum where it is not."""
+    if a.shape[1] == 1:
+        return rank_one_measure(a[:, 0], b[:, 0])
+    rows = a.shape[0]
+    residue = summed_residue(a, b, same, i)
+    clustered = _smallest_eigenvalue(residue + residue.T, vectors[:, i * rows : (i + 1) * rows])
+    return ca.if_else(ca.sum(same[i, :]) > 1.5, clustered, rank_one_measure(a[:, i], b[:, i]))
+
+
+def rank_one_measure(a: ca.SX, b: ca.SX) -> ca.SX:
+    """λmin(a bᵀ + b aᵀ) = a·b − |a||b|; 2ab for a single task row.
+
+    Where a·b > 0 it is computed as −Σ_{k<l} (a_k b_l − a_l b_k)² / (|a||b| + a·b), which keeps all digits near 0.
+    """
+    dot = ca.dot(a, b)
+    rows = a.shape[0]
+    if rows == 1:
+        return 2 * dot
+    norms = safe_norm(a) * safe_norm(b)
+    crossed = ca.SX(0)
+    for k in range(rows):
+        for m in range(k + 1, rows):
+            crossed = crossed + (a[k] * b[m] - a[m] * b[k]) ** 2
+    return ca.if_else(dot > 0, -crossed / (norms + ca.fabs(dot) + TINY), dot - norms)
+
+
+def _smallest_eigenvalue(symmetric: ca.SX, vectors: ca.SX) -> ca.SX:
+    """λmin near known eigenvectors (ascending), exact to second order; the gradient is νᵀ dG ν (Appendix B)."""
+    turned = vectors.T @ symmetric @ vectors
+    smallest = turned[0, 0]
+    for k in range(1, symmetric.shape[0]):
+        gap = turned[0, 0] - turned[k, k]
+        smallest += turned[0, k] ** 2 * gap / (gap**2 + TINY)
+    return smallest
