@@ -81,9 +81,7 @@ def clusters(values: ca.SX, tolerance: float) -> ca.SX:
     return same
 
 
-def perturbed_pencil(
-    stiffness: ca.SX, mass: ca.SX, values: ca.SX, vectors: ca.SX, same: ca.SX
-) -> tuple[ca.SX, ca.SX]:
+def perturbed_pencil(stiffness: ca.SX, mass: ca.SX, values: ca.SX, vectors: ca.SX, same: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Eigenpairs of K φ = λ M φ near a known solution, exact to second order in the change of K and M.
 
     With M⁰-normalised vectors Φ⁰ and values λ⁰ held constant, Φ⁰ᵀ M Φ⁰ = I + V is normalised by (I + V)^(−1/2), and

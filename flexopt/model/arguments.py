@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ class Arguments:
         if not any(value is v or (type(value) is type(v) and value == v) for v in valid):
             self.faults.append(Fault(field, "must be " + " or ".join(map(str, valid)), shown(value)))
             return valid[0]
-        return value
+        return cast(T, value)
 
     def flag(self, field: str, value: Any) -> bool:
         """True or False."""
@@ -51,9 +51,11 @@ class Arguments:
         """Angles of the actuated joints (n,), rad, finite and inside their limits."""
         names = machine.joints
         plain = _plain(value)
-        parts: list[Any] = list(plain) if isinstance(plain, list | tuple) else [plain]  # pyright: ignore[reportUnknownArgumentType]
+        parts = list(cast(Sequence[Any], plain)) if isinstance(plain, list | tuple) else [plain]
         if len(parts) != len(names):
-            wanted = f"needs {len(names)} angles in rad, one for each actuated joint ({', '.join(names)}), not {len(parts)}"
+            wanted = (
+                f"needs {len(names)} angles in rad, one for each actuated joint ({', '.join(names)}), not {len(parts)}"
+            )
             self.faults.append(Fault(field, wanted, shown(value)))
             return np.zeros(len(names))
         checked: list[float] = []
@@ -97,4 +99,6 @@ def shown(value: Any) -> str:
 
 def _plain(value: Any) -> Any:
     """NumPy scalars and arrays as Python numbers and lists."""
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    if isinstance(value, np.ndarray | np.generic):
+        return cast(Any, value.tolist())  # pyright: ignore[reportUnknownMemberType]
+    return value

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, PrivateAttr
 
@@ -30,7 +29,7 @@ def check_weights(value: Any) -> tuple[float, ...]:
     """The weights α of V = Σ αi wi: non-negative, not all zero."""
     if not isinstance(value, list | tuple) or not value:
         raise ValueError("must be a list of numbers, one for each mode")
-    weights = tuple(check_number(part, "", low=0.0, high=1e6) for part in value)  # pyright: ignore[reportUnknownVariableType]
+    weights = tuple(check_number(part, "", low=0.0, high=1e6) for part in cast(list[Any], value))
     if not any(weights):
         raise ValueError("at least one weight must be positive")
     return weights
@@ -38,9 +37,10 @@ def check_weights(value: Any) -> tuple[float, ...]:
 
 def check_point(value: Any) -> tuple[float, ...]:
     """A point in the plane, inertial frame, m."""
-    if not isinstance(value, list | tuple) or len(value) != 2:  # pyright: ignore[reportUnknownArgumentType]
+    if not isinstance(value, list | tuple) or len(cast(list[Any], value)) != 2:
         raise ValueError("must be two numbers x, y in m, inertial frame")
-    return tuple(check_number(part, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX) for part in value)  # pyright: ignore[reportUnknownVariableType]
+    parts = cast(list[Any], value)
+    return tuple(check_number(part, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX) for part in parts)
 
 
 def check_margin_deg(value: Any) -> float:
@@ -69,7 +69,7 @@ def check_seed(value: Any) -> int:
 
 def check_base(value: Any) -> tuple[float, ...]:
     """A placement of the base: one number x in m (alone or in a list)."""
-    parts: list[Any] = list(value) if isinstance(value, list | tuple) else [value]  # pyright: ignore[reportUnknownArgumentType]
+    parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
     if len(parts) != 1:
         raise ValueError("must be one number: a planar machine is placed by x, in m")
     return tuple(check_number(part, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX) for part in parts)
@@ -94,11 +94,6 @@ class SelectionOptions(FileModel):
     singularity_margin_deg: Annotated[float, checked(check_margin_deg)] = SINGULARITY_MARGIN_DEG
     starts: Annotated[int, checked(check_starts)] | None = None
     seed: Annotated[int, checked(check_seed)] = 0
-
-    @property
-    def singularity_margin(self) -> float:
-        """The distance from singular postures, rad."""
-        return math.radians(self.singularity_margin_deg)
 
 
 class Problem(FileModel):
@@ -125,3 +120,7 @@ class Problem(FileModel):
         """The machine that the file names."""
         assert self._loaded is not None
         return self._loaded
+
+    def select_arguments(self) -> dict[str, Any]:
+        """The arguments of `flexopt.select` that the file amounts to."""
+        return {"machine": self.loaded_machine, "target": self.target.end_point} | self.selection.model_dump()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
@@ -22,7 +22,9 @@ def check_number(value: Any, unit: str, *, above: float | None = None, low: floa
     """Return `value` as a float, or raise `ValueError` with a sentence that names unit and range."""
     allowed = range_sentence(unit, above, low, high)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        kind = {str: "text", bool: "true/false", list: "a list", dict: "a table"}.get(type(value), type(value).__name__)
+        kind = {str: "text", bool: "true/false", list: "a list", dict: "a table"}.get(
+            type(cast(object, value)), type(cast(object, value)).__name__
+        )
         raise ValueError(f"must be a number, not {kind}; it {allowed}")
     try:
         number = float(value)
@@ -36,13 +38,7 @@ def check_number(value: Any, unit: str, *, above: float | None = None, low: floa
 
 
 def _quantity(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> BeforeValidator:
-    def validate(value: Any) -> float:
-        try:
-            return check_number(value, unit, above=above, low=low, high=high)
-        except ValueError as error:
-            raise PydanticCustomError("quantity", "{sentence}", {"sentence": str(error)}) from None
-
-    return BeforeValidator(validate)
+    return checked(lambda value: check_number(value, unit, above=above, low=low, high=high))
 
 
 def checked(check: Callable[[Any], Any]) -> BeforeValidator:
@@ -76,19 +72,17 @@ COORDINATE_MAX = 1e6
 Coordinate = Annotated[float, _quantity("m", low=-COORDINATE_MAX, high=COORDINATE_MAX)]
 
 
-def ordered_pair(unit: str, low: float, high: float, *, allow_equal: bool = False) -> BeforeValidator:
+def check_pair(value: Any, unit: str, low: float, high: float, *, allow_equal: bool = False) -> tuple[float, float]:
     """A [lower, upper] pair of numbers in `unit`, in order."""
-
-    def check(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list | tuple) or len(value) != 2:  # pyright: ignore[reportUnknownArgumentType]
-            raise ValueError(f"must be a pair [lower, upper] in {unit}")
-        lower, upper = (check_number(part, unit, low=low, high=high) for part in value)  # pyright: ignore[reportUnknownVariableType]
-        if upper < lower or (upper == lower and not allow_equal):
-            raise ValueError(f"is reversed or empty: the lower end must be below the upper end, in {unit}")
-        return lower, upper
-
-    return checked(check)
+    if not isinstance(value, list | tuple) or len(cast(list[Any], value)) != 2:
+        raise ValueError(f"must be a pair [lower, upper] in {unit}")
+    lower, upper = (check_number(part, unit, low=low, high=high) for part in cast(list[Any], value))
+    if upper < lower or (upper == lower and not allow_equal):
+        raise ValueError(f"is reversed or empty: the lower end must be below the upper end, in {unit}")
+    return lower, upper
 
 
-JointLimits = Annotated[tuple[float, float], ordered_pair("rad", -ANGLE_MAX, ANGLE_MAX)]
-BaseRange = Annotated[tuple[float, float], ordered_pair("m", -COORDINATE_MAX, COORDINATE_MAX, allow_equal=True)]
+JointLimits = Annotated[tuple[float, float], checked(lambda v: check_pair(v, "rad", -ANGLE_MAX, ANGLE_MAX))]
+BaseRange = Annotated[
+    tuple[float, float], checked(lambda v: check_pair(v, "m", -COORDINATE_MAX, COORDINATE_MAX, allow_equal=True))
+]

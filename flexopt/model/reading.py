@@ -105,7 +105,7 @@ def find_file(name_or_path: str | os.PathLike[str], kind: str) -> Path:
     if not path.is_file():
         names = shipped_names(kind)
         hint = _nearest(text, names)
-        raise ModelError(f"no {kind[:-1]} is called {text!r}{hint}; there are: {', '.join(names)} (or give a path)")
+        raise ModelError(f"no {kind[:-1]} is called {text!r}{hint} (shipped: {', '.join(names)}; or give a path)")
     return path
 
 
@@ -180,13 +180,14 @@ def _field_path(data: Table, location: tuple[str | int, ...]) -> str:
     for part in location:
         if isinstance(part, int):
             path += f"[{part}]"
-            here = here[part] if isinstance(here, list | tuple) and part < len(cast(list[Any], here)) else None
-            name = cast(dict[str, Any], here).get("name") if isinstance(here, dict) else None
+            items = cast(list[Any], here) if isinstance(here, list | tuple) else []
+            here = items[part] if part < len(items) else None
+            name = _table({"here": here}, "here").get("name")
             if isinstance(name, str) and name:
                 path += f" ({name})"
         else:
             path += f".{part}" if path else part
-            here = cast(dict[str, Any], here).get(part) if isinstance(here, dict) else None
+            here = _table({"here": here}, "here").get(part)
     return path or "file"
 
 
@@ -240,18 +241,18 @@ def _machine_faults(data: Table) -> list[Fault]:
     for direction in damping:
         if direction in ("x", "y", "rotation") and direction not in stiffness:
             faults.append(
-                Fault(f"base.damping.{direction}", "needs base.stiffness." + direction + "; without it the base is rigid")
+                Fault(
+                    f"base.damping.{direction}", "needs base.stiffness." + direction + "; without it the base is rigid"
+                )
             )
     links_value = data.get("links")
-    links = [link for link in cast(Iterable[Any], links_value or ()) if isinstance(link, dict)]
     if isinstance(links_value, tuple):
-        faults += _link_faults(cast(list[dict[str, Any]], links))
-        passive = [link for link in cast(list[dict[str, Any]], links) if link.get("passive") is True]
+        links = [cast(dict[str, Any], link) for link in cast(tuple[Any, ...], links_value) if isinstance(link, dict)]
+        faults += _link_faults(links)
+        passive = [link for link in links if link.get("passive") is True]
         if links and len(links) - len(passive) < 2:
             count = len(links) - len(passive)
-            faults.append(
-                Fault("links (actuated joints)", "an end-point in the plane needs at least two", str(count))
-            )
+            faults.append(Fault("links (actuated joints)", "an end-point in the plane needs at least two", str(count)))
         if not passive and not any(d in stiffness for d in ("x", "y", "rotation")):
             faults.append(
                 Fault("base.stiffness", "no passive coordinate: give x, y or rotation, or make a joint passive")

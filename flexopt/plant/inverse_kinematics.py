@@ -10,7 +10,7 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.model import Machine
 from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.problem import Elbow, check_seed
+from flexopt.model.problem import ELBOWS, Elbow, check_seed
 from flexopt.plant.plant import Plant, build_plant
 from flexopt.plant.reach import unreachable
 
@@ -21,7 +21,13 @@ EDGE = 1e-12
 
 
 def inverse_kinematics(
-    machine: Machine, target: Any, *, base: Any = 0.0, gravity: bool = False, seed: int = 0
+    machine: Machine,
+    target: Any,
+    *,
+    base: Any = 0.0,
+    gravity: bool = False,
+    elbow: Elbow | None = None,
+    seed: int = 0,
 ) -> list[Vector]:
     """Postures q_a (n,) in rad with r(q) = target, passive joints at rest, inside the joint limits.
 
@@ -33,6 +39,7 @@ def inverse_kinematics(
         target: end-point (2,), m, inertial frame.
         base: placement x, m.
         gravity: the end-point under static deflection, instead of at rest.
+        elbow: keep only the branch `"up"` or `"down"` of the last two joints; both by default.
         seed: shifts the sample for three joints and more.
 
     Raises:
@@ -43,6 +50,7 @@ def inverse_kinematics(
     machine = arguments.machine(machine)
     point, placement = arguments.point(target, "target"), arguments.base(base)
     arguments.flag("gravity", gravity)
+    arguments.choice("elbow", elbow, (None, *ELBOWS))
     arguments.checked("seed", seed, check_seed, 0)
     arguments.done()
     plant = build_plant(machine)
@@ -50,7 +58,9 @@ def inverse_kinematics(
     bases = np.repeat(placement[:, None], leading.shape[1], axis=1)
     found: list[Vector] = []
     within_reach = False
-    for sign in ELBOW_SIGN.values():
+    for name, sign in ELBOW_SIGN.items():
+        if elbow not in (None, name):
+            continue
         postures, reached = branch(plant, point, bases, leading, sign)
         within_reach = within_reach or bool(reached.any())
         found += [p for p in postures[:, reached].T if inside_limits(machine, p[:, None])[0]]
@@ -76,9 +86,8 @@ def branch(plant: Plant, target: Vector, bases: Vector, leading: Vector, sign: f
         postures (n, N), shifted by 2π into the joint limits where that is possible, and a mask (N,) of those that reach.
     """
     count = bases.shape[1]
-    out = plant.posture_at(
-        np.repeat(target[:, None], count, axis=1), bases, leading, np.full((1, count), sign), plant.parameter_values
-    )
+    targets, signs = np.repeat(target[:, None], count, axis=1), np.full((1, count), sign)
+    out = plant.posture_at.call([targets, bases, leading, signs, plant.parameter_values])
     postures, cosine = out[0].full(), out[1].full().ravel()
     for row, (low, high) in enumerate(plant.machine.limits):
         angle = postures[row]
@@ -126,6 +135,7 @@ def _distinct(postures: list[Vector]) -> list[Vector]:
 
 def _under_gravity(plant: Plant, target: Vector, base: Vector, posture: Vector) -> Vector:
     """Newton's method from the posture at rest to the one whose deflected end-point is on the target."""
+    error = np.full(target.size, np.inf)
     for _ in range(20):
         q_p = plant.deflected(base, posture, plant.parameter_values)
         q = np.concatenate([q_p.full().ravel(), posture])
@@ -133,12 +143,11 @@ def _under_gravity(plant: Plant, target: Vector, base: Vector, posture: Vector) 
         if np.abs(error).max() < 1e-13 * (1 + np.abs(target).max()):
             break
         jacobian = plant.rigid_jacobian(q, base, plant.parameter_values).full()
-        posture = posture - np.linalg.lstsq(jacobian, error, rcond=None)[0]
-    else:
-        if not np.abs(error).max() < 1e-9:  # pyright: ignore[reportPossiblyUnboundVariable]
-            raise NoSolutionFound(
-                "inverse kinematics under gravity did not converge: the deflected end-point stays off the target",
-                violations={"target": float(np.abs(error).max())},  # pyright: ignore[reportPossiblyUnboundVariable]
-                iterate=dict(zip(plant.machine.joints, posture.tolist(), strict=True)),
-            )
+        posture = posture - np.linalg.pinv(jacobian) @ error
+    if not np.abs(error).max() < 1e-9:
+        raise NoSolutionFound(
+            "inverse kinematics under gravity did not converge: the deflected end-point stays off the target",
+            violations={"target": float(np.abs(error).max())},
+            iterate={name: float(angle) for name, angle in zip(plant.machine.joints, posture, strict=True)},
+        )
     return posture

@@ -146,9 +146,9 @@ def _absolute_dynamics(
         mass[k + 2, 0:2] = column.T
         bias[0:2] -= (a[k] * _e(angles[k]) + b[k] * _n(angles[k])) * u_rate[k + 2] ** 2
         force[k + 2] = gravity * column[1]
-        mass[k + 2, k + 2] = _sum(
-            j.mass * (along[i][k] ** 2 + left[i][k] ** 2) for i, j in enumerate(masses)
-        ) + _sum(j.inertia for j in masses if j.body == k)
+        mass[k + 2, k + 2] = _sum(j.mass * (along[i][k] ** 2 + left[i][k] ** 2) for i, j in enumerate(masses)) + _sum(
+            j.inertia for j in masses if j.body == k
+        )
         for m in range(k):
             s = _sum(j.mass * (along[i][k] * along[i][m] + left[i][k] * left[i][m]) for i, j in enumerate(masses))
             t = _sum(j.mass * (along[i][k] * left[i][m] - left[i][k] * along[i][m]) for i, j in enumerate(masses))

@@ -155,6 +155,15 @@ class Plant:
         return self._of_posture("singularity_sine_squared", [at_rest], ["sine_squared"])
 
     @cached_property
+    def singularity_gradient(self) -> ca.Function:
+        """Derivative of `singularity_sine_squared` by [base, posture], (1, n_b + n). Inputs base, posture, p."""
+        g = self.graph
+        at_rest = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
+        return self._of_posture(
+            "singularity_gradient", [ca.jacobian(at_rest, ca.vertcat(g.base, g.posture))], ["sine_squared_z"]
+        )
+
+    @cached_property
     def tip(self) -> TipGraph:
         """Closed-form inverse kinematics of the last two actuated joints."""
         return build_tip(self.machine, self.graph)
@@ -202,9 +211,7 @@ class Plant:
             q_p = self._newton_step(q_p, g.base, g.posture, g.p)
         return self._of_posture("deflected", [q_p], ["q_p"])
 
-    def operating_point(
-        self, base: ca.SX, posture: ca.SX, p: ca.SX, deflection: ca.SX | None = None
-    ) -> OperatingPoint:
+    def operating_point(self, base: ca.SX, posture: ca.SX, p: ca.SX, deflection: ca.SX | None = None) -> OperatingPoint:
         """Graphs at rest, or under gravity about the passive coordinates `deflection` (m,) from `deflected`.
 
         Under gravity two Newton steps start from `deflection`, held constant, so that first and second derivatives are

@@ -60,7 +60,15 @@ def reach(plant: Plant, margin: float = 0.0) -> Reach:
     return Reach(center, inner, outer)
 
 
-def unreachable(plant: Plant, target: Vector, base: Vector | None, why: str = "", margin: float = 0.0) -> UnreachableTarget:
+def clipped(intervals: list[Interval], allowed: Interval) -> list[Interval]:
+    """The parts of the intervals inside `allowed`."""
+    parts = [(max(low, allowed[0]), min(high, allowed[1])) for low, high in intervals]
+    return [(low, high) for low, high in parts if low <= high]
+
+
+def unreachable(
+    plant: Plant, target: Vector, base: Vector | None, why: str = "", margin: float = 0.0
+) -> UnreachableTarget:
     """The error for a target that no posture reaches: by how much, and which placements would do.
 
     Args:
@@ -79,7 +87,11 @@ def unreachable(plant: Plant, target: Vector, base: Vector | None, why: str = ""
     else:
         rise = abs(float(target[1] - annulus.center[1]))
         miss = max(0.0, rise - annulus.outer)
-    by = f": it lies {miss:.4g} m outside its reach of {annulus.inner:.4g} to {annulus.outer:.4g} m from the first joint"
+    by = (
+        f": it lies {miss:.4g} m outside its reach of {annulus.inner:.4g} to {annulus.outer:.4g} m from the first joint"
+    )
+    if margin > 0:
+        by += f", {math.degrees(margin):g}° kept from singular postures"
     if miss == 0.0:
         by = f": {why}" if why else ""
     if intervals:

@@ -16,7 +16,7 @@ PROBE = 1e-3
 
 
 def condition_number(plant: Plant, q: Vector, base: Vector) -> float:
-    """cond Jv(q), the ratio of its extreme singular values; infinite where the smallest is zero."""
+    """Cond Jv(q), the ratio of its extreme singular values; infinite where the smallest is zero."""
     values = np.linalg.svd(plant.rigid_jacobian(q, base, plant.parameter_values).full(), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0 else math.inf
 

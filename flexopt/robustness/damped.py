@@ -56,9 +56,10 @@ def damped_modes(machine: Machine, base: Vector, posture: Vector, control: Contr
     plant = graphs.plant
     p = plant.parameter_values
     m, n, r = plant.n_passive, plant.n_coordinates, plant.n_task
-    mass, damping, stiffness, deflection = (x.full() for x in graphs.point(base, posture, p))
+    mass, damping, stiffness, deflection = (x.full() for x in graphs.point.call([base, posture, p]))
     top = np.linalg.solve(mass, np.hstack([-damping, -stiffness]))
-    values, vectors = np.linalg.eig(np.vstack([top, np.eye(n, 2 * n)]))
+    solved = np.linalg.eig(np.vstack([top, np.eye(n, 2 * n)]))
+    values, vectors = solved.eigenvalues.astype(np.complex128), solved.eigenvectors.astype(np.complex128)
     # Rigid poles are zero up to the square root of the rounding; vibration poles stand far above them.
     floor = 1e-5 * np.abs(values).max()
     upper = [k for k in np.argsort(np.abs(values), kind="stable") if values[k].imag > floor]
@@ -67,7 +68,7 @@ def damped_modes(machine: Machine, base: Vector, posture: Vector, control: Contr
             f"damping: {m - len(upper)} of {m} vibration modes are overdamped and have no complex pair of poles; "
             "lower the damping of the passive coordinates, or use the undamped measures"
         )
-    poles = values[upper].astype(np.complex128)
+    poles = values[upper]
     n0, n1 = np.empty((m, r, r)), np.empty((m, r, r))
     w_z, w_p = np.full((m, plant.n_base + plant.n_actuated), np.nan), np.full((m, p.shape[0]), np.nan)
     eigen: list[Vector] = []
@@ -75,7 +76,7 @@ def damped_modes(machine: Machine, base: Vector, posture: Vector, control: Contr
         pole, u = poles[i], vectors[n:, k]
         u = u / np.sqrt(u @ (2 * pole * mass + damping) @ u)
         eigen.append(np.concatenate([[pole.real, pole.imag], u.real, u.imag]))
-        out = graphs.residue(base, posture, p, deflection, eigen[i])
+        out = graphs.residue.call([base, posture, p, deflection, eigen[i]])
         n0[i], n1[i] = out[0].full(), out[1].full()
         refined = out[2].full().ravel()
         poles[i] = complex(refined[0], refined[1])
@@ -87,7 +88,7 @@ def damped_modes(machine: Machine, base: Vector, posture: Vector, control: Contr
         w[list(group)] = smallest[0]
         if len(group) == 1:
             i = group[0]
-            gradient = graphs.gradient(base, posture, p, deflection, eigen[i], directions[:, 0])
+            gradient = graphs.gradient.call([base, posture, p, deflection, eigen[i], directions[:, 0]])
             w_z[i], w_p[i] = gradient[0].full().ravel(), gradient[1].full().ravel()
     return DampedModes(poles, w, n0, n1, w_z, w_p, tuple(g for g in groups if len(g) > 1))
 
@@ -118,15 +119,13 @@ def _build(machine: Machine, control: Control, gravity: bool) -> _Graphs:
     deflection = ca.SX.sym("deflection", m)
     where = [g.base, g.posture, g.p]
     names = ["base", "posture", "p"]
-    at = plant.operating_point(*where, deflection if gravity else None)
-    solved = plant.deflected(*where) if gravity else ca.SX.zeros(m, 1)
+    at = plant.operating_point(g.base, g.posture, g.p, deflection if gravity else None)
+    solved = plant.deflected(g.base, g.posture, g.p) if gravity else ca.SX.zeros(m, 1)
     matrices = ca.substitute([at.mass, at.damping, at.stiffness], [deflection], [solved])
     point = ca.Function("point", where, [*matrices, solved], names, ["M", "D", "K", "deflection"], {"cse": True})
 
     eigen = ca.SX.sym("eigen", 2 + 2 * n)
-    pole, u = _newton_step(
-        at.mass, at.damping, at.stiffness, (eigen[0], eigen[1]), (eigen[2 : 2 + n], eigen[2 + n :])
-    )
+    pole, u = _newton_step(at.mass, at.damping, at.stiffness, (eigen[0], eigen[1]), (eigen[2 : 2 + n], eigen[2 + n :]))
     alpha = [at.jacobian @ part for part in u]
     if control == "transpose":
         beta = [at.rigid_jacobian @ part[m:] for part in u]

@@ -156,7 +156,9 @@ class Evaluation:
             )
         lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {self.rigid:.5e}; cond Jv = {self.condition:.4g}")
         if self.damped_difference is not None:
-            lines.append(f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|")
+            lines.append(
+                f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|"
+            )
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
@@ -215,7 +217,7 @@ def evaluate_checked(
     condition = check_regular(plant, rest, base)
     v = {name: value.full() for name, value in measures.values(base=base, posture=posture, p=p).items()}
     _check_solved(measures, v, base)
-    gradients = measures.gradients(base, posture, p)
+    gradients = measures.gradients.call([base, posture, p])
     w_z, w_p = gradients[0].full(), gradients[1].full()
 
     a, b, same = v["a"], v["b"], v["same"]

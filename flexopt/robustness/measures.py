@@ -131,10 +131,14 @@ class Measures:
 
     @cached_property
     def gradients(self) -> ca.Function:
-        """(base, posture, p) -> exact ∂w/∂[base, posture] (m, n_b + n) as `w_z` and ∂w/∂p (m, n_par) as `w_p`."""
-        g = self.plant.graph
-        by_configuration = ca.jacobian(self.graph.w, ca.vertcat(g.base, g.posture))
-        return self._composed("gradients", {"w_z": by_configuration, "w_p": ca.jacobian(self.graph.w, g.p)})
+        """(base, posture, p) -> exact derivatives, z = [base, posture].
+
+        Outputs ∂w/∂z (m, n_b + n) as `w_z`, ∂w/∂p (m, n_par) as `w_p`, ∂r/∂z (n_task, n_b + n) as `end_point_z`.
+        """
+        g, graph = self.plant.graph, self.graph
+        z = ca.vertcat(g.base, g.posture)
+        outputs = {"w_z": ca.jacobian(graph.w, z), "w_p": ca.jacobian(graph.w, g.p)}
+        return self._composed("gradients", outputs | {"end_point_z": ca.jacobian(graph.end_point, z)})
 
     @cached_property
     def nested(self) -> ca.Function:
@@ -143,8 +147,8 @@ class Measures:
         inner = self._function("of_held", [self.held], {"w": graph.w, "end_point": graph.end_point}, {})
         g = self.plant.graph
         symbols = [ca.MX.sym(name, s.shape[0]) for name, s in (("base", g.base), ("posture", g.posture), ("p", g.p))]
-        outputs = inner(*symbols, self.hold(*symbols))
-        return ca.Function("measures", symbols, list(outputs), ["base", "posture", "p"], ["w", "end_point"])
+        outputs = inner.call([*symbols, *self.hold.call(symbols)])
+        return ca.Function("measures", symbols, outputs, ["base", "posture", "p"], ["w", "end_point"])
 
     def _composed(self, name: str, outputs: Mapping[str, ca.SX]) -> ca.Function:
         """The Function of (base, posture, p) in which `held` is computed by `hold`, all inlined."""
@@ -154,14 +158,12 @@ class Measures:
         return self._function(name, [], dict(zip(outputs, results, strict=True)), {})
 
     def _function(
-        self, name: str, extra: list[ca.SX], outputs: Mapping[str, ca.SX], options: dict[str, object]
+        self, name: str, extra: list[ca.SX], outputs: Mapping[str, ca.SX], options: dict[str, list[bool]]
     ) -> ca.Function:
         g = self.plant.graph
         names = ["base", "posture", "p", *(["held"] if extra else [])]
         dense = [ca.densify(output) for output in outputs.values()]
-        return ca.Function(
-            name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), {"cse": True, **options}
-        )
+        return ca.Function(name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), options | {"cse": True})
 
 
 @lru_cache(maxsize=64)

@@ -11,9 +11,7 @@ from flexopt.plant.plant import OperatingPoint
 from flexopt.robustness.modes import ReducedPencil
 
 
-def residue_factors(
-    at: OperatingPoint, pencil: ReducedPencil, modes: ca.SX, control: Control
-) -> tuple[ca.SX, ca.SX]:
+def residue_factors(at: OperatingPoint, pencil: ReducedPencil, modes: ca.SX, control: Control) -> tuple[ca.SX, ca.SX]:
     """Columns a_i = J φ_i and b_i of R_i = a_i b_iᵀ, each (n_task, m).
 
     b_i = Jv φ_a (transpose) or (Jv⁺)ᵀ φ_a (inverse); article, eqs. (3)–(6).

@@ -1,0 +1,302 @@
+"""The command line: `flexopt evaluate | select | reproduce | doctor`.
+
+In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
+go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import click
+
+from flexopt.errors import Fault, FlexoptError, FlexoptWarning, InputError, raise_if_any
+from flexopt.model import Machine, load, load_problem
+from flexopt.model.arguments import Arguments
+from flexopt.model.problem import CONTROLS, ELBOWS, Elbow
+from flexopt.model.provenance import package_version
+from flexopt.model.reading import looks_like_problem
+from flexopt.plant import inverse_kinematics
+from flexopt.robustness import evaluate
+from flexopt.selection import Selection, select
+
+BAD_INPUT, FAILED = 2, 3
+PICTURES = (".png", ".svg", ".pdf")
+
+Decorator = Callable[[Callable[..., None]], Callable[..., None]]
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of the `flexopt` command."""
+    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        cli.main(args=given, prog_name="flexopt", standalone_mode=False)
+    except click.exceptions.Exit as leave:
+        sys.exit(leave.exit_code)
+    except click.Abort:
+        sys.exit(130)
+    except click.ClickException as error:
+        _fail(InputError(error.format_message()), "--json" in given)
+    except FlexoptError as error:
+        _fail(error, "--json" in given)
+
+
+def _fail(error: FlexoptError, as_json: bool) -> None:
+    click.echo(f"flexopt: {error}", err=True)
+    if as_json:
+        _print_json({"status": "failed", "converged": False, "error": error.to_dict()})
+    sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)
+
+
+def _print_json(document: dict[str, Any]) -> None:
+    click.echo(json.dumps(document, indent=2, allow_nan=False))
+
+
+def _option(*names: str, **settings: Any) -> Decorator:
+    return cast(Decorator, click.option(*names, **settings))
+
+
+JSON = _option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+CONTROL = _option("--control", metavar="|".join(CONTROLS), help="Jacobian inverse (default) or transpose control.")
+GRAVITY = _option("--gravity", is_flag=True, help="Measures under static deflection.")
+GAIN = _option("--gain", metavar="KR", help="Servo gain of the margin ε_max (5e5 by default).")
+BASE = _option("--base", metavar="X", help="Placement of the base, m; for select, where it stands now.")
+END_POINT = _option("--end-point", metavar="X,Y", help="Target of the end-point, inertial frame, m.")
+ELBOW = _option("--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch (up by default).")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_version("flexopt"), prog_name="flexopt")
+def cli() -> None:
+    """Configurations of a machine on a compliant base in which end-point feedback does not excite the base."""
+
+
+@cli.command("evaluate")
+@click.argument("machine")
+@_option("--posture", metavar="A,B,…", help="Angles of the actuated joints, rad.")
+@END_POINT
+@ELBOW
+@BASE
+@CONTROL
+@GAIN
+@_option("--damped", is_flag=True, help="Measures of the damped plant.")
+@GRAVITY
+@JSON
+def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
+    """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
+    loaded = load(machine)
+    base = _numbers(options["base"]) or 0.0
+    control = options["control"] or "inverse"
+    gravity = bool(options["gravity"])
+    angles = _posture(loaded, options, base, gravity)
+    gain = _number(options["gain"]) if options["gain"] is not None else 5e5
+    with _warnings_to_stderr(as_json):
+        result = evaluate(
+            loaded, angles, base=base, control=control, gain=gain, damped=bool(options["damped"]), gravity=gravity
+        )
+    if as_json:
+        _print_json(result.to_dict())
+    else:
+        click.echo(repr(result))
+
+
+def _posture(machine: Machine, options: dict[str, Any], base: Any, gravity: bool) -> Any:
+    """The posture given, or the one that reaches the end-point given."""
+    posture, end_point = _numbers(options["posture"]), _numbers(options["end_point"])
+    faults: list[Fault] = []
+    if (posture is None) == (end_point is None):
+        faults.append(Fault("--posture, --end-point", "give one of the two"))
+    if posture is not None and options["elbow"] is not None:
+        faults.append(Fault("--elbow", "goes with --end-point only", options["elbow"]))
+    joints = machine.joints
+    if end_point is not None and len(joints) > 2:
+        sentence = f"does not name one posture of {len(joints)} actuated joints; use select, or --posture"
+        faults.append(Fault("--end-point", sentence, options["end_point"]))
+    raise_if_any(InputError, "evaluate", faults)
+    if posture is not None:
+        return posture
+    arguments = Arguments("evaluate")
+    elbow = cast(Elbow, arguments.choice("elbow", options["elbow"] or "up", ELBOWS))
+    arguments.point(end_point, "end-point")
+    arguments.base(base)
+    arguments.control(options["control"] or "inverse")
+    arguments.done()
+    return inverse_kinematics(machine, end_point, base=base, gravity=gravity, elbow=elbow)[0]
+
+
+@cli.command("select")
+@click.argument("machine")
+@END_POINT
+@ELBOW
+@BASE
+@_option("--base-range", metavar="LO,HI", help="Placements allowed, m; all that reach by default.")
+@CONTROL
+@_option("--objective", metavar="w1|w2|…|V", help="Which measure to maximise (w1 by default).")
+@_option("--weights", metavar="A1,A2,…", help="Weights α of the objective V = Σ αi wi.")
+@_option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (10 by default).")
+@_option("--starts", metavar="N", help="Starts at most (every peak of the scan by default).")
+@_option("--seed", metavar="N", help="Seed of the scan.")
+@GAIN
+@GRAVITY
+@_option("--plot", metavar="PATH", help="Draw the choice: .png, .svg or .pdf.")
+@_option("--out", metavar="PATH", help="Write the JSON document to a file, too.")
+@JSON
+def select_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
+    """Best placement and posture for a target, of MACHINE: a machine with --end-point, or a problem (name or file)."""
+    _check_output("--plot", plot, PICTURES)
+    _check_output("--out", out, (".json",))
+    settings = _selection_settings(machine, options)
+    with _warnings_to_stderr(as_json), _progress() as progress:
+        result = select(**settings, progress=progress)
+    if plot is not None:
+        _write("--plot", plot, lambda: result.plot(plot))
+    if out is not None:
+        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
+        _write("--out", out, lambda: Path(out).write_text(text, encoding="utf-8"))
+    if as_json:
+        _print_json(result.to_dict())
+    else:
+        click.echo(_selection_text(result))
+
+
+def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given."""
+    settings: dict[str, Any]
+    if looks_like_problem(machine):
+        problem = load_problem(machine)
+        settings = problem.select_arguments()
+    else:
+        settings = {"machine": load(machine)}
+    margin = options["singularity_margin_deg"]
+    given = {
+        "target": _numbers(options["end_point"]),
+        "base": _numbers(options["base"]),
+        "base_range": _numbers(options["base_range"]),
+        "elbow": options["elbow"],
+        "control": options["control"],
+        "objective": options["objective"],
+        "weights": _numbers(options["weights"]),
+        "singularity_margin_deg": None if margin is None else _number(margin),
+        "starts": _whole(options["starts"]),
+        "seed": _whole(options["seed"]),
+        "gain": None if options["gain"] is None else _number(options["gain"]),
+        "gravity": True if options["gravity"] else None,
+    }
+    if given["objective"] not in (None, "V") and given["weights"] is None:
+        settings.pop("weights", None)
+    settings |= {name: value for name, value in given.items() if value is not None}
+    if "target" not in settings:
+        raise InputError("select: a machine needs --end-point X,Y (m, inertial frame); a problem file brings its own")
+    return settings
+
+
+def _selection_text(result: Selection) -> str:
+    best, problem = result.best.evaluation, result.problem
+    base = ", ".join(f"{name} = {x:.4f} m" for name, x in zip(best.base_coordinates, best.base, strict=True))
+    angles = ", ".join(f"{name} {a:.4f} rad" for name, a in zip(best.joints, best.posture, strict=True))
+    lines = [repr(result), "", f"Stand at {base} and hold {angles}.", repr(best)]
+    if result.initial is not None:
+        before, after = (float(problem.weights @ e.w) for e in (result.initial, best))
+        lines.append(f"{problem.objective}: {before:.5e} in the present posture, {after:.5e} in the chosen one")
+    return "\n".join(lines)
+
+
+@cli.command("reproduce")
+@JSON
+def reproduce_command(as_json: bool) -> None:
+    """The article's Table 2 beside what flexopt computes (frequencies and w_i; ε_max is not computed yet)."""
+    from flexopt.study import reproduce_table2  # noqa: PLC0415  (only this command needs it)
+
+    table = reproduce_table2()
+    if as_json:
+        _print_json(table.to_dict())
+    else:
+        click.echo(repr(table))
+
+
+@cli.command("doctor")
+@JSON
+def doctor_command(as_json: bool) -> None:
+    """What this installation can do: versions, solver, compiler, shipped machines and problems."""
+    from flexopt.study.doctor import examine  # noqa: PLC0415  (only this command needs it)
+
+    report = examine()
+    if as_json:
+        _print_json(report.to_dict())
+    else:
+        click.echo(repr(report))
+    if not report.healthy:
+        sys.exit(FAILED)
+
+
+@contextmanager
+def _warnings_to_stderr(as_json: bool) -> Iterator[None]:
+    """Flexopt's warnings as lines on standard error; in text they are part of the result itself."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", FlexoptWarning)
+        yield
+    for warning in caught:
+        if not issubclass(warning.category, FlexoptWarning):
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+        elif as_json:
+            click.echo(f"flexopt: warning: {warning.message}", err=True)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """A bar on standard error where that is a terminal, else one line at the end."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: click.echo(f"starts {done}/{total}", err=True) if done == total else None
+        return
+    with click.progressbar(length=1, label="starts", file=sys.stderr, show_pos=True) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.length = total
+            bar.update(done - bar.pos)
+
+        yield show
+
+
+def _check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> None:
+    """Find out that a file cannot be written before the work is done."""
+    if path is None:
+        return
+    target = Path(path)
+    if target.suffix.lower() not in suffixes:
+        raise InputError(f"{option} = {path!r}: the name must end in {' or '.join(suffixes)}")
+    if target.is_dir() or not target.parent.is_dir():
+        raise InputError(f"{option} = {path!r}: there is no folder {str(target.parent)!r} to write a file into")
+
+
+def _write(option: str, path: str, write: Callable[[], object]) -> None:
+    try:
+        write()
+    except OSError as error:
+        raise InputError(f"{option} = {path!r}: cannot be written ({error.strerror})") from None
+
+
+def _numbers(text: str | None) -> list[Any] | None:
+    """`1,2.5` as numbers; what is no number stays text, for the checks to name."""
+    return None if text is None else [_number(part) for part in text.split(",")]
+
+
+def _number(text: str) -> Any:
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip()
+
+
+def _whole(text: str | None) -> Any:
+    if text is None:
+        return None
+    try:
+        return int(text)
+    except ValueError:
+        return _number(text)

@@ -1,0 +1,140 @@
+"""What a selection returns: verified local optima, ranked, and how they were found."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from flexopt.robustness.evaluation import Evaluation, json_ready
+from flexopt.selection.problem import SelectionProblem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHOWN = 12
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A local optimum that passed the independent checks.
+
+    Attributes:
+        evaluation: every measure there.
+        objective: V.
+        active: names of the bounds and constraints that it rests against.
+        target_error: |r − target|, m.
+        stationarity: norm of the objective's gradient along the feasible directions, relative to the problem's
+            objective scale, in scaled variables.
+        iterations: of IPOPT.
+    """
+
+    evaluation: Evaluation
+    objective: float
+    active: tuple[str, ...]
+    target_error: float
+    stationarity: float
+    iterations: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """The evaluation's dictionary with the candidate's own keys."""
+        own = {
+            "objective": self.objective,
+            "active": list(self.active),
+            "target_error": self.target_error,
+            "stationarity": self.stationarity,
+            "iterations": self.iterations,
+        }
+        return self.evaluation.to_dict() | json_ready(own)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One start of IPOPT and what became of it, a sentence."""
+
+    start: tuple[float, ...]
+    outcome: str
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The answer to a configuration problem.
+
+    Attributes:
+        best: the first of the candidates.
+        candidates: all distinct local optima found, ranked by objective; ties within 1e-9 of |a||b| by the worst of the
+            other w_i, then by the distance from the present base if one was given.
+        initial: the posture at the present base, where one was given and reaches the target.
+        attempts: every start and its outcome.
+        problem: what was solved.
+    """
+
+    best: Candidate
+    candidates: tuple[Candidate, ...]
+    initial: Evaluation | None
+    attempts: tuple[Attempt, ...]
+    problem: SelectionProblem
+    provenance: dict[str, Any] = field(repr=False)
+
+    @property
+    def converged(self) -> bool:
+        """True: a selection that did not converge raises `NoSolutionFound` instead."""
+        return True
+
+    @property
+    def status(self) -> str:
+        """A sentence."""
+        return f"{len(self.candidates)} distinct local optima verified from {len(self.attempts)} starts"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary (keys as in the command line's `--json`)."""
+        return json_ready(
+            {
+                "status": self.status,
+                "converged": self.converged,
+                "best": self.best.to_dict(),
+                "candidates": [candidate.to_dict() for candidate in self.candidates],
+                "initial": self.initial and self.initial.to_dict(),
+                "attempts": [vars(attempt) for attempt in self.attempts],
+                "problem": self.problem.to_dict(),
+                "provenance": self.provenance,
+            }
+        )
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the machine in the chosen and the initial posture beside w along the redundancy.
+
+        Args:
+            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
+
+        Returns:
+            A matplotlib Figure.
+        """
+        from flexopt.plotting import plot_selection  # noqa: PLC0415  (matplotlib is slow to import)
+
+        return plot_selection(self, path)
+
+    def __repr__(self) -> str:
+        best = self.best.evaluation
+        names = (*best.base_coordinates, *best.joints)
+        problem = self.problem
+        lines = [
+            f"{best.machine}: end-point at ({problem.target[0]:g}, {problem.target[1]:g}) m, Jacobian {best.control} control, "
+            f"objective {problem.objective}: {self.status}",
+            "  rank "
+            + " ".join(f"{name:>9}" for name in names)
+            + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size)),
+        ]
+        for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
+            e = candidate.evaluation
+            numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
+            active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
+            lines.append(f"  {rank:4d} {numbers}" + "".join(f"{w:13.4e}" for w in e.w) + active)
+        if len(self.candidates) > SHOWN:
+            lines.append(f"   ... {len(self.candidates) - SHOWN} more")
+        if self.initial is not None:
+            e = self.initial
+            lines.append(
+                "   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + "".join(f"{w:13.4e}" for w in e.w)
+            )
+        return "\n".join(lines)

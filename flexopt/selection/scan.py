@@ -1,0 +1,187 @@
+"""A coarse look at the whole redundancy: where it can be reached, the measures there, and the peaks to start from.
+
+The configurations that reach a target form curves (one degree of redundancy) or surfaces. They are parametrised by the
+placement and the joints before the last two, on a grid (one degree) or a low-discrepancy sample (more); the last two
+joints follow in closed form, one branch for each elbow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.model import Machine
+from flexopt.model.arguments import Vector
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
+from flexopt.plant.reach import Interval
+from flexopt.robustness.measures import Measures
+
+# Points a branch. Local maxima of the excavator's w1 stand 0.1 m apart and more; the grid resolves a few millimetres.
+GRID_POINTS = 1001
+SAMPLE_POINTS = 2048
+GRID_POINTS_MIN = 65
+NEIGHBOURS_PER_DEGREE = 3
+# Rounding on the very edge of the margin.
+EDGE = 1e-10
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Points of the redundancy, N in all; only those that reach the target inside limits and margin are kept.
+
+    Attributes:
+        redundancy: coordinates in the unit cube, (d, N).
+        elbow: −1 (up) or +1 (down), (N,).
+        base: placements (n_b, N), m.
+        posture: (n, N), rad.
+        w: measures (m, N), of the posture at rest.
+        objective: V (N,).
+        index: number of the grid point, (N,); neighbours on a curve differ by one.
+        reached: whether any point reached the target at all, limits and margin left aside.
+    """
+
+    redundancy: Vector
+    elbow: Vector
+    base: Vector
+    posture: Vector
+    w: Vector
+    objective: Vector
+    index: NDArray[np.int64]
+    reached: bool
+
+    @property
+    def size(self) -> int:
+        """N."""
+        return self.objective.size
+
+
+def scan_redundancy(
+    measures: Measures,
+    target: Vector,
+    intervals: list[Interval],
+    weights: Vector,
+    sine_squared_min: float,
+    seed: int,
+) -> Scan:
+    """Evaluate the measures over all configurations that reach `target` with the base in `intervals`."""
+    plant = measures.plant
+    machine, p = plant.machine, plant.parameter_values
+    unit, bases, joints, numbers = _sample(machine, intervals, plant.n_actuated - 2, seed)
+
+    kept: list[tuple[NDArray[Any], ...]] = []
+    reached = False
+    for sign in ELBOW_SIGN.values():
+        postures, reaches = branch(plant, target, bases, joints, sign)
+        reached = reached or bool(reaches.any())
+        sines = plant.singularity_sine_squared(bases, postures, p).full().ravel()
+        good: NDArray[np.int64] = np.flatnonzero(
+            reaches & inside_limits(machine, postures) & (sines >= sine_squared_min - EDGE)
+        )
+        if good.size:
+            w = measures.w.call([bases[:, good], postures[:, good], p])[0].full()
+            kept.append((unit[:, good], np.full(good.size, sign), bases[:, good], postures[:, good], w, numbers[good]))
+    if not kept:
+        n, m = plant.n_actuated, plant.n_passive
+        empty = np.zeros((0, 0)), np.zeros(0), np.zeros((1, 0)), np.zeros((n, 0)), np.zeros((m, 0)), np.zeros(0)
+        return Scan(*empty, np.zeros(0, dtype=np.int64), reached)
+    redundancy, elbow, base, posture, w, index = (np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True))
+    finite = np.all(np.isfinite(w), axis=0)
+    return Scan(
+        redundancy[:, finite],
+        elbow[finite],
+        base[:, finite],
+        posture[:, finite],
+        w[:, finite],
+        weights @ w[:, finite],
+        index[finite].astype(np.int64),
+        reached,
+    )
+
+
+def _sample(
+    machine: Machine, intervals: list[Interval], leading: int, seed: int
+) -> tuple[Vector, Vector, Vector, NDArray[np.int64]]:
+    """Unit coordinates (d, N), placements (1, N), leading joints (n − 2, N), and grid numbers (N,)."""
+    moves = any(high > low for low, high in intervals)
+    degrees = leading + (1 if moves else 0)
+    if not intervals:
+        return np.zeros((degrees, 0)), np.zeros((1, 0)), np.zeros((leading, 0)), np.zeros(0, dtype=np.int64)
+    if degrees == 1 and moves:
+        unit, bases, numbers = _curve(intervals)
+        return unit, bases, np.zeros((0, numbers.size)), numbers
+    count = SAMPLE_POINTS if degrees > 1 else GRID_POINTS if degrees else 1
+    unit = low_discrepancy(degrees, count, seed) if degrees > 1 else np.linspace(0.0, 1.0, count)[None, :][:degrees]
+    bases = _placements(intervals, unit[0] if moves else np.zeros(count))
+    joints = np.zeros((0, count))
+    if leading:
+        low, high = np.clip(np.array(machine.limits[:leading]).T, -math.pi, math.pi)
+        joints = low[:, None] + (high - low)[:, None] * unit[degrees - leading :]
+    return unit, bases, joints, np.arange(count, dtype=np.int64)
+
+
+def _curve(intervals: list[Interval]) -> tuple[Vector, Vector, NDArray[np.int64]]:
+    """Unit coordinate (1, N), placements (1, N) and numbers (N,) along the intervals, denser at their ends.
+
+    Near the ends the arm straightens and its posture changes with the square root of the placement; a cosine makes the
+    steps of the posture even. Numbers of neighbours differ by one, those of separate intervals by more.
+    """
+    total = sum(high - low for low, high in intervals)
+    placements: list[Vector] = []
+    numbers: list[NDArray[np.int64]] = []
+    first = 0
+    for low, high in intervals:
+        count = max(GRID_POINTS_MIN, round(GRID_POINTS * (high - low) / total))
+        placements.append((low + high) / 2 - (high - low) / 2 * np.cos(np.linspace(0.0, math.pi, count)))
+        numbers.append(np.arange(first, first + count, dtype=np.int64))
+        first += count + 1
+    along, number = np.concatenate(placements), np.concatenate(numbers)
+    return (number / number[-1])[None, :], along[None, :], number
+
+
+def _placements(intervals: list[Interval], unit: Vector) -> Vector:
+    """Placements (1, N) that fill the intervals evenly, for coordinates in [0, 1]."""
+    ends = np.array(intervals)
+    edges = np.concatenate([[0.0], np.cumsum(ends[:, 1] - ends[:, 0])])
+    along = unit * edges[-1]
+    part = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, len(intervals) - 1)
+    return (ends[part, 0] + along - edges[part])[None, :]
+
+
+def peaks(scan: Scan) -> NDArray[np.int64]:
+    """Indices of the scan's local maxima of the objective, best first: no neighbour on the same branch is better."""
+    found: list[int] = []
+    for sign in np.unique(scan.elbow):
+        members = np.flatnonzero(scan.elbow == sign)
+        values = scan.objective[members]
+        if scan.redundancy.shape[0] == 0:
+            is_peak = np.ones(members.size, dtype=bool)
+        elif scan.redundancy.shape[0] == 1:
+            is_peak = _curve_peaks(scan.index[members], values)
+        else:
+            is_peak = _surface_peaks(scan.redundancy[:, members], values)
+        found += members[is_peak].tolist()
+    order = np.argsort(-scan.objective[found], kind="stable")
+    return np.array(found, dtype=np.int64)[order]
+
+
+def _curve_peaks(index: NDArray[np.int64], values: Vector) -> NDArray[np.bool_]:
+    """Peaks along a curve whose points are neighbours where their grid numbers differ by one."""
+    linked = np.diff(index) == 1
+    rises = np.diff(values) > 0
+    left = np.concatenate([[True], ~linked | rises])
+    right = np.concatenate([~linked | ~rises, [True]])
+    return left & right
+
+
+def _surface_peaks(points: Vector, values: Vector) -> NDArray[np.bool_]:
+    """Peaks among scattered points: better than the nearest few."""
+    from scipy.spatial import KDTree  # noqa: PLC0415  (slow to import, needed for redundant arms only)
+
+    degrees, count = points.shape
+    neighbours = min(count, 1 + NEIGHBOURS_PER_DEGREE * degrees)
+    near = KDTree(points.T).query(points.T, k=neighbours)[1].reshape(count, neighbours)
+    return values >= values[near].max(axis=1)

@@ -1,0 +1,95 @@
+"""What an installation can do: each check with its finding."""
+
+from __future__ import annotations
+
+import importlib.util
+import platform
+import shutil
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from flexopt.errors import FlexoptError
+from flexopt.model import load, load_problem, shipped_names
+from flexopt.model.provenance import package_version
+
+COMPILERS = ("cc", "gcc", "clang", "cl")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding. A check that is not `required` only informs."""
+
+    name: str
+    passed: bool
+    finding: str
+    required: bool = True
+
+
+@dataclass(frozen=True)
+class Report:
+    """All findings; healthy when every required check passed."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def healthy(self) -> bool:
+        """Whether flexopt can do its work here."""
+        return all(check.passed for check in self.checks if check.required)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary."""
+        return {"healthy": self.healthy, "checks": [vars(check) for check in self.checks]}
+
+    def __repr__(self) -> str:
+        marks = {(True, True): "ok", (True, False): "ok", (False, True): "FAILED", (False, False): "none"}
+        lines = [f"{marks[c.passed, c.required]:>7}  {c.name}: {c.finding}" for c in self.checks]
+        return "\n".join([*lines, "healthy" if self.healthy else "not healthy: see FAILED above"])
+
+
+def examine() -> Report:
+    """Run every check."""
+    names = ("flexopt", "casadi", "numpy", "scipy", "matplotlib", "pydantic", "click")
+    versions = ", ".join(f"{name} {package_version(name)}" for name in names)
+    return Report(
+        (
+            Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
+            Check("packages", True, versions),
+            _ipopt(),
+            _shipped("models"),
+            _shipped("problems"),
+            _compiler(),
+        )
+    )
+
+
+def _ipopt() -> Check:
+    x = ca.SX.sym("x")
+    try:
+        quiet = {"print_time": False, "error_on_fail": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+        solver = ca.nlpsol("doctor", "ipopt", {"x": x, "f": (x - 1) ** 2}, quiet)
+        error = abs(float(solver(x0=3.0)["x"]) - 1.0)
+    except RuntimeError:
+        return Check("IPOPT", False, "CasADi was installed without it, or its library cannot be loaded")
+    return Check("IPOPT", error < 1e-8, "solves a test problem" if error < 1e-8 else f"is off by {error:.1e} on a test")
+
+
+def _shipped(kind: str) -> Check:
+    read = load if kind == "models" else load_problem
+    names = shipped_names(kind)
+    try:
+        for name in names:
+            read(name)
+    except FlexoptError as error:
+        return Check(kind, False, str(error))
+    return Check(kind, bool(names), ", ".join(names) or "none found")
+
+
+def _compiler() -> Check:
+    found = next((path for name in COMPILERS if (path := shutil.which(name))), None)
+    if found is None and importlib.util.find_spec("ziglang"):
+        found = "the ziglang package"
+    return Check(
+        "C compiler", found is not None, f"{found or 'none'} (optional; nothing here needs one)", required=False
+    )
