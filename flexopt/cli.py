@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +19,7 @@ import click
 from flexopt.errors import Fault, FlexoptError, FlexoptWarning, InputError, raise_if_any
 from flexopt.model import Machine, load, load_problem
 from flexopt.model.arguments import Arguments
-from flexopt.model.problem import CONTROLS, ELBOWS, Elbow
+from flexopt.model.problem import CONTROLS, ELBOWS
 from flexopt.model.provenance import package_version
 from flexopt.model.reading import looks_like_problem
 from flexopt.plant import inverse_kinematics
@@ -122,7 +122,7 @@ def _posture(machine: Machine, options: dict[str, Any], base: Any, gravity: bool
     if posture is not None:
         return posture
     arguments = Arguments("evaluate")
-    elbow = cast(Elbow, arguments.choice("elbow", options["elbow"] or "up", ELBOWS))
+    elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS)
     arguments.point(end_point, "end-point")
     arguments.base(base)
     arguments.control(options["control"] or "inverse")
@@ -236,7 +236,7 @@ def doctor_command(as_json: bool) -> None:
 
 
 @contextmanager
-def _warnings_to_stderr(as_json: bool) -> Iterator[None]:
+def _warnings_to_stderr(as_json: bool) -> Generator[None]:
     """Flexopt's warnings as lines on standard error; in text they are part of the result itself."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FlexoptWarning)
@@ -249,7 +249,7 @@ def _warnings_to_stderr(as_json: bool) -> Iterator[None]:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
+def _progress() -> Generator[Callable[[int, int], None]]:
     """A bar on standard error where that is a terminal, else one line at the end."""
     if not sys.stderr.isatty():
         yield lambda done, total: click.echo(f"starts {done}/{total}", err=True) if done == total else None

@@ -59,8 +59,8 @@ class Arguments:
             self.faults.append(Fault(field, wanted, shown(value)))
             return np.zeros(len(names))
         checked: list[float] = []
-        for name, part, (low, high) in zip(names, parts, machine.limits, strict=True):
-            low, high = max(low, -ANGLE_MAX), min(high, ANGLE_MAX)
+        for name, part, limits in zip(names, parts, machine.limits, strict=True):
+            low, high = max(limits[0], -ANGLE_MAX), min(limits[1], ANGLE_MAX)
             sentence = f"{field} ({name})"
             checked.append(
                 self.checked(sentence, part, lambda v, lo=low, hi=high: check_number(v, "rad", low=lo, high=hi), 0.0)

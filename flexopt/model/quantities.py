@@ -9,6 +9,8 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
+KINDS: dict[type, str] = {str: "text", bool: "true/false", list: "a list", tuple: "a list", dict: "a table"}
+
 
 def range_sentence(unit: str, above: float | None, low: float | None, high: float) -> str:
     """The allowed range in words, with its unit."""
@@ -22,9 +24,7 @@ def check_number(value: Any, unit: str, *, above: float | None = None, low: floa
     """Return `value` as a float, or raise `ValueError` with a sentence that names unit and range."""
     allowed = range_sentence(unit, above, low, high)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        kind = {str: "text", bool: "true/false", list: "a list", dict: "a table"}.get(
-            type(cast(object, value)), type(cast(object, value)).__name__
-        )
+        kind = next((word for type_, word in KINDS.items() if type(value) is type_), "something else")
         raise ValueError(f"must be a number, not {kind}; it {allowed}")
     try:
         number = float(value)

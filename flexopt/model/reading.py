@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 from pydantic import ValidationError
 
 from flexopt.errors import Fault, ModelError, raise_if_any
-from flexopt.model.machine import FileModel, Machine
+from flexopt.model.machine import BASE_DIRECTIONS, FileModel, Machine
 from flexopt.model.problem import Problem
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -235,16 +235,13 @@ def _table(data: Any, key: str) -> dict[str, Any]:
 
 def _machine_faults(data: Table) -> list[Fault]:
     """Faults that concern several keys at once; looked for even where single keys are faulty."""
-    faults: list[Fault] = []
     base = _table(data, "base")
     stiffness, damping = _table(base, "stiffness"), _table(base, "damping")
-    for direction in damping:
-        if direction in ("x", "y", "rotation") and direction not in stiffness:
-            faults.append(
-                Fault(
-                    f"base.damping.{direction}", "needs base.stiffness." + direction + "; without it the base is rigid"
-                )
-            )
+    faults = [
+        Fault(f"base.damping.{direction}", f"needs base.stiffness.{direction}; without it the base is rigid")
+        for direction in damping
+        if direction in BASE_DIRECTIONS and direction not in stiffness
+    ]
     links_value = data.get("links")
     if isinstance(links_value, tuple):
         links = [cast(dict[str, Any], link) for link in cast(tuple[Any, ...], links_value) if isinstance(link, dict)]
@@ -253,7 +250,7 @@ def _machine_faults(data: Table) -> list[Fault]:
         if links and len(links) - len(passive) < 2:
             count = len(links) - len(passive)
             faults.append(Fault("links (actuated joints)", "an end-point in the plane needs at least two", str(count)))
-        if not passive and not any(d in stiffness for d in ("x", "y", "rotation")):
+        if not passive and not any(direction in stiffness for direction in BASE_DIRECTIONS):
             faults.append(
                 Fault("base.stiffness", "no passive coordinate: give x, y or rotation, or make a joint passive")
             )

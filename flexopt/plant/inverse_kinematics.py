@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -83,16 +83,15 @@ def branch(plant: Plant, target: Vector, bases: Vector, leading: Vector, sign: f
         sign: −1 elbow up, +1 elbow down.
 
     Returns:
-        postures (n, N), shifted by 2π into the joint limits where that is possible, and a mask (N,) of those that reach.
+        postures (n, N), shifted by 2π into the joint limits where possible, and a mask (N,) of those that reach.
     """
     count = bases.shape[1]
     targets, signs = np.repeat(target[:, None], count, axis=1), np.full((1, count), sign)
     out = plant.posture_at.call([targets, bases, leading, signs, plant.parameter_values])
     postures, cosine = out[0].full(), out[1].full().ravel()
     for row, (low, high) in enumerate(plant.machine.limits):
-        angle = postures[row]
-        angle = np.where(angle < low - EDGE, angle + 2 * math.pi, angle)
-        postures[row] = np.where(angle > high + EDGE, angle - 2 * math.pi, angle)
+        postures[row, postures[row] < low - EDGE] += 2 * math.pi
+        postures[row, postures[row] > high + EDGE] -= 2 * math.pi
     return postures, np.abs(cosine) <= 1 + EDGE
 
 
@@ -103,7 +102,7 @@ def inside_limits(machine: Machine, postures: Vector) -> Any:
 
 
 def leading_samples(plant: Plant, count: int, seed: int) -> Vector:
-    """(n − 2, count) angles of the joints before the last two, spread evenly over their limits; (0, 1) for two joints."""
+    """(n − 2, count) angles of the joints before the last two, even over their limits; (0, 1) for two joints."""
     n = plant.n_actuated - 2
     if n == 0:
         return np.zeros((0, 1))
@@ -133,6 +132,11 @@ def _distinct(postures: list[Vector]) -> list[Vector]:
     return kept
 
 
+def _least_squares(matrix: Vector, right: Vector) -> Vector:
+    """The shortest x with A x nearest to b."""
+    return cast(Vector, np.linalg.lstsq(matrix, right, rcond=None)[0])
+
+
 def _under_gravity(plant: Plant, target: Vector, base: Vector, posture: Vector) -> Vector:
     """Newton's method from the posture at rest to the one whose deflected end-point is on the target."""
     error = np.full(target.size, np.inf)
@@ -143,7 +147,7 @@ def _under_gravity(plant: Plant, target: Vector, base: Vector, posture: Vector) 
         if np.abs(error).max() < 1e-13 * (1 + np.abs(target).max()):
             break
         jacobian = plant.rigid_jacobian(q, base, plant.parameter_values).full()
-        posture = posture - np.linalg.pinv(jacobian) @ error
+        posture = posture - _least_squares(jacobian, error)
     if not np.abs(error).max() < 1e-9:
         raise NoSolutionFound(
             "inverse kinematics under gravity did not converge: the deflected end-point stays off the target",

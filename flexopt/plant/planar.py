@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 
@@ -202,8 +203,8 @@ def build_tip(machine: Machine, chain: ChainGraph) -> TipGraph:
     """Inverse kinematics of the last two actuated joints; those before them, `leading`, are given.
 
     With L1, L2 the lengths of the last two segments and d the vector from the joint between base side and L1 to the
-    target: cos of the elbow = (|d|² − L1² − L2²) / (2 L1 L2), of sign `elbow` (−1: "up", +1: "down"). Passive joints are
-    at rest. Where |cos| > 1 the target is out of reach and the posture means nothing.
+    target: cos of the elbow = (|d|² − L1² − L2²) / (2 L1 L2), of sign `elbow` (−1: "up", +1: "down"). Passive
+    joints are at rest. Where |cos| > 1 the target is out of reach and the posture means nothing.
     """
     joints = _first_points(machine)
     target, elbow = ca.SX.sym("target", 2), ca.SX.sym("elbow")
@@ -211,7 +212,7 @@ def build_tip(machine: Machine, chain: ChainGraph) -> TipGraph:
     straightened = ca.substitute(chain.skeleton, chain.q, chain.rest)
     straightened = ca.substitute(straightened, chain.posture, ca.vertcat(leading, 0, 0))
     corners = [straightened[:, k] for k in [*joints, straightened.shape[1] - 1]]
-    segments = [end - start for start, end in zip(corners[:-1], corners[1:], strict=True)]
+    segments = [end - start for start, end in pairwise(corners)]
     first, second = segments[-2:]
     l1, l2 = ca.norm_2(first), ca.norm_2(second)
     angle1, angle2 = ca.atan2(first[1], first[0]), ca.atan2(second[1], second[0])

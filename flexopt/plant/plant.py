@@ -104,7 +104,7 @@ class Plant:
 
     @cached_property
     def rigid_jacobian(self) -> ca.Function:
-        """Jv = ∂r/∂q_a, (n_task, n), the Jacobian of the arm on rigid ground; article, section 3.2. Inputs q, base, p."""
+        """Jv = ∂r/∂q_a, (n_task, n), the arm's Jacobian on rigid ground; article, section 3.2. Inputs q, base, p."""
         full = ca.jacobian(self.graph.end_point, self.graph.q)
         return self._of_configuration("rigid_jacobian", ca.densify(full[:, self.n_passive :]), "Jv")
 
@@ -149,7 +149,10 @@ class Plant:
 
     @cached_property
     def singularity_sine_squared(self) -> ca.Function:
-        """Distance from singular postures at rest: 0 where Jv loses rank, sin² θ3 for two links. Inputs base, posture, p."""
+        """Distance from singular postures at rest: 0 where Jv loses rank, sin² θ3 for two links.
+
+        Inputs base, posture, p.
+        """
         g = self.graph
         at_rest = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
         return self._of_posture("singularity_sine_squared", [at_rest], ["sine_squared"])

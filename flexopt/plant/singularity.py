@@ -36,8 +36,8 @@ def check_regular(plant: Plant, q: Vector, base: Vector) -> float:
     index = int(np.argmax(escape))
     joint, angle = plant.machine.joints[index], float(q[plant.n_passive + index])
     raise SingularPosture(
-        f"posture (joint {joint}) = {angle:.6g} rad ({math.degrees(angle):.4g}°) is singular: the joints beyond and before "
-        f"it leave the end-point only one direction (cond Jv = {condition:.3g}, allowed up to {CONDITION_MAX:.0e}); "
+        f"posture (joint {joint}) = {angle:.6g} rad ({math.degrees(angle):.4g}°) is singular: the "
+        f"end-point can only move along one line (cond Jv = {condition:.3g}, allowed up to {CONDITION_MAX:.0e}); "
         f"bend {joint}",
         joint=joint,
         angle=angle,

@@ -1,6 +1,6 @@
 """Pictures of results.
 
-In: result objects, which already hold every number that is drawn. Out: matplotlib figures, written to a file where asked.
+In: result objects, which already hold every number that is drawn. Out: matplotlib figures, written where asked.
 """
 
 from flexopt.plotting.selection import plot_selection as plot_selection

@@ -1,5 +1,7 @@
 """A planar machine in one posture, from the points of its skeleton."""
 
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
 import numpy as np

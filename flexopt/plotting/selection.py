@@ -1,5 +1,7 @@
 """The picture of a selection: the machine before and after, and the measures along the redundancy."""
 
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
 import os
@@ -58,7 +60,7 @@ def _draw_machines(axes: Axes, selection: Selection) -> None:
     draw_machine(axes, best.skeleton, CHOSEN, label=f"chosen, {_line(best)}")
     target = selection.problem.target
     axes.plot(*target, marker="+", color="black", markersize=13, markeredgewidth=1.6, linestyle="none", zorder=6)
-    axes.annotate("target", target, xytext=(8, 8), textcoords="offset points", zorder=6)
+    axes.annotate("target", (float(target[0]), float(target[1])), xytext=(8, 8), textcoords="offset points", zorder=6)
     axes.set_xlim(low, high)
     axes.set_ylim(min(float(points[1].min()), 0.0) - 0.12 * size, float(points[1].max()) + 0.28 * size)
     axes.set_xlabel("x, m (inertial frame)")

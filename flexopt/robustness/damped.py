@@ -1,7 +1,7 @@
 """Residues with damping: complex modes of the full plant, with exact first derivatives.
 
-M, D and K are symmetric, so a mode u of (λ² M + λ D + K) u = 0, scaled to uᵀ (2 λ M + D) u = 1, is its own left mode and
-the residue of P(s) at λ is ρ = (J u) b(u)ᵀ. A complex pair contributes (N1 s + N0)/(s² + 2 ζ ω s + ω²) with
+M, D and K are symmetric, so a mode u of (λ² M + λ D + K) u = 0, scaled to uᵀ (2 λ M + D) u = 1, is its own left mode
+and the residue of P(s) at λ is ρ = (J u) b(u)ᵀ. A complex pair contributes (N1 s + N0)/(s² + 2 ζ ω s + ω²) with
 N1 = 2 Re ρ and N0 = −2 Re(ρ λ̄); without damping N0 = R_i and N1 = 0. The measure is λmin(N0 + N0ᵀ).
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -57,7 +58,7 @@ def damped_modes(machine: Machine, base: Vector, posture: Vector, control: Contr
     p = plant.parameter_values
     m, n, r = plant.n_passive, plant.n_coordinates, plant.n_task
     mass, damping, stiffness, deflection = (x.full() for x in graphs.point.call([base, posture, p]))
-    top = np.linalg.solve(mass, np.hstack([-damping, -stiffness]))
+    top = cast(Vector, np.linalg.solve(mass, np.hstack([-damping, -stiffness])))
     solved = np.linalg.eig(np.vstack([top, np.eye(n, 2 * n)]))
     values, vectors = solved.eigenvalues.astype(np.complex128), solved.eigenvectors.astype(np.complex128)
     # Rigid poles are zero up to the square root of the rounding; vibration poles stand far above them.

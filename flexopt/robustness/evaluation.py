@@ -152,7 +152,8 @@ class Evaluation:
             phase = "strictly" if self.in_phase_strict[i] else "yes" if self.in_phase[i] else "no"
             ratio = w / self.scale[i] if self.scale[i] > 0 else 0.0
             lines.append(
-                f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e} {w:13.5e} {ratio:13.5e}   {phase}"
+                f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e} {w:13.5e} {ratio:13.5e}"
+                f"   {phase}"
             )
         lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {self.rigid:.5e}; cond Jv = {self.condition:.4g}")
         if self.damped_difference is not None:
@@ -174,7 +175,7 @@ def evaluate(
 ) -> Evaluation:
     """Frequencies, residues, measures w_i and their exact gradients at one posture.
 
-    Passive coordinates are at rest, or with `gravity` at static equilibrium with gravity's stiffness in the passive block.
+    Passive coordinates are at rest, or with `gravity` at static equilibrium, gravity's stiffness in the passive block.
 
     Args:
         machine: from `flexopt.load`.
@@ -186,8 +187,8 @@ def evaluate(
         gravity: solve for the static deflection.
 
     Raises:
-        InputError: an argument has the wrong shape, is not finite or lies outside its range (all faults in one message);
-            under gravity, the springs do not hold the machine; with `damped`, a mode is overdamped.
+        InputError: an argument has the wrong shape, is not finite or is out of range (all faults in one message); under
+            gravity, the springs do not hold the machine; with `damped`, a mode is overdamped.
         SingularPosture: Jv loses rank.
         NoSolutionFound: the static deflection or the modes did not converge.
 
@@ -268,7 +269,7 @@ def evaluate_checked(
         gain=gain,
         damped=detail,
         damped_difference=difference,
-        skeleton=plant.skeleton(v["q"], base, p).full(),
+        skeleton=plant.skeleton.call([v["q"], base, p])[0].full(),
         warnings=sentences,
         provenance=provenance(machine, control=control, **options),
     )
@@ -306,8 +307,8 @@ def _check_solved(measures: Measures, v: dict[str, Vector], base: Vector) -> Non
     )
     if not worst <= SOLVE_TOLERANCE:
         raise NoSolutionFound(
-            f"the modes did not converge (orthogonality off by {worst:.2g}); the machine's masses or stiffnesses differ "
-            "by too many orders of magnitude",
+            f"the modes did not converge (orthogonality off by {worst:.2g}); the machine's masses or stiffnesses "
+            "differ by too many orders of magnitude",
             violations={"mode orthogonality": worst},
             iterate={},
         )
@@ -328,7 +329,8 @@ def _warnings(clusters: tuple[tuple[int, ...], ...], frequencies: Vector, damped
         at = float(np.mean(frequencies[list(group)]))
         gradient = " and has no gradient" if damped else ""
         sentences.append(
-            f"modes {modes} share the frequency {at:.6g} Hz, so their residues are not unique: w is that of their sum{gradient}"
+            f"modes {modes} share the frequency {at:.6g} Hz, so their residues are not unique: "
+            f"w is that of their sum{gradient}"
         )
     return tuple(sentences)
 

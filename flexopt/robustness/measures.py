@@ -1,8 +1,9 @@
 """The measures of a machine as CasADi Functions of placement, posture and parameters: values and exact derivatives.
 
 Every Function stands on one graph, `Measures.graph`, in which the solutions of the iterations (static deflection,
-eigenvectors) enter as a vector `held` that is not differentiated; the graph itself is exact to second order about them
-(see `flexopt.algebra.eigen`). Composing it with `hold`, which computes that vector, gives values, gradients and Hessians.
+eigenvectors) enter as a vector `held` that is not differentiated; the graph itself is exact to second order about
+them (see `flexopt.algebra.eigen`). Composing it with `hold`, which computes that vector, gives values, gradients and
+Hessians.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ class Measures:
 
     @cached_property
     def hold(self) -> ca.Function:
-        """(base, posture, p) -> held: deflection and eigenvectors by iteration; its derivative is zero by declaration."""
+        """(base, posture, p) -> held: deflection and eigenvectors by iteration; derivative zero by declaration."""
         g, plant = self.plant.graph, self.plant
         deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else None
         at = plant.operating_point(g.base, g.posture, g.p, deflection)

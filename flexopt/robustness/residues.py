@@ -47,7 +47,7 @@ def symmetric_part_vectors(a: ca.SX, b: ca.SX, same: ca.SX) -> ca.SX:
 
 
 def measure(a: ca.SX, b: ca.SX, same: ca.SX, vectors: ca.SX, i: int) -> ca.SX:
-    """w_i = λmin(R_i + R_iᵀ), eq. (7): in rank-one form where mode i is simple, of the cluster's sum where it is not."""
+    """w_i = λmin(R_i + R_iᵀ), eq. (7): in rank-one form where mode i is simple, else of the cluster's sum."""
     if a.shape[1] == 1:
         return rank_one_measure(a[:, 0], b[:, 0])
     rows = a.shape[0]

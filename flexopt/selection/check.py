@@ -1,4 +1,4 @@
-"""Proof of a solution by functions that IPOPT did not use: target, bounds, margin, first- and second-order optimality."""
+"""Proof of a solution by functions that IPOPT did not use: feasibility, first- and second-order optimality."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _scaled_derivatives(problem: SelectionProblem, z: Vector) -> tuple[Vector, V
 def _linearised(
     problem: SelectionProblem, z: Vector, sine_squared: float
 ) -> tuple[Vector, Vector, Vector, tuple[str, ...]]:
-    """Gradient of V, of the equalities (target, fixed variables), of the active inequalities c ≥ 0, and their names."""
+    """Gradients of V, of the equalities (target, fixed variables), of the active inequalities c ≥ 0; their names."""
     gradient, targets, sine = _scaled_derivatives(problem, z)
     rows: list[Vector] = []
     names: list[str] = []
@@ -111,7 +111,7 @@ def _linearised(
 
 
 def _multipliers(gradient: Vector, equalities: Vector, inequalities: Vector) -> tuple[Vector, list[int]]:
-    """Least-squares multipliers of a maximum, gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, wrong signs dropped."""
+    """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0; wrong signs dropped."""
     kept = list(range(len(inequalities)))
     while True:
         rows = np.vstack([equalities, inequalities[kept]])

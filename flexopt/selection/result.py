@@ -119,8 +119,8 @@ class Selection:
         names = (*best.base_coordinates, *best.joints)
         problem = self.problem
         lines = [
-            f"{best.machine}: end-point at ({problem.target[0]:g}, {problem.target[1]:g}) m, Jacobian {best.control} control, "
-            f"objective {problem.objective}: {self.status}",
+            f"{best.machine}: end-point at ({problem.target[0]:g}, {problem.target[1]:g}) m, "
+            f"Jacobian {best.control} control, objective {problem.objective}: {self.status}",
             "  rank "
             + " ".join(f"{name:>9}" for name in names)
             + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size)),

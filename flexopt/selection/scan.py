@@ -147,7 +147,7 @@ def _placements(intervals: list[Interval], unit: Vector) -> Vector:
     ends = np.array(intervals)
     edges = np.concatenate([[0.0], np.cumsum(ends[:, 1] - ends[:, 0])])
     along = unit * edges[-1]
-    part = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, len(intervals) - 1)
+    part = np.minimum(np.digitize(along, edges[1:]), len(intervals) - 1)
     return (ends[part, 0] + along - edges[part])[None, :]
 
 

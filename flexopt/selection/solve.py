@@ -50,8 +50,8 @@ def select(
     """Choose placement and posture: `build_selection` and `solve_selection` in one.
 
     Args:
-        machine, target, objective, control, weights, gravity, gain, base, base_range, elbow, singularity_margin_deg, starts,
-            seed: as in `flexopt.build_selection`.
+        machine, target, objective, control, weights, gravity, gain, base, base_range, elbow, singularity_margin_deg,
+            starts, seed: as in `flexopt.build_selection`.
         progress: called with (starts done, starts in all).
 
     Raises:

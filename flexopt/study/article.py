@@ -85,7 +85,7 @@ class ArticleTable:
 
 
 def reproduce_table2() -> ArticleTable:
-    """Postures A and B of Table 2 from each of their inputs: inertial end-point, printed workspace point, rounded angles."""
+    """Postures A and B of Table 2 from each input: inertial end-point, printed workspace point, rounded angles."""
     machine = load("excavator")
     shoulder = build_plant(machine).arm_segments(p=build_plant(machine).parameter_values)["first_joint"].full().ravel()
 
