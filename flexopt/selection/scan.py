@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,9 +145,9 @@ def _curve(intervals: list[Interval]) -> tuple[Vector, Vector, NDArray[np.int64]
 def _placements(intervals: list[Interval], unit: Vector) -> Vector:
     """Placements (1, N) that fill the intervals evenly, for coordinates in [0, 1]."""
     ends = np.array(intervals)
-    edges = np.concatenate([[0.0], np.cumsum(ends[:, 1] - ends[:, 0])])
+    edges: Vector = np.concatenate([[0.0], np.cumsum(ends[:, 1] - ends[:, 0])])
     along = unit * edges[-1]
-    part = np.minimum(np.digitize(along, edges[1:]), len(intervals) - 1)
+    part = cast(NDArray[np.int64], np.digitize(along, edges[1:-1]))
     return (ends[part, 0] + along - edges[part])[None, :]
 
 

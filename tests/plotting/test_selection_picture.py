@@ -1,0 +1,67 @@
+"""The picture shows the numbers of the result: its artists carry them."""
+
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+import flexopt
+
+
+@pytest.fixture(scope="module")
+def selection():
+    return flexopt.solve_problem(flexopt.load_problem("article"))
+
+
+def test_artists_carry_the_result(selection):
+    figure = selection.plot()
+    machines, *panels = figure.axes
+    best, initial = selection.best.evaluation, selection.initial
+    assert len(panels) == best.w.size
+    outlines = [patch.get_path().vertices for patch in machines.patches]
+    tip = best.skeleton[:, -1]
+    assert min(np.abs(outline - tip).sum(axis=1).min() for outline in outlines) < 0.2
+    np.testing.assert_allclose(tip, selection.problem.target, atol=1e-8)
+    for mode, panel in enumerate(panels):
+        drawn = {line.get_label(): line.get_xydata() for line in panel.lines}
+        np.testing.assert_allclose(drawn["chosen"], [[best.base[0], best.w[mode]]])
+        np.testing.assert_allclose(drawn["present"], [[initial.base[0], initial.w[mode]]])
+        scan = selection.problem.scan
+        up = scan.elbow < 0
+        np.testing.assert_allclose(drawn["elbow up"], np.column_stack([scan.base[0, up], scan.w[mode, up]]))
+        low, high = panel.get_ylim()
+        assert low < min(best.w[mode], initial.w[mode]) <= high
+
+
+def test_files(selection, tmp_path):
+    selection.plot(tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    selection.plot(tmp_path / "a.svg")
+    assert ET.parse(tmp_path / "a.svg").getroot().tag.endswith("svg")
+
+
+def test_plotting_needs_no_display_and_changes_no_settings():
+    """In a fresh process, since the other tests may have loaded a backend."""
+    code = (
+        "import sys, flexopt, matplotlib as mpl; before = dict(mpl.rcParams.copy()); "
+        "flexopt.solve_problem(flexopt.load_problem('article')).plot(); "
+        "assert 'matplotlib.pyplot' not in sys.modules; after = dict(mpl.rcParams.copy()); "
+        "assert all(after[k] == before[k] for k in before if k != 'backend')"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_redundant_arm_and_two_intervals_are_drawn():
+    machine = flexopt.load("excavator")
+    data = machine.to_dict()
+    bucket = {"name": "bucket", "length": 0.6, "com": 0.3, "mass": 150.0, "inertia": 12.0}
+    redundant = flexopt.machine_from_dict(data | {"links": [*data["links"], bucket]})
+    figure = flexopt.select(redundant, (0.0, 1.6), starts=4).plot()
+    assert len(figure.axes) == 4
+    # At the shoulder's height the placements fall into two intervals: four curves, none across the hole.
+    low = flexopt.select(machine, (0.0, 0.6))
+    lines = [line.get_xdata() for line in low.plot().axes[1].lines if np.size(line.get_xdata()) > 20]
+    assert len(lines) == 4
+    assert all(np.abs(np.diff(x)).max() < 0.1 for x in lines)

@@ -1,0 +1,214 @@
+"""Solutions are verified, ranked by the stated rule, reproducible; failures come back as errors."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import flexopt
+from flexopt.selection.check import prove
+from flexopt.selection.solve import TIE_TOLERANCE
+
+TARGET = (0.0, 1.6)
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return flexopt.load("excavator")
+
+
+@pytest.fixture(scope="module")
+def three_links(machine):
+    data = machine.to_dict()
+    bucket = {"name": "bucket", "length": 0.6, "com": 0.3, "mass": 150.0, "inertia": 12.0, "limits": [-2.5, 2.5]}
+    return flexopt.machine_from_dict(data | {"links": [*data["links"], bucket]})
+
+
+@pytest.fixture(scope="module")
+def selection(machine):
+    return flexopt.select(machine, TARGET, base=0.0)
+
+
+def test_candidates_reach_the_target_and_keep_the_margin(machine, selection):
+    for candidate in selection.candidates:
+        e = candidate.evaluation
+        np.testing.assert_allclose(e.end_point, TARGET, atol=1e-8)
+        postures = flexopt.inverse_kinematics(machine, TARGET, base=e.base)
+        assert min(np.abs(e.posture - posture).max() for posture in postures) < 1e-6
+        assert abs(np.sin(e.posture[1])) >= np.sin(np.radians(10.0)) - 1e-8
+        assert candidate.objective == e.w[0]
+
+
+def test_ranking_follows_objective_then_worst_other_measure(selection):
+    quantum = TIE_TOLERANCE * selection.problem.objective_scale
+    for first, second in itertools.pairwise(selection.candidates):
+        if abs(first.objective - second.objective) > 2 * quantum:
+            assert first.objective > second.objective
+        else:
+            assert first.evaluation.w[1:].min() >= second.evaluation.w[1:].min() - 2 * quantum
+
+
+def test_distance_from_the_present_base_breaks_the_last_tie(machine):
+    """A symmetric pair of optima: equal in every measure, so the nearer to the present base comes first."""
+    data = machine.to_dict()
+    data["base"] |= {"rest_angle": np.pi / 2}
+    symmetric = flexopt.machine_from_dict(data)
+    right = flexopt.select(symmetric, TARGET, base=2.0)
+    left = flexopt.select(symmetric, TARGET, base=-2.0)
+    assert right.best.evaluation.base[0] > 0 > left.best.evaluation.base[0]
+    np.testing.assert_allclose(right.best.evaluation.base, -left.best.evaluation.base, atol=1e-6)
+
+
+def test_the_proof_rejects_what_is_no_maximum(selection):
+    problem = selection.problem
+    best = selection.best.evaluation
+    z = np.concatenate([best.base, best.posture])
+    assert prove(problem, z).holds
+    assert "target x" in prove(problem, z + np.array([1e-5, 0, 0])).violations
+    # Any other point of the redundancy reaches the target but is not stationary.
+    k = int(np.argmin(np.abs(problem.scan.base[0] - best.base[0] - 0.2)))
+    elsewhere = np.concatenate([problem.scan.base[:, k], problem.scan.posture[:, k]])
+    assert set(prove(problem, elsewhere).violations) == {"first-order optimality"}
+    # A minimum along the redundancy is stationary but bends the wrong way.
+    up = np.flatnonzero(problem.scan.elbow < 0)
+    values = problem.scan.objective[up]
+    inner = np.flatnonzero((values[1:-1] < values[:-2]) & (values[1:-1] < values[2:]))
+    low = up[inner[np.argmin(np.abs(problem.scan.base[0, up[inner]]))] + 1]
+    start = np.concatenate([problem.scan.base[:, low], problem.scan.posture[:, low]])
+    minimum = _refine_stationary(problem, start)
+    assert set(prove(problem, minimum).violations) == {"second-order optimality"}
+    outside = replace(
+        problem, variables=(replace(problem.variables[0], upper=best.base[0] - 0.1), *problem.variables[1:])
+    )
+    assert prove(outside, z).violations["base.x range"] == pytest.approx(0.1)
+    tight = replace(problem.constraints[-1], lower=0.9999)
+    narrow = replace(problem, constraints=(*problem.constraints[:-1], tight))
+    assert "singularity margin" in prove(narrow, z).violations
+
+
+def _refine_stationary(problem, z):
+    """Bisection on the slope of V along the redundancy, from a bracket around a scan point."""
+
+    def at(x):
+        return flexopt.inverse_kinematics(problem.machine, TARGET, base=x, elbow="up")[0]
+
+    def slope(x):
+        posture = at(x)
+        p = problem.measures.plant.parameter_values
+        out = problem.measures.gradients.call([x, posture, p])
+        gradient, jacobian = out[0].full()[0], out[2].full()
+        tangent = np.linalg.svd(jacobian)[2][-1]
+        return float(gradient @ tangent * np.sign(tangent[0]))
+
+    low, high = z[0] - 0.05, z[0] + 0.05
+    assert slope(low) < 0 < slope(high)
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if slope(middle) < 0 else (low, middle)
+    return np.concatenate([[low], at(low)])
+
+
+def test_an_impossible_problem_raises_with_the_violated_constraint(selection):
+    impossible = replace(selection.problem, target=np.array([0.0, 40.0]))
+    with pytest.raises(flexopt.NoSolutionFound, match="target y by") as caught:
+        flexopt.solve_selection(impossible)
+    assert caught.value.violations["target y"] > 30.0
+    assert set(caught.value.iterate) == {"base.x", "boom", "stick"}
+
+
+def test_an_objective_that_is_not_a_number_raises(selection):
+    """IPOPT stops at once; nothing that it leaves behind may come back as an answer."""
+    broken = replace(selection.problem, weights=np.array([np.nan, 0.0, 0.0]))
+    with pytest.raises(flexopt.NoSolutionFound):
+        flexopt.solve_selection(broken)
+
+
+def test_the_same_seed_gives_the_same_bytes(three_links):
+    first, second = (flexopt.select(three_links, TARGET, starts=6, seed=3).to_dict() for _ in range(2))
+    assert repr(first) == repr(second)
+
+
+def test_a_redundant_arm_is_solved_and_flagged(three_links):
+    selection = flexopt.select(three_links, TARGET, starts=12)
+    assert selection.best.objective > -1e-12
+    for candidate in selection.candidates:
+        assert candidate.evaluation.self_motion_unstabilised
+        np.testing.assert_allclose(candidate.evaluation.end_point, TARGET, atol=1e-8)
+        assert abs(candidate.evaluation.posture[2]) <= 2.5 + 1e-9
+    assert len(selection.attempts) == 12
+
+
+def test_a_fixed_base_leaves_the_branches(machine):
+    selection = flexopt.select(machine, TARGET, base_range=(0.0, 0.0))
+    assert [c.evaluation.base[0] for c in selection.candidates] == [0.0, 0.0]
+    branches = flexopt.inverse_kinematics(machine, TARGET)
+    found = sorted(c.evaluation.posture.tolist() for c in selection.candidates)
+    np.testing.assert_allclose(found, sorted(b.tolist() for b in branches), atol=1e-9)
+
+
+def test_bounds_are_kept_and_named_where_the_optimum_rests_on_them(machine):
+    selection = flexopt.select(machine, TARGET, base_range=(1.0, 1.4))
+    assert all(1.0 - 1e-8 <= c.evaluation.base[0] <= 1.4 + 1e-8 for c in selection.candidates)
+    assert any("base.x upper bound" in c.active for c in selection.candidates)
+
+
+def test_joint_limits_hold(machine):
+    data = machine.to_dict()
+    boom, stick = data["links"]
+    limited = flexopt.machine_from_dict(data | {"links": [boom, stick | {"limits": [-2.0, -1.6]}]})
+    selection = flexopt.select(limited, TARGET)
+    assert all(-2.0 - 1e-8 <= c.evaluation.posture[1] <= -1.6 + 1e-8 for c in selection.candidates)
+    free = flexopt.select(machine, TARGET)
+    assert selection.best.objective <= free.best.objective + 1e-15
+
+
+def test_weighted_objective_and_single_modes(machine):
+    weights = (0.2, 0.5, 0.3)
+    weighted = flexopt.select(machine, TARGET, objective="V", weights=weights)
+    assert weighted.best.objective == pytest.approx(float(np.dot(weights, weighted.best.evaluation.w)), rel=1e-12)
+    for mode in (2, 3):
+        single = flexopt.select(machine, TARGET, objective=f"w{mode}")
+        assert single.best.objective == single.best.evaluation.w[mode - 1]
+        # The weighted optimum cannot beat the optimum of one of its modes in that mode.
+        assert single.best.objective >= weighted.best.evaluation.w[mode - 1] - 1e-15
+
+
+def test_under_gravity_the_deflected_end_point_is_on_the_target(machine):
+    selection = flexopt.select(machine, TARGET, gravity=True, base=0.0)
+    assert selection.initial is not None
+    for evaluation in (selection.initial, *(c.evaluation for c in selection.candidates)):
+        np.testing.assert_allclose(evaluation.end_point, TARGET, atol=1e-8)
+        assert np.abs(evaluation.static_deflection).max() > 1e-4
+
+
+def test_progress_counts_every_start(machine):
+    seen = []
+    selection = flexopt.select(machine, TARGET, starts=3, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    assert len(selection.attempts) == 3
+
+
+def test_unreachable_targets_say_by_how_much_and_from_where(machine):
+    with pytest.raises(flexopt.UnreachableTarget, match="no base position") as caught:
+        flexopt.select(machine, (0.0, 9.0))
+    assert caught.value.base_intervals == ()
+    with pytest.raises(flexopt.UnreachableTarget, match="within reach with the base at") as caught:
+        flexopt.select(machine, TARGET, base_range=(5.0, 6.0))
+    low, high = caught.value.base_intervals[-1]
+    assert flexopt.select(machine, TARGET, base_range=(low, high)).converged
+    # The miss is measured along the line to the first joint; walking to the interval takes at least as far.
+    assert 0 < caught.value.miss <= 5.0 - high
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(x=st.floats(-3.0, 3.0), y=st.floats(-1.5, 3.2), control=st.sampled_from(["inverse", "transpose"]))
+def test_any_reachable_target_gives_verified_candidates_or_one_clear_error(x, y, control):
+    machine = flexopt.load("excavator")
+    selection = flexopt.select(machine, (x, y), control=control)
+    for candidate in selection.candidates:
+        np.testing.assert_allclose(candidate.evaluation.end_point, (x, y), atol=1e-8)
+        assert candidate.stationarity <= 1e-6
+    assert selection.best.objective >= selection.problem.scan.objective.max() - 1e-9 * selection.problem.objective_scale
