@@ -6,6 +6,7 @@ go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 import warnings
@@ -17,16 +18,16 @@ from typing import Any, cast
 import click
 
 from flexopt.errors import Fault, FlexoptError, FlexoptWarning, InputError, raise_if_any
-from flexopt.model import Machine, load, load_problem
+from flexopt.model import Machine, Problem, load, load_any
 from flexopt.model.arguments import Arguments
+from flexopt.model.documents import json_ready, package_version
 from flexopt.model.problem import CONTROLS, ELBOWS
-from flexopt.model.provenance import package_version
-from flexopt.model.reading import looks_like_problem
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import evaluate
 from flexopt.selection import Selection, select
 
 BAD_INPUT, FAILED = 2, 3
+FILE_NAME_MAX = 255
 PICTURES = (".png", ".svg", ".pdf")
 
 Decorator = Callable[[Callable[..., None]], Callable[..., None]]
@@ -35,6 +36,9 @@ Decorator = Callable[[Callable[..., None]], Callable[..., None]]
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the `flexopt` command."""
     given = sys.argv[1:] if arguments is None else arguments
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # Greek letters on a console that has none
     try:
         cli.main(args=given, prog_name="flexopt", standalone_mode=False)
     except click.exceptions.Exit as leave:
@@ -50,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
 def _fail(error: FlexoptError, as_json: bool) -> None:
     click.echo(f"flexopt: {error}", err=True)
     if as_json:
-        _print_json({"status": "failed", "converged": False, "error": error.to_dict()})
+        _print_json({"status": "failed", "converged": False, "error": json_ready(error.to_dict())})
     sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)
 
 
@@ -91,12 +95,12 @@ def cli() -> None:
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
     loaded = load(machine)
-    base = _numbers(options["base"]) or 0.0
+    base = 0.0 if options["base"] is None else _base(options["base"])
     control = options["control"] or "inverse"
     gravity = bool(options["gravity"])
-    angles = _posture(loaded, options, base, gravity)
     gain = _number(options["gain"]) if options["gain"] is not None else 5e5
-    with _warnings_to_stderr(as_json):
+    with _option_names(options), _warnings_to_stderr(as_json):
+        angles = _posture(loaded, options, base, gravity)
         result = evaluate(
             loaded, angles, base=base, control=control, gain=gain, damped=bool(options["damped"]), gravity=gravity
         )
@@ -152,7 +156,7 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
     _check_output("--plot", plot, PICTURES)
     _check_output("--out", out, (".json",))
     settings = _selection_settings(machine, options)
-    with _warnings_to_stderr(as_json), _progress() as progress:
+    with _option_names(options), _warnings_to_stderr(as_json), _progress() as progress:
         result = select(**settings, progress=progress)
     if plot is not None:
         _write("--plot", plot, lambda: result.plot(plot))
@@ -167,16 +171,12 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given."""
-    settings: dict[str, Any]
-    if looks_like_problem(machine):
-        problem = load_problem(machine)
-        settings = problem.select_arguments()
-    else:
-        settings = {"machine": load(machine)}
+    loaded = load_any(machine)
+    settings: dict[str, Any] = loaded.select_arguments() if isinstance(loaded, Problem) else {"machine": loaded}
     margin = options["singularity_margin_deg"]
     given = {
         "target": _numbers(options["end_point"]),
-        "base": _numbers(options["base"]),
+        "base": _base(options["base"]),
         "base_range": _numbers(options["base_range"]),
         "elbow": options["elbow"],
         "control": options["control"],
@@ -236,6 +236,25 @@ def doctor_command(as_json: bool) -> None:
 
 
 @contextmanager
+def _option_names(options: dict[str, Any]) -> Generator[None]:
+    """Faults of arguments under the names of the options they were given by."""
+    spelled = {"target": "end_point", "end-point": "end_point"}
+    try:
+        yield
+    except InputError as error:
+        renamed: list[Fault] = []
+        for fault in error.faults:
+            name, _, rest = fault.field.partition(" ")
+            option = spelled.get(name, name)
+            given = options.get(option) is not None
+            field = f"--{option.replace('_', '-')} {rest}".strip() if given else fault.field
+            renamed.append(Fault(field, fault.sentence, fault.value))
+        if type(error) is InputError:
+            raise_if_any(InputError, error.heading, renamed)
+        raise
+
+
+@contextmanager
 def _warnings_to_stderr(as_json: bool) -> Generator[None]:
     """Flexopt's warnings as lines on standard error; in text they are part of the result itself."""
     with warnings.catch_warnings(record=True) as caught:
@@ -268,6 +287,8 @@ def _check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> N
     if path is None:
         return
     target = Path(path)
+    if len(target.name.encode()) > FILE_NAME_MAX:
+        raise InputError(f"{option}: the file name is too long, {len(target.name.encode())} bytes of {FILE_NAME_MAX}")
     if target.suffix.lower() not in suffixes:
         raise InputError(f"{option} = {path!r}: the name must end in {' or '.join(suffixes)}")
     if target.is_dir() or not target.parent.is_dir():
@@ -286,9 +307,15 @@ def _numbers(text: str | None) -> list[Any] | None:
     return None if text is None else [_number(part) for part in text.split(",")]
 
 
+def _base(text: str | None) -> Any:
+    """A placement: one number alone, or a list."""
+    numbers = _numbers(text)
+    return numbers[0] if numbers is not None and len(numbers) == 1 else numbers
+
+
 def _number(text: str) -> Any:
     try:
-        return float(text)
+        return text.strip() if "_" in text else float(text)
     except ValueError:
         return text.strip()
 
@@ -296,7 +323,5 @@ def _number(text: str) -> Any:
 def _whole(text: str | None) -> Any:
     if text is None:
         return None
-    try:
-        return int(text)
-    except ValueError:
-        return _number(text)
+    value = _number(text)
+    return int(value) if isinstance(value, float) and value.is_integer() else value

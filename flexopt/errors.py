@@ -29,11 +29,13 @@ class FlexoptError(Exception):
 
     Attributes:
         faults: each fault on its own, when the input had several.
+        heading: what they are faults of (a call, a file).
     """
 
-    def __init__(self, message: str, faults: Sequence[Fault] = ()) -> None:
+    def __init__(self, message: str, faults: Sequence[Fault] = (), heading: str = "") -> None:
         super().__init__(message)
         self.faults = tuple(faults)
+        self.heading = heading
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready description of the error."""
@@ -117,4 +119,4 @@ def sentence_list(heading: str, faults: Sequence[Fault]) -> str:
 def raise_if_any(error: type[FlexoptError], heading: str, faults: Sequence[Fault]) -> None:
     """Raise `error` with all `faults` in one message; do nothing when there are none."""
     if faults:
-        raise error(sentence_list(heading, faults), faults)
+        raise error(sentence_list(heading, faults), faults, heading)

@@ -4,11 +4,12 @@ In: TOML files or dictionaries. Out: frozen `Machine` and `Problem` objects, or 
 Nothing symbolic.
 """
 
+from flexopt.model.files import shipped_names as shipped_names
 from flexopt.model.machine import Machine as Machine
 from flexopt.model.machine import Parameter as Parameter
 from flexopt.model.problem import Problem as Problem
 from flexopt.model.problem import SelectionOptions as SelectionOptions
 from flexopt.model.reading import load as load
+from flexopt.model.reading import load_any as load_any
 from flexopt.model.reading import load_problem as load_problem
 from flexopt.model.reading import machine_from_dict as machine_from_dict
-from flexopt.model.reading import shipped_names as shipped_names

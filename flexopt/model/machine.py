@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -22,6 +22,8 @@ from flexopt.model.quantities import (
     RotationalDamping,
     RotationalStiffness,
     Stiffness,
+    check_schema,
+    checked,
 )
 
 BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
@@ -100,7 +102,7 @@ class Machine(FileModel):
     damper, rest value) or actuated. The placement coordinate is the position x of the undercarriage.
     """
 
-    schema_version: Literal[1] = Field(default=1, alias="schema")
+    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
     name: str = Field(min_length=1)
     description: str = ""
     source: str = ""

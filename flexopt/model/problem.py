@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import Field, PrivateAttr
 
 from flexopt.model.machine import FileModel, Machine
-from flexopt.model.quantities import COORDINATE_MAX, BaseRange, check_number, checked
+from flexopt.model.quantities import COORDINATE_MAX, BaseRange, check_number, check_numbers, check_schema, checked
 
 Control = Literal["inverse", "transpose"]
 Elbow = Literal["up", "down"]
@@ -29,7 +29,8 @@ def check_weights(value: Any) -> tuple[float, ...]:
     """The weights α of V = Σ αi wi: non-negative, not all zero."""
     if not isinstance(value, list | tuple) or not value:
         raise ValueError("must be a list of numbers, one for each mode")
-    weights = tuple(check_number(part, "", low=0.0, high=1e6) for part in cast(list[Any], value))
+    values = cast(list[Any], value)
+    weights = check_numbers(values, [f"α{i + 1}" for i in range(len(values))], "", low=0.0, high=1e6)
     if not any(weights):
         raise ValueError("at least one weight must be positive")
     return weights
@@ -39,8 +40,7 @@ def check_point(value: Any) -> tuple[float, ...]:
     """A point in the plane, inertial frame, m."""
     if not isinstance(value, list | tuple) or len(cast(list[Any], value)) != 2:
         raise ValueError("must be two numbers x, y in m, inertial frame")
-    parts = cast(list[Any], value)
-    return tuple(check_number(part, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX) for part in parts)
+    return check_numbers(cast(list[Any], value), ["x", "y"], "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
 
 
 def check_margin_deg(value: Any) -> float:
@@ -72,7 +72,7 @@ def check_base(value: Any) -> tuple[float, ...]:
     parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
     if len(parts) != 1:
         raise ValueError("must be one number: a planar machine is placed by x, in m")
-    return tuple(check_number(part, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX) for part in parts)
+    return check_numbers(parts, ["x"], "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
 
 
 class Target(FileModel):
@@ -88,6 +88,7 @@ class SelectionOptions(FileModel):
     weights: Annotated[tuple[float, ...], checked(check_weights)] | None = None
     control: Control = "inverse"
     gravity: bool = False
+    gain: Annotated[float, checked(check_gain)] = 5e5
     base: Annotated[tuple[float, ...], checked(check_base)] | None = None
     base_range: BaseRange | None = None
     elbow: Elbow = "up"
@@ -99,7 +100,7 @@ class SelectionOptions(FileModel):
 class Problem(FileModel):
     """A configuration problem (`flexopt.load_problem` reads one from a file)."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema")
+    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
     name: str = Field(min_length=1)
     description: str = ""
     source: str = ""

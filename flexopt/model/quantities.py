@@ -9,6 +9,7 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
+SUPPORTED_SCHEMA = 1
 KINDS: dict[type, str] = {str: "text", bool: "true/false", list: "a list", tuple: "a list", dict: "a table"}
 
 
@@ -34,7 +35,7 @@ def check_number(value: Any, unit: str, *, above: float | None = None, low: floa
         raise ValueError(f"must be finite; it {allowed}")
     if (above is not None and not number > above) or (low is not None and number < low) or number > high:
         raise ValueError(allowed)
-    return number
+    return number + 0.0  # −0.0 becomes 0.0, so that equal inputs have equal hashes
 
 
 def _quantity(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> BeforeValidator:
@@ -72,11 +73,32 @@ COORDINATE_MAX = 1e6
 Coordinate = Annotated[float, _quantity("m", low=-COORDINATE_MAX, high=COORDINATE_MAX)]
 
 
+def check_numbers(values: list[Any], names: list[str], unit: str, *, low: float, high: float) -> tuple[float, ...]:
+    """Numbers in one range; the sentence names every one that is not."""
+    checked_values: list[float] = []
+    sentences: list[str] = []
+    for value, name in zip(values, names, strict=True):
+        try:
+            checked_values.append(check_number(value, unit, low=low, high=high))
+        except ValueError as error:
+            sentences.append(f"{name} {error}" if len(names) > 1 else str(error))
+    if sentences:
+        raise ValueError("; ".join(sentences))
+    return tuple(checked_values)
+
+
+def check_schema(value: Any) -> int:
+    """The version of a file's layout."""
+    if type(value) is not int or value != SUPPORTED_SCHEMA:
+        raise ValueError(f"unknown schema version; this flexopt reads version {SUPPORTED_SCHEMA}")
+    return value
+
+
 def check_pair(value: Any, unit: str, low: float, high: float, *, allow_equal: bool = False) -> tuple[float, float]:
     """A [lower, upper] pair of numbers in `unit`, in order."""
     if not isinstance(value, list | tuple) or len(cast(list[Any], value)) != 2:
         raise ValueError(f"must be a pair [lower, upper] in {unit}")
-    lower, upper = (check_number(part, unit, low=low, high=high) for part in cast(list[Any], value))
+    lower, upper = check_numbers(cast(list[Any], value), ["lower end", "upper end"], unit, low=low, high=high)
     if upper < lower or (upper == lower and not allow_equal):
         raise ValueError(f"is reversed or empty: the lower end must be below the upper end, in {unit}")
     return lower, upper

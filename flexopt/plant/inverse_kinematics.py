@@ -13,6 +13,7 @@ from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.problem import ELBOWS, Elbow, check_seed
 from flexopt.plant.plant import Plant, build_plant
 from flexopt.plant.reach import unreachable
+from flexopt.plant.statics import check_held
 
 ELBOW_SIGN: dict[Elbow, float] = {"up": -1.0, "down": 1.0}
 LEADING_SAMPLES = 64
@@ -144,14 +145,18 @@ def _under_gravity(plant: Plant, target: Vector, base: Vector, posture: Vector) 
         q_p = plant.deflected(base, posture, plant.parameter_values)
         q = np.concatenate([q_p.full().ravel(), posture])
         error = plant.end_point(q, base, plant.parameter_values).full().ravel() - target
-        if np.abs(error).max() < 1e-13 * (1 + np.abs(target).max()):
+        if not np.abs(error).max() >= 1e-13 * (1 + np.abs(target).max()):
             break
         jacobian = plant.rigid_jacobian(q, base, plant.parameter_values).full()
         posture = posture - _least_squares(jacobian, error)
-    if not np.abs(error).max() < 1e-9:
+    q = np.concatenate([plant.deflected(base, posture, plant.parameter_values).full().ravel(), posture])
+    check_held(plant, q, base)
+    off = float(np.abs(error).max())
+    if not off < 1e-9:
         raise NoSolutionFound(
-            "inverse kinematics under gravity did not converge: the deflected end-point stays off the target",
-            violations={"target": float(np.abs(error).max())},
+            f"inverse kinematics under gravity did not converge: the deflected end-point stays {off:.3g} m off the "
+            "target; stiffer springs would help",
+            violations={"target": off},
             iterate={name: float(angle) for name, angle in zip(plant.machine.joints, posture, strict=True)},
         )
     return posture

@@ -47,8 +47,10 @@ class DampedModes:
     clusters: tuple[tuple[int, ...], ...]
 
 
-def damped_modes(machine: Machine, base: Vector, posture: Vector, control: Control, gravity: bool) -> DampedModes:
-    """Poles, numerators, measures and gradients of the damped plant.
+def damped_modes(
+    machine: Machine, base: Vector, posture: Vector, control: Control, gravity: bool, lowest_frequency: float
+) -> DampedModes:
+    """Poles, numerators, measures and gradients of the damped plant; `lowest_frequency` is ω_1 undamped, rad/s.
 
     Raises:
         InputError: a mode is overdamped, so that it has no complex pair.
@@ -61,9 +63,10 @@ def damped_modes(machine: Machine, base: Vector, posture: Vector, control: Contr
     top = cast(Vector, np.linalg.solve(mass, np.hstack([-damping, -stiffness])))
     solved = np.linalg.eig(np.vstack([top, np.eye(n, 2 * n)]))
     values, vectors = solved.eigenvalues.astype(np.complex128), solved.eigenvectors.astype(np.complex128)
-    # Rigid poles are zero up to the square root of the rounding; vibration poles stand far above them.
-    floor = 1e-5 * np.abs(values).max()
-    upper = [k for k in np.argsort(np.abs(values), kind="stable") if values[k].imag > floor]
+    # Rigid poles are zero up to the square root of the rounding; a pair closer to the real axis than a tenth of the
+    # lowest undamped frequency is damped to within half a percent of critical, or beyond.
+    floor = 0.1 * lowest_frequency
+    upper = [k for k in np.argsort(np.abs(values), kind="stable") if values[k].imag > floor][-m:]
     if len(upper) != m:
         raise InputError(
             f"damping: {m - len(upper)} of {m} vibration modes are overdamped and have no complex pair of poles; "

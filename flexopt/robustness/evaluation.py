@@ -12,9 +12,10 @@ import numpy as np
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.model import Machine
 from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.documents import json_ready, provenance
 from flexopt.model.problem import Control, check_gain
-from flexopt.model.provenance import provenance
 from flexopt.plant.singularity import check_regular
+from flexopt.plant.statics import check_held
 from flexopt.robustness.damped import DampedModes, damped_modes
 from flexopt.robustness.measures import Measures, build_measures
 
@@ -232,7 +233,7 @@ def evaluate_checked(
     clusters = tuple(g for g in groups if len(g) > 1)
     detail, difference = None, None
     if damped:
-        detail = damped_modes(machine, base, posture, control, gravity)
+        detail = damped_modes(machine, base, posture, control, gravity, float(omega[0]))
         difference = float(np.max(np.abs(detail.w - w) / np.where(scale > 0, scale, 1.0)))
         clusters = detail.clusters
         w, w_z, w_p = detail.w, detail.w_z, detail.w_p
@@ -292,19 +293,15 @@ def _check_solved(measures: Measures, v: dict[str, Vector], base: Vector) -> Non
                 violations={"static equilibrium": residual},
                 iterate=dict(zip(plant.coordinates, q.tolist(), strict=True)),
             )
-        stiffness[:m, :m] += plant.gravity_stiffness(q, base, p).full()
-        if np.linalg.eigvalsh(stiffness[:m, :m])[0] <= 0:
-            raise InputError(
-                "gravity: the springs do not hold the machine in this posture (K_p with gravity's stiffness is not "
-                "positive definite); a stiffer base or smaller masses would"
-            )
+        stiffness = check_held(plant, q, base)
     _check_finite(modes, values, v["w"], v["a"], v["b"], v["rigid"])
     mass = plant.mass(q, base, p).full()
-    root = np.sqrt(values)
-    worst = max(
-        float(np.abs(modes.T @ mass @ modes - np.eye(m)).max()),
-        float(np.abs((modes.T @ stiffness @ modes) / np.outer(root, root) - np.eye(m)).max()),
-    )
+    worst = float(np.abs(modes.T @ mass @ modes - np.eye(m)).max())
+    if np.all(values > 0):
+        root = np.sqrt(values)
+        worst = max(worst, float(np.abs((modes.T @ stiffness @ modes) / np.outer(root, root) - np.eye(m)).max()))
+    else:
+        worst = float("inf")
     if not worst <= SOLVE_TOLERANCE:
         raise NoSolutionFound(
             f"the modes did not converge (orthogonality off by {worst:.2g}); the machine's masses or stiffnesses "
@@ -333,16 +330,3 @@ def _warnings(clusters: tuple[tuple[int, ...], ...], frequencies: Vector, damped
             f"w is that of their sum{gradient}"
         )
     return tuple(sentences)
-
-
-def json_ready(value: Any) -> Any:
-    """Plain lists, numbers and text; NaN and infinity become None."""
-    if isinstance(value, np.ndarray | np.generic):
-        return json_ready(value.tolist())  # pyright: ignore[reportUnknownMemberType]
-    if isinstance(value, dict):
-        return {str(k): json_ready(v) for k, v in cast(dict[Any, Any], value).items()}
-    if isinstance(value, list | tuple):
-        return [json_ready(v) for v in cast(list[Any], value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

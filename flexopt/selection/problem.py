@@ -28,6 +28,7 @@ from flexopt.model.problem import (
 )
 from flexopt.model.quantities import COORDINATE_MAX, check_pair
 from flexopt.plant.reach import clipped, reach, unreachable
+from flexopt.plant.statics import not_held
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.selection.scan import Scan, scan_redundancy
 
@@ -105,12 +106,27 @@ class SelectionProblem:
         return np.array([v.upper for v in self.variables])
 
     @property
+    def shift(self) -> tuple[Vector, Vector]:
+        """Shifts of z (n_z,) and of the target (n_task,), m, that put the target at the origin for IPOPT.
+
+        Moving placement and target together changes nothing else; far from the inertial origin the last digits of their
+        difference would be lost.
+        """
+        of_z, of_target = np.zeros(len(self.variables)), np.zeros(self.target.size)
+        axes = {"base.x": 0, "base.y": 1, "base.z": 2}
+        for k, variable in enumerate(self.variables):
+            if variable.name in axes:
+                axis = axes[variable.name]
+                of_z[k] = of_target[axis] = self.target[axis]
+        return of_z, of_target
+
+    @property
     def scale(self) -> Vector:
         """Scales of z."""
         return np.array([v.scale for v in self.variables])
 
     def solver(self) -> ca.Function:
-        """IPOPT on this problem: x = z / scale, exact Hessian; its parameter is the target followed by p."""
+        """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameter: shifted target, then p."""
         return build_solver(
             self.machine,
             self.control,
@@ -210,6 +226,8 @@ def build_selection(
         whole = reach(plant).base_intervals(point)
         base_range = (whole[0][0], whole[-1][1])
     scan = scan_redundancy(measures, point, clipped(intervals, base_range), alpha, math.sin(margin) ** 2, seed)
+    if scan.size == 0 and scan.unsound:
+        raise not_held()
     if scan.size == 0:
         raise _why_unreachable(measures, point, base_range, margin, scan.reached)
     factors = measures.w.call([scan.base, scan.posture, plant.parameter_values])[1].full()

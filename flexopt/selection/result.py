@@ -6,7 +6,8 @@ import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from flexopt.robustness.evaluation import Evaluation, json_ready
+from flexopt.model.documents import json_ready
+from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
 
 if TYPE_CHECKING:

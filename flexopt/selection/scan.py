@@ -42,6 +42,7 @@ class Scan:
         objective: V (N,).
         index: number of the grid point, (N,); neighbours on a curve differ by one.
         reached: whether any point reached the target at all, limits and margin left aside.
+        unsound: whether a point was dropped because its measures are no numbers (under gravity: it falls over).
     """
 
     redundancy: Vector
@@ -52,6 +53,7 @@ class Scan:
     objective: Vector
     index: NDArray[np.int64]
     reached: bool
+    unsound: bool
 
     @property
     def size(self) -> int:
@@ -87,7 +89,7 @@ def scan_redundancy(
     if not kept:
         n, m = plant.n_actuated, plant.n_passive
         empty = np.zeros((0, 0)), np.zeros(0), np.zeros((1, 0)), np.zeros((n, 0)), np.zeros((m, 0)), np.zeros(0)
-        return Scan(*empty, np.zeros(0, dtype=np.int64), reached)
+        return Scan(*empty, np.zeros(0, dtype=np.int64), reached, unsound=False)
     redundancy, elbow, base, posture, w, index = (np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True))
     finite = np.all(np.isfinite(w), axis=0)
     return Scan(
@@ -99,6 +101,7 @@ def scan_redundancy(
         weights @ w[:, finite],
         index[finite].astype(np.int64),
         reached,
+        unsound=not bool(finite.all()),
     )
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from flexopt.errors import FlexoptError, NoSolutionFound
 from flexopt.model import Machine, Problem
 from flexopt.model.arguments import Vector
+from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, Elbow
-from flexopt.model.provenance import provenance
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.selection.check import Proof, prove
@@ -135,18 +135,18 @@ def solve_selection(problem: SelectionProblem, *, progress: Progress | None = No
 def _run_ipopt(problem: SelectionProblem, start: Vector) -> tuple[Vector, int, str]:
     """One solve from z = start: the point reached, iterations, and IPOPT's own status."""
     solver, p = problem.solver(), problem.measures.plant.parameter_values.full().ravel()
-    margin = problem.constraints[-1]
+    margin, (shift, target_shift) = problem.constraints[-1], problem.shift
     zeros = np.zeros(problem.target.size)
     result = solver(
-        x0=start / problem.scale,
-        p=np.concatenate([problem.target, p]),
-        lbx=problem.lower / problem.scale,
-        ubx=problem.upper / problem.scale,
+        x0=(start - shift) / problem.scale,
+        p=np.concatenate([problem.target - target_shift, p]),
+        lbx=(problem.lower - shift) / problem.scale,
+        ubx=(problem.upper - shift) / problem.scale,
         lbg=np.append(zeros, margin.lower),
         ubg=np.append(zeros, margin.upper),
     )
     statistics: dict[str, Any] = solver.stats()
-    z = result["x"].full().ravel() * problem.scale
+    z = result["x"].full().ravel() * problem.scale + shift
     turns = ~np.isfinite(problem.lower) & ~np.isfinite(problem.upper)
     z[turns] = (z[turns] + math.pi) % (2 * math.pi) - math.pi
     return np.clip(z, problem.lower, problem.upper), int(statistics["iter_count"]), str(statistics["return_status"])

@@ -12,10 +12,10 @@ import numpy as np
 
 from flexopt.model import load
 from flexopt.model.arguments import Vector
+from flexopt.model.documents import json_ready, provenance
 from flexopt.plant import inverse_kinematics
 from flexopt.plant.plant import build_plant
 from flexopt.robustness import Evaluation, evaluate
-from flexopt.robustness.evaluation import json_ready
 
 PRINTED_W = {
     "A": (-0.2969e-3, -0.0308e-3, -0.001e-3),
@@ -67,7 +67,7 @@ class ArticleTable:
             }
             for row in self.rows
         ]
-        return json_ready({"rows": rows, "note": self.note})
+        return json_ready({"rows": rows, "note": self.note, "provenance": provenance(load("excavator"))})
 
     def __repr__(self) -> str:
         lines = ["Table 2, Jacobian inverse control: w_i computed, printed, and the relative deviation"]

@@ -12,7 +12,8 @@ import casadi as ca
 
 from flexopt.errors import FlexoptError
 from flexopt.model import load, load_problem, shipped_names
-from flexopt.model.provenance import package_version
+from flexopt.model.documents import package_version, provenance
+from flexopt.model.files import Kind
 
 COMPILERS = ("cc", "gcc", "clang", "cl")
 
@@ -40,7 +41,8 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary."""
-        return {"healthy": self.healthy, "checks": [vars(check) for check in self.checks]}
+        checks = [vars(check) for check in self.checks]
+        return {"healthy": self.healthy, "checks": checks, "provenance": provenance()}
 
     def __repr__(self) -> str:
         marks = {(True, True): "ok", (True, False): "ok", (False, True): "FAILED", (False, False): "none"}
@@ -75,7 +77,7 @@ def _ipopt() -> Check:
     return Check("IPOPT", error < 1e-8, "solves a test problem" if error < 1e-8 else f"is off by {error:.1e} on a test")
 
 
-def _shipped(kind: str) -> Check:
+def _shipped(kind: Kind) -> Check:
     read = load if kind == "models" else load_problem
     names = shipped_names(kind)
     try:

@@ -53,7 +53,7 @@ def test_doctor_finds_this_installation_healthy():
 def test_doctor_names_a_broken_shipped_file(monkeypatch, tmp_path):
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "bad.toml").write_text("name = 'bad'\n")
-    monkeypatch.setattr("flexopt.model.reading.PACKAGE", tmp_path)
+    monkeypatch.setattr("flexopt.model.files.PACKAGE", tmp_path)
     report = examine()
     assert not report.healthy
     assert "base: is required" in repr(report)

@@ -1,0 +1,43 @@
+"""What every JSON document shares: provenance, and plain numbers with null for what is not finite."""
+
+from __future__ import annotations
+
+import math
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.model.machine import Machine
+
+
+def package_version(name: str) -> str:
+    """Version of an installed package, `"unknown"` in a source tree that was never installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def provenance(machine: Machine | None = None, **options: Any) -> dict[str, Any]:
+    """Machine name and content hash (None where none is concerned), versions, and the options of the call."""
+    return {
+        "machine": machine and machine.name,
+        "machine_sha256": machine and machine.content_hash,
+        "flexopt": package_version("flexopt"),
+        "casadi": package_version("casadi"),
+        "options": options,
+    }
+
+
+def json_ready(value: Any) -> Any:
+    """Plain lists, numbers and text; NaN and infinity become None."""
+    if isinstance(value, np.ndarray | np.generic):
+        return json_ready(value.tolist())  # pyright: ignore[reportUnknownMemberType]
+    if isinstance(value, dict):
+        return {str(k): json_ready(v) for k, v in cast(dict[Any, Any], value).items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(v) for v in cast(list[Any], value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

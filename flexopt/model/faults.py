@@ -1,0 +1,179 @@
+"""Every fault of a file as sentences: those of single keys, found by pydantic, and those that concern several."""
+
+from __future__ import annotations
+
+import datetime
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar, cast
+
+from pydantic import ValidationError
+
+from flexopt.errors import Fault, ModelError, raise_if_any
+from flexopt.model.machine import BASE_DIRECTIONS, FileModel
+
+RESERVED_LINK_NAMES = ("base", "payload", "gravity")
+# How alike two words must be for one to be suggested for the other.
+ALIKE = 0.6
+
+Table = Mapping[str, Any]
+Model = TypeVar("Model", bound=FileModel)
+
+
+def validated(model: type[Model], data: Table, origin: str, structural: Iterable[Fault]) -> Model:
+    """The model of `data`, or `ModelError` with the faults of single keys and the `structural` ones."""
+    try:
+        result = model.model_validate(data)
+    except ValidationError as error:
+        result = None
+        faults = [_fault(model, data, cast(dict[str, Any], entry)) for entry in error.errors()]
+    else:
+        faults = []
+    seen = {fault.field for fault in faults}
+    faults += [fault for fault in structural if fault.field not in seen]
+    raise_if_any(ModelError, origin, faults)
+    assert result is not None
+    return result
+
+
+def _fault(model: type[FileModel], data: Table, entry: dict[str, Any]) -> Fault:
+    location: tuple[str | int, ...] = entry["loc"]
+    field = _field_path(data, location)
+    kind, value = str(entry["type"]), entry["input"]
+    key = str(location[-1]) if location else ""
+    if kind == "extra_forbidden":
+        return Fault(field, "unknown key" + _nearest(key, _valid_keys(model, location[:-1])))
+    if kind == "missing":
+        return Fault(field, "is required and missing")
+    shown = _short(value)
+    if kind == "quantity":
+        return Fault(field, str(entry["msg"]), shown)
+    if kind == "literal_error":
+        valid = str(cast(dict[str, Any], entry["ctx"])["expected"]).replace("'", "")
+        return Fault(field, f"must be {valid}", shown)
+    if kind == "too_short":
+        return Fault(field, "must not be empty" if key != "links" else "at least one link is needed", shown)
+    if kind == "string_too_short":
+        return Fault(field, "must not be empty", shown)
+    wanted = {
+        "string_type": "must be text",
+        "bool_type": "must be true or false",
+        "tuple_type": "must be a list",
+        "model_type": "must be a table",
+        "model_attributes_type": "must be a table",
+        "int_type": "must be a whole number",
+    }
+    return Fault(field, wanted.get(kind, str(entry["msg"])), shown)
+
+
+def _field_path(data: Table, location: tuple[str | int, ...]) -> str:
+    """`links[1].mass` with the link's name beside it, for a path of keys and indices."""
+    path, here = "", cast(Any, data)
+    for part in location:
+        if isinstance(part, int):
+            path += f"[{part}]"
+            items = cast(list[Any], here) if isinstance(here, list | tuple) else []
+            here = items[part] if part < len(items) else None
+            name = _table({"here": here}, "here").get("name")
+            if isinstance(name, str) and name:
+                path += f" ({name})"
+        else:
+            path += f".{part}" if path else part
+            here = _table({"here": here}, "here").get(part)
+    return path or "file"
+
+
+def _valid_keys(model: type[FileModel], location: tuple[str | int, ...]) -> list[str]:
+    """Keys that the table at `location` may have."""
+    here: Any = model
+    for part in location:
+        if isinstance(part, str):
+            annotation = next((f.annotation for n, f in here.model_fields.items() if part in (n, f.alias)), None)
+            candidates = [annotation, *getattr(annotation, "__args__", ())]
+            here = next((c for c in candidates if isinstance(c, type) and issubclass(c, FileModel)), None)
+            if here is None:
+                return []
+    return [field.alias or name for name, field in here.model_fields.items()]
+
+
+def _nearest(word: str, valid: list[str]) -> str:
+    close = difflib.get_close_matches(word, valid, n=1, cutoff=ALIKE)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; valid here: {', '.join(valid)}" if valid else ""
+
+
+def _short(value: Any) -> str:
+    """A value as TOML would write it, cut where it is long."""
+    if isinstance(value, bool):
+        text = str(value).lower()
+    elif isinstance(value, tuple):
+        text = repr(list(cast(tuple[Any, ...], value)))
+    elif isinstance(value, datetime.date | datetime.time):
+        text = value.isoformat()
+    else:
+        text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _table(data: Any, key: str) -> dict[str, Any]:
+    value = cast(dict[str, Any], data).get(key) if isinstance(data, dict) else None
+    return cast(dict[str, Any], value) if isinstance(value, dict) else {}
+
+
+def machine_faults(data: Table) -> list[Fault]:
+    """Faults that concern several keys at once; looked for even where single keys are faulty."""
+    base = _table(data, "base")
+    stiffness, damping = _table(base, "stiffness"), _table(base, "damping")
+    faults = [
+        Fault(f"base.damping.{direction}", f"needs base.stiffness.{direction}; without it the base is rigid")
+        for direction in damping
+        if direction in BASE_DIRECTIONS and direction not in stiffness
+    ]
+    links_value = data.get("links")
+    entries = cast(tuple[Any, ...], links_value) if isinstance(links_value, tuple) else ()
+    links = [cast(dict[str, Any], link) for link in entries if isinstance(link, dict)]
+    if links and len(links) == len(entries):
+        faults += _link_faults(links)
+        passive = [link for link in links if link.get("passive") is True]
+        count = len(links) - len(passive)
+        if count < 2:
+            faults.append(Fault("links (actuated joints)", "an end-point in the plane needs at least two", str(count)))
+        gives = any(stiffness.get(direction) is not None for direction in BASE_DIRECTIONS)
+        if base and not passive and not gives:
+            faults.append(
+                Fault("base.stiffness", "no passive coordinate: give x, y or rotation, or make a joint passive")
+            )
+    return faults
+
+
+def _link_faults(links: list[dict[str, Any]]) -> list[Fault]:
+    faults: list[Fault] = []
+    names: list[str] = []
+    for index, link in enumerate(links):
+        name = link.get("name")
+        where = f"links[{index}] ({name})"
+        if isinstance(name, str):
+            if name in RESERVED_LINK_NAMES or not name.strip():
+                faults.append(Fault(f"{where}.name", "is reserved or blank; choose another", _short(name)))
+            if name in names:
+                faults.append(Fault(f"{where}.name", "is taken by an earlier link; names must differ", _short(name)))
+            names.append(name)
+        if link.get("passive") is True:
+            if "stiffness" not in link:
+                faults.append(Fault(f"{where}.stiffness", "a passive joint needs one, in N m/rad"))
+            wrong = [key for key in ("limits", "joint_damping") if key in link]
+            reason = "belongs to an actuated joint; a passive one has stiffness, damping and rest"
+        else:
+            wrong = [key for key in ("stiffness", "damping", "rest") if key in link]
+            reason = "belongs to a passive joint; add passive = true"
+        faults += [Fault(f"{where}.{key}", reason, _short(link[key])) for key in wrong]
+    return faults
+
+
+def problem_faults(data: Table) -> list[Fault]:
+    """As `machine_faults`, for a problem."""
+    selection = _table(data, "selection")
+    if selection.get("objective") == "V" and "weights" not in selection:
+        return [Fault("selection.weights", "objective V = Σ αi wi needs its weights α")]
+    return []

@@ -1,0 +1,125 @@
+"""Finding and reading the TOML file behind a name or a path."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from flexopt.errors import ModelError
+from flexopt.model.faults import ALIKE
+
+PACKAGE = Path(__file__).resolve().parents[1]
+FILE_SIZE_MAX = 4_000_000
+# Longer words are no file names to any system.
+NAME_MAX = 200
+
+Kind = Literal["models", "problems"]
+WORDS: dict[Kind, str] = {"models": "machine", "problems": "problem"}
+KINDS: tuple[Kind, Kind] = ("models", "problems")
+# A file with any of these keys is meant as a problem.
+PROBLEM_KEYS = frozenset({"machine", "target", "selection"})
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file as it was read.
+
+    Attributes:
+        data: its keys and tables.
+        kind: what it is meant as: the shipped folder it came from, else told from its keys.
+        folder: where relative paths in it start.
+        name: what messages call it.
+    """
+
+    data: dict[str, Any]
+    kind: Kind
+    folder: Path
+    name: str
+
+
+def shipped_folder(kind: Kind) -> Path:
+    """The folder `models` or `problems`: inside an installed package, else beside it in a source tree."""
+    inside = PACKAGE / kind
+    return inside if inside.is_dir() else PACKAGE.parent / kind
+
+
+def shipped_names(kind: Kind) -> list[str]:
+    """Names that `load` or `load_problem` finds without a path."""
+    return sorted(path.stem for path in shipped_folder(kind).glob("*.toml"))
+
+
+def read_source(name_or_path: Any, kinds: tuple[Kind, ...]) -> Source:
+    """The file behind a shipped name or a path, of one of the `kinds`.
+
+    Raises:
+        ModelError: nothing is there, it cannot be read, is no TOML, or is of another kind.
+    """
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise ModelError(
+            f"a name or path is wanted, not {type(name_or_path).__name__}; machine_from_dict takes a dictionary"
+        )
+    text = os.fsdecode(name_or_path)  # pyright: ignore[reportUnknownArgumentType]
+    if not text or "\0" in text:
+        raise ModelError(f"an empty or unusable name was given where a machine or problem is wanted: {text!r}")
+    try:
+        if text.endswith(".toml") or os.sep in text or "/" in text or (len(text) <= NAME_MAX and Path(text).is_file()):
+            path, named_kind = Path(text), None
+            if path.is_dir():
+                raise ModelError(f"{text}: is a folder; give the TOML file itself")
+            if not path.exists():
+                raise ModelError(f"{text}: no such file")
+        else:
+            found: list[Kind] = [kind for kind in kinds if text in shipped_names(kind)]
+            named_kind = found[0] if found else None
+            if named_kind is None:
+                raise _unknown_name(text, kinds)
+            path = shipped_folder(named_kind) / f"{text}.toml"
+        data = _read_toml(path)
+    except OSError as error:
+        raise ModelError(f"{_cut(text)}: cannot be read ({error.strerror})") from None
+    told: Kind = "problems" if PROBLEM_KEYS & data.keys() else "models"
+    told = named_kind or told
+    if told not in kinds and data:
+        raise _wrong_kind(text, told)
+    shipped = PACKAGE in path.resolve().parents or PACKAGE.parent in path.resolve().parents
+    name = f"{path.parent.name}/{path.name}" if named_kind or (shipped and not path.is_absolute()) else str(path)
+    return Source(data, told, path.parent, name)
+
+
+def _unknown_name(text: str, kinds: tuple[Kind, ...]) -> ModelError:
+    others: list[Kind] = [kind for kind in KINDS if kind not in kinds and text in shipped_names(kind)]
+    if others:
+        return _wrong_kind(text, others[0])
+    shipped = "; ".join(f"{kind}: {', '.join(shipped_names(kind))}" for kind in kinds)
+    names = [name for kind in kinds for name in shipped_names(kind)]
+    close = difflib.get_close_matches(text, names, n=1, cutoff=ALIKE)
+    hint = f"; did you mean {close[0]!r}?" if close else ";"
+    wanted = " or ".join(WORDS[kind] for kind in kinds)
+    return ModelError(f"no {wanted} is called {_cut(text)!r}{hint} give a path, or one of the shipped {shipped}")
+
+
+def _wrong_kind(text: str, told: Kind) -> ModelError:
+    if told == "problems":
+        return ModelError(f"{text!r} is a problem, not a machine; `flexopt select` and load_problem take problems")
+    return ModelError(f"{text!r} is a machine, not a problem")
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    with path.open("rb") as file:
+        content = file.read(FILE_SIZE_MAX + 1)
+    if len(content) > FILE_SIZE_MAX:
+        raise ModelError(f"{path}: larger than {FILE_SIZE_MAX // 1_000_000} MB; this is no machine or problem file")
+    try:
+        return tomllib.loads(content.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise ModelError(f"{path}: is not UTF-8 text") from None
+    except (ValueError, RecursionError) as error:
+        raise ModelError(f"{path}: is not valid TOML: {error}") from None
