@@ -141,8 +141,12 @@ def _posture(machine: Machine, options: dict[str, Any], base: Any, gravity: bool
 @BASE
 @_option("--base-range", metavar="LO,HI", help="Placements allowed, m; all that reach by default.")
 @CONTROL
-@_option("--objective", metavar="w1|w2|…|V", help="Which measure to maximise (w1 by default).")
-@_option("--weights", metavar="A1,A2,…", help="Weights α of the objective V = Σ αi wi.")
+@_option(
+    "--objective",
+    metavar="w1|w2|…|V|epsilon_max",
+    help="What to maximise (w1 by default); several in order: w1,epsilon_max.",
+)
+@_option("--weights", metavar="A1,A2,…", help="Weights α of the objective V = Σ αi wi, and β of ε_max after them.")
 @_option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (10 by default).")
 @_option("--starts", metavar="N", help="Starts at most (every peak of the scan by default).")
 @_option("--seed", metavar="N", help="Seed of the scan.")
@@ -202,8 +206,9 @@ def _selection_text(result: Selection) -> str:
     angles = ", ".join(f"{name} {a:.4f} rad" for name, a in zip(best.joints, best.posture, strict=True))
     lines = [repr(result), "", f"Stand at {base} and hold {angles}.", repr(best)]
     if result.initial is not None:
-        before, after = (float(problem.weights @ e.w) for e in (result.initial, best))
-        lines.append(f"{problem.objective}: {before:.5e} in the present posture, {after:.5e} in the chosen one")
+        first = problem.objectives[0]
+        before, after = (first.value(e.w, e.epsilon_max) for e in (result.initial, best))
+        lines.append(f"{first.name}: {before:.5e} in the present posture, {after:.5e} in the chosen one")
     return "\n".join(lines)
 
 

@@ -87,6 +87,24 @@ class SingularPosture(InputError):
         self.angle = angle
 
 
+class NotStabilizable(InputError):
+    """No controller can stabilise the plant: a mode that does not decay escapes the inputs or the outputs.
+
+    Attributes:
+        mode: its eigenvalue (rad/s; dimensionless in discrete time).
+        kind: which property fails, `"stabilizable"` (no input reaches the mode) or `"detectable"` (no output sees it).
+    """
+
+    def __init__(self, message: str, faults: Sequence[Fault] = (), *, mode: complex, kind: str) -> None:
+        super().__init__(message, faults)
+        self.mode = mode
+        self.kind = kind
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready description, with the mode and the property that fails."""
+        return super().to_dict() | {"mode": [self.mode.real, self.mode.imag], "kind": self.kind}
+
+
 class NoSolutionFound(FlexoptError):
     """A solve did not end in a point that passes the independent checks.
 
@@ -107,6 +125,10 @@ class NoSolutionFound(FlexoptError):
 
 class FlexoptWarning(UserWarning):
     """A result is right but needs care: repeated frequencies, a feature that is missing."""
+
+
+class CompilerNotFound(FlexoptWarning):
+    """No C compiler can be used, so CasADi's virtual machine serves: same results, more slowly."""
 
 
 def sentence_list(heading: str, faults: Sequence[Fault]) -> str:

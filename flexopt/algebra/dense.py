@@ -14,6 +14,21 @@ def solve_spd(matrix: ca.SX, right: ca.SX) -> ca.SX:
     return ca.solve(upper, ca.solve(upper.T, right))
 
 
+def solve_general(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """X with A X = B for a square A whose leading minors do not vanish, by elimination without pivoting.
+
+    Meant for matrices like I + G H with positive semidefinite G and H and their shifts; the callers check residuals.
+    """
+    rows, columns = matrix.shape[0], right.shape[1]
+    work = ca.densify(ca.horzcat(matrix, right))
+    for _ in range(rows):
+        # One Gauss–Jordan step on the first row and column, which then leave: the pivot row goes to the bottom.
+        pivot = work[0, 1:] / work[0, 0]
+        work = ca.vertcat(work[1:, 1:] - work[1:, 0] @ pivot, pivot)
+    assert work.shape == (rows, columns)
+    return work
+
+
 def apply_pseudo_inverse(jacobian: ca.SX, right: ca.SX) -> ca.SX:
     """J⁺ B for J (r, n) of full row rank, r ≤ n: Moore–Penrose, the plain inverse where J is square.
 

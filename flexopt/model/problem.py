@@ -19,10 +19,16 @@ STARTS_MAX = 10_000
 
 
 def check_objective(value: Any) -> str:
-    """`w1`, `w2`, …, or `V`."""
-    if not isinstance(value, str) or not re.fullmatch(r"V|w[1-9][0-9]*", value):
-        raise ValueError("must be w1, w2, … (one mode) or V (a weighted sum)")
-    return value
+    """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas."""
+    words = value.replace(" ", "").split(",") if isinstance(value, str) else []
+    if not words or not all(re.fullmatch(r"V|epsilon_max|w[1-9][0-9]?", word) for word in words):
+        raise ValueError(
+            "must be w1, w2, … (one mode), V (a weighted sum) or epsilon_max, or several of them in order of "
+            "importance, separated by commas"
+        )
+    if len(set(words)) < len(words):
+        raise ValueError("names the same objective twice")
+    return ",".join(words)
 
 
 def check_weights(value: Any) -> tuple[float, ...]:

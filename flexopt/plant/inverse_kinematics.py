@@ -16,7 +16,7 @@ from flexopt.plant.reach import unreachable
 from flexopt.plant.statics import check_held
 
 ELBOW_SIGN: dict[Elbow, float] = {"up": -1.0, "down": 1.0}
-LEADING_SAMPLES = 64
+SAMPLES = 256
 # Rounding may push |cos| past 1 by this much on the edge of the reach.
 EDGE = 1e-12
 
@@ -33,7 +33,7 @@ def inverse_kinematics(
     """Postures q_a (n,) in rad with r(q) = target, passive joints at rest, inside the joint limits.
 
     Two actuated joints: every branch in closed form, elbow up (last joint negative) before elbow down. More: a set of
-    distinct postures, both branches of the last two joints over a low-discrepancy sample of the joints before them.
+    distinct postures, both branches of the last two joints over a low-discrepancy sample of the redundancy.
 
     Args:
         machine: from `flexopt.load`.
@@ -55,32 +55,32 @@ def inverse_kinematics(
     arguments.checked("seed", seed, check_seed, 0)
     arguments.done()
     plant = build_plant(machine)
-    leading = leading_samples(plant, LEADING_SAMPLES, seed)
-    bases = np.repeat(placement[:, None], leading.shape[1], axis=1)
-    found: list[Vector] = []
-    within_reach = False
+    free = plant.n_actuated - 2
+    unit = low_discrepancy(free, SAMPLES, seed) if free else np.zeros((0, 1))
+    bases = np.repeat(placement[:, None], unit.shape[1], axis=1)
+    reached: list[Vector] = []
     for name, sign in ELBOW_SIGN.items():
-        if elbow not in (None, name):
-            continue
-        postures, reached = branch(plant, point, bases, leading, sign)
-        within_reach = within_reach or bool(reached.any())
-        found += [p for p in postures[:, reached].T if inside_limits(machine, p[:, None])[0]]
+        if elbow in (None, name):
+            postures, reaches = branch(plant, point, bases, unit, sign)
+            reached += list(postures[:, reaches].T)
+    if gravity and reached:
+        settled = [_under_gravity(plant, point, placement, posture) for posture in reached]
+        reached = list(_into_limits(machine, np.array(settled).T).T)
+    found = [posture for posture in reached if inside_limits(machine, posture[:, None])[0]]
     if not found:
-        why = "every posture that reaches it breaks a joint limit" if within_reach else ""
+        why = "every posture that reaches it breaks a joint limit" if reached else ""
         raise unreachable(plant, point, placement, why)
-    if gravity:
-        found = [_under_gravity(plant, point, placement, posture) for posture in found]
     return _distinct(found)
 
 
-def branch(plant: Plant, target: Vector, bases: Vector, leading: Vector, sign: float) -> tuple[Vector, Any]:
+def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: float) -> tuple[Vector, Any]:
     """One elbow branch over many placements at once.
 
     Args:
         plant: the machine's plant.
         target: (2,), m, inertial frame.
         bases: (n_b, N) placements.
-        leading: (n − 2, N) angles of the joints before the last two.
+        unit: (n − 2, N) coordinates in [0, 1] of the joints before the last two, see `planar.build_reaching`.
         sign: −1 elbow up, +1 elbow down.
 
     Returns:
@@ -88,27 +88,25 @@ def branch(plant: Plant, target: Vector, bases: Vector, leading: Vector, sign: f
     """
     count = bases.shape[1]
     targets, signs = np.repeat(target[:, None], count, axis=1), np.full((1, count), sign)
-    out = plant.posture_at.call([targets, bases, leading, signs, plant.parameter_values])
+    out = plant.posture_at.call([targets, bases, unit, signs, plant.parameter_values])
     postures, cosine = out[0].full(), out[1].full().ravel()
-    for row, (low, high) in enumerate(plant.machine.limits):
-        postures[row, postures[row] < low - EDGE] += 2 * math.pi
-        postures[row, postures[row] > high + EDGE] -= 2 * math.pi
-    return postures, np.abs(cosine) <= 1 + EDGE
+    return _into_limits(plant.machine, postures), np.abs(cosine) <= 1 + EDGE
+
+
+def _into_limits(machine: Machine, postures: Vector) -> Vector:
+    """The same postures (n, N), turned by multiples of 2π into the joint limits where that is possible."""
+    turned = postures.copy()
+    for row, (low, high) in enumerate(machine.limits):
+        if math.isfinite(low):
+            turns = 2 * math.pi * np.ceil((low - EDGE - postures[row]) / (2 * math.pi))
+            turned[row] += np.where(postures[row] + turns <= high + EDGE, turns, 0.0)
+    return turned
 
 
 def inside_limits(machine: Machine, postures: Vector) -> Any:
     """Mask (N,) of the postures (n, N) that keep every joint limit."""
     low, high = np.array(machine.limits).T[:, :, None]
     return np.all((postures >= low - EDGE) & (postures <= high + EDGE), axis=0)
-
-
-def leading_samples(plant: Plant, count: int, seed: int) -> Vector:
-    """(n − 2, count) angles of the joints before the last two, even over their limits; (0, 1) for two joints."""
-    n = plant.n_actuated - 2
-    if n == 0:
-        return np.zeros((0, 1))
-    low, high = np.clip(np.array(plant.machine.limits[:n]).T, -math.pi, math.pi)
-    return low[:, None] + (high - low)[:, None] * low_discrepancy(n, count, seed)
 
 
 def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:

@@ -19,6 +19,7 @@ from itertools import pairwise
 
 import casadi as ca
 
+from flexopt.algebra import safe_norm
 from flexopt.model.machine import Machine
 
 
@@ -187,11 +188,18 @@ def _sum(terms: Iterable[ca.SX]) -> ca.SX:
 
 
 @dataclass(frozen=True)
-class TipGraph:
-    """Closed-form placement of the last two actuated joints, and the arm's segments, as SX graphs."""
+class ReachingGraph:
+    """Closed-form inverse kinematics and the arm's segments, as SX graphs.
+
+    Attributes:
+        target: (2,); elbow: −1 or +1; unit: (n − 2,) free coordinates in [0, 1].
+        posture: (n,).
+        cos_elbow: beyond ±1 where the target is out of reach.
+        first_joint_point, segment_lengths: where the arm starts at rest (2,), and the lengths between its joints (n,).
+    """
 
     target: ca.SX
-    leading: ca.SX
+    unit: ca.SX
     elbow: ca.SX
     posture: ca.SX
     cos_elbow: ca.SX
@@ -199,43 +207,73 @@ class TipGraph:
     segment_lengths: ca.SX
 
 
-def build_tip(machine: Machine, chain: ChainGraph) -> TipGraph:
-    """Inverse kinematics of the last two actuated joints; those before them, `leading`, are given.
+def build_reaching(machine: Machine, chain: ChainGraph) -> ReachingGraph:
+    """Postures that put the end-point on a target, passive joints at rest.
 
-    With L1, L2 the lengths of the last two segments and d the vector from the joint between base side and L1 to the
-    target: cos of the elbow = (|d|² − L1² − L2²) / (2 L1 L2), of sign `elbow` (−1: "up", +1: "down"). Passive
-    joints are at rest. Where |cos| > 1 the target is out of reach and the posture means nothing.
+    The last two segments close the chain: with d the vector from their first joint to the target, the cosine of the
+    elbow is (|d|² − L1² − L2²) / (2 L1 L2), its sign `elbow` (−1: "up", +1: "down"). Each segment of length l before
+    them is turned by ψ from the direction to the target, at distance d; what remains of the arm reaches from there if
+
+        (d² + l² − outer²) / (2 d l) ≤ cos ψ ≤ (d² + l² − inner²) / (2 d l),
+
+    and its unit coordinate runs through exactly those ψ, from −ψ_max over ±ψ_min to ψ_max. So every unit coordinate
+    gives a posture wherever there is one.
     """
     joints = _first_points(machine)
-    target, elbow = ca.SX.sym("target", 2), ca.SX.sym("elbow")
-    leading = ca.SX.sym("leading", len(joints) - 2)
-    straightened = ca.substitute(chain.skeleton, chain.q, chain.rest)
-    straightened = ca.substitute(straightened, chain.posture, ca.vertcat(leading, 0, 0))
-    corners = [straightened[:, k] for k in [*joints, straightened.shape[1] - 1]]
+    n = len(joints)
+    target, elbow, unit = ca.SX.sym("target", 2), ca.SX.sym("elbow"), ca.SX.sym("unit", n - 2)
+    straight = ca.substitute(ca.substitute(chain.skeleton, chain.q, chain.rest), chain.posture, ca.SX.zeros(n, 1))
+    corners = [straight[:, k] for k in [*joints, straight.shape[1] - 1]]
     segments = [end - start for start, end in pairwise(corners)]
-    first, second = segments[-2:]
-    l1, l2 = ca.norm_2(first), ca.norm_2(second)
-    angle1, angle2 = ca.atan2(first[1], first[0]), ca.atan2(second[1], second[0])
-    reach = target - corners[-3]
-    cos_elbow = (ca.dot(reach, reach) - l1**2 - l2**2) / (2 * l1 * l2)
-    bend = elbow * ca.acos(ca.fmax(-1, ca.fmin(1, cos_elbow)))
-    direction = ca.atan2(reach[1], reach[0]) - ca.atan2(l2 * ca.sin(bend), l1 + l2 * ca.cos(bend))
-    posture = ca.vertcat(leading, _wrapped(direction - angle1), _wrapped(bend - (angle2 - angle1)))
-    return TipGraph(
+    lengths = [ca.norm_2(segment) for segment in segments]
+    # Direction of each segment with all joints at 0; the joints before it add their angles.
+    bearings = [ca.atan2(segment[1], segment[0]) for segment in segments]
+
+    angles: list[ca.SX] = []
+    turned, point = ca.SX(0), corners[0]
+    for k in range(n - 2):
+        away = target - point
+        distance = safe_norm(away)
+        rest = lengths[k + 1 :]
+        outer = _sum(rest)
+        inner = ca.fmax(0, 2 * _largest(rest) - outer)
+        both = distance**2 + lengths[k] ** 2
+        least = _acos((both - inner**2) / (2 * distance * lengths[k]))
+        most = _acos((both - outer**2) / (2 * distance * lengths[k]))
+        side = 2 * unit[k] - 1
+        turn = ca.if_else(side < 0, -1.0, 1.0) * (least + (most - least) * ca.fabs(side))
+        absolute = ca.atan2(away[1], away[0]) + turn
+        angles.append(absolute - bearings[k] - turned)
+        turned = turned + angles[-1]
+        point = point + lengths[k] * _e(absolute)
+    away = target - point
+    l1, l2 = lengths[-2:]
+    cos_elbow = (ca.dot(away, away) - l1**2 - l2**2) / (2 * l1 * l2)
+    bend = elbow * _acos(cos_elbow)
+    absolute = ca.atan2(away[1], away[0]) - ca.atan2(l2 * ca.sin(bend), l1 + l2 * ca.cos(bend))
+    angles += [absolute - bearings[-2] - turned, bend - (bearings[-1] - bearings[-2])]
+    return ReachingGraph(
         target=target,
-        leading=leading,
+        unit=unit,
         elbow=elbow,
-        posture=posture,
+        posture=ca.vertcat(*(ca.atan2(ca.sin(angle), ca.cos(angle)) for angle in angles)),
         cos_elbow=cos_elbow,
         first_joint_point=corners[0],
-        segment_lengths=ca.vertcat(*(ca.norm_2(segment) for segment in segments)),
+        segment_lengths=ca.vertcat(*lengths),
     )
+
+
+def _largest(values: list[ca.SX]) -> ca.SX:
+    largest = values[0]
+    for value in values[1:]:
+        largest = ca.fmax(largest, value)
+    return largest
+
+
+def _acos(cosine: ca.SX) -> ca.SX:
+    return ca.acos(ca.fmax(-1, ca.fmin(1, cosine)))
 
 
 def _first_points(machine: Machine) -> list[int]:
     """Column of the skeleton where each actuated joint sits."""
     return [1 + index for index, link in enumerate(machine.links) if not link.passive]
-
-
-def _wrapped(angle: ca.SX) -> ca.SX:
-    return ca.atan2(ca.sin(angle), ca.cos(angle))

@@ -10,7 +10,7 @@ import casadi as ca
 from flexopt.algebra import apply_pseudo_inverse, solve_spd
 from flexopt.model import Machine
 from flexopt.model.problem import Control
-from flexopt.plant.planar import ChainGraph, TipGraph, build_chain, build_tip
+from flexopt.plant.planar import ChainGraph, ReachingGraph, build_chain, build_reaching
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
@@ -167,19 +167,19 @@ class Plant:
         )
 
     @cached_property
-    def tip(self) -> TipGraph:
-        """Closed-form inverse kinematics of the last two actuated joints."""
-        return build_tip(self.machine, self.graph)
+    def reaching(self) -> ReachingGraph:
+        """Closed-form inverse kinematics."""
+        return build_reaching(self.machine, self.graph)
 
     @cached_property
     def posture_at(self) -> ca.Function:
         """Posture that puts the end-point on a target, closed form, passive joints at rest.
 
-        Inputs target (n_task,), base, leading (n − 2,), elbow (−1 up, +1 down), p; outputs posture (n,) and cos_elbow,
-        beyond ±1 where the target is out of reach.
+        Inputs target (n_task,), base, unit (n − 2,) in [0, 1], elbow (−1 up, +1 down), p; outputs posture (n,) and
+        cos_elbow, beyond ±1 where the target is out of reach.
         """
-        t, g = self.tip, self.graph
-        inputs = {"target": t.target, "base": g.base, "leading": t.leading, "elbow": t.elbow, "p": g.p}
+        t, g = self.reaching, self.graph
+        inputs = {"target": t.target, "base": g.base, "unit": t.unit, "elbow": t.elbow, "p": g.p}
         return self._function("posture_at", inputs, [t.posture, t.cos_elbow], ["posture", "cos_elbow"])
 
     @cached_property
@@ -188,9 +188,8 @@ class Plant:
 
         Inputs base, p.
         """
-        t, g = self.tip, self.graph
-        leading = ca.SX.zeros(t.leading.shape[0], 1)
-        outputs = ca.substitute([t.first_joint_point, t.segment_lengths], [t.leading], [leading])
+        t, g = self.reaching, self.graph
+        outputs = [t.first_joint_point, t.segment_lengths]
         return self._function("arm_segments", {"base": g.base, "p": g.p}, outputs, ["first_joint", "lengths"])
 
     @cached_property

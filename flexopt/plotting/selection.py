@@ -65,7 +65,7 @@ def _draw_machines(axes: Axes, selection: Selection) -> None:
     axes.set_ylim(min(float(points[1].min()), 0.0) - 0.12 * size, float(points[1].max()) + 0.28 * size)
     axes.set_xlabel("x, m (inertial frame)")
     axes.set_ylabel("y, m")
-    title = f"{best.machine}: Jacobian {best.control} control, objective {selection.problem.objective}"
+    title = f"{best.machine}: Jacobian {best.control} control, objective {selection.problem.name}"
     axes.set_title(title, fontsize=11)
     axes.legend(loc="upper center", fontsize=8.5, framealpha=0.95)
 

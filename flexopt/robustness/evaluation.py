@@ -17,6 +17,7 @@ from flexopt.model.problem import Control, check_gain
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.robustness.damped import DampedModes, damped_modes
+from flexopt.robustness.margin import build_margin, evaluate_margin
 from flexopt.robustness.measures import Measures, build_measures
 
 SOLVE_TOLERANCE = 1e-8
@@ -29,14 +30,23 @@ class Gradient:
     Attributes:
         variables: placement coordinates, then actuated joints.
         w: ∂w_i/∂variables, (m, n_b + n), per m or rad.
+        epsilon_max: ∂ε_max/∂variables, (n_b + n,).
         parameters: names of the machine's parameters p.
         w_parameters: ∂w_i/∂p, (m, n_par).
+        epsilon_max_parameters: ∂ε_max/∂p, (n_par,).
+        epsilon_max_gain: ∂ε_max/∂kr.
+        epsilon_max_kink: where ε_max has a kink, the gradients of its two branches, (2, n_b + n): along a direction d
+            it changes by min(epsilon_max_kink @ d). None elsewhere.
     """
 
     variables: tuple[str, ...]
     w: Vector
+    epsilon_max: Vector
     parameters: tuple[str, ...]
     w_parameters: Vector
+    epsilon_max_parameters: Vector
+    epsilon_max_gain: float
+    epsilon_max_kink: Vector | None
 
 
 @dataclass(frozen=True)
@@ -61,8 +71,10 @@ class Evaluation:
         static_deflection: passive coordinates minus their rest values, (m,); zero without gravity.
         self_motion_unstabilised: whether the arm has more joints than task rows, so that a motion exists that the
             end-point neither sees nor controls.
-        epsilon_max: not computed yet, None.
-        gain: servo gain kr for ε_max.
+        epsilon_max: ε_max of the damped plant with the servo gain `gain`, Appendix A; None where the feedback of the
+            end-point cannot stabilise the plant.
+        epsilon_max_residual: largest relative residual of its Riccati equations.
+        gain: servo gain kr.
         damped: numerators N0, N1 and poles with damping, where asked for.
         damped_difference: largest |w_damped − w_undamped| / (|a||b|), where damping was asked for.
         skeleton: ground point, joints and end-point, (r, n_bodies + 1), m, inertial frame.
@@ -91,6 +103,7 @@ class Evaluation:
     static_deflection: Vector
     self_motion_unstabilised: bool
     epsilon_max: float | None
+    epsilon_max_residual: float
     gain: float
     damped: DampedModes | None
     damped_difference: float | None
@@ -122,13 +135,17 @@ class Evaluation:
             "in_phase": self.in_phase,
             "in_phase_strict": self.in_phase_strict,
             "epsilon_max": self.epsilon_max,
+            "epsilon_max_residual": self.epsilon_max_residual,
             "gain": self.gain,
             "gradient": {
                 "variables": self.gradient.variables,
                 "w": self.gradient.w,
-                "epsilon_max": None,
+                "epsilon_max": self.gradient.epsilon_max,
                 "parameters": self.gradient.parameters,
                 "w_parameters": self.gradient.w_parameters,
+                "epsilon_max_parameters": self.gradient.epsilon_max_parameters,
+                "epsilon_max_gain": self.gradient.epsilon_max_gain,
+                "epsilon_max_kink": self.gradient.epsilon_max_kink,
             },
             "residues": {"R0": self.rigid_residue, "R": self.residues},
             "clusters": self.clusters,
@@ -157,6 +174,8 @@ class Evaluation:
                 f"   {phase}"
             )
         lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {self.rigid:.5e}; cond Jv = {self.condition:.4g}")
+        if self.epsilon_max is not None:
+            lines.append(f"  robust stability margin ε_max = {self.epsilon_max:.6f} at gain kr = {self.gain:g}")
         if self.damped_difference is not None:
             lines.append(
                 f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|"
@@ -183,7 +202,7 @@ def evaluate(
         posture: actuated joints (n,), rad.
         base: placement x, m.
         control: Jacobian `"inverse"` (the Moore–Penrose inverse for a redundant arm) or `"transpose"`.
-        gain: servo gain kr of the margin ε_max, which this version does not compute yet.
+        gain: servo gain kr of the margin ε_max.
         damped: measures from the numerators N0 of the damped plant instead of R_i.
         gravity: solve for the static deflection.
 
@@ -239,7 +258,8 @@ def evaluate_checked(
         w, w_z, w_p = detail.w, detail.w_z, detail.w_p
         frequencies = np.abs(detail.poles) / (2 * math.pi)
         ratios = -detail.poles.real / np.abs(detail.poles)
-    sentences = _warnings(clusters, frequencies, damped)
+    margin = evaluate_margin(build_margin(machine, control, gravity), base, posture, gain)
+    sentences = _warnings(clusters, frequencies, damped) + ((margin.warning,) if margin.warning else ())
     for sentence in sentences:
         python_warnings.warn(sentence, FlexoptWarning, stacklevel=3)
     _check_finite(w, w_z[[i for i in range(m) if not any(i in c for c in clusters)]], frequencies, ratios, traces)
@@ -261,12 +281,22 @@ def evaluate_checked(
         in_phase_strict=tuple(bool(np.all(d >= 0)) for d in diagonals),
         rigid_residue=v["rigid"],
         residues=residues,
-        gradient=Gradient((*machine.base_coordinates, *machine.joints), w_z, plant.parameter_names, w_p),
+        gradient=Gradient(
+            variables=(*machine.base_coordinates, *machine.joints),
+            w=w_z,
+            epsilon_max=margin.z,
+            parameters=plant.parameter_names,
+            w_parameters=w_p,
+            epsilon_max_parameters=margin.p,
+            epsilon_max_gain=margin.kr,
+            epsilon_max_kink=margin.kink,
+        ),
         clusters=clusters,
         condition=condition,
         static_deflection=v["q"].ravel()[:m] - rest[:m],
         self_motion_unstabilised=plant.n_actuated > r,
-        epsilon_max=None,
+        epsilon_max=margin.epsilon_max,
+        epsilon_max_residual=margin.residual,
         gain=gain,
         damped=detail,
         damped_difference=difference,

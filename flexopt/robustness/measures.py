@@ -154,17 +154,17 @@ class Measures:
     def _composed(self, name: str, outputs: Mapping[str, ca.SX]) -> ca.Function:
         """The Function of (base, posture, p) in which `held` is computed by `hold`, all inlined."""
         g = self.plant.graph
-        inner = self._function(name, [self.held], outputs, {})
+        inner = self._function(name, [self.held], outputs, {"cse": False})
         results = inner.call([g.base, g.posture, g.p, self.hold(g.base, g.posture, g.p)])
         return self._function(name, [], dict(zip(outputs, results, strict=True)), {})
 
     def _function(
-        self, name: str, extra: list[ca.SX], outputs: Mapping[str, ca.SX], options: dict[str, list[bool]]
+        self, name: str, extra: list[ca.SX], outputs: Mapping[str, ca.SX], options: dict[str, list[bool] | bool]
     ) -> ca.Function:
         g = self.plant.graph
         names = ["base", "posture", "p", *(["held"] if extra else [])]
         dense = [ca.densify(output) for output in outputs.values()]
-        return ca.Function(name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), options | {"cse": True})
+        return ca.Function(name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), {"cse": True} | options)
 
 
 @lru_cache(maxsize=64)

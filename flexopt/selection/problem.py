@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from flexopt.errors import Fault, UnreachableTarget
+from flexopt.errors import UnreachableTarget
 from flexopt.model import Machine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.problem import (
@@ -21,15 +21,14 @@ from flexopt.model.problem import (
     Elbow,
     check_gain,
     check_margin_deg,
-    check_objective,
     check_seed,
     check_starts,
-    check_weights,
 )
 from flexopt.model.quantities import COORDINATE_MAX, check_pair
 from flexopt.plant.reach import clipped, reach, unreachable
 from flexopt.plant.statics import not_held
-from flexopt.robustness.measures import Measures, build_measures
+from flexopt.robustness.measures import Measures
+from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
 from flexopt.selection.scan import Scan, scan_redundancy
 
 
@@ -57,15 +56,17 @@ class Constraint:
 
 @dataclass(frozen=True)
 class SelectionProblem:
-    """argmax V(z), V = Σ αi wi, over z = [base, posture] with r(z) = target (article, section 4).
+    """argmax V(z), V = Σ αi wi + β ε_max, over z = [base, posture] with r(z) = target (article, section 4).
 
     Attributes:
         machine, target: what is asked for; target (n_task,), m, inertial frame.
-        objective: its name, `"w1"`, …, or `"V"`;  weights: α, (m,).
+        objectives: what is maximised, in order of importance: each one among the configurations that keep those before.
+        kept: values of V_1, V_2, … that a solution must keep, for the objectives before the one being solved.
         control, gravity, gain: as in `flexopt.evaluate`.
         variables: the placement, then the actuated joints.
         constraints: the target's rows, then the distance from singular postures as sin² of the margin.
-        objective_scale: typical |a||b| of the modes in V; V is divided by it before IPOPT sees it.
+        objective_scales: of each objective: typical |a||b| of its modes, or β of ε_max; V is divided by it before
+            IPOPT sees it.
         scan: the redundancy seen coarsely; its peaks are the starts.
         present_base: where the machine stands now, for the tie-break and the initial posture, or None.
         elbow: branch of the initial posture.
@@ -75,14 +76,14 @@ class SelectionProblem:
 
     machine: Machine
     target: Vector
-    objective: str
-    weights: Vector
+    objectives: tuple[Objective, ...]
+    kept: tuple[float, ...]
     control: Control
     gravity: bool
     gain: float
     variables: tuple[Variable, ...]
     constraints: tuple[Constraint, ...]
-    objective_scale: float
+    objective_scales: tuple[float, ...]
     scan: Scan = field(repr=False)
     present_base: Vector | None
     elbow: Elbow
@@ -91,9 +92,29 @@ class SelectionProblem:
     seed: int
 
     @property
+    def quantities(self) -> Quantities:
+        """The Functions that the objectives are made of."""
+        return quantities(self.machine, self.control, self.gravity, self.gain)
+
+    @property
     def measures(self) -> Measures:
         """The measures' Functions of this problem."""
-        return build_measures(self.machine, self.control, self.gravity)
+        return self.quantities.measures
+
+    @property
+    def name(self) -> str:
+        """Names of the objectives, in order."""
+        return ",".join(objective.name for objective in self.objectives)
+
+    @property
+    def objective(self) -> Objective:
+        """The objective being solved: the first whose value is not kept."""
+        return self.objectives[len(self.kept)]
+
+    @property
+    def objective_scale(self) -> float:
+        """Its scale."""
+        return self.objective_scales[len(self.kept)]
 
     @property
     def lower(self) -> Vector:
@@ -128,25 +149,28 @@ class SelectionProblem:
     def solver(self) -> ca.Function:
         """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameter: shifted target, then p."""
         return build_solver(
-            self.machine,
-            self.control,
-            self.gravity,
-            tuple(self.weights.tolist()),
+            (self.machine, self.control, self.gravity, self.gain),
+            self.objectives[: len(self.kept) + 1],
+            self.objective_scales,
             tuple(self.scale.tolist()),
-            self.objective_scale,
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Target, objective, variables with bounds, constraints."""
         return {
             "target": self.target.tolist(),
-            "objective": self.objective,
-            "weights": self.weights.tolist(),
+            "objective": self.name,
+            "weights": self.objectives[0].weights.tolist(),
+            "objective_scale": self.objective_scales[0],
+            "objectives": [
+                {"name": objective.name, "weights": objective.weights.tolist(), "scale": size}
+                for objective, size in zip(self.objectives, self.objective_scales, strict=True)
+            ],
             "control": self.control,
             "gravity": self.gravity,
             "variables": [vars(v) for v in self.variables],
             "constraints": [vars(c) for c in self.constraints],
-            "objective_scale": self.objective_scale,
+            "gain": self.gain,
             "singularity_margin": self.singularity_margin,
             "present_base": None if self.present_base is None else self.present_base.tolist(),
             "starts": self.starts,
@@ -176,11 +200,12 @@ def build_selection(
     Args:
         machine: from `flexopt.load`.
         target: end-point (2,), m, inertial frame.
-        objective: `"w1"`, `"w2"`, … or `"V"` = Σ αi wi.
+        objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
+            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1.
         control: Jacobian `"inverse"` or `"transpose"`.
-        weights: α of `"V"`, one for each mode.
+        weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
         gravity: measures and end-point under static deflection.
-        gain: servo gain kr, for ε_max in the candidates' evaluations.
+        gain: servo gain kr of ε_max.
         base: present placement x, m: breaks ties and gives the initial posture.
         base_range: (lower, upper) of the placement, m; all placements from which the arm reaches by default.
         elbow: branch of the initial posture.
@@ -212,11 +237,11 @@ def build_selection(
     if starts is not None:
         arguments.checked("starts", starts, check_starts, 1)
     arguments.checked("seed", seed, check_seed, 0)
-    alpha = _weights(arguments, machine, objective, weights)
+    objectives = read_objectives(arguments, machine, objective, weights)
     arguments.done()
 
-    measures = build_measures(machine, control, gravity)
-    plant = measures.plant
+    functions = quantities(machine, control, gravity, kr)
+    measures, plant = functions.measures, functions.measures.plant
     annulus = reach(plant, margin)
     intervals = annulus.base_intervals(point)
     if not intervals:
@@ -225,13 +250,13 @@ def build_selection(
         # Beyond the margin's own ends, so that the margin and not the range is what stops the base.
         whole = reach(plant).base_intervals(point)
         base_range = (whole[0][0], whole[-1][1])
-    scan = scan_redundancy(measures, point, clipped(intervals, base_range), alpha, math.sin(margin) ** 2, seed)
+    scan = scan_redundancy(functions, point, clipped(intervals, base_range), objectives[0], math.sin(margin) ** 2, seed)
     if scan.size == 0 and scan.unsound:
         raise not_held()
     if scan.size == 0:
         raise _why_unreachable(measures, point, base_range, margin, scan.reached)
     factors = measures.w.call([scan.base, scan.posture, plant.parameter_values])[1].full()
-    objective_scale = float(np.median(alpha @ factors)) or 1.0
+    scales = tuple(float(np.median(o.alpha @ factors)) + o.beta or 1.0 for o in objectives)
     variables = [Variable(f"base.{name}", "m", *base_range, annulus.outer) for name in machine.base_coordinates]
     variables += [
         Variable(name, "rad", low, high, 1.0) for name, (low, high) in zip(machine.joints, machine.limits, strict=True)
@@ -244,14 +269,14 @@ def build_selection(
     return SelectionProblem(
         machine=machine,
         target=point,
-        objective=objective,
-        weights=alpha,
+        objectives=objectives,
+        kept=(),
         control=control,
         gravity=gravity,
         gain=kr,
         variables=tuple(variables),
         constraints=tuple(constraints),
-        objective_scale=objective_scale,
+        objective_scales=scales,
         scan=scan,
         present_base=present,
         elbow=elbow,
@@ -259,30 +284,6 @@ def build_selection(
         starts=starts,
         seed=seed,
     )
-
-
-def _weights(arguments: Arguments, machine: Machine, objective: Any, weights: Any) -> Vector:
-    """α of the objective, (m,)."""
-    m = build_measures(machine).plant.n_passive
-    name = arguments.checked("objective", objective, check_objective, "w1")
-    if name != "V":
-        if weights is not None:
-            arguments.faults.append(Fault("weights", f"go with objective V only, not with {name}", str(weights)))
-        mode = int(name[1:])
-        if mode > m:
-            arguments.faults.append(Fault("objective", f"{machine.name} has {m} modes: w1 to w{m}, or V", repr(name)))
-            mode = 1
-        return np.eye(m)[mode - 1]
-    if weights is None:
-        arguments.faults.append(Fault("weights", f"objective V needs {m} of them, one for each mode"))
-        return np.ones(m)
-    alpha = np.array(arguments.checked("weights", weights, check_weights, (1.0,) * m))
-    if alpha.size != m:
-        arguments.faults.append(
-            Fault("weights", f"{machine.name} has {m} modes, so {m} weights are needed", str(weights))
-        )
-        return np.ones(m)
-    return alpha
 
 
 def _why_unreachable(
@@ -307,41 +308,47 @@ def _why_unreachable(
 
 @lru_cache(maxsize=32)
 def build_solver(
-    machine: Machine,
-    control: Control,
-    gravity: bool,
-    weights: tuple[float, ...],
+    what: tuple[Machine, Control, bool, float],
+    objectives: tuple[Objective, ...],
+    objective_scales: tuple[float, ...],
     scale: tuple[float, ...],
-    objective_scale: float,
 ) -> ca.Function:
-    """IPOPT with exact Hessian on min −V / objective_scale in x = z / scale (kept between calls)."""
-    measures = build_measures(machine, control, gravity)
-    plant = measures.plant
-    x = ca.MX.sym("x", plant.n_base + plant.n_actuated)
+    """IPOPT on min −V in scaled variables (kept between calls); the objectives before the last are constraints.
+
+    Where V has kinks, it is the smaller of two branches, and the largest t below both of them is sought instead
+    (epigraph): with both in sight a step near a kink does not depend on which of them is the smaller one just now.
+    Smooth objectives get their exact Hessian, the others the exact gradient of each branch.
+    """
+    functions = quantities(*what)
+    plant = functions.measures.plant
+    n_z, last = plant.n_base + plant.n_actuated, objectives[-1]
+    x = ca.MX.sym("x", n_z + (1 if last.has_kinks else 0))
     parameters = ca.MX.sym("parameters", plant.n_task + len(plant.parameter_names))
     target, p = parameters[: plant.n_task], parameters[plant.n_task :]
-    z = x * ca.DM(list(scale))
+    z = x[:n_z] * ca.DM(list(scale))
     base, posture = z[: plant.n_base], z[plant.n_base :]
-    w, end_point = measures.nested.call([base, posture, p])
-    margin = plant.singularity_sine_squared(base, posture, p)
-    nlp = {
-        "x": x,
-        "p": parameters,
-        "f": -ca.dot(ca.DM(list(weights)), w) / objective_scale,
-        "g": ca.vertcat((end_point - target) / scale[0], margin),
-    }
+    end_point = functions.measures.nested.call([base, posture, p])[1]
+    constraints = [(end_point - target) / scale[0], plant.singularity_sine_squared(base, posture, p)]
+    for objective, size in zip(objectives[:-1], objective_scales, strict=False):
+        constraints += [branch / size for branch in functions.expression(objective, base, posture, p)]
+    branches = [b / objective_scales[len(objectives) - 1] for b in functions.expression(last, base, posture, p)]
+    if last.has_kinks:
+        constraints += [branch - x[n_z] for branch in branches]
+    nlp = {"x": x, "p": parameters, "f": -x[n_z] if last.has_kinks else -branches[0], "g": ca.vertcat(*constraints)}
+    smooth = not any(objective.has_kinks for objective in objectives)
     options = {
         "print_time": False,
         "error_on_fail": False,
         "ipopt": {
             "print_level": 0,
             "sb": "yes",
-            "tol": 1e-10,
-            "constr_viol_tol": 1e-12,
+            "tol": 1e-10 if smooth else 1e-8,
+            "constr_viol_tol": 1e-12 if smooth else 1e-10,
             "acceptable_iter": 0,
             "max_iter": 200,
             "mu_init": 1e-4,
             "bound_relax_factor": 0.0,
+            "hessian_approximation": "exact" if smooth else "limited-memory",
         },
     }
     return ca.nlpsol("selection", "ipopt", nlp, options)

@@ -22,7 +22,7 @@ class Candidate:
 
     Attributes:
         evaluation: every measure there.
-        objective: V.
+        objective: V of the first objective.
         active: names of the bounds and constraints that it rests against.
         target_error: |r − target|, m.
         stationarity: norm of the objective's gradient along the feasible directions, relative to the problem's
@@ -64,7 +64,7 @@ class Selection:
     Attributes:
         best: the first of the candidates.
         candidates: all distinct local optima found, ranked by objective; ties within 1e-9 of |a||b| by the worst of the
-            other w_i, then by the distance from the present base if one was given.
+            other w_i, then by ε_max, then by the distance from the present base if one was given.
         initial: the posture at the present base, where one was given and reaches the target.
         attempts: every start and its outcome.
         problem: what was solved.
@@ -121,21 +121,25 @@ class Selection:
         problem = self.problem
         lines = [
             f"{best.machine}: end-point at ({problem.target[0]:g}, {problem.target[1]:g}) m, "
-            f"Jacobian {best.control} control, objective {problem.objective}: {self.status}",
+            f"Jacobian {best.control} control, objective {problem.name}: {self.status}",
             "  rank "
             + " ".join(f"{name:>9}" for name in names)
-            + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size)),
+            + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size))
+            + f"{'ε_max':>10}",
         ]
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
             e = candidate.evaluation
             numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
-            lines.append(f"  {rank:4d} {numbers}" + "".join(f"{w:13.4e}" for w in e.w) + active)
+            lines.append(f"  {rank:4d} {numbers}{_measures(e)}{active}")
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
-            lines.append(
-                "   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + "".join(f"{w:13.4e}" for w in e.w)
-            )
+            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + _measures(e))
         return "\n".join(lines)
+
+
+def _measures(evaluation: Evaluation) -> str:
+    margin = "         –" if evaluation.epsilon_max is None else f"{evaluation.epsilon_max:10.6f}"
+    return "".join(f"{w:13.4e}" for w in evaluation.w) + margin

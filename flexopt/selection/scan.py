@@ -1,8 +1,8 @@
 """A coarse look at the whole redundancy: where it can be reached, the measures there, and the peaks to start from.
 
 The configurations that reach a target form curves (one degree of redundancy) or surfaces. They are parametrised by the
-placement and the joints before the last two, on a grid (one degree) or a low-discrepancy sample (more); the last two
-joints follow in closed form, one branch for each elbow.
+placement and a coordinate for each joint before the last two, on a grid (one degree) or a low-discrepancy sample
+(more); the postures follow in closed form, one branch for each elbow.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
 from flexopt.plant.reach import Interval
-from flexopt.robustness.measures import Measures
+from flexopt.selection.objective import Objective, Quantities
 
 # Points a branch. Local maxima of the excavator's w1 stand 0.1 m apart and more; the grid resolves a few millimetres.
 GRID_POINTS = 1001
@@ -39,6 +38,7 @@ class Scan:
         base: placements (n_b, N), m.
         posture: (n, N), rad.
         w: measures (m, N), of the posture at rest.
+        epsilon: ε_max (N,) where the objective needs it, else NaN.
         objective: V (N,).
         index: number of the grid point, (N,); neighbours on a curve differ by one.
         reached: whether any point reached the target at all, limits and margin left aside.
@@ -50,6 +50,7 @@ class Scan:
     base: Vector
     posture: Vector
     w: Vector
+    epsilon: Vector
     objective: Vector
     index: NDArray[np.int64]
     reached: bool
@@ -62,17 +63,17 @@ class Scan:
 
 
 def scan_redundancy(
-    measures: Measures,
+    functions: Quantities,
     target: Vector,
     intervals: list[Interval],
-    weights: Vector,
+    objective: Objective,
     sine_squared_min: float,
     seed: int,
 ) -> Scan:
     """Evaluate the measures over all configurations that reach `target` with the base in `intervals`."""
-    plant = measures.plant
+    measures, plant = functions.measures, functions.measures.plant
     machine, p = plant.machine, plant.parameter_values
-    unit, bases, joints, numbers = _sample(machine, intervals, plant.n_actuated - 2, seed)
+    unit, bases, joints, numbers = _sample(intervals, plant.n_actuated - 2, seed)
 
     kept: list[tuple[NDArray[Any], ...]] = []
     reached = False
@@ -88,27 +89,39 @@ def scan_redundancy(
             kept.append((unit[:, good], np.full(good.size, sign), bases[:, good], postures[:, good], w, numbers[good]))
     if not kept:
         n, m = plant.n_actuated, plant.n_passive
-        empty = np.zeros((0, 0)), np.zeros(0), np.zeros((1, 0)), np.zeros((n, 0)), np.zeros((m, 0)), np.zeros(0)
+        empty = (
+            np.zeros((0, 0)),
+            np.zeros(0),
+            np.zeros((1, 0)),
+            np.zeros((n, 0)),
+            np.zeros((m, 0)),
+            np.zeros(0),
+            np.zeros(0),
+        )
         return Scan(*empty, np.zeros(0, dtype=np.int64), reached, unsound=False)
     redundancy, elbow, base, posture, w, index = (np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True))
-    finite = np.all(np.isfinite(w), axis=0)
+    epsilon = np.full(elbow.size, np.nan)
+    value = np.array(objective.alpha) @ w
+    if objective.has_kinks:
+        epsilon = functions.margin.values.call([base, posture, p, functions.gain])[0].full()[0]
+        value = value + objective.beta * epsilon
+    finite = np.isfinite(value) & np.all(np.isfinite(w), axis=0)
     return Scan(
         redundancy[:, finite],
         elbow[finite],
         base[:, finite],
         posture[:, finite],
         w[:, finite],
-        weights @ w[:, finite],
+        epsilon[finite],
+        value[finite],
         index[finite].astype(np.int64),
         reached,
         unsound=not bool(finite.all()),
     )
 
 
-def _sample(
-    machine: Machine, intervals: list[Interval], leading: int, seed: int
-) -> tuple[Vector, Vector, Vector, NDArray[np.int64]]:
-    """Unit coordinates (d, N), placements (1, N), leading joints (n − 2, N), and grid numbers (N,)."""
+def _sample(intervals: list[Interval], leading: int, seed: int) -> tuple[Vector, Vector, Vector, NDArray[np.int64]]:
+    """Unit coordinates (d, N), placements (1, N), unit coordinates of the arm (n − 2, N), and grid numbers (N,)."""
     moves = any(high > low for low, high in intervals)
     degrees = leading + (1 if moves else 0)
     if not intervals:
@@ -119,11 +132,7 @@ def _sample(
     count = SAMPLE_POINTS if degrees > 1 else GRID_POINTS if degrees else 1
     unit = low_discrepancy(degrees, count, seed) if degrees > 1 else np.linspace(0.0, 1.0, count)[None, :][:degrees]
     bases = _placements(intervals, unit[0] if moves else np.zeros(count))
-    joints = np.zeros((0, count))
-    if leading:
-        low, high = np.clip(np.array(machine.limits[:leading]).T, -math.pi, math.pi)
-        joints = low[:, None] + (high - low)[:, None] * unit[degrees - leading :]
-    return unit, bases, joints, np.arange(count, dtype=np.int64)
+    return unit, bases, unit[degrees - leading :], np.arange(count, dtype=np.int64)
 
 
 def _curve(intervals: list[Interval]) -> tuple[Vector, Vector, NDArray[np.int64]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,13 @@ TIE_TOLERANCE = 1e-9
 SAME_POINT = 1e-4
 # Enough for every peak of a curve; the redundancy of longer arms has maxima without end.
 STARTS_DEFAULT = 64
+# What an earlier objective may give up for a later one, relative to its scale: two postures with w that close to 0 are
+# equally robust.
+KEPT_SLACK = 1e-4
 
 Progress = Callable[[int, int], None]
+# A point, its proof, and IPOPT's iterations.
+Found = tuple[Vector, Proof, int]
 
 
 def select(
@@ -96,12 +102,35 @@ def solve_selection(problem: SelectionProblem, *, progress: Progress | None = No
         NoSolutionFound: no start led to a point that passes the checks; names the violated constraints, their sizes
             and the best iterate.
     """
-    starts = peaks(problem.scan)[: problem.starts or STARTS_DEFAULT]
-    found: list[tuple[Vector, Proof, int]] = []
+    indices = peaks(problem.scan)[: problem.starts or STARTS_DEFAULT]
+    starts = [np.concatenate([problem.scan.base[:, k], problem.scan.posture[:, k]]) for k in indices]
+    found, attempts = _optima(problem, starts, progress)
+    while len(problem.kept) + 1 < len(problem.objectives):
+        problem = _next_stage(problem, found)
+        found, more = _optima(problem, [z for z, _, _ in found], None)
+        attempts += more
+    candidates = sorted((_candidate(problem, *item) for item in found), key=lambda c: _rank(problem, c))
+    options = {"target": problem.target.tolist(), "objective": problem.name, "control": problem.control}
+    options |= {"weights": [objective.weights.tolist() for objective in problem.objectives]}
+    options |= {"gravity": problem.gravity, "gain": problem.gain, "seed": problem.seed}
+    return Selection(
+        best=candidates[0],
+        candidates=tuple(candidates),
+        initial=_initial(problem),
+        attempts=tuple(attempts),
+        problem=problem,
+        provenance=provenance(problem.machine, **options),
+    )
+
+
+def _optima(
+    problem: SelectionProblem, starts: list[Vector], progress: Progress | None
+) -> tuple[list[Found], list[Attempt]]:
+    """Distinct verified optima from the starts, and what became of each start."""
+    found: list[Found] = []
     failures: list[tuple[Vector, Proof]] = []
     attempts: list[Attempt] = []
-    for number, index in enumerate(starts):
-        start = np.concatenate([problem.scan.base[:, index], problem.scan.posture[:, index]])
+    for number, start in enumerate(starts):
         z, iterations, status = _run_ipopt(problem, start)
         outcome = f"IPOPT: {status}"
         if np.all(np.isfinite(z)):
@@ -119,40 +148,53 @@ def solve_selection(problem: SelectionProblem, *, progress: Progress | None = No
             progress(number + 1, len(starts))
     if not found:
         raise _no_solution(problem, attempts, failures)
-    candidates = sorted((_candidate(problem, *item) for item in found), key=lambda c: _rank(problem, c))
-    options = {"target": problem.target.tolist(), "objective": problem.objective, "control": problem.control}
-    options |= {"weights": problem.weights.tolist(), "gravity": problem.gravity, "seed": problem.seed}
-    return Selection(
-        best=candidates[0],
-        candidates=tuple(candidates),
-        initial=_initial(problem),
-        attempts=tuple(attempts),
-        problem=problem,
-        provenance=provenance(problem.machine, **options),
-    )
+    return found, attempts
+
+
+def _next_stage(problem: SelectionProblem, found: list[Found]) -> SelectionProblem:
+    """The problem of the next objective, with the best value of the present one to be kept."""
+    n_base = problem.measures.plant.n_base
+    values = [problem.quantities.branches(problem.objective, z[:n_base], z[n_base:])[0][0] for z, _, _ in found]
+    keep = float(max(values)) - KEPT_SLACK * problem.objective_scale
+    good = [item for item, value in zip(found, values, strict=True) if value >= keep]
+    found[:] = good
+    return replace(problem, kept=(*problem.kept, keep))
 
 
 def _run_ipopt(problem: SelectionProblem, start: Vector) -> tuple[Vector, int, str]:
     """One solve from z = start: the point reached, iterations, and IPOPT's own status."""
     solver, p = problem.solver(), problem.measures.plant.parameter_values.full().ravel()
     margin, (shift, target_shift) = problem.constraints[-1], problem.shift
-    zeros = np.zeros(problem.target.size)
+    objective, n_base = problem.objective, problem.measures.plant.n_base
+    x0, lower, upper = ((bound - shift) / problem.scale for bound in (start, problem.lower, problem.upper))
+    fixed, bounded = [np.zeros(problem.target.size)], [np.zeros(problem.target.size)]
+    fixed.append(np.array([margin.lower]))
+    bounded.append(np.array([margin.upper]))
+    for earlier, kept, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
+        branches = 2 if earlier.has_kinks else 1
+        fixed.append(np.full(branches, kept / size))
+        bounded.append(np.full(branches, np.inf))
+    if objective.has_kinks:
+        value = problem.quantities.branches(objective, start[:n_base], start[n_base:])[0][0] / problem.objective_scale
+        x0, lower, upper = np.append(x0, value), np.append(lower, -np.inf), np.append(upper, np.inf)
+        fixed.append(np.zeros(2))
+        bounded.append(np.full(2, np.inf))
     result = solver(
-        x0=(start - shift) / problem.scale,
+        x0=x0,
         p=np.concatenate([problem.target - target_shift, p]),
-        lbx=(problem.lower - shift) / problem.scale,
-        ubx=(problem.upper - shift) / problem.scale,
-        lbg=np.append(zeros, margin.lower),
-        ubg=np.append(zeros, margin.upper),
+        lbx=lower,
+        ubx=upper,
+        lbg=np.concatenate(fixed),
+        ubg=np.concatenate(bounded),
     )
     statistics: dict[str, Any] = solver.stats()
-    z = result["x"].full().ravel() * problem.scale + shift
+    z = result["x"].full().ravel()[: problem.scale.size] * problem.scale + shift
     turns = ~np.isfinite(problem.lower) & ~np.isfinite(problem.upper)
     z[turns] = (z[turns] + math.pi) % (2 * math.pi) - math.pi
     return np.clip(z, problem.lower, problem.upper), int(statistics["iter_count"]), str(statistics["return_status"])
 
 
-def _is_new(problem: SelectionProblem, z: Vector, found: list[tuple[Vector, Proof, int]]) -> bool:
+def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:
     return all(np.abs((z - other) / problem.scale).max() > SAME_POINT for other, _, _ in found)
 
 
@@ -160,7 +202,7 @@ def _candidate(problem: SelectionProblem, z: Vector, proof: Proof, iterations: i
     evaluation = _evaluated(problem, z)
     return Candidate(
         evaluation=evaluation,
-        objective=float(problem.weights @ evaluation.w),
+        objective=problem.objectives[0].value(evaluation.w, evaluation.epsilon_max),
         active=proof.active,
         target_error=proof.target_error,
         stationarity=proof.stationarity,
@@ -181,13 +223,20 @@ def _evaluated(problem: SelectionProblem, z: Vector) -> Evaluation:
     )
 
 
-def _rank(problem: SelectionProblem, candidate: Candidate) -> tuple[float, float, float]:
-    """Sorting key, smallest first: objective, worst of the other w_i, distance from the present base."""
-    quantum = TIE_TOLERANCE * problem.objective_scale
+def _rank(problem: SelectionProblem, candidate: Candidate) -> tuple[float, ...]:
+    """Sorting key, smallest first: the objectives in order, the worst of the w_i in none of them, ε_max, distance."""
     e = candidate.evaluation
-    others = [w for w, weight in zip(e.w, problem.weights, strict=True) if weight == 0] or [0.0]
+    key: list[float] = []
+    first = problem.objective_scales[0]
+    for number, (objective, size) in enumerate(zip(problem.objectives, problem.objective_scales, strict=True)):
+        # An objective that was kept has been kept to within the slack.
+        quantum = (KEPT_SLACK if number < len(problem.kept) else TIE_TOLERANCE) * size
+        key.append(-round(objective.value(e.w, e.epsilon_max) / quantum))
+    used = np.any([np.array(objective.alpha) > 0 for objective in problem.objectives], axis=0)
+    others = [w for w, taken in zip(e.w, used, strict=True) if not taken] or [0.0]
+    epsilon = 0.0 if e.epsilon_max is None else e.epsilon_max
     distance = 0.0 if problem.present_base is None else float(np.linalg.norm(e.base - problem.present_base))
-    return -round(candidate.objective / quantum), -round(min(others) / quantum), distance
+    return (*key, -round(min(others) / (TIE_TOLERANCE * first)), -round(epsilon / TIE_TOLERANCE), distance)
 
 
 def _initial(problem: SelectionProblem) -> Evaluation | None:

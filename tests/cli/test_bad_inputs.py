@@ -371,7 +371,7 @@ OPTION_ROWS = [
     call("objective-option-unknown", f"{SELECT} --objective best", "objective = 'best'", "w1, w2", "V"),
     call("objective-v-alone", f"{SELECT} --objective V", "weights", "objective V needs 3"),
     call("weights-text", f"{SELECT} --objective V --weights 1,b,0", "weights", "'b'", "number, not text"),
-    call("weights-four", f"{SELECT} --objective V --weights 1,1,1,1", "weights", "3 modes", "3 weights"),
+    call("weights-five", f"{SELECT} --objective V --weights 1,1,1,1,1", "weights", "3 modes", "3 weights"),
     call("weights-nan", f"{SELECT} --objective V --weights nan,1,1", "weights", "nan", "finite"),
     call("base-range-option-reversed", f"{SELECT} --base-range 1,-1", "range = [1.0, -1.0]", "reversed", "m"),
     call("base-range-option-one", f"{SELECT} --base-range 1", "range = [1.0]", "[lower, upper] in m"),
@@ -381,7 +381,9 @@ OPTION_ROWS = [
 ]
 
 PHYSICS_ROWS = [
-    machine("falls-over", {"base.stiffness.rotation": "1e4"}, "springs do not hold", "stiffer springs", command=GRAVITY),
+    machine(
+        "falls-over", {"base.stiffness.rotation": "1e4"}, "springs do not hold", "stiffer springs", command=GRAVITY
+    ),
     machine(
         "select-falls-over",
         {"base.stiffness.rotation": "1e4"},

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import flexopt
 from flexopt.selection.check import prove
+from flexopt.selection.objective import Objective
 from flexopt.selection.solve import TIE_TOLERANCE
 
 TARGET = (0.0, 1.6)
@@ -121,7 +122,7 @@ def test_an_impossible_problem_raises_with_the_violated_constraint(selection):
 
 def test_an_objective_that_is_not_a_number_raises(selection):
     """IPOPT stops at once; nothing that it leaves behind may come back as an answer."""
-    broken = replace(selection.problem, weights=np.array([np.nan, 0.0, 0.0]))
+    broken = replace(selection.problem, objectives=(Objective("V", (np.nan, 0.0, 0.0), 0.0),))
     with pytest.raises(flexopt.NoSolutionFound):
         flexopt.solve_selection(broken)
 

@@ -1,0 +1,135 @@
+"""Time of all w_i at many postures at once, with and without the Jacobian, on one core, beside SciPy and NumPy.
+
+Run: python -m benchmarks.batches
+
+The peers get M, K, J and Jv ready made and solve the eigenproblem and the residues; flexopt's time includes computing
+those matrices from the posture. No peer gives a Jacobian. Rounds of all of them are interleaved, so that what else the
+machine does falls on all alike; each time is the least of its rounds.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from unittest import mock
+
+import casadi as ca
+import numpy as np
+import scipy.linalg
+
+import flexopt
+from benchmarks.timing import table
+from flexopt.compiled import Batch, batch
+from flexopt.robustness.measures import Measures
+
+POSTURES = 20_000
+FEW = 500  # for the loop in Python
+ROUNDS = 15
+
+
+@dataclass(frozen=True)
+class Peers:
+    """The peers' work on ready-made matrices: K (n, n), M (N, n, n), J (N, r, n); m modes."""
+
+    stiffness: np.ndarray
+    mass: np.ndarray
+    jacobian: np.ndarray
+    inverse: np.ndarray
+    m: int
+
+    def scipy_loop(self) -> np.ndarray:
+        """(m, FEW): a generalised eigenproblem for each posture."""
+        w, m = np.empty((FEW, self.m)), self.m
+        for k in range(FEW):
+            _, modes = scipy.linalg.eigh(self.stiffness, self.mass[k])
+            a, b = self.jacobian[k] @ modes[:, -m:], self.inverse[k].T @ modes[m:, -m:]
+            w[k] = np.sum(a * b, axis=0) - np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
+        return w.T
+
+    def numpy_batched(self) -> np.ndarray:
+        """(m, N): the reduced eigenproblem of all postures in one call."""
+        m = self.m
+        root = np.sqrt(np.diag(self.stiffness)[:m])
+        flexibility = np.linalg.inv(self.mass)
+        values, z = np.linalg.eigh(root[:, None] * flexibility[:, :m, :m] * root)
+        modes = flexibility[:, :, :m] @ (root[:, None] * z) / np.sqrt(values)[:, None, :]
+        a, b = self.jacobian @ modes, self.inverse.transpose(0, 2, 1) @ modes[:, m:]
+        return (np.sum(a * b, axis=1) - np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)).T
+
+
+def peers(measures: Measures, postures: np.ndarray) -> Peers:
+    """Their matrices, computed beforehand by the plant's Functions."""
+    plant, n = measures.plant, postures.shape[1]
+    p, m = plant.parameter_values, plant.n_passive
+    mass, jacobian = np.empty((n, 5, 5)), np.empty((n, 2, 5))
+    for k in range(n):
+        q = plant.rest(0, postures[:, k], p)
+        mass[k], jacobian[k] = plant.mass(q, 0, p).full(), plant.jacobian(q, 0, p).full()
+    return Peers(plant.stiffness(p).full(), mass, jacobian, np.linalg.inv(jacobian[:, :, m:]), m)
+
+
+def functions(measures: Measures) -> tuple[ca.Function, ca.Function]:
+    """(base, posture, p) -> w; and w with ∂w/∂posture."""
+    graph, posture = measures.graph, measures.plant.graph.posture
+    both = {"w": graph.w, "w_posture": ca.jacobian(graph.w, posture)}
+    return measures._composed("w", {"w": graph.w}), measures._composed("w_and_jacobian", both)
+
+
+def least_seconds(works: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """The least time of a call of each, over interleaved rounds."""
+    least = dict.fromkeys(works, np.inf)
+    for _ in range(ROUNDS):
+        for name, work in works.items():
+            start = time.perf_counter()
+            work()
+            least[name] = min(least[name], time.perf_counter() - start)
+    return least
+
+
+def main() -> None:
+    """Print the table."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    measures = flexopt.build_measures(flexopt.load("excavator"))
+    rng = np.random.default_rng(0)
+    postures = np.vstack(
+        [rng.uniform(-3, 3, POSTURES), rng.choice([-1, 1], POSTURES) * rng.uniform(0.2, 2.9, POSTURES)]
+    )
+    parameters = np.array(measures.plant.parameter_values).ravel()
+    others = peers(measures, postures)
+    value, both = functions(measures)
+
+    def work(evaluate: Batch) -> Callable[[], np.ndarray]:
+        return lambda: evaluate([0.0], postures, parameters)[0]
+
+    with mock.patch.dict(os.environ, FLEXOPT_COMPILE="0"):
+        machine, machine_both = batch(value), batch(both)
+    lanes, lanes_both = batch(value), batch(both)
+    works = {
+        "SciPy eigh, loop": others.scipy_loop,
+        "NumPy eigh, batched": others.numpy_batched,
+        "flexopt, CasADi VM": work(machine),
+        "flexopt, batch": work(lanes),
+        "flexopt, CasADi VM, with Jacobian": work(machine_both),
+        "flexopt, batch, with Jacobian": work(lanes_both),
+    }
+    reference = others.numpy_batched()
+    seconds = least_seconds(works)
+    per_posture = {name: seconds[name] / (FEW if "loop" in name else POSTURES) for name in works}
+    rows: list[tuple[str, ...]] = [("who", "µs a posture", "NumPy / this", "largest difference from NumPy / |w|max")]
+    for name, function in works.items():
+        result = np.asarray(function())
+        difference = np.abs(result - reference[:, : result.shape[1]]).max() / np.abs(reference).max()
+        ratio = per_posture["NumPy eigh, batched"] / per_posture[name]
+        rows.append((name, f"{1e6 * per_posture[name]:.4f}", f"{ratio:.2f}", f"{difference:.1e}"))
+    print(table(f"All w_i of {POSTURES} random postures of the excavator, one core; batch: {lanes}", rows))
+    quotient = per_posture["flexopt, batch, with Jacobian"] / per_posture["flexopt, batch"]
+    print(
+        f"value with Jacobian / value: {quotient:.2f}; instructions {value.n_instructions()}, {both.n_instructions()}"
+    )
+
+
+if __name__ == "__main__":
+    main()

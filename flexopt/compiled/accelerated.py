@@ -1,0 +1,114 @@
+"""The compiled twin of a Function.
+
+In: any Function that CasADi can write as C. Out: the same Function, names and derivatives included, from a shared
+library; or the Function itself where that cannot be.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import casadi as ca
+
+from flexopt.compiled.compilers import CompilationFailed, Compiler, find_compiler, library_suffix, tell_failure
+from flexopt.compiled.storage import digest, find, recall, remember, store
+
+_PREFIX = "flexopt_"
+_EXPORT = """#if defined(_WIN32)
+#define CASADI_SYMBOL_EXPORT __declspec(dllexport)
+#else
+#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))
+#endif
+"""
+# Up to so many lines of generated code each level stays within about 10 s.
+_LEVELS = ((30_000, "-O2"), (60_000, "-O1"))
+
+
+def accelerate(function: ca.Function, *, order: int = 2) -> ca.Function:
+    """`function`, compiled: same names, shapes and defaults of inputs and outputs, called `flexopt_` + its name.
+
+    Its derivatives up to `order` (0, 1 or 2) are compiled with it: forward and reverse products, and the forward
+    product of the reverse one. Of these CasADi composes Jacobians, gradients and Hessians; higher ones do not exist.
+
+    Returns `function` itself when there is no compiler (told once for each process), when its code does not compile,
+    and when it calls what is not part of it: a Callback, another library.
+    """
+    compiler = find_compiler()
+    if compiler is None or function.is_a("External"):
+        return function
+    try:
+        key = function_key(function, compiler, f"accelerate {order}")
+    except RuntimeError:  # a Callback cannot be serialised
+        return function
+    library = _library(function, order, compiler, key)
+    if library is None:
+        return function
+    try:
+        return ca.external(_PREFIX + function.name(), str(library))
+    except RuntimeError as error:
+        tell_failure(f"{library} could not be loaded ({error})")
+        return function
+
+
+def function_key(function: ca.Function, compiler: Compiler, purpose: str) -> str:
+    """Digest of all that a library depends on: graph, purpose, compiler, processor, CasADi, and this room."""
+    return digest(function.serialize(), purpose, compiler.identity, *compiler.target, ca.CasadiMeta.version(), _room())
+
+
+def level_for(source: str) -> str | None:
+    """How hard to optimise, so that compilation takes seconds; None where it would take too long."""
+    lines = source.count("\n")
+    return next((level for most, level in _LEVELS if lines <= most), None)
+
+
+@cache
+def _room() -> str:
+    """Digest of this room's own text."""
+    here = files("flexopt.compiled")
+    names = sorted(entry.name for entry in here.iterdir() if entry.name.endswith((".py", ".hpp")))
+    return digest(*(here.joinpath(name).read_bytes() for name in names))
+
+
+def _library(function: ca.Function, order: int, compiler: Compiler, key: str) -> Path | None:
+    found = find(key, library_suffix())
+    if found is not None or recall(key) is not None:
+        return found
+    try:
+        source = _source(function, order)
+    except RuntimeError:  # CasADi cannot generate or differentiate it
+        return None
+    level = level_for(source)
+    if level is None:
+        return None
+    try:
+        return store(key, library_suffix(), lambda path: compiler.build(source, path, language="c", level=level))
+    except CompilationFailed as failure:
+        if failure.by_source:
+            remember(key, "CasADi does not generate this Function")
+        else:
+            tell_failure(f"{function.name()} could not be compiled ({failure})")
+        return None
+
+
+def _source(function: ca.Function, order: int) -> str:
+    """C code of the Function and its derivatives, every exported name with our prefix.
+
+    Without it a Function called `step` would meet the function of that name in the C library.
+    """
+    functions = [function]
+    if order >= 1:
+        functions += [function.forward(1), function.reverse(1)]
+    if order >= 2:
+        functions.append(function.reverse(1).forward(1))
+    generator = ca.CodeGenerator("flexopt_generated")
+    for each in functions:
+        generator.add(each)
+    name = re.compile(rf"\b((?:(?:jac|fwd1|adj1)_)*)({re.escape(function.name())})(?=\(|_[a-z])")
+    text = generator.dump()
+    if re.search(r"^int \w+\(const casadi_real\*\* arg.*;$", text, re.MULTILINE):
+        raise RuntimeError(f"{function.name()} calls a function of another library")
+    exported = re.compile("^CASADI_SYMBOL_EXPORT.*$", re.MULTILINE)
+    return _EXPORT + exported.sub(lambda line: name.sub(rf"\1{_PREFIX}\2", line[0]), text)

@@ -1,0 +1,227 @@
+"""Find a C and C++ compiler, and run it.
+
+In: the environment (`FLEXOPT_CXX`, `FLEXOPT_CC`, `FLEXOPT_COMPILE`), PATH, the `ziglang` package. Out: a `Compiler`, or
+none and one message; shared libraries from source text. A compiler serves only after it has built a tiny library that
+loads and runs; that this succeeded is remembered in the cache.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import os
+import platform
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+from flexopt.compiled.storage import digest, recall, remember
+from flexopt.errors import CompilerNotFound
+
+_LOG = logging.getLogger(__name__)
+_SUFFIX = {"Darwin": ".dylib", "Windows": ".dll"}.get(platform.system(), ".so")
+# Strict IEEE: -ffast-math would switch the whole process to flush-to-zero when the library is loaded.
+_FLAGS = (
+    "-shared", "-fPIC", "-fvisibility=hidden", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-w",
+)  # fmt: skip
+_TARGETS = (("-march=native",), ("-mcpu=native",), ())
+_TINY = 'extern "C" __attribute__((visibility("default"))) int flexopt_answer() { return 42; }'
+
+
+class CompilationFailed(Exception):
+    """The compiler refused a source, or took too long.
+
+    Attributes:
+        by_source: whether it complained about a place in the source, and so will always.
+    """
+
+    def __init__(self, message: str, output: str = "") -> None:
+        super().__init__(message)
+        self.by_source = re.search(r"source\.c(pp)?:\d+:\d+: (fatal )?error", output) is not None
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A command that compiles C and C++.
+
+    Attributes:
+        command: the program and its fixed arguments.
+        identity: changes whenever the compiler or the processor does.
+        target: flags that choose the processor's instructions.
+    """
+
+    command: tuple[str, ...]
+    identity: str
+    target: tuple[str, ...]
+
+    def build(self, source: str, library: Path, *, language: str, level: str = "-O2", seconds: float = 60.0) -> None:
+        """Compile `source` (language "c" or "c++") into the shared library at `library`.
+
+        Raises:
+            CompilationFailed: the compiler refused it, failed, or was stopped after `seconds`.
+        """
+        standard = "-std=c++17" if language == "c++" else "-std=c11"
+        with tempfile.TemporaryDirectory(prefix="flexopt-", ignore_cleanup_errors=True) as folder:
+            text = Path(folder) / ("source.cpp" if language == "c++" else "source.c")
+            text.write_text(source, encoding="utf-8")
+            arguments = [*self.command, standard, level, *_FLAGS, *self.target, "-o", str(library)]
+            libraries = [] if platform.system() == "Windows" else ["-lm"]
+            _run([*arguments, "-x", language, str(text), *libraries], seconds)
+        if not library.exists():
+            raise CompilationFailed(f"{self.command[0]} wrote no library")
+
+
+def library_suffix() -> str:
+    """Ending of shared libraries on this system, with its dot."""
+    return _SUFFIX
+
+
+def find_compiler() -> Compiler | None:
+    """The compiler in use, or None when there is none that works or `FLEXOPT_COMPILE=0`; tells so once."""
+    if os.environ.get("FLEXOPT_COMPILE", "1").strip().lower() in {"0", "off", "no", "false"}:
+        _log_once("compilation is switched off by FLEXOPT_COMPILE; CasADi's virtual machine serves")
+        return None
+    chosen = tuple(os.environ.get(name, "") for name in ("FLEXOPT_CXX", "FLEXOPT_CC"))
+    found, reasons = _search(chosen, os.environ.get("PATH", ""))
+    if found is None:
+        _warn_once(f"no C++ compiler ({reasons}); results are the same, computed more slowly. `pip install ziglang` "
+                   "brings a compiler; FLEXOPT_CXX names one")  # fmt: skip
+    return found
+
+
+def tell_failure(what: str) -> None:
+    """Say once that compilation failed and that the virtual machine serves instead."""
+    _warn_once(f"{what}; results are the same, computed more slowly")
+
+
+@cache
+def _search(chosen: tuple[str, ...], path: str) -> tuple[Compiler | None, str]:
+    """The first candidate that works, and why the others do not."""
+    reasons: list[str] = []
+    for command in _candidates(chosen, path):
+        compiler, reason = _examined(command)
+        if compiler is not None:
+            _LOG.info("compiling with %s", " ".join(command))
+            return compiler, ""
+        reasons.append(f"{' '.join(command)}: {reason}")
+    return None, "; ".join(reasons) or "none on PATH"
+
+
+def _candidates(chosen: tuple[str, ...], path: str) -> list[tuple[str, ...]]:
+    named = [tuple(shlex.split(text, posix=os.name == "posix")) for text in chosen if text.strip()]
+    if named:
+        return named
+    on_path = [(name,) for name in ("c++", "g++", "clang++") if shutil.which(name, path=path)]
+    zig = [(sys.executable, "-m", "ziglang", "cc")] if find_spec("ziglang") else []
+    return on_path + zig
+
+
+def _examined(command: tuple[str, ...]) -> tuple[Compiler | None, str]:
+    """The compiler if it builds a library that runs, else the reason."""
+    identity = _identity(command)
+    if identity is None:
+        return None, "not found"
+    known = recall("compiler-" + identity)
+    if known is not None:
+        return Compiler(command, identity, tuple(json.loads(known))), ""
+    reason = ""
+    for target in _TARGETS:
+        compiler = Compiler(command, identity, target)
+        reason = _trial(compiler)
+        if not reason:
+            remember("compiler-" + identity, json.dumps(target))
+            return compiler, ""
+    return None, reason
+
+
+def _trial(compiler: Compiler) -> str:
+    """Empty if a tiny library can be built, loaded and called; else the reason in one line."""
+    with tempfile.TemporaryDirectory(prefix="flexopt-", ignore_cleanup_errors=True) as folder:
+        library = Path(folder) / f"tiny{_SUFFIX}"
+        try:
+            compiler.build(_TINY, library, language="c++")
+            answer = ctypes.CDLL(str(library)).flexopt_answer()
+        except (CompilationFailed, OSError, AttributeError) as error:
+            return str(error).splitlines()[0] if str(error) else type(error).__name__
+    return "" if answer == 42 else f"its library answers {answer}"
+
+
+def _identity(command: tuple[str, ...]) -> str | None:
+    """Digest of command, program file and processor, without running anything; None if there is no such program."""
+    program = shutil.which(command[0])
+    if program is None:
+        return None
+    file = Path(program).resolve()
+    if "ziglang" in command:
+        spec = find_spec("ziglang")
+        file = Path(spec.origin) if spec and spec.origin else file
+    status = file.stat()
+    return digest(*command, str(file), str(status.st_size), str(status.st_mtime_ns), _processor())
+
+
+@cache
+def _processor() -> str:
+    """The processor's features as far as the system tells them; a cache may be shared between machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        parts = [line for line in lines if line.startswith(("flags", "Features", "model name", "CPU part"))]
+        return platform.machine() + "\n".join(sorted(set(parts)))
+    except OSError:
+        return f"{platform.machine()} {platform.processor()}"
+
+
+def _run(arguments: list[str], seconds: float) -> None:
+    """Run a compiler; on time-out end it together with the programs it started."""
+    environment = os.environ | {"LC_ALL": "C"}
+    try:
+        process = subprocess.Popen(
+            arguments, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors="replace", start_new_session=True,
+        )  # fmt: skip
+    except OSError as error:
+        raise CompilationFailed(f"{arguments[0]} cannot be started ({error.strerror})") from error
+    try:
+        output, _ = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired as error:
+        _end(process)
+        raise CompilationFailed(f"{arguments[0]} took longer than {seconds:g} s") from error
+    except BaseException:
+        _end(process)
+        raise
+    if process.returncode != 0:
+        first = next((line for line in output.splitlines() if "error" in line), output.strip()[:200])
+        raise CompilationFailed(f"{arguments[0]} ended with {process.returncode}: {first}", output)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    if os.name == "posix":
+        os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+    process.communicate()
+
+
+@cache
+def _log_once(message: str) -> None:
+    _LOG.info(message)
+
+
+_warned = False
+
+
+def _warn_once(message: str) -> None:
+    global _warned  # noqa: PLW0603 - one message for each process, whoever asks first
+    if not _warned:
+        _warned = True
+        _LOG.info(message)
+        warnings.warn(message, CompilerNotFound, stacklevel=4)

@@ -1,0 +1,63 @@
+"""A Function at many points by CasADi's virtual machine: what `Batch` does where nothing can be compiled.
+
+In: a Function and one row of values for each nonzero of its inputs. Out: one row for each nonzero of its outputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+_CHUNKS = (256, 16, 1)
+
+Array = NDArray[np.float64]
+
+
+class Interpreted:
+    """Evaluates in chunks of several points, which costs one call of the virtual machine each."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+        self._chunks = dict[int, _Chunk]()
+
+    def __call__(self, inputs: Sequence[Array], outputs: Sequence[Array], begin: int, end: int) -> None:
+        """Points begin .. end-1. `inputs` (nonzeros, N) or (nonzeros, 1), `outputs` (nonzeros, N), written in place."""
+        while begin < end:
+            size = next(size for size in _CHUNKS if size <= end - begin)
+            if size not in self._chunks:
+                self._chunks[size] = _Chunk(self._function, size)
+            self._chunks[size](inputs, outputs, begin)
+            begin += size
+
+
+class _Chunk:
+    """The Function at `size` points, called through buffers that are kept with it."""
+
+    def __init__(self, function: ca.Function, size: int) -> None:
+        mapped = function if size == 1 else function.map(size)
+        self._size = size
+        self._points = Interpreted(function) if size > 1 else None
+        self._x = [np.zeros((size, function.nnz_in(k))) for k in range(function.n_in())]
+        self._y = [np.zeros((size, function.nnz_out(k))) for k in range(function.n_out())]
+        self._buffer, evaluate = mapped.buffer()
+        self._evaluate: Callable[[], None] = evaluate
+        for k, x in enumerate(self._x):
+            self._buffer.set_arg(k, x.data)  # pyright: ignore[reportCallIssue] - the stubs ask for a size
+        for k, y in enumerate(self._y):
+            self._buffer.set_res(k, y.data)  # pyright: ignore[reportCallIssue]
+
+    def __call__(self, inputs: Sequence[Array], outputs: Sequence[Array], begin: int) -> None:
+        at = slice(begin, begin + self._size)
+        for x, values in zip(self._x, inputs, strict=True):
+            x[:] = values[:, at].T if values.shape[1] != 1 else values.T
+        self._evaluate()
+        failed = self._buffer.ret() != 0
+        if failed and self._points is not None:
+            for k in range(at.start, at.stop):
+                self._points(inputs, outputs, k, k + 1)
+            return
+        for y, values in zip(self._y, outputs, strict=True):
+            values[:, at] = np.nan if failed else y.T

@@ -1,0 +1,36 @@
+"""The last line of defence: no raw NumPy or LAPACK exception, and no floating-point warning, reaches the caller.
+
+In: a public function. Out: the same function, whose numerical breakdowns become `NoSolutionFound`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+import numpy as np
+
+from flexopt.errors import NoSolutionFound
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def guarded(function: Callable[P, T]) -> Callable[P, T]:
+    """`function`, with overflow kept silent (its results are checked) and singular matrices turned into a sentence."""
+
+    @wraps(function)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            with np.errstate(all="ignore"):
+                return function(*args, **kwargs)
+        except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError) as error:
+            raise NoSolutionFound(
+                f"{function.__name__}: the numbers span too many orders of magnitude for double precision ({error}); "
+                "choose units in which they are closer together",
+                violations={},
+                iterate={},
+            ) from None
+
+    return inner

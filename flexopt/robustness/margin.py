@@ -1,0 +1,320 @@
+"""The robust stability margin ε_max of a machine's posture, and its exact gradient, as CasADi Functions.
+
+ε_max = (1 + λmax(X Z))^(−1/2) of the plant (A, kr B, C); article, Appendix A. A change of state coordinates changes
+nothing, so the plant is written in modal coordinates, balanced and with scaled time; these numbers are held constant
+like the eigenvectors of `measures`. The gradient comes from two adjoint Lyapunov equations and one reverse sweep,
+whatever the number of variables: with X Z r = λ r, rᵀ Z r = 1, l = Z r it is dλ = lᵀ dX l + λ rᵀ dZ r, and
+
+    A_x P_X + P_X A_xᵀ = −l lᵀ,  A_x = A − B Bᵀ X;      A_z P_Z + P_Z A_zᵀ = −λ r rᵀ,  A_z = Aᵀ − Cᵀ C Z;
+    ∂λ = ∂ [tr(P_X F_X) + tr(P_Z F_Z)]   with X, Z, P held and F the residuals of the two Riccati equations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+
+from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
+from flexopt.algebra.riccati import lyapunov, riccati_pair, top_eigenpairs
+from flexopt.coprime import robust_margin
+from flexopt.errors import FlexoptError, NotStabilizable
+from flexopt.model import Machine
+from flexopt.model.arguments import Vector
+from flexopt.model.problem import Control
+from flexopt.plant.plant import OperatingPoint, Plant, build_plant
+from flexopt.robustness.modes import reduced_pencil, solve_modes
+from flexopt.robustness.residues import residue_factors, rigid_residue
+
+# A direction that the input or the output hardly touches is balanced as if it did by this share of the strongest one.
+WEAKEST = 1e-4
+# Near singular postures the equations are badly conditioned: a residual of 1e-8 goes with 1e-10 in ε_max there.
+RESIDUAL_TOLERANCE = 1e-6
+# Eigenvalues this close, in ε, are at a kink: on its two sides the gradient belongs to different branches.
+KINK_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class Margin:
+    """ε_max of one machine under one controller.
+
+    Functions take base (n_b,), posture (n,), p (n_par,) and kr (1,). The state is [velocities; positions], passive
+    coordinates and then the arm's contribution r_a = Jv q_a to the end-point in place of its joints: the self-motion
+    of a redundant arm, an undamped double pole at 0 that the end-point neither sees nor moves, is left out that way.
+
+    Attributes:
+        plant, control, gravity: as in `Measures`.
+        keeps_joint_rates: whether all joint rates stay states, because joint damping couples a redundant arm's
+            self-motion to the rest (and stabilises it).
+    """
+
+    plant: Plant
+    control: Control
+    gravity: bool
+    keeps_joint_rates: bool
+
+    @property
+    def n_rates(self) -> int:
+        """Number of velocity states."""
+        return self.plant.n_passive + (self.plant.n_actuated if self.keeps_joint_rates else self.plant.n_task)
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return self.n_rates + self.plant.n_passive + self.plant.n_task
+
+    @cached_property
+    def hold(self) -> ca.Function:
+        """(base, posture, p, kr) -> held: deflection, state scaling T (n_states, n_states) and the time scale."""
+        plant, g = self.plant, self.plant.graph
+        kr = ca.SX.sym("kr")
+        deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX.zeros(plant.n_passive, 1)
+        at = plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
+        pencil = reduced_pencil(at, plant.n_passive)
+        values, modes, _ = solve_modes(pencil)
+        a, b = residue_factors(at, pencil, modes, self.control)
+        rigid = kr * safe_norm(ca.vec(rigid_residue(at, pencil, self.control)))
+        # The geometric mean of the modes' frequencies and of where the rigid part crosses gain one.
+        logarithms = ca.sum(ca.log(values)) + plant.n_task * ca.log(rigid)
+        rate = ca.exp(logarithms / (2 * (values.shape[0] + plant.n_task)))
+        out, into = (ca.sqrt(ca.sum1(x**2)).T for x in (a, b))
+        out, into = (x + WEAKEST * ca.mmax(x) for x in (out, into))
+        vibration = modes @ diagonal(ca.sqrt(kr * into / out) / rate)
+        position = _block(vibration, ca.sqrt(rigid) / rate * ca.SX.eye(plant.n_task))
+        velocity = position
+        if self.keeps_joint_rates:
+            inertia = ca.diag(1 / ca.sqrt(ca.diag(pencil.actuated_mass) / ca.trace(pencil.actuated_mass)))
+            velocity = _block(vibration, ca.sqrt(rigid) / rate * ca.densify(inertia))
+        scaling = _block(rate * velocity, position)
+        inputs = [g.base, g.posture, g.p, kr]
+        held = ca.veccat(deflection, rate, scaling)
+        return ca.Function(
+            "hold_margin",
+            inputs,
+            [held],
+            ["base", "posture", "p", "kr"],
+            ["held"],
+            {"cse": True, "is_diff_out": [False]},
+        )
+
+    @cached_property
+    def scaled_plant(self) -> ca.Function:
+        """(base, posture, p, kr, held) -> A, B, C of the scaled plant, kr in B; differentiable."""
+        plant, g = self.plant, self.plant.graph
+        kr, n, m = ca.SX.sym("kr"), self.n_states, plant.n_passive
+        held = ca.SX.sym("held", m + 1 + n * n)
+        deflection, rate, scaling = held[:m], held[m], ca.reshape(held[m + 1 :], n, n)
+        at = plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
+        a, b, c = self._state_space(at)
+        a, b, c = a / rate, kr * b / rate, c @ scaling
+        solved = ca.solve(scaling, ca.horzcat(a @ scaling, b))
+        outputs = [ca.densify(x) for x in (solved[:, :n], solved[:, n:], c)]
+        names = ["base", "posture", "p", "kr", "held"]
+        return ca.Function(
+            "scaled_plant", [g.base, g.posture, g.p, kr, held], outputs, names, list("ABC"), {"cse": True}
+        )
+
+    def _state_space(self, at: OperatingPoint) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """A, B, C in physical units without the gain."""
+        plant = self.plant
+        m, r, n = plant.n_passive, plant.n_task, plant.n_actuated
+        jv, identity = at.rigid_jacobian, ca.SX.eye(n)
+        pseudo_inverse = apply_pseudo_inverse(jv, ca.SX.eye(r))
+        # q̇_a = spread ν_a and ν_a = gather q̇_a.
+        spread, gather = (identity, identity) if self.keeps_joint_rates else (pseudo_inverse, jv)
+        into = jv.T if self.control == "transpose" else pseudo_inverse
+        spread_all, gather_all = _block(ca.SX.eye(m), spread), _block(ca.SX.eye(m), gather)
+        springs = ca.vertcat(at.stiffness[:m, :m], ca.SX.zeros(n, m))
+        right = ca.horzcat(-at.damping @ spread_all, -springs, ca.vertcat(ca.SX.zeros(m, r), into))
+        accelerations = gather_all @ solve_spd(at.mass, right)
+        k = self.n_rates
+        rates = _block(ca.SX.eye(m), jv @ spread)
+        a = ca.vertcat(
+            ca.horzcat(accelerations[:, :k], accelerations[:, k : k + m], ca.SX.zeros(k, r)),
+            ca.horzcat(rates, ca.SX.zeros(m + r, m + r)),
+        )
+        b = ca.vertcat(accelerations[:, k + m :], ca.SX.zeros(m + r, r))
+        c = ca.horzcat(ca.SX.zeros(r, k), at.jacobian[:, :m], ca.SX.eye(r))
+        return a, b, c
+
+    @cached_property
+    def physical_plant(self) -> ca.Function:
+        """(base, posture, p) -> A, B, C in physical units, self-motion left out, without the gain."""
+        plant, g = self.plant, self.plant.graph
+        deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else None
+        at = plant.operating_point(g.base, g.posture, g.p, deflection)
+        outputs = [ca.densify(x) for x in self._state_space(at)]
+        names = ["base", "posture", "p"]
+        return ca.Function("physical_plant", [g.base, g.posture, g.p], outputs, names, list("ABC"), {"cse": True})
+
+    @cached_property
+    def values(self) -> ca.Function:
+        """(base, posture, p, kr) -> epsilon (2, 1), rest, residual.
+
+        `epsilon` holds (1 + λ)^(−1/2) of the two largest eigenvalues λ of X Z, ε_max first; `rest` is what the doubling
+        had left to do and `residual` the largest relative Riccati residual, both near 1e-14 where it converged.
+        """
+        symbols, (a, b, c), x, z, rest = self._solved()
+        values, _ = top_eigenpairs(self.n_states).call([x, z])
+        residuals = [_relative_residual(a, b, c, x), _relative_residual(a.T, c.T, b.T, z)]
+        residual = ca.fmax(*residuals)
+        return self._function(
+            "margin", symbols, [1 / ca.sqrt(1 + values), rest, residual], ["epsilon", "rest", "residual"]
+        )
+
+    @cached_property
+    def gradients(self) -> ca.Function:
+        """(base, posture, p, kr) -> epsilon (2, 1) and its exact derivatives, a row for each of the two eigenvalues.
+
+        Outputs `epsilon_z` by [base, posture] (2, n_b + n), `epsilon_p` (2, n_par), `epsilon_kr` (2, 1). Where the two
+        eigenvalues cross, ε_max has a kink: its one-sided derivatives are the smaller of the two rows' products with
+        the direction.
+        """
+        symbols, (a, b, c), x, z, _ = self._solved()
+        n = self.n_states
+        values, vectors = top_eigenpairs(n).call([x, z])
+        solve, sweep = lyapunov(n), self._reverse_sweep
+        rows: list[ca.MX] = []
+        for k in range(2):
+            right = vectors[:, k]
+            left = z @ right
+            p_x = solve.call([a - b @ (b.T @ x), left @ left.T])[0]
+            p_z = solve.call([a.T - c.T @ (c @ z), values[k] * (right @ right.T)])[0]
+            slope = sweep.call([*symbols, self.hold.call(symbols)[0], x, z, p_x, p_z])[0]
+            rows.append(slope * (-0.5) * (1 + values[k]) ** (-1.5))
+        stacked = ca.vertcat(*rows)
+        n_z, n_p = self.plant.n_base + self.plant.n_actuated, len(self.plant.parameter_names)
+        outputs = [1 / ca.sqrt(1 + values), stacked[:, :n_z], stacked[:, n_z : n_z + n_p], stacked[:, n_z + n_p :]]
+        return self._function("margin_gradients", symbols, outputs, ["epsilon", "epsilon_z", "epsilon_p", "epsilon_kr"])
+
+    @cached_property
+    def differentiable(self) -> ca.Function:
+        """(base, posture, p, kr) -> epsilon (2, 1), with the adjoint gradient as its derivative: for NLPs."""
+        names, symbols = self._symbols()
+        # CasADi's convention: the Jacobian takes the inputs, then the outputs, and returns a block for each input.
+        out = ca.MX.sym("out_epsilon", 2, 1)
+        _, by_z, by_p, by_kr = self.gradients.call(symbols)
+        n_b = self.plant.n_base
+        blocks = [by_z[:, :n_b], by_z[:, n_b:], by_p, by_kr]
+        jacobian = ca.Function(
+            "jac_epsilon_max", [*symbols, out], blocks, [*names, "out_epsilon"], [f"jac_epsilon_{n}" for n in names]
+        )
+        epsilon = self.values.call(symbols)[0]
+        options = {"custom_jacobian": jacobian, "never_inline": True}
+        return ca.Function("epsilon_max", symbols, [epsilon], names, ["epsilon"], options)
+
+    @cached_property
+    def _reverse_sweep(self) -> ca.Function:
+        """(base, posture, p, kr, held, X, Z, P_X, P_Z) -> gradient of tr(P_X F_X) + tr(P_Z F_Z), a row."""
+        n, g, kr = self.n_states, self.plant.graph, ca.SX.sym("kr")
+        held = ca.SX.sym("held", self.plant.n_passive + 1 + n * n)
+        x, z, p_x, p_z = (ca.SX.sym(name, n, n) for name in ("X", "Z", "P_X", "P_Z"))
+        a, b, c = self.scaled_plant.call([g.base, g.posture, g.p, kr, held])
+        # tr(P F) with symmetric X, Z, P, written so that no n × n product of the graph's own matrices is formed.
+        scalar = 2 * ca.dot(x @ p_x, a) - ca.dot(b, x @ p_x @ x @ b) + ca.dot(c, c @ p_x)
+        scalar = scalar + 2 * ca.dot(p_z @ z, a) - ca.dot(c, c @ z @ p_z @ z) + ca.dot(b, p_z @ b)
+        row = ca.densify(ca.gradient(scalar, ca.vertcat(g.base, g.posture, g.p, kr)).T)
+        inputs = [g.base, g.posture, g.p, kr, held, x, z, p_x, p_z]
+        return ca.Function("margin_sweep", inputs, [row])
+
+    def _symbols(self) -> tuple[list[str], list[ca.MX]]:
+        g = self.plant.graph
+        names = ["base", "posture", "p", "kr"]
+        sizes = [g.base.shape[0], g.posture.shape[0], g.p.shape[0], 1]
+        return names, [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+
+    def _solved(self) -> tuple[list[ca.MX], tuple[ca.MX, ca.MX, ca.MX], ca.MX, ca.MX, ca.MX]:
+        """Symbols, scaled A, B, C, the solutions X and Z and what the doubling left."""
+        _, symbols = self._symbols()
+        a, b, c = self.scaled_plant.call([*symbols, *self.hold.call(symbols)])
+        x, z, rest = riccati_pair(self.n_states).call([a, b @ b.T, c.T @ c])
+        return symbols, (a, b, c), x, z, rest
+
+    def _function(self, name: str, symbols: list[ca.MX], outputs: list[ca.MX], names: list[str]) -> ca.Function:
+        return ca.Function(name, symbols, outputs, self._symbols()[0], names)
+
+
+@lru_cache(maxsize=64)
+def build_margin(machine: Machine, control: Control = "inverse", gravity: bool = False) -> Margin:
+    """The margin of a machine (built once for each machine, controller and gravity option, and kept)."""
+    plant = build_plant(machine)
+    redundant = plant.n_actuated > plant.n_task
+    damped = any(link.joint_damping > 0 for link in machine.links if not link.passive)
+    return Margin(plant, control, gravity, keeps_joint_rates=redundant and damped)
+
+
+@dataclass(frozen=True)
+class PostureMargin:
+    """ε_max of one posture, as numbers.
+
+    Attributes:
+        epsilon_max: None where no feedback of the end-point stabilises the plant.
+        second: (1 + λ_2)^(−1/2) of the next eigenvalue of X Z: ε_max has a kink where the two meet.
+        z: ∂ε_max/∂[base, posture], (n_b + n,);  p: ∂ε_max/∂p, (n_par,);  kr: ∂ε_max/∂kr.
+        kink: the same of both branches, (2, n_b + n), where they meet; else None. The derivative along a direction d is
+            then min(kink @ d).
+        residual: largest relative Riccati residual.
+        warning: a sentence, or empty.
+    """
+
+    epsilon_max: float | None
+    second: float
+    z: Vector
+    p: Vector
+    kr: float
+    kink: Vector | None
+    residual: float
+    warning: str
+
+
+def evaluate_margin(margin: Margin, base: Vector, posture: Vector, kr: float) -> PostureMargin:
+    """ε_max and its derivatives at one posture, with the residuals checked."""
+    arguments = [base, posture, margin.plant.parameter_values, kr]
+    epsilon, rest, residual = (x.full() for x in margin.values.call(arguments))
+    left = max(float(rest[0, 0]), float(residual[0, 0]))
+    n_z, n_p = base.size + posture.size, margin.plant.parameter_values.shape[0]
+    if not left <= RESIDUAL_TOLERANCE:
+        unknown = float("nan")
+        value, sentence = _numerically(margin, base, posture, kr)
+        return PostureMargin(value, unknown, np.full(n_z, np.nan), np.full(n_p, np.nan), unknown, None, left, sentence)
+    _, by_z, by_p, by_kr = (x.full() for x in margin.gradients.call(arguments))
+    first, second = epsilon.ravel()
+    meets = second - first <= KINK_TOLERANCE * first
+    sentence = "ε_max has a kink here: the two largest eigenvalues of XZ meet, and each has its own gradient"
+    return PostureMargin(
+        epsilon_max=float(first),
+        second=float(second),
+        z=by_z[0],
+        p=by_p[0],
+        kr=float(by_kr[0, 0]),
+        kink=by_z if meets else None,
+        residual=left,
+        warning=sentence if meets else "",
+    )
+
+
+def _numerically(margin: Margin, base: Vector, posture: Vector, kr: float) -> tuple[float | None, str]:
+    """ε_max by the general solvers where the doubling with its fixed scaling did not converge, and a sentence."""
+    arguments = [base, posture, margin.plant.parameter_values]
+    a, b, c = (x.full() for x in margin.physical_plant.call(arguments))
+    try:
+        value = float(robust_margin(a, kr * b, c))
+    except NotStabilizable as error:
+        return None, f"ε_max: no feedback of the end-point stabilises the plant ({error.faults[0]})"
+    except FlexoptError:
+        return None, "ε_max: the Riccati equations did not converge; a mode is hardly reached or hardly seen"
+    return value, "ε_max has no gradient here: the plant is nearly not stabilizable"
+
+
+def _block(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Block-diagonal matrix."""
+    return ca.densify(ca.diagcat(a, b))
+
+
+def _relative_residual(a: ca.MX, b: ca.MX, c: ca.MX, x: ca.MX) -> ca.MX:
+    """Largest element of AᵀX + XA − XBBᵀX + CᵀC, relative to that of its terms."""
+    linear, quadratic, constant = a.T @ x, (x @ b) @ (x @ b).T, c.T @ c
+    size = ca.norm_inf(ca.vec(linear)) + ca.norm_inf(ca.vec(quadratic)) + ca.norm_inf(ca.vec(constant))
+    return ca.norm_inf(ca.vec(linear + linear.T - quadratic + constant)) / size

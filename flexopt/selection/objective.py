@@ -1,0 +1,121 @@
+"""What a selection maximises: measures w_i, ε_max, weighted sums of them, one after another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from flexopt.errors import Fault
+from flexopt.model import Machine
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.problem import Control, check_objective, check_weights
+from flexopt.robustness.margin import Margin, build_margin
+from flexopt.robustness.measures import Measures, build_measures
+
+# Two eigenvalues of XZ this close, in ε, both count where stationarity is checked.
+KINK = 1e-5
+
+
+@dataclass(frozen=True)
+class Objective:
+    """V(z) = Σ αi wi + β ε_max.
+
+    Attributes:
+        name: `"w1"`, …, `"V"` or `"epsilon_max"`.
+        alpha: α, (m,), as a tuple, so that an objective can be a key.
+        beta: β; with β > 0 V has kinks where the two largest eigenvalues of XZ meet.
+    """
+
+    name: str
+    alpha: tuple[float, ...]
+    beta: float
+
+    @property
+    def has_kinks(self) -> bool:
+        """Whether ε_max takes part."""
+        return self.beta > 0
+
+    @property
+    def weights(self) -> Vector:
+        """α and, where ε_max takes part, β after it."""
+        return np.array([*self.alpha, self.beta] if self.has_kinks else self.alpha)
+
+    def value(self, w: Vector, epsilon: float | None) -> float:
+        """V from the measures (m,) and ε_max."""
+        share = self.beta * (np.nan if epsilon is None else epsilon) if self.has_kinks else 0.0
+        return float(np.dot(self.alpha, w) + share)
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """The Functions that objectives are made of, for one machine, controller, gravity option and gain."""
+
+    measures: Measures
+    margin: Margin
+    gain: float
+
+    def branches(self, objective: Objective, base: Vector, posture: Vector) -> tuple[Vector, Vector]:
+        """V with each of the two largest eigenvalues of XZ (k,), and their gradients by z (k, n_z).
+
+        V itself is the smaller of the two; k = 1 without ε_max.
+        """
+        p, alpha = self.measures.plant.parameter_values, np.array(objective.alpha)
+        w = self.measures.w.call([base, posture, p])[0].full().ravel()
+        w_z = self.measures.gradients.call([base, posture, p])[0].full()
+        value, gradient = np.atleast_1d(alpha @ w), np.atleast_2d(alpha @ w_z)
+        if not objective.has_kinks:
+            return value, gradient
+        out = self.margin.gradients.call([base, posture, p, self.gain])
+        return value + objective.beta * out[0].full().ravel(), gradient + objective.beta * out[1].full()
+
+    def expression(self, objective: Objective, base: ca.MX, posture: ca.MX, p: ca.MX) -> list[ca.MX]:
+        """The same values as expressions: one, or one for each of the two eigenvalues."""
+        smooth = ca.MX(0)
+        if any(objective.alpha):
+            smooth = ca.dot(ca.DM(list(objective.alpha)), self.measures.nested.call([base, posture, p])[0])
+        if not objective.has_kinks:
+            return [smooth]
+        epsilon = self.margin.differentiable.call([base, posture, p, self.gain])[0]
+        return [smooth + objective.beta * epsilon[k] for k in range(2)]
+
+
+def quantities(machine: Machine, control: Control, gravity: bool, gain: float) -> Quantities:
+    """The Functions for a problem."""
+    return Quantities(build_measures(machine, control, gravity), build_margin(machine, control, gravity), gain)
+
+
+def read_objectives(arguments: Arguments, machine: Machine, objective: Any, weights: Any) -> tuple[Objective, ...]:
+    """The objectives of a call, in order; faults go to `arguments`."""
+    m = build_measures(machine).plant.n_passive
+    names = arguments.checked("objective", objective, check_objective, "w1").split(",")
+    if "V" not in names and weights is not None:
+        arguments.faults.append(Fault("weights", f"go with objective V only, not with {','.join(names)}", str(weights)))
+    return tuple(_objective(arguments, machine, name.strip(), weights, m) for name in names)
+
+
+def _objective(arguments: Arguments, machine: Machine, name: str, weights: Any, m: int) -> Objective:
+    if name == "epsilon_max":
+        return Objective(name, (0.0,) * m, 1.0)
+    if name == "V":
+        return _weighted(arguments, machine, weights, m)
+    mode = int(name[1:])
+    if mode > m:
+        modes = f"{machine.name} has {m} modes: w1 to w{m}, or V, or epsilon_max"
+        arguments.faults.append(Fault("objective", modes, repr(name)))
+    return Objective(name, tuple(1.0 if i == mode - 1 else 0.0 for i in range(m)), 0.0)
+
+
+def _weighted(arguments: Arguments, machine: Machine, weights: Any, m: int) -> Objective:
+    stand_in = Objective("V", (1.0,) * m, 0.0)
+    if weights is None:
+        arguments.faults.append(Fault("weights", f"objective V needs {m} of them, one for each mode"))
+        return stand_in
+    values = arguments.checked("weights", weights, check_weights, (1.0,) * m)
+    if len(values) not in (m, m + 1):
+        sentence = f"{machine.name} has {m} modes, so {m} weights are needed, or {m + 1} with the last for ε_max"
+        arguments.faults.append(Fault("weights", sentence, str(weights)))
+        return stand_in
+    return Objective("V", tuple(values[:m]), values[m] if len(values) > m else 0.0)

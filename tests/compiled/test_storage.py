@@ -1,0 +1,183 @@
+"""The cache on disk: shared, atomic, safe to damage, to delete, and to be without."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from flexopt.compiled import batch, cache_folder, find_compiler
+from flexopt.compiled.storage import digest, find, recall, remember, store
+from tests.compiled.comparison import QUIET
+
+pytestmark = pytest.mark.filterwarnings(QUIET)
+
+PROGRAM = """
+import sys, time, warnings
+import casadi as ca, numpy as np
+warnings.simplefilter("ignore")
+from flexopt.compiled import accelerate, batch
+from flexopt.compiled import accelerated, batched
+if "cached" in sys.argv:
+    def refuse(*_):
+        raise AssertionError("C generated again")
+    accelerated._source = batched.kernel_source = refuse
+x = ca.SX.sym("x", 3)
+f = ca.Function("f", [x], [ca.sin(x[0]) * x[1] + ca.sqrt(ca.fabs(x[2]))])
+points = np.random.default_rng(0).normal(size=(3, 100))
+start = time.perf_counter()
+b, twin = batch(f), accelerate(f)
+seconds = time.perf_counter() - start
+expected = np.sin(points[0]) * points[1] + np.sqrt(np.abs(points[2]))
+assert np.allclose(b(points)[0][0], expected, rtol=1e-13)
+assert np.isclose(float(twin(points[:, 0])), expected[0])
+print(b.compiled, seconds)
+"""
+
+
+def _start(*arguments: str, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *arguments], stdout=subprocess.PIPE, text=True, env=os.environ | environment
+    )
+
+
+def _finished(process: subprocess.Popen[str]) -> tuple[bool, float]:
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    compiled, seconds = output.split()
+    assert compiled == str(find_compiler() is not None)
+    return compiled == "True", float(seconds)
+
+
+def _libraries(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*-*") if path.is_file() and path.suffix in {".so", ".dylib", ".dll"}]
+
+
+def test_a_second_process_loads_what_the_first_built(empty_cache: Path) -> None:
+    compiled, _ = _finished(_start())
+    assert len(_libraries(empty_cache)) == (2 if compiled else 0)
+    _, seconds = _finished(_start("cached"))
+    assert seconds < 1.0  # 5 ms on an idle machine
+
+
+def test_processes_at_once(empty_cache: Path) -> None:
+    compiled = [_finished(process)[0] for process in [_start() for _ in range(3)]]
+    # Some compilers never write the same bytes twice; then the cache holds several libraries that are equally good.
+    assert len(_libraries(empty_cache)) in (range(2, 7) if compiled[0] else [0])
+    _finished(_start("cached"))
+    assert not list(empty_cache.rglob(".new-*"))
+
+
+@pytest.mark.parametrize("damage", ["emptied", "cut", "changed", "text"])
+def test_a_damaged_cache_is_built_again(empty_cache: Path, damage: str) -> None:
+    compiled, _ = _finished(_start())
+    for path in [path for path in empty_cache.rglob("*") if path.is_file()]:
+        data = bytearray(path.read_bytes())
+        if damage == "changed":
+            data[len(data) // 2] ^= 255
+        new = {"emptied": b"", "cut": data[: len(data) // 2], "changed": data, "text": b"text"}[damage]
+        path.write_bytes(new)
+    _finished(_start())
+    if compiled:
+        _finished(_start("cached"))
+        assert len(_libraries(empty_cache)) == 2
+
+
+def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    before = set(Path(tmp_path).rglob("*"))
+    _finished(_start(FLEXOPT_CACHE=str(tmp_path / "file" / "cache"), TMPDIR=str(tmp_path)))
+    assert set(Path(tmp_path).rglob("*")) == before, "the temporary folder is removed at the end"
+
+
+def test_a_cache_that_may_only_be_read(empty_cache: Path) -> None:
+    empty_cache.mkdir()
+    _finished(_start())
+    for path in [empty_cache, *empty_cache.rglob("*")]:
+        path.chmod(0o555)
+    try:
+        _finished(_start("cached"))
+    finally:
+        for path in [empty_cache, *empty_cache.rglob("*")]:
+            path.chmod(0o755)
+
+
+def test_killed_while_compiling(empty_cache: Path, tmp_path: Path) -> None:
+    good = find_compiler()
+    if good is None:
+        _finished(_start())
+        return
+    script, pid = tmp_path / "cc.py", tmp_path / "pid"
+    script.write_text(
+        f"""
+import os, subprocess, sys, time
+if "flexopt_answer" in open(next(a for a in sys.argv if a.endswith((".c", ".cpp")))).read():
+    sys.exit(subprocess.call({list(good.command)!r} + sys.argv[1:]))
+open(sys.argv[sys.argv.index("-o") + 1], "w").write("half a library")
+open({str(pid)!r} + ".new", "w").write(str(os.getpid()))
+os.replace({str(pid)!r} + ".new", {str(pid)!r})
+time.sleep(60)
+""",
+        encoding="utf-8",
+    )
+    process = _start(FLEXOPT_CXX=f"'{sys.executable}' '{script}'")
+    deadline = time.monotonic() + 60
+    while not pid.exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.kill()
+    process.communicate()
+    os.kill(int(pid.read_text(encoding="utf-8")), 9)
+    assert not _libraries(empty_cache)
+    _finished(_start())
+
+
+def test_the_cache_may_be_deleted_while_in_use(empty_cache: Path) -> None:
+    x = ca.SX.sym("x")
+    function = ca.Function("f", [x], [x + 1])
+    first = batch(function)
+    shutil.rmtree(empty_cache, ignore_errors=True)
+    np.testing.assert_array_equal(first([[1.0, 2.0]])[0], [[2.0, 3.0]])
+    np.testing.assert_array_equal(batch(function)([[1.0, 2.0]])[0], [[2.0, 3.0]])
+
+
+def test_texts_and_files_come_back_whole_or_not_at_all(empty_cache: Path) -> None:
+    key = digest("a", b"b")
+    assert key != digest("ab", b"")
+    assert recall(key) is None
+    assert find(key, ".so") is None
+    remember(key, "two words")
+    assert recall(key) == "two words"
+    path = store(key, ".so", lambda library: library.write_bytes(b"content") and None)
+    assert find(key, ".so") == path
+    path.write_bytes(b"conten")
+    assert find(key, ".so") is None
+    assert not path.exists()
+
+
+def test_where_the_cache_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("FLEXOPT_CACHE", str(tmp_path))
+    assert cache_folder() == tmp_path
+    monkeypatch.delenv("FLEXOPT_CACHE")
+    if sys.platform != "win32":
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+        assert cache_folder() == tmp_path / "xdg" / "flexopt"
+        monkeypatch.delenv("XDG_CACHE_HOME")
+        assert cache_folder() == Path.home() / ".cache" / "flexopt"
+
+
+def test_what_killed_processes_left_is_swept(empty_cache: Path) -> None:
+    remember("one", "1")
+    old, new = empty_cache / ".new-old", empty_cache / ".new-new"
+    for path in (old, new):
+        path.write_bytes(b"")
+    os.utime(old, (0, 0))
+    remember("two", "2")
+    assert not old.exists()
+    assert new.exists()

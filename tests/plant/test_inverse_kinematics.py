@@ -1,0 +1,278 @@
+"""Inverse kinematics against forward kinematics written here, and its errors against a numerical search."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from scipy.optimize import minimize
+
+from flexopt import UnreachableTarget, build_plant, inverse_kinematics, load
+from flexopt.model import machine_from_dict
+from tests.oracles.lagrange import lagrange
+from tests.oracles.machines import (
+    NumpySource,
+    Structure,
+    arm_at_rest,
+    draw_machine,
+    machines,
+    random_posture,
+    seeds,
+    segment_lengths,
+)
+
+TWO = {"n_max": 2}
+TURN = 2 * math.pi
+
+
+def shoulder(machine, base):
+    return arm_at_rest(machine, np.zeros(len(machine.joints)), base)[0][0]
+
+
+def annulus(machine):
+    lengths = segment_lengths(machine)
+    return max(0.0, 2 * lengths.max() - lengths.sum()), lengths.sum()
+
+
+def target_inside(rng, machine, base, low=0.2, high=0.8):
+    inner, outer = annulus(machine)
+    radius, angle = inner + rng.uniform(low, high) * (outer - inner), rng.uniform(-math.pi, math.pi)
+    return shoulder(machine, base) + radius * np.array([math.cos(angle), math.sin(angle)])
+
+
+def with_limits(machine, limits):
+    data = machine.to_dict()
+    links = [dict(link) for link in data["links"]]
+    free = [link for link in links if not link.get("passive")]
+    for link, pair in zip(free, limits, strict=True):
+        link["limits"] = tuple(pair)
+    return machine_from_dict(data | {"links": tuple(links)})
+
+
+def wrapped(angle):
+    return (np.asarray(angle) + math.pi) % TURN - math.pi
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(drawn=machines(), seed=seeds)
+def test_every_branch_reaches_the_target(drawn, seed):
+    _, machine = drawn
+    rng = np.random.default_rng(seed)
+    base = float(rng.uniform(-5, 5))
+    target = target_inside(rng, machine, base)
+    postures = inverse_kinematics(machine, target, base=base)
+    assert len(postures) >= 2
+    for posture in postures:
+        assert np.abs(arm_at_rest(machine, posture, base)[1] - target).max() < 1e-12
+    for i, one in enumerate(postures):
+        assert all(np.abs(one - other).max() > 1e-7 for other in postures[:i])
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(drawn=machines(TWO), seed=seeds)
+def test_two_links_give_their_two_branches_up_first(drawn, seed):
+    _, machine = drawn
+    rng = np.random.default_rng(seed)
+    posture = random_posture(rng, machine)
+    posture[1] = rng.choice([-1, 1]) * rng.uniform(0.1, 3.0)
+    base = float(rng.uniform(-5, 5))
+    found = inverse_kinematics(machine, arm_at_rest(machine, posture, base)[1], base=base)
+    assert len(found) == 2
+    assert found[0][1] < 0 < found[1][1]
+    assert np.abs(wrapped(found[0 if posture[1] < 0 else 1] - posture)).max() < 1e-10  # 1e-15 / sin 0.1, squared once
+
+
+def test_straight_arm_is_one_posture():
+    machine = load("excavator")
+    tip = arm_at_rest(machine, np.array([0.3, 0.0]))[1]
+    # One ulp of the target bends the arm by sqrt(eps) ~ 1e-8 to either side; beyond 1e-7 they would be two postures.
+    assert len(inverse_kinematics(machine, tip)) == 1
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(drawn=machines(TWO), seed=seeds)
+def test_limits_are_kept_and_whole_turns_are_used(drawn, seed):
+    _, machine = drawn
+    rng = np.random.default_rng(seed)
+    target = target_inside(rng, machine, 0.0)
+    free = inverse_kinematics(machine, target)
+    low = rng.uniform(-1.5 * math.pi, math.pi, 2)
+    limits = np.stack([low, low + rng.uniform(1.0, TURN - 0.1, 2)], axis=1)
+    check_limits(machine, target, free, limits)
+
+
+@pytest.mark.parametrize(
+    "window",
+    [(-4 * math.pi, -TURN - 0.5), (TURN + 0.5, 4 * math.pi), (-TURN, -0.5), (1.0, TURN), (9.0, 12.0), (-12.0, -9.0)],
+)
+def test_limits_anywhere_in_the_allowed_range(window):
+    machine, rng = load("excavator"), np.random.default_rng(1)
+    for _ in range(30):
+        target = target_inside(rng, machine, 0.0)
+        check_limits(machine, target, inverse_kinematics(machine, target), np.array([window, window]))
+        check_limits(machine, target, inverse_kinematics(machine, target), np.array([window, (-math.pi, math.pi)]))
+
+
+def check_limits(machine, target, free, limits):
+    """Exactly those branches remain that some number of whole turns brings inside the limits."""
+    expected = [
+        posture
+        for posture in free
+        if all(
+            any(low <= angle + k * TURN <= high for k in range(-3, 4))
+            for angle, (low, high) in zip(posture, limits, strict=True)
+        )
+    ]
+    limited = with_limits(machine, limits)
+    if not expected:
+        with pytest.raises(UnreachableTarget, match="limit") as caught:
+            inverse_kinematics(limited, target)
+        assert caught.value.miss == 0.0
+        return
+    found = inverse_kinematics(limited, target)
+    assert len(found) == len(expected)
+    for got, want in zip(found, expected, strict=True):
+        assert np.abs(wrapped(got - want)).max() < 1e-12
+        assert np.all(got >= limits[:, 0] - 1e-11)
+        assert np.all(got <= limits[:, 1] + 1e-11)
+
+
+@pytest.mark.parametrize("structure", [Structure(3, ("x",), ()), Structure(4, ("y",), ()), Structure(5, ("x",), (2,))])
+def test_redundant_arm_gets_many_postures_and_repeats_them(structure):
+    rng = np.random.default_rng(11)
+    for _ in range(5):
+        machine = machine_from_dict(draw_machine(NumpySource(rng), structure))
+        target = target_inside(rng, machine, 0.0, 0.4, 0.6)
+        first = inverse_kinematics(machine, target, seed=5)
+        again = inverse_kinematics(machine, target, seed=5)
+        assert len(first) == len(again) >= 4
+        assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+        other = inverse_kinematics(machine, target, seed=6)
+        assert not any(np.array_equal(a, b) for a in first for b in other)
+
+
+@settings(derandomize=True, deadline=None, max_examples=30)
+@given(drawn=machines(frequency=(4.0, 10.0)), seed=seeds)
+def test_under_gravity_the_deflected_end_point_is_on_the_target(drawn, seed):
+    data, machine = drawn
+    rng = np.random.default_rng(seed)
+    base = float(rng.uniform(-5, 5))
+    target = target_inside(rng, machine, base, 0.3, 0.7)
+    plant, oracle = build_plant(machine), lagrange(data)
+    for posture in inverse_kinematics(machine, target, base=base, gravity=True)[:6]:
+        q_p = plant.deflected(base, posture, plant.parameter_values).full().ravel()
+        q = np.concatenate([q_p, posture])
+        assert np.abs(oracle.dynamics(q, np.zeros(len(q)), base)[3].full().ravel() - target).max() < 1e-9
+
+
+def test_limits_hold_under_gravity_too():
+    machine, target = load("excavator"), [2.0, 1.0]
+    at_rest, loaded = inverse_kinematics(machine, target)[0], inverse_kinematics(machine, target, gravity=True)[0]
+    assert np.abs(loaded - at_rest).max() > 1e-4
+    for joint in range(2):
+        # A limit between the two: the posture at rest keeps it, the loaded one does not.
+        limits = np.array([[-3.2, 3.2], [-3.2, -1e-3]])
+        limits[joint, int(loaded[joint] > at_rest[joint])] = (loaded[joint] + at_rest[joint]) / 2
+        limited = with_limits(machine, limits)
+        try:
+            found = inverse_kinematics(limited, target, gravity=True)
+        except UnreachableTarget:
+            continue
+        for posture in found:
+            assert np.all((posture >= limits[:, 0]) & (posture <= limits[:, 1]))
+        # And the other way round: what only the load brings inside the limits is a posture.
+    for joint in range(2):
+        limits = np.array([[-3.2, 3.2], [-3.2, -1e-3]])
+        limits[joint, int(loaded[joint] < at_rest[joint])] = (loaded[joint] + at_rest[joint]) / 2
+        found = inverse_kinematics(with_limits(machine, limits), target, gravity=True)
+        assert np.abs(found[0] - loaded).max() < 1e-9
+
+
+@settings(derandomize=True, deadline=None, max_examples=30)
+@given(drawn=machines({"n_max": 3}), seed=seeds)
+def test_miss_is_the_distance_to_the_nearest_point_that_can_be_reached(drawn, seed):
+    _, machine = drawn
+    rng = np.random.default_rng(seed)
+    base = float(rng.uniform(-5, 5))
+    inner, outer = annulus(machine)
+    angle, inside = rng.uniform(-math.pi, math.pi), inner > 0.05 and rng.random() < 0.5
+    radius = rng.uniform(0.1, 0.9) * inner if inside else outer * rng.uniform(1.02, 2.0)
+    target = shoulder(machine, base) + radius * np.array([math.cos(angle), math.sin(angle)])
+    with pytest.raises(UnreachableTarget) as caught:
+        inverse_kinematics(machine, target, base=base)
+
+    def distance(posture):
+        gap = arm_at_rest(machine, posture, base)[1] - target
+        return gap @ gap
+
+    starts = [random_posture(rng, machine) for _ in range(12)]
+    nearest = math.sqrt(min(minimize(distance, start, tol=1e-12).fun for start in starts))
+    # BFGS with differences stops at a relative 1e-6 of the squared distance.
+    assert math.isclose(caught.value.miss, nearest, rel_tol=1e-5, abs_tol=1e-6)
+
+
+def check_intervals(machine, rng, just):
+    """Placements just inside an interval reach the target, those just outside do not."""
+    inner, outer = annulus(machine)
+    center = shoulder(machine, 0.0)
+    # Far to the side, and at a height that the arm has; sometimes lower than the hole, which gives two intervals.
+    rise = rng.uniform(-0.9, 0.9) * (inner if inner > 0.1 and rng.random() < 0.5 else outer)
+    target = np.array([rng.uniform(-5, 5), center[1] + rise])
+    far = target[0] - center[0] + 3 * outer
+    with pytest.raises(UnreachableTarget) as caught:
+        inverse_kinematics(machine, target, base=far)
+    intervals = caught.value.base_intervals
+    assert len(intervals) == (2 if abs(rise) < inner else 1)
+    for low, high in intervals:
+        assert low < high
+        for inside, outside in ((low + just, low - just), (high - just, high + just)):
+            for posture in inverse_kinematics(machine, target, base=inside):
+                assert np.abs(arm_at_rest(machine, posture, inside)[1] - target).max() < 1e-12
+            with pytest.raises(UnreachableTarget):
+                inverse_kinematics(machine, target, base=outside)
+
+
+@settings(derandomize=True, deadline=None, max_examples=40)
+@given(drawn=machines(TWO), seed=seeds)
+def test_base_intervals_of_two_joints(drawn, seed):
+    check_intervals(drawn[1], np.random.default_rng(seed), 1e-7)
+
+
+@pytest.mark.parametrize(
+    "structure", [Structure(3, ("x",), ()), Structure(4, ("y",), (1,)), Structure(5, ("rotation",), ())]
+)
+def test_base_intervals_of_more_joints(structure):
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        check_intervals(machine_from_dict(draw_machine(NumpySource(rng), structure)), rng, 1e-3)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_target_of_a_known_posture_is_never_called_unreachable(n):
+    rng = np.random.default_rng(n)
+    for _ in range(100):
+        machine = machine_from_dict(draw_machine(NumpySource(rng), Structure(n, ("x",), ())))
+        target = arm_at_rest(machine, random_posture(rng, machine))[1]
+        assert inverse_kinematics(machine, target)
+
+
+def test_target_that_is_too_high_has_no_base_interval():
+    with pytest.raises(UnreachableTarget) as caught:
+        inverse_kinematics(load("excavator"), [0.0, 10.0])
+    assert caught.value.base_intervals == ()
+    inner, outer = annulus(load("excavator"))
+    assert inner < outer < caught.value.miss + outer
+
+
+@settings(derandomize=True, deadline=None, max_examples=30)
+@given(drawn=machines({"n_min": 3}), seed=seeds)
+def test_passive_arm_joints_stay_at_rest_in_the_chain(drawn, seed):
+    data, machine = drawn
+    rng = np.random.default_rng(seed)
+    plant, target = build_plant(machine), target_inside(rng, machine, 0.0)
+    for posture in inverse_kinematics(machine, target)[:4]:
+        q = plant.rest(0.0, posture, plant.parameter_values).full().ravel()
+        tip = lagrange(data).dynamics(q, np.zeros(len(q)), 0.0)[3].full().ravel()
+        assert np.abs(tip - target).max() < 1e-12
