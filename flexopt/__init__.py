@@ -1,10 +1,18 @@
 """flexopt: configurations of machines on a compliant base in which end-point feedback does not excite the base."""
 
+from flexopt.coprime import RobustMargin as RobustMargin
+from flexopt.coprime import StateSpace as StateSpace
+from flexopt.coprime import gap as gap
+from flexopt.coprime import ncf_margin as ncf_margin
+from flexopt.coprime import nu_gap as nu_gap
+from flexopt.coprime import optimal_controller as optimal_controller
+from flexopt.coprime import robust_margin as robust_margin
 from flexopt.errors import FlexoptError as FlexoptError
 from flexopt.errors import FlexoptWarning as FlexoptWarning
 from flexopt.errors import InputError as InputError
 from flexopt.errors import ModelError as ModelError
 from flexopt.errors import NoSolutionFound as NoSolutionFound
+from flexopt.errors import NotStabilizable as NotStabilizable
 from flexopt.errors import SingularPosture as SingularPosture
 from flexopt.errors import UnreachableTarget as UnreachableTarget
 from flexopt.model import Machine as Machine

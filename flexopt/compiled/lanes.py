@@ -14,8 +14,6 @@ from importlib.resources import files
 
 import casadi as ca
 
-from flexopt.compiled.straight import streamlined
-
 # Helpers of the generated code that `lane.hpp` has under another name.
 _OWN = {
     "casadi_sq": "sq", "casadi_fabs": "fabs", "casadi_fmin": "fmin", "casadi_fmax": "fmax", "casadi_sign": "sign",
@@ -92,7 +90,7 @@ def _generated(function: ca.Function) -> tuple[str, str]:
     match = re.search(r"return (casadi_\w+)\(", exported)
     assert match is not None, exported
     reached = _reached(pieces, match[1])
-    return "\n".join(streamlined(text) for name, text in pieces.items() if name in reached), match[1]
+    return "\n".join(text for name, text in pieces.items() if name in reached), match[1]
 
 
 def _pieces(text: str) -> dict[str, str]:

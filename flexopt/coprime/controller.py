@@ -7,6 +7,7 @@ been checked.
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from flexopt.coprime.system import Matrix, StateSpace, from_arguments
 from flexopt.errors import FlexoptError, NoSolutionFound
 
 ATTAINED = 1e-6
+CLOSE = 1e-10  # no other way is tried below this
 NEGLIGIBLE = 1e-11  # a state of the balanced plant with ν below this moves the margin by less than 2ν
 EQUAL = (1e-8, 1e-12, 1e-5)  # how close two ν count as one
 TURNS = (0.0, 0.4, -0.7)  # rotations of the graph, rad, tried in turn
@@ -56,18 +58,20 @@ def optimal_controller(A: Any, B: Any = None, C: Any = None, D: Any = None, *, d
     """
     plant = from_arguments(A, B, C, D, dt, "optimal_controller")
     epsilon = solve_pairs(scale_for_riccati(plant), "optimal_controller")[0].epsilon
-    best = 0.0
-    for angle in TURNS:
-        for equal in EQUAL:
-            controller, margin = _attempt(plant, angle, equal)
-            if abs(margin / epsilon - 1.0) <= ATTAINED:
-                return controller
-            best = max(best, margin)
+    best, margin = _attempt(plant, TURNS[0], EQUAL[0])
+    for angle, equal in list(product(TURNS, EQUAL))[1:]:
+        if abs(margin / epsilon - 1.0) <= CLOSE:
+            break
+        other, reached = _attempt(plant, angle, equal)
+        if abs(reached / epsilon - 1.0) < abs(margin / epsilon - 1.0):
+            best, margin = other, reached
+    if abs(margin / epsilon - 1.0) <= ATTAINED:
+        return best
     raise NoSolutionFound(
         f"optimal_controller: no proper controller attains ε_max = {epsilon:.6g} to {ATTAINED:g}; the best one tried "
-        f"gives {best:.6g} (the optimal controller may be improper, or ε_max too small for double precision)",
-        violations={"margin": 1.0 - best / epsilon},
-        iterate={"margin": best},
+        f"gives {margin:.6g} (the optimal controller may be improper, or ε_max too small for double precision)",
+        violations={"margin": 1.0 - margin / epsilon},
+        iterate={"margin": margin},
     )
 
 

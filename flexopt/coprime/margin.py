@@ -123,7 +123,7 @@ def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: An
     agreement = abs(pairs[0].epsilon / pairs[1].epsilon - 1.0) if len(pairs) > 1 else None
     sentences = _warnings(agreement, best)
     for sentence in sentences:
-        python_warnings.warn(sentence, FlexoptWarning, stacklevel=2)
+        python_warnings.warn(sentence, FlexoptWarning, stacklevel=3)
     F, G, H = riccati_matrices(scaled.system)
     condition = max(
         riccati.condition(F, G, H, best.X, discrete=system.discrete),

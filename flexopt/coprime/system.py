@@ -191,7 +191,10 @@ def _parts(system: Any, call: str, field: str) -> tuple[Any, Any, Any, Any, Any]
         gain = np.atleast_2d(cast(Any, system))
         if gain.ndim == 2 and gain.size:
             return np.zeros((0, 0)), np.zeros((0, gain.shape[1])), np.zeros((gain.shape[0], 0)), gain, 0.0
-    sentence = "must be a system with A, B, C, D, a tuple (A, B, C[, D[, dt]]), a transfer function, or a gain"
+    sentence = (
+        "must be a system with A, B, C, D, a tuple (A, B, C[, D[, dt]]), a transfer function, or a gain (a number or "
+        "an array)"
+    )
     raise_if_any(InputError, call, [Fault(field, sentence, shown(system))])
     raise AssertionError
 
@@ -217,7 +220,9 @@ def _matrix(field: str, value: Any, faults: list[Fault]) -> Matrix | None:
         faults.append(Fault(field, "must be a matrix: its rows have different lengths", shown(value)))
         return None
     sentence = ""
-    if np.ma.isMaskedArray(value):
+    if value is None:
+        sentence = "is missing"
+    elif np.ma.isMaskedArray(value):
         sentence = "must not be masked"
     elif raw.dtype.kind not in "iuf":
         sentence = "must hold real numbers" + (", not complex ones" if raw.dtype.kind == "c" else "")

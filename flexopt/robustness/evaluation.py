@@ -35,8 +35,8 @@ class Gradient:
         w_parameters: ∂w_i/∂p, (m, n_par).
         epsilon_max_parameters: ∂ε_max/∂p, (n_par,).
         epsilon_max_gain: ∂ε_max/∂kr.
-        epsilon_max_kink: where ε_max has a kink, the gradients of its two branches, (2, n_b + n): along a direction d
-            it changes by min(epsilon_max_kink @ d). None elsewhere.
+        epsilon_max_kink: where the two largest eigenvalues of XZ meet, so that ε_max has a kink, the rows g_11, g_22
+            and g_12, (3, n_b + n), of `epsilon_max_along`. None elsewhere.
     """
 
     variables: tuple[str, ...]
@@ -47,6 +47,18 @@ class Gradient:
     epsilon_max_parameters: Vector
     epsilon_max_gain: float
     epsilon_max_kink: Vector | None
+
+    def epsilon_max_along(self, direction: Vector) -> tuple[float, float]:
+        """Derivatives of the two branches of ε_max along d (n_b + n,), the smaller one that of ε_max itself.
+
+        Eigenvalues of [[g_11·d, g_12·d], [g_12·d, g_22·d]] at a kink; elsewhere twice the gradient's product with d.
+        """
+        if self.epsilon_max_kink is None:
+            slope = float(self.epsilon_max @ direction)
+            return slope, slope
+        first, second, cross = self.epsilon_max_kink @ direction
+        low, high = np.linalg.eigvalsh(np.array([[first, cross], [cross, second]]))
+        return float(low), float(high)
 
 
 @dataclass(frozen=True)

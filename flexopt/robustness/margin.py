@@ -166,28 +166,31 @@ class Margin:
 
     @cached_property
     def gradients(self) -> ca.Function:
-        """(base, posture, p, kr) -> epsilon (2, 1) and its exact derivatives, a row for each of the two eigenvalues.
+        """(base, posture, p, kr) -> epsilon (2, 1) and its exact derivatives, three rows each.
 
-        Outputs `epsilon_z` by [base, posture] (2, n_b + n), `epsilon_p` (2, n_par), `epsilon_kr` (2, 1). Where the two
-        eigenvalues cross, ε_max has a kink: its one-sided derivatives are the smaller of the two rows' products with
-        the direction.
+        Outputs `epsilon_z` by [base, posture] (3, n_b + n), `epsilon_p` (3, n_par), `epsilon_kr` (3, 1). Rows 1 and 2
+        are the gradients g_11, g_22 of the two branches, row 3 is g_12. Where the two eigenvalues meet, ε_max has a
+        kink: along a direction d the branches change by the eigenvalues of [[g_11·d, g_12·d], [g_12·d, g_22·d]], and
+        ε_max by the smaller one.
         """
         symbols, (a, b, c), x, z, _ = self._solved()
         n = self.n_states
         values, vectors = top_eigenpairs(n).call([x, z])
-        solve, sweep = lyapunov(n), self._reverse_sweep
+        solve, sweep, held = lyapunov(n), self._reverse_sweep, self.hold.call(symbols)[0]
+        loop_x, loop_z = a - b @ (b.T @ x), a.T - c.T @ (c @ z)
         rows: list[ca.MX] = []
-        for k in range(2):
-            right = vectors[:, k]
-            left = z @ right
-            p_x = solve.call([a - b @ (b.T @ x), left @ left.T])[0]
-            p_z = solve.call([a.T - c.T @ (c @ z), values[k] * (right @ right.T)])[0]
-            slope = sweep.call([*symbols, self.hold.call(symbols)[0], x, z, p_x, p_z])[0]
-            rows.append(slope * (-0.5) * (1 + values[k]) ** (-1.5))
+        for i, j in ((0, 0), (1, 1), (0, 1)):
+            right = (vectors[:, i] @ vectors[:, j].T + vectors[:, j] @ vectors[:, i].T) / 2
+            value = (values[i] + values[j]) / 2
+            p_x = solve.call([loop_x, z @ right @ z])[0]
+            p_z = solve.call([loop_z, value * right])[0]
+            slope = sweep.call([*symbols, held, x, z, p_x, p_z])[0]
+            rows.append(slope * (-0.5) * (1 + value) ** (-1.5))
         stacked = ca.vertcat(*rows)
         n_z, n_p = self.plant.n_base + self.plant.n_actuated, len(self.plant.parameter_names)
         outputs = [1 / ca.sqrt(1 + values), stacked[:, :n_z], stacked[:, n_z : n_z + n_p], stacked[:, n_z + n_p :]]
-        return self._function("margin_gradients", symbols, outputs, ["epsilon", "epsilon_z", "epsilon_p", "epsilon_kr"])
+        names = ["epsilon", "epsilon_z", "epsilon_p", "epsilon_kr"]
+        return self._function("margin_gradients", symbols, outputs, names)
 
     @cached_property
     def differentiable(self) -> ca.Function:
@@ -195,7 +198,7 @@ class Margin:
         names, symbols = self._symbols()
         # CasADi's convention: the Jacobian takes the inputs, then the outputs, and returns a block for each input.
         out = ca.MX.sym("out_epsilon", 2, 1)
-        _, by_z, by_p, by_kr = self.gradients.call(symbols)
+        by_z, by_p, by_kr = (rows[:2, :] for rows in self.gradients.call(symbols)[1:])
         n_b = self.plant.n_base
         blocks = [by_z[:, :n_b], by_z[:, n_b:], by_p, by_kr]
         jacobian = ca.Function(
@@ -253,8 +256,7 @@ class PostureMargin:
         epsilon_max: None where no feedback of the end-point stabilises the plant.
         second: (1 + λ_2)^(−1/2) of the next eigenvalue of X Z: ε_max has a kink where the two meet.
         z: ∂ε_max/∂[base, posture], (n_b + n,);  p: ∂ε_max/∂p, (n_par,);  kr: ∂ε_max/∂kr.
-        kink: the same of both branches, (2, n_b + n), where they meet; else None. The derivative along a direction d is
-            then min(kink @ d).
+        kink: rows g_11, g_22, g_12 of `Margin.gradients`, (3, n_b + n), where the two branches meet; else None.
         residual: largest relative Riccati residual.
         warning: a sentence, or empty.
     """

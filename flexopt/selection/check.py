@@ -80,7 +80,7 @@ class _Local:
 
     Attributes:
         gradient: of V / objective_scale.
-        equalities: gradients of the target's rows, then of fixed variables.
+        equalities: gradients of the target's rows, of the coupling at a kink, of fixed variables.
         inequalities: gradients of the active ones c ≥ 0;  names: theirs.
         curved: how many of them, listed first, are no bounds and so have curvature.
         kept_objectives: name -> how much an earlier objective exceeds what is to be kept, relative to its scale.
@@ -110,10 +110,13 @@ def _linearised(problem: SelectionProblem, z: Vector) -> _Local:
     names: list[str] = []
 
     values, gradients = functions.branches(problem.objective, base, posture)
+    coupling = np.zeros((0, z.size))
     if len(values) > 1 and values[1] - values[0] <= KINK * problem.objective_scale:
-        # V is the smaller branch, so V_2 − V_1 ≥ 0 is one more inequality.
+        # V is the smaller branch, so V_2 − V_1 ≥ 0 is one more inequality; where the branches really meet, their
+        # coupling is one more free direction.
         rows.append((gradients[1] - gradients[0]) / problem.objective_scale)
         names.append(KINK_NAME)
+        coupling = gradients[2:3] / problem.objective_scale
     sine_squared = float(plant.singularity_sine_squared(base, posture, p))
     if sine_squared - problem.constraints[-1].lower <= ACTIVE_TOLERANCE:
         rows.append(plant.singularity_gradient(base, posture, p).full()[0])
@@ -128,7 +131,7 @@ def _linearised(problem: SelectionProblem, z: Vector) -> _Local:
             names.append(name)
     curved = len(rows)
 
-    equalities = problem.measures.gradients.call([base, posture, p])[2].full()
+    equalities = np.vstack([problem.measures.gradients.call([base, posture, p])[2].full(), coupling])
     identity = np.eye(z.size)
     for i, variable in enumerate(problem.variables):
         if variable.lower == variable.upper:

@@ -58,9 +58,9 @@ class Quantities:
     gain: float
 
     def branches(self, objective: Objective, base: Vector, posture: Vector) -> tuple[Vector, Vector]:
-        """V with each of the two largest eigenvalues of XZ (k,), and their gradients by z (k, n_z).
+        """V with each of the two largest eigenvalues of XZ, (2,), and gradients by z, (3, n_z), as `Margin.gradients`.
 
-        V itself is the smaller of the two; k = 1 without ε_max.
+        V itself is the smaller of the two. Without ε_max there is one branch: (1,) and (1, n_z).
         """
         p, alpha = self.measures.plant.parameter_values, np.array(objective.alpha)
         w = self.measures.w.call([base, posture, p])[0].full().ravel()
@@ -69,7 +69,9 @@ class Quantities:
         if not objective.has_kinks:
             return value, gradient
         out = self.margin.gradients.call([base, posture, p, self.gain])
-        return value + objective.beta * out[0].full().ravel(), gradient + objective.beta * out[1].full()
+        rows = objective.beta * out[1].full()
+        rows[:2] += gradient
+        return value + objective.beta * out[0].full().ravel(), rows
 
     def expression(self, objective: Objective, base: ca.MX, posture: ca.MX, p: ca.MX) -> list[ca.MX]:
         """The same values as expressions: one, or one for each of the two eigenvalues."""

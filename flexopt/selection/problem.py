@@ -31,6 +31,33 @@ from flexopt.robustness.measures import Measures
 from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
 from flexopt.selection.scan import Scan, scan_redundancy
 
+QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False}
+IPOPT_OPTIONS: dict[str, Any] = QUIET | {
+    "ipopt": {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": 1e-10,
+        "constr_viol_tol": 1e-12,
+        "acceptable_iter": 0,
+        "max_iter": 200,
+        "mu_init": 1e-4,
+        "bound_relax_factor": 0.0,
+    }
+}
+SQP_OPTIONS: dict[str, Any] = QUIET | {
+    "qpsol": "qrqp",
+    "qpsol_options": {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
+    "hessian_approximation": "limited-memory",
+    "lbfgs_memory": 5,
+    "print_header": False,
+    "print_iteration": False,
+    "print_status": False,
+    "max_iter": 100,
+    "tol_du": 1e-7,
+    "tol_pr": 1e-10,
+    "min_step_size": 1e-12,
+}
+
 
 @dataclass(frozen=True)
 class Variable:
@@ -313,11 +340,11 @@ def build_solver(
     objective_scales: tuple[float, ...],
     scale: tuple[float, ...],
 ) -> ca.Function:
-    """IPOPT on min −V in scaled variables (kept between calls); the objectives before the last are constraints.
+    """Minimise −V in scaled variables (kept between calls); the objectives before the last are constraints.
 
-    Where V has kinks, it is the smaller of two branches, and the largest t below both of them is sought instead
-    (epigraph): with both in sight a step near a kink does not depend on which of them is the smaller one just now.
-    Smooth objectives get their exact Hessian, the others the exact gradient of each branch.
+    IPOPT with exact Hessian where everything is smooth. Where ε_max takes part, V is the smaller of two branches, and
+    the largest t below both is sought (epigraph) by sequential quadratic programming: its subproblem sees both
+    branches, so that a step near a kink does not depend on which of them is the smaller one just now.
     """
     functions = quantities(*what)
     plant = functions.measures.plant
@@ -335,20 +362,6 @@ def build_solver(
     if last.has_kinks:
         constraints += [branch - x[n_z] for branch in branches]
     nlp = {"x": x, "p": parameters, "f": -x[n_z] if last.has_kinks else -branches[0], "g": ca.vertcat(*constraints)}
-    smooth = not any(objective.has_kinks for objective in objectives)
-    options = {
-        "print_time": False,
-        "error_on_fail": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": 1e-10 if smooth else 1e-8,
-            "constr_viol_tol": 1e-12 if smooth else 1e-10,
-            "acceptable_iter": 0,
-            "max_iter": 200,
-            "mu_init": 1e-4,
-            "bound_relax_factor": 0.0,
-            "hessian_approximation": "exact" if smooth else "limited-memory",
-        },
-    }
-    return ca.nlpsol("selection", "ipopt", nlp, options)
+    if any(objective.has_kinks for objective in objectives):
+        return ca.nlpsol("selection", "sqpmethod", nlp, SQP_OPTIONS)
+    return ca.nlpsol("selection", "ipopt", nlp, IPOPT_OPTIONS)

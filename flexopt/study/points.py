@@ -1,0 +1,223 @@
+"""Measures and margins at many postures at once, on the compiled batched path.
+
+In: a machine and postures as columns. Out: arrays with one column for each posture. The margin goes in three stages (the
+scaled plant, the pair of Riccati equations, the eigenvalues), because the two long ones depend on the number of states
+alone: their compiled code serves every machine and both controllers.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.algebra import symmetric_eigen
+from flexopt.algebra.riccati import riccati_pair, top_eigenpairs
+from flexopt.compiled import Batch, batch
+from flexopt.errors import FlexoptWarning
+from flexopt.model import Machine
+from flexopt.model.arguments import Vector
+from flexopt.model.problem import Control
+from flexopt.plant.singularity import CONDITION_MAX
+from flexopt.robustness import build_measures
+from flexopt.robustness.evaluation import SOLVE_TOLERANCE
+from flexopt.robustness.margin import RESIDUAL_TOLERANCE, Margin, build_margin, evaluate_margin
+from flexopt.robustness.measures import Measures
+
+Progress = Callable[[int, int], None]
+# Postures at a time: the scaled plants of one chunk are 240 numbers each, which stays within the processor's cache.
+CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class PointValues:
+    """N postures; m modes. NaN where a posture is singular, or no equilibrium exists under gravity.
+
+    Attributes:
+        frequency_hz, w, scale: ω_i/2π, w_i and |a_i||b_i|, (m, N).
+        trace: trace R_i, (m, N): in-phase where positive.
+        least_diagonal: the smallest diagonal element of R_i, (m, N): strictly in-phase where not negative.
+        rigid: λmin(R_0 + R_0ᵀ), (N,).
+        condition: cond Jv, (N,), of singular postures too.
+        epsilon_max: (N,), NaN where it was not asked for or no feedback of the end-point stabilises the plant.
+    """
+
+    frequency_hz: Vector
+    w: Vector
+    scale: Vector
+    trace: Vector
+    least_diagonal: Vector
+    rigid: Vector
+    condition: Vector
+    epsilon_max: Vector
+
+
+def default_threads() -> int:
+    """The processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def evaluate_points(
+    machine: Machine,
+    postures: Vector,
+    *,
+    control: Control = "inverse",
+    gain: float = 5e5,
+    gravity: bool = False,
+    epsilon_max: bool = True,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> PointValues:
+    """Everything about `postures` (n, N), rad, that a map or a curve shows; the base stands at 0.
+
+    The arguments are taken as they are; `map_workspace` checks them.
+    """
+    threads = default_threads() if threads is None else threads
+    count = postures.shape[1]
+    stages = _stages(machine, control, gravity, epsilon_max)
+    parts: list[tuple[Vector, ...]] = []
+    if progress is not None:
+        progress(0, count)
+    for start in range(0, max(count, 1), CHUNK):
+        chunk = postures[:, start : start + CHUNK]
+        values = _measured(stages, chunk, threads)
+        epsilon = np.full(chunk.shape[1], np.nan)
+        sound = np.isfinite(values[-2])
+        if epsilon_max and sound.any():
+            epsilon[sound] = _margins(stages, chunk[:, sound], gain, threads)
+        parts.append((*values, epsilon))
+        if progress is not None and count:
+            progress(min(start + CHUNK, count), count)
+    return PointValues(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True)))
+
+
+@dataclass(frozen=True)
+class _Stages:
+    """The batched Functions of one machine under one controller."""
+
+    measures: Measures
+    margin: Margin
+    values: Batch
+    plants: Batch | None
+    riccati: Batch | None
+    margins: Batch | None
+
+
+@lru_cache(maxsize=16)
+def _stages(machine: Machine, control: Control, gravity: bool, epsilon_max: bool) -> _Stages:
+    measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
+    functions = [_measure_function(measures)]
+    if epsilon_max:
+        size = margin.n_states
+        functions = [riccati_pair(size), _scaled_plant(margin), top_of_solutions(size), *functions]
+    # Compilers are programs of their own, so that threads suffice to run several.
+    with ThreadPoolExecutor(default_threads()) as pool:
+        batches = list(pool.map(batch, functions))
+    if not epsilon_max:
+        return _Stages(measures, margin, batches[0], None, None, None)
+    riccati, plants, margins, values = batches
+    return _Stages(measures, margin, values, plants, riccati, margins)
+
+
+def _measure_function(measures: Measures) -> ca.Function:
+    """(base, posture, p) -> what `PointValues` holds of the measures, Jv, and the soundness of the static deflection."""
+    g, plant = measures.plant.graph, measures.plant
+    inputs = [g.base, g.posture, g.p]
+    v = dict(zip(measures.values.name_out(), measures.values.call(inputs), strict=True))
+    diagonals = (v["a"] * v["b"]) @ v["same"].T
+    rigid, _ = symmetric_eigen(v["rigid"] + v["rigid"].T)
+    jv = plant.rigid_jacobian(plant.rest(*inputs), g.base, g.p)
+    left_over, force = ca.SX(0), ca.SX(0)
+    if measures.gravity:
+        left_over = ca.norm_inf(v["static_residual"])
+        force = ca.norm_inf(plant.gravity(v["q"], g.base, g.p)[: plant.n_passive])
+    outputs = {
+        "frequency_hz": ca.sqrt(v["omega_squared"]) / (2 * math.pi),
+        "w": v["w"],
+        "scale": ca.sqrt(ca.sum1(v["a"] ** 2) * ca.sum1(v["b"] ** 2)).T,
+        "trace": ca.sum1(diagonals).T,
+        "least_diagonal": ca.vertcat(*(ca.mmin(diagonals[:, i]) for i in range(plant.n_passive))),
+        "rigid": rigid[0],
+        "jv": ca.vec(jv),
+        "left_over": left_over / (1 + force),
+    }
+    dense = [ca.densify(output) for output in outputs.values()]
+    return ca.Function("map_measures", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
+
+
+def _scaled_plant(margin: Margin) -> ca.Function:
+    """(base, posture, p, kr) -> A, B Bᵀ, Cᵀ C of the scaled plant."""
+    g, kr = margin.plant.graph, ca.SX.sym("kr")
+    inputs = [g.base, g.posture, g.p, kr]
+    a, b, c = margin.scaled_plant.call([*inputs, margin.hold.call(inputs)[0]])
+    outputs = [ca.densify(x) for x in (a, b @ b.T, c.T @ c)]
+    return ca.Function("map_plant", inputs, outputs, ["base", "posture", "p", "kr"], ["A", "G", "H"], {"cse": True})
+
+
+@lru_cache(maxsize=8)
+def top_of_solutions(size: int) -> ca.Function:
+    """(A, G, H, X, Z) -> ε_max and the largest relative residual of AᵀX + XA − XGX + H = 0 and its dual."""
+    a, g, h, x, z = (ca.MX.sym(name, size, size) for name in ("A", "G", "H", "X", "Z"))
+    values, _ = top_eigenpairs(size).call([x, z])
+    residual = _residual(size)
+    worst = ca.fmax(residual(a, g, h, x), residual(a.T, h, g, z))
+    return ca.Function("map_margin", [a, g, h, x, z], [1 / ca.sqrt(1 + values[0]), worst])
+
+
+def _residual(size: int) -> ca.Function:
+    """(A, G, H, X) -> the largest element of AᵀX + XA − XGX + H relative to those of its terms."""
+    a, g, h, x = (ca.SX.sym(name, size, size) for name in ("A", "G", "H", "X"))
+    linear, quadratic = a.T @ x, x @ g @ x
+    left, *terms = (ca.norm_inf(ca.vec(t)) for t in (linear + linear.T - quadratic + h, linear, quadratic, h))
+    return ca.Function("riccati_residual", [a, g, h, x], [left / sum(terms)], {"cse": True})
+
+
+def _measured(stages: _Stages, postures: Vector, threads: int) -> tuple[Vector, ...]:
+    """The fields of `PointValues` up to `condition`."""
+    plant = stages.measures.plant
+    p = np.array(plant.parameter_values).ravel()
+    frequency, w, scale, trace, least, rigid, jv, left_over = stages.values(
+        np.zeros(plant.n_base), postures, p, threads=threads
+    )
+    jacobians = jv.T.reshape(-1, plant.n_actuated, plant.n_task)
+    condition = _conditions(jacobians)
+    sound = (condition <= CONDITION_MAX) & (left_over[0] <= SOLVE_TOLERANCE) & np.all(np.isfinite(w), axis=0)
+    sound &= np.all(np.isfinite(frequency), axis=0)
+    fields = (frequency, w, scale, trace, least, rigid[0])
+    return (*(np.where(sound, field, np.nan) for field in fields), condition)
+
+
+def _conditions(jacobians: Vector) -> Vector:
+    """Ratio of the extreme singular values of each (N, n, r); infinite where the smallest is zero or no number."""
+    finite = np.all(np.isfinite(jacobians), axis=(1, 2))
+    values = np.linalg.svd(np.where(finite[:, None, None], jacobians, 0.0), compute_uv=False)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio: NDArray[np.float64] = values[:, 0] / values[:, -1]
+    return np.where(np.isnan(ratio), np.inf, ratio)
+
+
+def _margins(stages: _Stages, postures: Vector, gain: float, threads: int) -> Vector:
+    """ε_max (N,); one by one, by the general solvers, where the batched equations are not solved."""
+    assert stages.plants is not None
+    assert stages.riccati is not None
+    assert stages.margins is not None
+    plant = stages.margin.plant
+    p, base = np.array(plant.parameter_values).ravel(), np.zeros(plant.n_base)
+    scaled = stages.plants(base, postures, p, [gain], threads=threads)
+    x, z, rest = stages.riccati(*scaled, threads=threads)
+    epsilon, residual = stages.margins(*scaled, x, z, threads=threads)
+    result = epsilon[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FlexoptWarning)  # of single points next to a singular posture
+        for k in np.flatnonzero(~(np.fmax(rest[0], residual[0]) <= RESIDUAL_TOLERANCE)):
+            value = evaluate_margin(stages.margin, base, postures[:, k], gain).epsilon_max
+            result[k] = np.nan if value is None else value
+    return result

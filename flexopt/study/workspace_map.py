@@ -1,0 +1,234 @@
+"""The result of `map_workspace`: an xarray.Dataset with units, its summary, its file and its picture.
+
+xarray is imported when the first map is made: it takes longer to import than all of flexopt.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from flexopt.errors import InputError
+from flexopt.model import Machine
+from flexopt.model.arguments import Vector
+from flexopt.model.documents import json_ready
+from flexopt.study.grid import Grid
+from flexopt.study.points import PointValues
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class WorkspaceMap:
+    """Quantities over a grid; NaN where the arm does not reach, breaks a limit or is singular.
+
+    Attributes:
+        machine: its name.
+        options: those of the call, ranges and points included.
+        dataset: variables with the dimensions (mode, y, x): `frequency_hz`, `w`, `scale` (|a_i||b_i|), `in_phase`
+            (1 where trace R_i > 0, else 0), `in_phase_strict` (1 where each diagonal element of R_i ≥ 0); (y, x):
+            `rigid` (λmin(R_0 + R_0ᵀ)), `epsilon_max`, `condition` (cond Jv), `reachable`; (joint, y, x): `posture`.
+            Over the posture the dimensions are called `angle_2` and `angle_1` in place of y and x. Each variable has
+            `units`, `long_name` and `description`.
+        provenance: machine, versions and options.
+    """
+
+    machine: str
+    options: dict[str, Any]
+    dataset: xr.Dataset = field(repr=False)
+    provenance: dict[str, Any] = field(repr=False)
+
+    def array(self, name: str) -> Vector:
+        """A variable as an array."""
+        return np.asarray(self.dataset[name].values, dtype=float)
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """Names of the last two dimensions, rows first."""
+        rows, columns = (str(name) for name in self.dataset["reachable"].dims)
+        return rows, columns
+
+    def fraction(self, mask: Any) -> float:
+        """Share of the mapped points (reachable and regular) where `mask` (n_y, n_x) holds."""
+        mapped = np.isfinite(self.array("condition"))
+        return float(np.count_nonzero(np.asarray(mask, dtype=bool) & mapped) / max(1, np.count_nonzero(mapped)))
+
+    def in_phase_fraction(self, *modes: int, strict: bool = False) -> float:
+        """Share of the mapped points where all `modes` (counted from 1) are in phase."""
+        in_phase = self.array("in_phase_strict" if strict else "in_phase")
+        return self.fraction(np.all(in_phase[[mode - 1 for mode in modes]] == 1, axis=0))
+
+    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
+        """Write a netCDF 3 file, which needs nothing but SciPy to be written or read.
+
+        Raises:
+            InputError: the name does not end in `.nc`.
+            OSError: the file cannot be written.
+        """
+        if Path(path).suffix.lower() != ".nc":
+            raise InputError(f"to_netcdf: {os.fspath(path)!r}: the name must end in .nc")
+        self.dataset.to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Frequencies, w_i, in-phase regions and ε_max; written to `path` (`.png`, `.svg`, `.pdf`) where one is given.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        from flexopt.plotting.workspace import plot_workspace  # noqa: PLC0415  (matplotlib is slow to import)
+
+        return plot_workspace(self.dataset, path)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready summary: ranges, means and shares of the area, with provenance; the arrays go to netCDF."""
+        rows, columns = self.axes
+        mapped = np.isfinite(self.array("condition"))
+        extent = {name: self.array(name) for name in (columns, rows)}
+        axes = {n: {"low": v[0], "high": v[-1], "points": v.size, "unit": _unit(self, n)} for n, v in extent.items()}
+        document: dict[str, Any] = {
+            "machine": self.machine,
+            "control": self.options["control"],
+            "gain": self.options["gain"],
+            "gravity": self.options["gravity"],
+            "over": self.options["over"],
+            "elbow": self.options.get("elbow"),
+            "axes": axes,
+            "points": int(mapped.size),
+            "reachable": float(self.array("reachable").mean()),
+            "mapped": float(mapped.mean()),
+            "variables": {str(name): self._summary(str(name)) for name in self.dataset.data_vars if _numeric(str(name))},
+        }
+        if "in_phase" in self.dataset:
+            modes = range(1, self.dataset.sizes["mode"] + 1)
+            document["in_phase"] = self._shares(modes, strict=False)
+            document["in_phase_strict"] = self._shares(modes, strict=True)
+        for name, key in (("epsilon_max", "best_epsilon_max"), ("w", "best_w1")):
+            if name in self.dataset and mapped.any():
+                document[key] = self._best(self.array(name) if name != "w" else self.array(name)[0])
+        return json_ready(document | {"provenance": self.provenance})
+
+    def __repr__(self) -> str:
+        document = self.to_dict()
+        axes = ", ".join(
+            f"{n} {a['low']:g} to {a['high']:g} {a['unit']} ({a['points']} points)" for n, a in document["axes"].items()
+        )
+        lines = [
+            f"{self.machine}: Jacobian {self.options['control']} control over {axes}",
+            f"  {100 * document['mapped']:.1f} % of {document['points']} points are reached and regular",
+        ]
+        for name, entry in document["variables"].items():
+            for number, (low, mean, high) in enumerate(zip(entry["min"], entry["mean"], entry["max"], strict=True)):
+                label = f"{name} {number + 1}" if len(entry["min"]) > 1 else name
+                numbers = "  ".join("         –" if v is None else f"{v:10.4g}" for v in (low, mean, high))
+                lines.append(f"  {label:16} min, mean, max {numbers} {entry['unit']}".rstrip())
+        if "in_phase" in document:
+            for key, title in (("in_phase", "in phase"), ("in_phase_strict", "strictly so")):
+                shares = document[key]
+                each = ", ".join(f"{100 * share:.1f} %" for share in shares["modes"])
+                both = "" if shares["first_two"] is None else f"; the first two together {100 * shares['first_two']:.1f} %"
+                lines.append(f"  {title}: modes {each}{both}")
+        return "\n".join(lines)
+
+    def _shares(self, modes: range, *, strict: bool) -> dict[str, Any]:
+        both = self.in_phase_fraction(1, 2, strict=strict) if len(modes) > 1 else None
+        return {"modes": [self.in_phase_fraction(mode, strict=strict) for mode in modes], "first_two": both}
+
+    def _summary(self, name: str) -> dict[str, Any]:
+        values = self.array(name)
+        values = values.reshape(values.shape[0] if values.ndim == 3 else 1, -1)
+        with np.errstate(all="ignore"):
+            finite = [row[np.isfinite(row)] for row in values]
+
+            def each(function: Callable[[Vector], Any]) -> list[float | None]:
+                return [float(function(row)) if row.size else None for row in finite]
+
+            return {"unit": _unit(self, name), "min": each(np.min), "mean": each(np.mean), "max": each(np.max)}
+
+    def _best(self, values: Vector) -> dict[str, Any] | None:
+        if not np.isfinite(values).any():
+            return None
+        row, column = np.unravel_index(int(np.nanargmax(values)), values.shape)
+        rows, columns = self.axes
+        at = {columns: float(self.array(columns)[column]), rows: float(self.array(rows)[row])}
+        return at | {"posture": self.array("posture")[:, row, column], "value": float(values[row, column])}
+
+
+def _unit(result: WorkspaceMap, name: str) -> str:
+    unit = cast(str, result.dataset[name].attrs["units"])
+    return "" if unit == "1" else unit
+
+
+def _numeric(name: str) -> bool:
+    return name in ("frequency_hz", "w", "rigid", "epsilon_max", "condition")
+
+
+# name -> unit, long name, description; the dimensions follow from the arrays.
+DESCRIPTIONS = {
+    "frequency_hz": ("Hz", "natural frequency", "undamped, ω_i / 2π, in ascending order"),
+    "w": ("{residue}", "measure w_i", "λmin(R_i + R_iᵀ), at most 0; 0 where the mode cannot be excited by feedback"),
+    "scale": ("{residue}", "size of the residue", "|a_i||b_i| of R_i = a_i b_iᵀ, to compare w_i with"),
+    "in_phase": ("1", "in phase", "1 where trace R_i > 0, 0 where not"),
+    "in_phase_strict": ("1", "strictly in phase", "1 where every diagonal element of R_i is at least 0, 0 where not"),
+    "rigid": ("{residue}", "passivity of the rigid part", "λmin(R_0 + R_0ᵀ); negative where R_0/s² is not passive"),
+    "epsilon_max": ("1", "robust stability margin ε_max", "of the damped plant times the servo gain kr"),
+    "posture": ("rad", "posture", "angles of the actuated joints, relative, counter-clockwise positive"),
+    "reachable": ("1", "reachable", "whether a posture within the joint limits belongs to the point"),
+    "condition": ("1", "condition of Jv", "ratio of the singular values of the rigid-body Jacobian"),
+}
+# 1/kg where the force acts on the end-point; with the inverse Jacobian, torque stands for velocity.
+RESIDUE_UNITS = {"transpose": "1/kg", "inverse": "1/(kg m2)"}
+
+
+def workspace_dataset(
+    grid: Grid, values: PointValues, machine: Machine, *, measures: bool, margins: bool, control: str
+) -> xr.Dataset:
+    """Arrays with their axes, units and descriptions."""
+    import xarray as xr  # noqa: PLC0415  (slow to import)
+
+    regular = np.isfinite(values.rigid)
+
+    def spread(array: Vector) -> Vector:
+        full = np.full((*array.shape[:-1], *grid.reachable.shape), np.nan)
+        full[..., grid.reachable] = np.where(regular, array, np.nan)
+        return full
+
+    plane, mode, joint = (grid.y.name, grid.x.name), ("mode",), ("joint",)
+    fields: dict[str, tuple[tuple[str, ...], Any]] = {}
+    if measures:
+        fields["frequency_hz"] = (mode + plane, spread(values.frequency_hz))
+        fields["w"] = (mode + plane, spread(values.w))
+        fields["scale"] = (mode + plane, spread(values.scale))
+        fields["in_phase"] = (mode + plane, spread((values.trace > 0).astype(float)))
+        fields["in_phase_strict"] = (mode + plane, spread((values.least_diagonal >= 0).astype(float)))
+        fields["rigid"] = (plane, spread(values.rigid))
+    if margins:
+        fields["epsilon_max"] = (plane, spread(values.epsilon_max))
+    fields["posture"] = (joint + plane, grid.posture)
+    fields["reachable"] = (plane, grid.reachable)
+    fields["condition"] = (plane, spread(values.condition))
+    variables = {name: (*entry, _attributes(name, control)) for name, entry in fields.items()}
+    coordinates: dict[str, Any] = {
+        axis.name: ((axis.name,), axis.values, {"units": axis.unit, "long_name": axis.long_name})
+        for axis in (grid.y, grid.x)
+    }
+    coordinates["joint"] = (joint, list(machine.joints), {"long_name": "actuated joint"})
+    if measures:
+        numbers = np.arange(1, values.w.shape[0] + 1)
+        coordinates["mode"] = (mode, numbers, {"units": "1", "long_name": "vibration mode, by ascending frequency"})
+    return xr.Dataset(variables, coordinates)
+
+
+def _attributes(name: str, control: str) -> dict[str, str]:
+    units, long_name, description = DESCRIPTIONS[name]
+    return {
+        "units": units.replace("{residue}", RESIDUE_UNITS[control]),
+        "long_name": long_name,
+        "description": description,
+    }
