@@ -31,9 +31,10 @@ def scipy_epsilon(plant: StateSpace) -> float:
 
 def slicot_epsilon(plant: StateSpace) -> float:
     F, _, _, G, H = riccati_terms(plant)
-    n, kind = F.shape[0], "D" if plant.dt else "C"
-    X = slycot.sb02md(n, F.copy(), G.copy(), H.copy(), kind)[0]
-    Z = slycot.sb02md(n, F.T.copy(), H.copy(), G.copy(), kind)[0]
+    n = F.shape[0]
+    options = {"dico": "D", "hinv": "D", "sort": "U"} if plant.dt else {"dico": "C"}
+    X = slycot.sb02md(n, F.copy(), G.copy(), H.copy(), **options)[0]
+    Z = slycot.sb02md(n, F.T.copy(), H.copy(), G.copy(), **options)[0]
     return epsilon_of(X, Z)
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
+from hypothesis import assume, reject
 from hypothesis import strategies as st
 
-from flexopt.coprime import StateSpace
+from flexopt.coprime import RobustMargin, StateSpace, robust_margin
+from flexopt.errors import FlexoptWarning, NoSolutionFound
 
 seeds = st.integers(0, 2**32 - 1)
 orders = st.integers(1, 10)
@@ -25,6 +29,18 @@ def random_plant(seed: int, n: int, dt: float = 0.0, size: tuple[int, int] | Non
     p, m = size or tuple(int(k) for k in rng.integers(1, 4, 2))
     A = rng.normal(size=(n, n)) / np.sqrt(n) - (0.3 * np.eye(n) if dt == 0 else 0.0)
     return StateSpace(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), 0.5 * rng.normal(size=(p, m)), dt)
+
+
+def margin_or_reject(plant: StateSpace, limit: float = 1e7) -> RobustMargin:
+    """The plant's margin, where its condition estimate leaves the digits that a test compares."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FlexoptWarning)
+        try:
+            result = robust_margin(plant)
+        except NoSolutionFound:
+            reject()
+    assume(result.condition < limit)
+    return result
 
 
 def near(plant: StateSpace, seed: int, change: float) -> StateSpace:

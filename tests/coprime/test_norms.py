@@ -35,14 +35,16 @@ def test_resonance_in_closed_form(zeta, omega):
 def test_first_order_all_pass_and_gain():
     assert hinf_norm((-2.0, 1.0, 3.0)) == pytest.approx(1.5, rel=1e-12)
     assert hinf_norm((-1.0, 1.0, -2.0, 1.0)) == pytest.approx(1.0, rel=1e-10)  # (s − 1)/(s + 1)
-    assert hinf_norm([[3.0, 4.0]]) == pytest.approx(5.0, rel=1e-14)
+    assert hinf_norm(np.array([[3.0, 4.0]])) == pytest.approx(5.0, rel=1e-14)
     assert hinf_norm((-1.0, 0.0, 1.0)) == 0.0
     assert hinf_peak(state_space((-1.0, -1.0, 1.0, 1.0)))[0] == pytest.approx(1.0, rel=1e-10)  # s/(s + 1), at infinity
     assert hinf_norm((0.5, 1.0, 1.0, 0.0, 1.0)) == pytest.approx(2.0, rel=1e-12)
     assert hinf_norm((-0.5, 1.0, 1.0, 0.0, 1.0)) == pytest.approx(2.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("system", [(1.0, 1.0, 1.0), (0.0, 1.0, 1.0), (1.0, 1.0, 1.0, 0.0, 1.0), (-1.5, 1.0, 1.0, 0.0, 0.1)])
+@pytest.mark.parametrize(
+    "system", [(1.0, 1.0, 1.0), (0.0, 1.0, 1.0), (1.0, 1.0, 1.0, 0.0, 1.0), (-1.5, 1.0, 1.0, 0.0, 0.1)]
+)
 def test_unstable_is_infinite(system):
     assert hinf_norm(system) == math.inf
 
