@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import accumulate, pairwise
 
 import casadi as ca
 import numpy as np
 
 from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
-from flexopt.algebra.riccati import lyapunov, riccati_pair, top_eigenpairs
+from flexopt.algebra.riccati import DOUBLINGS, lyapunov, riccati_pair, top_eigenpairs
 from flexopt.coprime import robust_margin
 from flexopt.errors import FlexoptError, NotStabilizable
 from flexopt.model import Machine
@@ -48,12 +49,15 @@ class Margin:
         plant, control, gravity: as in `Measures`.
         keeps_joint_rates: whether all joint rates stay states, because joint damping couples a redundant arm's
             self-motion to the rest (and stabilises it).
+        doublings: how many of the Riccati equations' doublings are done. The default suits poles close to the axis;
+            fewer are faster, and `values` says by `rest` where they were too few.
     """
 
     plant: Plant
     control: Control
     gravity: bool
     keeps_joint_rates: bool
+    doublings: int = DOUBLINGS
 
     @property
     def n_rates(self) -> int:
@@ -67,9 +71,9 @@ class Margin:
 
     @cached_property
     def hold(self) -> ca.Function:
-        """(base, posture, p, kr) -> held: deflection, state scaling T (n_states, n_states) and the time scale."""
+        """(base, posture, p, kr) -> held: deflection, time scale, and the scales of the state (see `_scaling`)."""
         plant, g = self.plant, self.plant.graph
-        kr = ca.SX.sym("kr")
+        kr, r = ca.SX.sym("kr"), plant.n_task
         deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX.zeros(plant.n_passive, 1)
         at = plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
         pencil = reduced_pencil(at, plant.n_passive)
@@ -77,40 +81,49 @@ class Margin:
         a, b = residue_factors(at, pencil, modes, self.control)
         rigid = kr * safe_norm(ca.vec(rigid_residue(at, pencil, self.control)))
         # The geometric mean of the modes' frequencies and of where the rigid part crosses gain one.
-        logarithms = ca.sum(ca.log(values)) + plant.n_task * ca.log(rigid)
-        rate = ca.exp(logarithms / (2 * (values.shape[0] + plant.n_task)))
+        logarithms = ca.sum(ca.log(values)) + r * ca.log(rigid)
+        rate = ca.exp(logarithms / (2 * (values.shape[0] + r)))
         out, into = (ca.sqrt(ca.sum1(x**2)).T for x in (a, b))
         out, into = (x + WEAKEST * ca.mmax(x) for x in (out, into))
-        vibration = modes @ diagonal(ca.sqrt(kr * into / out) / rate)
-        position = _block(vibration, ca.sqrt(rigid) / rate * ca.SX.eye(plant.n_task))
-        velocity = position
+        size = ca.sqrt(kr * into / out) / rate
+        vibration, back = modes @ diagonal(size), diagonal(1 / size) @ modes.T @ pencil.mass
+        arm = ca.sqrt(rigid) / rate * ca.SX.ones(r, 1)
+        arm_rate = arm
         if self.keeps_joint_rates:
-            inertia = ca.diag(1 / ca.sqrt(ca.diag(pencil.actuated_mass) / ca.trace(pencil.actuated_mass)))
-            velocity = _block(vibration, ca.sqrt(rigid) / rate * ca.densify(inertia))
-        scaling = _block(rate * velocity, position)
-        inputs = [g.base, g.posture, g.p, kr]
-        held = ca.veccat(deflection, rate, scaling)
-        return ca.Function(
-            "hold_margin",
-            inputs,
-            [held],
-            ["base", "posture", "p", "kr"],
-            ["held"],
-            {"cse": True, "is_diff_out": [False]},
-        )
+            inertia = ca.diag(pencil.actuated_mass)
+            arm_rate = ca.sqrt(rigid * ca.sum(inertia) / inertia) / rate
+        held = ca.veccat(deflection, rate, vibration, back, arm, arm_rate)
+        inputs, names = [g.base, g.posture, g.p, kr], ["base", "posture", "p", "kr"]
+        return ca.Function("hold_margin", inputs, [held], names, ["held"], {"cse": True, "is_diff_out": [False]})
+
+    @property
+    def _held_sizes(self) -> list[int]:
+        m = self.plant.n_passive
+        return [m, 1, m * m, m * m, self.plant.n_task, self.n_rates - m]
+
+    def _scaling(self, held: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Deflection (m,), time scale, T and T⁻¹ (n_states, n_states) with physical state = T · scaled state.
+
+        The passive coordinates are modal ones, so big that the gains in and out of each mode are alike; the arm's are
+        scaled alike by the rigid part.
+        """
+        m = self.plant.n_passive
+        edges = [0, *accumulate(self._held_sizes)]
+        deflection, rate, vibration, back, arm, arm_rate = (held[i:j] for i, j in pairwise(edges))
+        v, v_back = ca.reshape(vibration, m, m), ca.reshape(back, m, m)
+        forward = ca.diagcat(rate * v, ca.diag(rate * arm_rate), v, ca.diag(arm))
+        backward = ca.diagcat(v_back / rate, ca.diag(1 / (rate * arm_rate)), v_back, ca.diag(1 / arm))
+        return deflection, rate, forward, backward
 
     @cached_property
     def scaled_plant(self) -> ca.Function:
         """(base, posture, p, kr, held) -> A, B, C of the scaled plant, kr in B; differentiable."""
-        plant, g = self.plant, self.plant.graph
-        kr, n, m = ca.SX.sym("kr"), self.n_states, plant.n_passive
-        held = ca.SX.sym("held", m + 1 + n * n)
-        deflection, rate, scaling = held[:m], held[m], ca.reshape(held[m + 1 :], n, n)
-        at = plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
+        g, kr = self.plant.graph, ca.SX.sym("kr")
+        held = ca.SX.sym("held", sum(self._held_sizes))
+        deflection, rate, forward, backward = self._scaling(held)
+        at = self.plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
         a, b, c = self._state_space(at)
-        a, b, c = a / rate, kr * b / rate, c @ scaling
-        solved = ca.solve(scaling, ca.horzcat(a @ scaling, b))
-        outputs = [ca.densify(x) for x in (solved[:, :n], solved[:, n:], c)]
+        outputs = [ca.densify(x) for x in (backward @ (a / rate) @ forward, backward @ (kr * b / rate), c @ forward)]
         names = ["base", "posture", "p", "kr", "held"]
         return ca.Function(
             "scaled_plant", [g.base, g.posture, g.p, kr, held], outputs, names, list("ABC"), {"cse": True}
@@ -212,7 +225,7 @@ class Margin:
     def _reverse_sweep(self) -> ca.Function:
         """(base, posture, p, kr, held, X, Z, P_X, P_Z) -> gradient of tr(P_X F_X) + tr(P_Z F_Z), a row."""
         n, g, kr = self.n_states, self.plant.graph, ca.SX.sym("kr")
-        held = ca.SX.sym("held", self.plant.n_passive + 1 + n * n)
+        held = ca.SX.sym("held", sum(self._held_sizes))
         x, z, p_x, p_z = (ca.SX.sym(name, n, n) for name in ("X", "Z", "P_X", "P_Z"))
         a, b, c = self.scaled_plant.call([g.base, g.posture, g.p, kr, held])
         # tr(P F) with symmetric X, Z, P, written so that no n × n product of the graph's own matrices is formed.
@@ -232,7 +245,7 @@ class Margin:
         """Symbols, scaled A, B, C, the solutions X and Z and what the doubling left."""
         _, symbols = self._symbols()
         a, b, c = self.scaled_plant.call([*symbols, *self.hold.call(symbols)])
-        x, z, rest = riccati_pair(self.n_states).call([a, b @ b.T, c.T @ c])
+        x, z, rest = riccati_pair(self.n_states, self.doublings).call([a, b @ b.T, c.T @ c])
         return symbols, (a, b, c), x, z, rest
 
     def _function(self, name: str, symbols: list[ca.MX], outputs: list[ca.MX], names: list[str]) -> ca.Function:
@@ -240,12 +253,14 @@ class Margin:
 
 
 @lru_cache(maxsize=64)
-def build_margin(machine: Machine, control: Control = "inverse", gravity: bool = False) -> Margin:
-    """The margin of a machine (built once for each machine, controller and gravity option, and kept)."""
+def build_margin(
+    machine: Machine, control: Control = "inverse", gravity: bool = False, doublings: int = DOUBLINGS
+) -> Margin:
+    """The margin of a machine (built once for each machine, controller, gravity option and accuracy, and kept)."""
     plant = build_plant(machine)
     redundant = plant.n_actuated > plant.n_task
     damped = any(link.joint_damping > 0 for link in machine.links if not link.passive)
-    return Margin(plant, control, gravity, keeps_joint_rates=redundant and damped)
+    return Margin(plant, control, gravity, redundant and damped, doublings)
 
 
 @dataclass(frozen=True)
@@ -312,7 +327,7 @@ def _numerically(margin: Margin, base: Vector, posture: Vector, kr: float) -> tu
 
 def _block(a: ca.SX, b: ca.SX) -> ca.SX:
     """Block-diagonal matrix."""
-    return ca.densify(ca.diagcat(a, b))
+    return ca.diagcat(a, b)
 
 
 def _relative_residual(a: ca.MX, b: ca.MX, c: ca.MX, x: ca.MX) -> ca.MX:
