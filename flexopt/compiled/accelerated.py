@@ -24,7 +24,7 @@ _EXPORT = """#if defined(_WIN32)
 #endif
 """
 # Up to so many lines of generated code each level stays within about 10 s.
-_LEVELS = ((30_000, "-O2"), (60_000, "-O1"))
+_LEVELS = ((30_000, ("-O2",)), (60_000, ("-O1",)))
 
 
 def accelerate(function: ca.Function, *, order: int = 2) -> ca.Function:
@@ -58,10 +58,10 @@ def function_key(function: ca.Function, compiler: Compiler, purpose: str) -> str
     return digest(function.serialize(), purpose, compiler.identity, *compiler.target, ca.CasadiMeta.version(), _room())
 
 
-def level_for(source: str) -> str | None:
+def level_for(source: str, levels: tuple[tuple[int, tuple[str, ...]], ...] = _LEVELS) -> tuple[str, ...] | None:
     """How hard to optimise, so that compilation takes seconds; None where it would take too long."""
     lines = source.count("\n")
-    return next((level for most, level in _LEVELS if lines <= most), None)
+    return next((level for most, level in levels if lines <= most), None)
 
 
 @cache

@@ -64,7 +64,9 @@ class Compiler:
     identity: str
     target: tuple[str, ...]
 
-    def build(self, source: str, library: Path, *, language: str, level: str = "-O2", seconds: float = 60.0) -> None:
+    def build(
+        self, source: str, library: Path, *, language: str, level: tuple[str, ...] = ("-O2",), seconds: float = 60.0
+    ) -> None:
         """Compile `source` (language "c" or "c++") into the shared library at `library`.
 
         Raises:
@@ -74,7 +76,7 @@ class Compiler:
         with tempfile.TemporaryDirectory(prefix="flexopt-", ignore_cleanup_errors=True) as folder:
             text = Path(folder) / ("source.cpp" if language == "c++" else "source.c")
             text.write_text(source, encoding="utf-8")
-            arguments = [*self.command, standard, level, *_FLAGS, *self.target, "-o", str(library)]
+            arguments = [*self.command, standard, *level, *_FLAGS, *self.target, "-o", str(library)]
             libraries = [] if platform.system() == "Windows" else ["-lm"]
             _run([*arguments, "-x", language, str(text), *libraries], seconds)
         if not library.exists():

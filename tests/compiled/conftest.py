@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,6 +18,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture
 def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """As a process in which nothing has been searched or told yet."""
+    monkeypatch.delenv("FLEXOPT_COMPILE", raising=False)
     monkeypatch.setattr(compilers, "_warned", False)
     compilers._search.cache_clear()
     yield
@@ -29,8 +30,3 @@ def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fresh: None) ->
     folder = tmp_path / "cache"
     monkeypatch.setenv("FLEXOPT_CACHE", str(folder))
     return folder
-
-
-@pytest.fixture
-def without_compiler(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    return lambda: monkeypatch.setenv("FLEXOPT_COMPILE", "0")
