@@ -3,8 +3,8 @@
 Run: python -m benchmarks.selection
 
 The peer gets the same objective, gradient, constraints and starts, from the same CasADi Functions; it has no exact
-Hessian, and its answers are not verified afterwards. The whole `select` includes the scan of the redundancy, every IPOPT
-solve, the independent checks and the evaluation of each candidate.
+Hessian, and its answers are not verified afterwards. The whole `select` includes the scan of the redundancy, every
+IPOPT solve, the independent checks and the evaluation of each candidate.
 """
 
 from __future__ import annotations

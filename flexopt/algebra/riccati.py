@@ -1,7 +1,9 @@
 """A pair of dual Riccati equations, the largest eigenvalues of their solutions' product, and Lyapunov equations.
 
-Fixed numbers of steps and no branches, so that the Functions generate to C without malloc. One doubling is one
-Function, called in a loop.
+Fixed numbers of steps and no branches, so that the Functions generate to C without malloc. Everything is built from
+two kernels, a product and an inverse, called again and again: in C their code stays in the instruction cache, where one
+doubling written out has 17,000 instructions and takes several times as long. For CasADi's virtual machine it is the
+other way round, so there one step is written out (`compact=False`).
 """
 
 from __future__ import annotations
@@ -23,13 +25,13 @@ GAMMA = 3.0
 
 
 @lru_cache(maxsize=8)
-def riccati_pair(size: int, doublings: int = DOUBLINGS) -> ca.Function:
+def riccati_pair(size: int, doublings: int = DOUBLINGS, *, compact: bool = False) -> ca.Function:
     """(A, G, H) -> X, Z, rest: stabilising solutions of AᵀX + XA − XGX + H = 0 and AZ + ZAᵀ − ZHZ + G = 0.
 
     Structure-preserving doubling (Chu, Fan, Lin and Wang, 2004) from a Cayley transform with γ = 3, which suits
     matrices scaled to order one. `rest` is the largest element of the last A_k, zero where the iteration has converged.
     """
-    step = _doubling(size)
+    step = _doubling(size) if compact else _doubling(size).expand()
     a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
     state = _cayley(size).call([a, g, h])
     for _ in range(doublings):
@@ -39,11 +41,13 @@ def riccati_pair(size: int, doublings: int = DOUBLINGS) -> ca.Function:
 
 
 @lru_cache(maxsize=8)
-def lyapunov(size: int) -> ca.Function:
+def lyapunov(size: int, *, compact: bool = False) -> ca.Function:
     """(A, Q) -> P of A P + P Aᵀ = −Q for a stable A and symmetric Q, by Smith's doubling from the same transform."""
-    step = _smith(size)
+    step, product = _smith(size) if compact else _smith(size).expand(), _product(size)
     a, q = ca.MX.sym("A", size, size), ca.MX.sym("Q", size, size)
-    state = _smith_start(size).call([a, q])
+    resolvent = _inverse(size)(GAMMA * ca.MX.eye(size) - a)
+    start = _symmetric(2 * GAMMA * product(product(resolvent, q), resolvent.T))
+    state = [product(GAMMA * ca.MX.eye(size) + a, resolvent), start]
     for _ in range(DOUBLINGS):
         state = step.call(state)
     return ca.Function("lyapunov", [a, q], [state[1]], ["A", "Q"], ["P"])
@@ -58,84 +62,89 @@ def top_eigenpairs(size: int) -> ca.Function:
     vector alone is not.
     """
     x, z = ca.MX.sym("X", size, size), ca.MX.sym("Z", size, size)
-    power, first_step, second_step = _high_power(size), _first_vector(size), _second_vector(size)
-    product, first = first_step.call([x, z, *power.call([x @ z])])
-    deflation = ca.MX.eye(size) - first @ (z @ first).T
-    second = power.call([deflation @ product @ deflation])
-    values, vectors = second_step.call([z, product, first, *second])
+    power, times, second_step = _high_power(size), _product(size), _second_vector(size)
+    product = times(x, z)
+    first = _normalised(power(product) @ _generic(size, 0), z)
+    # The projection I − r (Z r)ᵀ before and after X Z leaves everything but the first eigenvector.
+    image, dual = product @ first, z @ first
+    deflated = product - image @ dual.T
+    deflated = deflated - first @ (dual.T @ deflated)
+    second = power(deflated) @ _generic(size, 1)
+    values, vectors = second_step.call([z, product, first, second])
     return ca.Function("top_eigenpairs", [x, z], [values, vectors], ["X", "Z"], ["values", "R"])
+
+
+@lru_cache(maxsize=8)
+def _product(size: int) -> ca.Function:
+    """(A, B) -> A B."""
+    a, b = ca.SX.sym("A", size, size), ca.SX.sym("B", size, size)
+    return ca.Function("product", [a, b], [a @ b])
+
+
+@lru_cache(maxsize=8)
+def _inverse(size: int) -> ca.Function:
+    """A -> A⁻¹."""
+    a = ca.SX.sym("A", size, size)
+    return ca.Function("inverse", [a], [solve_general(a, ca.SX.eye(size))])
 
 
 @lru_cache(maxsize=8)
 def _high_power(size: int) -> ca.Function:
     """S -> a multiple of S^(2^SQUARINGS)."""
-    s = ca.SX.sym("S", size, size)
-    product = s @ s
-    square = ca.Function("square", [s], [product / ca.trace(product)])
-    matrix = ca.MX.sym("S", size, size)
-    power = matrix / ca.trace(matrix)
+    s = ca.MX.sym("S", size, size)
+    power = s / ca.trace(s)
     for _ in range(SQUARINGS):
-        power = square(power)
-    return ca.Function("high_power", [matrix], [power])
-
-
-def _first_vector(size: int) -> ca.Function:
-    """(X, Z, power of X Z) -> X Z and its first vector."""
-    x, z, power = (ca.SX.sym(name, size, size) for name in ("X", "Z", "power"))
-    return ca.Function("first_vector", [x, z, power], [x @ z, _normalised(power @ _generic(size, 0), z)])
+        square = _product(size)(power, power)
+        power = square / ca.trace(square)
+    return ca.Function("high_power", [s], [power])
 
 
 def _second_vector(size: int) -> ca.Function:
-    """(Z, X Z, first vector, power of the deflated X Z) -> both eigenvalues and vectors."""
-    z, product, power = (ca.SX.sym(name, size, size) for name in ("Z", "XZ", "power"))
-    first = ca.SX.sym("first", size)
-    second = power @ _generic(size, 1)
-    second = _normalised(second - first @ ((z @ first).T @ second), z)
-    basis = ca.horzcat(first, second)
+    """(Z, X Z, first vector, raw second one) -> both eigenvalues and vectors."""
+    z, product = ca.SX.sym("Z", size, size), ca.SX.sym("XZ", size, size)
+    first, second = ca.SX.sym("first", size), ca.SX.sym("second", size)
+    across = second - first @ ((z @ first).T @ second)
+    basis = ca.horzcat(first, across / ca.sqrt(ca.dot(across, z @ across)))
     inner = (z @ basis).T @ (product @ basis)
     values, turn = symmetric_eigen((inner + inner.T) / 2)
     vectors = basis @ turn
     outputs = [ca.vertcat(values[1], values[0]), ca.horzcat(vectors[:, 1], vectors[:, 0])]
-    return ca.Function("second_vector", [z, product, first, power], outputs)
+    return ca.Function("second_vector", [z, product, first, second], outputs)
 
 
 def _doubling(size: int) -> ca.Function:
-    """One doubling of (A, G, H)."""
-    a, g, h = (ca.SX.sym(name, size, size) for name in ("A", "G", "H"))
-    solved = solve_general(ca.SX.eye(size) + g @ h, ca.horzcat(a, g))
-    wa, wg = solved[:, :size], solved[:, size:]
+    """One doubling of (A, G, H), with V = (I + G H)⁻¹."""
+    times = _product(size)
+    a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
+    v = _inverse(size)(ca.MX.eye(size) + times(g, h))
+    va = times(v, a)
     # Averaging both triangles, rather than computing one, keeps two digits more on badly conditioned plants.
-    outputs = [a @ wa, _symmetric(g + a @ wg @ a.T), _symmetric(h + a.T @ h @ wa)]
-    return ca.Function("doubling", [a, g, h], outputs, ["A", "G", "H"], ["A_next", "G_next", "H_next"])
+    next_g = _symmetric(g + times(times(a, times(v, g)), a.T))
+    next_h = _symmetric(h + times(a.T, times(h, va)))
+    return ca.Function("doubling", [a, g, h], [times(a, va), next_g, next_h])
 
 
 def _cayley(size: int) -> ca.Function:
     """The discrete triple with the same X and Z as the continuous one."""
-    a, g, h = (ca.SX.sym(name, size, size) for name in ("A", "G", "H"))
-    identity = ca.SX.eye(size)
+    times, inverse = _product(size), _inverse(size)
+    a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
+    identity = ca.MX.eye(size)
     shifted = a - GAMMA * identity
-    inverse = solve_general(shifted, identity)
-    w = solve_general(shifted.T + h @ inverse @ g, ca.horzcat(identity, h @ inverse))
-    start_a = identity + 2 * GAMMA * w[:, :size].T
-    start_g = 2 * GAMMA * inverse @ g @ w[:, :size]
-    outputs = [start_a, _symmetric(start_g), _symmetric(2 * GAMMA * w[:, size:])]
-    return ca.Function("cayley", [a, g, h], outputs, ["A", "G", "H"], ["A_0", "G_0", "H_0"])
+    resolvent = inverse(shifted)
+    w = inverse(shifted.T + times(h, times(resolvent, g)))
+    start_g = 2 * GAMMA * times(resolvent, times(g, w))
+    start_h = 2 * GAMMA * times(w, times(h, resolvent))
+    outputs = [identity + 2 * GAMMA * w.T, _symmetric(start_g), _symmetric(start_h)]
+    return ca.Function("cayley", [a, g, h], outputs)
 
 
 def _smith(size: int) -> ca.Function:
-    a, p = ca.SX.sym("A", size, size), ca.SX.sym("P", size, size)
-    return ca.Function("smith", [a, p], [a @ a, _symmetric(p + a @ p @ a.T)], ["A", "P"], ["A_next", "P_next"])
+    times = _product(size)
+    a, p = ca.MX.sym("A", size, size), ca.MX.sym("P", size, size)
+    return ca.Function("smith", [a, p], [times(a, a), _symmetric(p + times(times(a, p), a.T))])
 
 
-def _smith_start(size: int) -> ca.Function:
-    a, q = ca.SX.sym("A", size, size), ca.SX.sym("Q", size, size)
-    identity = ca.SX.eye(size)
-    resolvent = solve_general(GAMMA * identity - a, identity)
-    outputs = [(GAMMA * identity + a) @ resolvent, _symmetric(2 * GAMMA * resolvent @ q @ resolvent.T)]
-    return ca.Function("smith_start", [a, q], outputs, ["A", "Q"], ["A_0", "P_0"])
-
-
-def _normalised(vector: ca.SX, z: ca.SX) -> ca.SX:
+def _normalised(vector: ca.MX, z: ca.MX) -> ca.MX:
     return vector / ca.sqrt(ca.dot(vector, z @ vector))
 
 
@@ -144,5 +153,5 @@ def _generic(size: int, k: int) -> ca.DM:
     return ca.DM([1.0 + 0.4 * math.sin(2.3 * (i + 1) * (k + 1) + 0.7 * k) for i in range(size)])
 
 
-def _symmetric(matrix: ca.SX) -> ca.SX:
+def _symmetric(matrix: ca.MX) -> ca.MX:
     return (matrix + matrix.T) / 2

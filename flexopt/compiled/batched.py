@@ -26,7 +26,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 
 # Lines of generated code and how hard to optimise them. Of lanes, which are structures, gcc's scalar replacement of
 # aggregates takes a time that grows with the square of the length; without it the code is 15 % slower.
-_LEVELS = ((9_000, ("-O2",)), (20_000, ("-O2", "-fno-tree-sra")), (40_000, ("-O1", "-fno-tree-sra")))
+_LEVELS = ((12_000, ("-O2",)), (20_000, ("-O2", "-fno-tree-sra")), (40_000, ("-O1", "-fno-tree-sra")))
 
 # A multiple of every processor's number of lanes, so that threads never share a group of points.
 _GROUP = 64

@@ -51,6 +51,7 @@ class Margin:
             self-motion to the rest (and stabilises it).
         doublings: how many of the Riccati equations' doublings are done. The default suits poles close to the axis;
             fewer are faster, and `values` says by `rest` where they were too few.
+        compact: whether the Functions are meant for C rather than for CasADi's virtual machine (same results).
     """
 
     plant: Plant
@@ -58,6 +59,7 @@ class Margin:
     gravity: bool
     keeps_joint_rates: bool
     doublings: int = DOUBLINGS
+    compact: bool = False
 
     @property
     def n_rates(self) -> int:
@@ -189,7 +191,7 @@ class Margin:
         symbols, (a, b, c), x, z, _ = self._solved()
         n = self.n_states
         values, vectors = top_eigenpairs(n).call([x, z])
-        solve, sweep, held = lyapunov(n), self._reverse_sweep, self.hold.call(symbols)[0]
+        solve, sweep, held = lyapunov(n, compact=self.compact), self._reverse_sweep, self.hold.call(symbols)[0]
         loop_x, loop_z = a - b @ (b.T @ x), a.T - c.T @ (c @ z)
         rows: list[ca.MX] = []
         for i, j in ((0, 0), (1, 1), (0, 1)):
@@ -245,7 +247,7 @@ class Margin:
         """Symbols, scaled A, B, C, the solutions X and Z and what the doubling left."""
         _, symbols = self._symbols()
         a, b, c = self.scaled_plant.call([*symbols, *self.hold.call(symbols)])
-        x, z, rest = riccati_pair(self.n_states, self.doublings).call([a, b @ b.T, c.T @ c])
+        x, z, rest = riccati_pair(self.n_states, self.doublings, compact=self.compact).call([a, b @ b.T, c.T @ c])
         return symbols, (a, b, c), x, z, rest
 
     def _function(self, name: str, symbols: list[ca.MX], outputs: list[ca.MX], names: list[str]) -> ca.Function:
@@ -254,13 +256,17 @@ class Margin:
 
 @lru_cache(maxsize=64)
 def build_margin(
-    machine: Machine, control: Control = "inverse", gravity: bool = False, doublings: int = DOUBLINGS
+    machine: Machine,
+    control: Control = "inverse",
+    gravity: bool = False,
+    doublings: int = DOUBLINGS,
+    compact: bool = False,
 ) -> Margin:
-    """The margin of a machine (built once for each machine, controller, gravity option and accuracy, and kept)."""
+    """The margin of a machine (built once for each machine and set of options, and kept)."""
     plant = build_plant(machine)
     redundant = plant.n_actuated > plant.n_task
     damped = any(link.joint_damping > 0 for link in machine.links if not link.passive)
-    return Margin(plant, control, gravity, redundant and damped, doublings)
+    return Margin(plant, control, gravity, redundant and damped, doublings, compact)
 
 
 @dataclass(frozen=True)
