@@ -2,8 +2,8 @@
 
 Run: python -m benchmarks.maps
 
-The peers get their matrices ready made (M, K, J and Jv; the scaled state space for ε_max), while flexopt's time includes
-computing them from the posture. SciPy's ε_max is that of `solve_continuous_are` twice. The compiled code is made before
+The peers get their matrices ready made (M, K, J and Jv; the scaled state space for ε_max), while flexopt computes
+them from the posture. SciPy's ε_max is that of `solve_continuous_are` twice. The compiled code is made before
 the clock starts; how long that took with an empty cache is printed beside.
 """
 
@@ -80,9 +80,9 @@ def main() -> None:
     reference = points.evaluate_points(machine, postures)
     with mock.patch.dict(os.environ, FLEXOPT_COMPILE="0"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        points._stages.cache_clear()
+        points._batches.cache_clear()
         each["flexopt, all of a map, no compiler"] = seconds(lambda: points.evaluate_points(machine, postures)) / FEW
-    points._stages.cache_clear()
+    points._batches.cache_clear()
     others = peers(flexopt.build_measures(machine), postures)
     each["NumPy eigh, batched: w_i only"] = seconds(others.numpy_batched) / FEW
     each["SciPy eigh, loop: w_i only"] = seconds(others.scipy_loop) / 500

@@ -1,5 +1,7 @@
 """flexopt: configurations of machines on a compliant base in which end-point feedback does not excite the base."""
 
+from typing import TYPE_CHECKING
+
 from flexopt.coprime import RobustMargin as RobustMargin
 from flexopt.coprime import StateSpace as StateSpace
 from flexopt.coprime import gap as gap
@@ -34,3 +36,22 @@ from flexopt.selection import build_selection as build_selection
 from flexopt.selection import select as select
 from flexopt.selection import solve_problem as solve_problem
 from flexopt.selection import solve_selection as solve_selection
+
+if TYPE_CHECKING:
+    from flexopt.study import WorkspaceMap as WorkspaceMap
+    from flexopt.study import map_workspace as map_workspace
+
+_STUDY = ("WorkspaceMap", "map_workspace")
+
+
+def __getattr__(name: str) -> object:
+    """What comes from `flexopt.study`, which is imported when first asked for."""
+    if name not in _STUDY:
+        raise AttributeError(f"module 'flexopt' has no attribute {name!r}")
+    from flexopt import study  # noqa: PLC0415  (that is the point)
+
+    return getattr(study, name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_STUDY])

@@ -1,4 +1,4 @@
-"""The command line: `flexopt evaluate | select | reproduce | doctor`.
+"""The command line: `flexopt evaluate | select | map | reproduce | doctor`.
 
 In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
 go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
@@ -29,6 +29,7 @@ from flexopt.selection import Selection, select
 BAD_INPUT, FAILED = 2, 3
 FILE_NAME_MAX = 255
 PICTURES = (".png", ".svg", ".pdf")
+REPORT_FOLDER = "flexopt-reproduce"
 
 Decorator = Callable[[Callable[..., None]], Callable[..., None]]
 
@@ -212,17 +213,73 @@ def _selection_text(result: Selection) -> str:
     return "\n".join(lines)
 
 
-@cli.command("reproduce")
+@cli.command("map")
+@click.argument("machine")
+@_option("--points", metavar="N,M", help="Points along x and y (400,400 by default).")
+@CONTROL
+@GAIN
+@GRAVITY
+@_option("--elbow", metavar="|".join(ELBOWS), help="Which posture reaches an end-point (up by default).")
+@_option("--over", metavar="end_point|posture", help="Map over end-points (default) or over the first two joints.")
+@_option("--posture", metavar="C,…", help="With --over posture: the joints from the third on, rad.")
+@_option("--x-range", metavar="LO,HI", help="Workspace frame, m, or first joint, rad; all of it by default.")
+@_option("--y-range", metavar="LO,HI", help="Workspace frame, m, or second joint, rad; all of it by default.")
+@_option("--out", metavar="FILE.nc", help="Write the map to a netCDF file.")
+@_option("--plot", metavar="FILE.png", help="Draw the map: .png, .svg or .pdf.")
 @JSON
-def reproduce_command(as_json: bool) -> None:
-    """The article's Table 2 beside what flexopt computes (frequencies and w_i; ε_max is not computed yet)."""
-    from flexopt.study import reproduce_table2  # noqa: PLC0415  (only this command needs it)
+def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
+    """Frequencies, w_i, in-phase regions and ε_max of MACHINE over its workspace.
 
-    table = reproduce_table2()
+    The workspace frame has the axes of the inertial one and its origin at the first joint at rest.
+    """
+    from flexopt.study import map_workspace  # noqa: PLC0415  (only this command needs it)
+
+    _check_output("--plot", plot, PICTURES)
+    _check_output("--out", out, (".nc",))
+    loaded = load(machine)
+    points = _numbers(options["points"])
+    given: dict[str, Any] = {
+        "points": points and [int(n) if isinstance(n, float) and n.is_integer() else n for n in points],
+        "control": options["control"],
+        "gain": None if options["gain"] is None else _number(options["gain"]),
+        "elbow": options["elbow"],
+        "over": options["over"],
+        "posture": _numbers(options["posture"]),
+        "x_range": _numbers(options["x_range"]),
+        "y_range": _numbers(options["y_range"]),
+    }
+    settings = {name: value for name, value in given.items() if value is not None}
+    with _option_names(options), _warnings_to_stderr(as_json), _progress("postures") as progress:
+        result = map_workspace(loaded, gravity=bool(options["gravity"]), progress=progress, **settings)
+    if out is not None:
+        _write("--out", out, lambda: result.to_netcdf(out))
+    if plot is not None:
+        _write("--plot", plot, lambda: result.plot(plot))
     if as_json:
-        _print_json(table.to_dict())
+        _print_json(result.to_dict())
     else:
-        click.echo(repr(table))
+        click.echo(repr(result))
+
+
+@cli.command("reproduce")
+@_option("--out", metavar="DIR", help="Folder of report.html and report.json (flexopt-reproduce by default).")
+@JSON
+def reproduce_command(as_json: bool, out: str | None) -> None:
+    """The article computed again: Table 2, Figs. 5 to 8, mean frequencies, its claims and contradictions.
+
+    Writes one HTML report and one JSON file into a folder, which is made if it is missing.
+    """
+    from flexopt.study import reproduce  # noqa: PLC0415  (only this command needs it)
+
+    folder = out or REPORT_FOLDER
+    _check_folder("--out", folder)
+    with _warnings_to_stderr(as_json), _progress("stages") as progress:
+        result = reproduce(progress=progress)
+    _write("--out", folder, lambda: result.write(folder))
+    if as_json:
+        _print_json(result.to_dict())
+    else:
+        click.echo(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
 
 
 @cli.command("doctor")
@@ -273,18 +330,26 @@ def _warnings_to_stderr(as_json: bool) -> Generator[None]:
 
 
 @contextmanager
-def _progress() -> Generator[Callable[[int, int], None]]:
+def _progress(what: str = "starts") -> Generator[Callable[[int, int], None]]:
     """A bar on standard error where that is a terminal, else one line at the end."""
     if not sys.stderr.isatty():
-        yield lambda done, total: click.echo(f"starts {done}/{total}", err=True) if done == total else None
+        yield lambda done, total: click.echo(f"{what} {done}/{total}", err=True) if done == total else None
         return
-    with click.progressbar(length=1, label="starts", file=sys.stderr, show_pos=True) as bar:
+    with click.progressbar(length=1, label=what, file=sys.stderr, show_pos=True) as bar:
 
         def show(done: int, total: int) -> None:
             bar.length = total
             bar.update(done - bar.pos)
 
         yield show
+
+
+def _check_folder(option: str, path: str) -> None:
+    """Find out that a folder cannot be made before the work is done."""
+    target = Path(path)
+    made = next((folder for folder in (target, *target.parents) if folder.exists()), None)
+    if made is None or not made.is_dir():
+        raise InputError(f"{option} = {path!r}: {str(made or target)!r} is no folder")
 
 
 def _check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> None:

@@ -1,7 +1,16 @@
-"""Studies on top of everything else: the article's tables, and the examination of an installation.
+"""Studies on top of everything else: workspace maps, the article computed again, the examination of an installation.
 
 In: machines. Out: result objects that carry printed and computed numbers side by side.
 """
 
 from flexopt.study.article import ArticleTable as ArticleTable
 from flexopt.study.article import reproduce_table2 as reproduce_table2
+from flexopt.study.curves import Curve as Curve
+from flexopt.study.curves import curve as curve
+from flexopt.study.findings import Finding as Finding
+from flexopt.study.gaps import GapSweep as GapSweep
+from flexopt.study.gaps import sweep_gaps as sweep_gaps
+from flexopt.study.reproduction import Reproduction as Reproduction
+from flexopt.study.reproduction import reproduce as reproduce
+from flexopt.study.workspace import map_workspace as map_workspace
+from flexopt.study.workspace_map import WorkspaceMap as WorkspaceMap

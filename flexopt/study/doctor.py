@@ -52,7 +52,7 @@ class Report:
 
 def examine() -> Report:
     """Run every check."""
-    names = ("flexopt", "casadi", "numpy", "scipy", "matplotlib", "pydantic", "click")
+    names = ("flexopt", "casadi", "numpy", "scipy", "matplotlib", "xarray", "pydantic", "click")
     versions = ", ".join(f"{name} {package_version(name)}" for name in names)
     return Report(
         (

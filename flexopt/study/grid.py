@@ -52,9 +52,7 @@ class Grid:
 def default_ranges(machine: Machine, over: Over) -> tuple[Range, Range]:
     """The square around all that the arm reaches, workspace frame, m; or the joint limits, a whole turn without."""
     if over == "posture":
-        first, second = (
-            (low, high) if math.isfinite(low) else (-math.pi, math.pi) for low, high in machine.limits[:2]
-        )
+        first, second = ((low, high) if math.isfinite(low) else (-math.pi, math.pi) for low, high in machine.limits[:2])
         return first, second
     outer = reach(build_plant(machine)).outer
     return (-outer, outer), (-outer, outer)

@@ -1,8 +1,6 @@
 """Measures and margins at many postures at once, on the compiled batched path.
 
-In: a machine and postures as columns. Out: arrays with one column for each posture. The margin goes in three stages (the
-scaled plant, the pair of Riccati equations, the eigenvalues), because the two long ones depend on the number of states
-alone: their compiled code serves every machine and both controllers.
+In: a machine and postures as columns. Out: arrays with one column for each posture.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.algebra import symmetric_eigen
-from flexopt.algebra.riccati import riccati_pair, top_eigenpairs
 from flexopt.compiled import Batch, batch
 from flexopt.errors import FlexoptWarning
 from flexopt.model import Machine
@@ -33,7 +30,7 @@ from flexopt.robustness.margin import RESIDUAL_TOLERANCE, Margin, build_margin, 
 from flexopt.robustness.measures import Measures
 
 Progress = Callable[[int, int], None]
-# Postures at a time: the scaled plants of one chunk are 240 numbers each, which stays within the processor's cache.
+# Postures at a time, so that progress shows and memory stays small.
 CHUNK = 4096
 
 
@@ -82,17 +79,17 @@ def evaluate_points(
     """
     threads = default_threads() if threads is None else threads
     count = postures.shape[1]
-    stages = _stages(machine, control, gravity, epsilon_max)
+    batches = _batches(machine, control, gravity, epsilon_max)
     parts: list[tuple[Vector, ...]] = []
     if progress is not None:
         progress(0, count)
     for start in range(0, max(count, 1), CHUNK):
         chunk = postures[:, start : start + CHUNK]
-        values = _measured(stages, chunk, threads)
+        values = _measured(batches, chunk, threads)
         epsilon = np.full(chunk.shape[1], np.nan)
         sound = np.isfinite(values[-2])
         if epsilon_max and sound.any():
-            epsilon[sound] = _margins(stages, chunk[:, sound], gain, threads)
+            epsilon[sound] = _margins(batches, chunk[:, sound], gain, threads)
         parts.append((*values, epsilon))
         if progress is not None and count:
             progress(min(start + CHUNK, count), count)
@@ -100,35 +97,31 @@ def evaluate_points(
 
 
 @dataclass(frozen=True)
-class _Stages:
+class _Batches:
     """The batched Functions of one machine under one controller."""
 
     measures: Measures
     margin: Margin
     values: Batch
-    plants: Batch | None
-    riccati: Batch | None
     margins: Batch | None
 
 
 @lru_cache(maxsize=16)
-def _stages(machine: Machine, control: Control, gravity: bool, epsilon_max: bool) -> _Stages:
+def _batches(machine: Machine, control: Control, gravity: bool, epsilon_max: bool) -> _Batches:
     measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
     functions = [_measure_function(measures)]
     if epsilon_max:
-        size = margin.n_states
-        functions = [riccati_pair(size), _scaled_plant(margin), top_of_solutions(size), *functions]
+        functions.append(build_margin(machine, control, gravity, compact=True).values)
     # Compilers are programs of their own, so that threads suffice to run several.
     with ThreadPoolExecutor(default_threads()) as pool:
-        batches = list(pool.map(batch, functions))
-    if not epsilon_max:
-        return _Stages(measures, margin, batches[0], None, None, None)
-    riccati, plants, margins, values = batches
-    return _Stages(measures, margin, values, plants, riccati, margins)
+        values, *margins = pool.map(batch, functions)
+    if margins and not margins[0].compiled:
+        margins = [batch(margin.values)]
+    return _Batches(measures, margin, values, margins[0] if margins else None)
 
 
 def _measure_function(measures: Measures) -> ca.Function:
-    """(base, posture, p) -> what `PointValues` holds of the measures, Jv, and the soundness of the static deflection."""
+    """(base, posture, p) -> the measures as in `PointValues`, Jv, and what the static deflection left over."""
     g, plant = measures.plant.graph, measures.plant
     inputs = [g.base, g.posture, g.p]
     v = dict(zip(measures.values.name_out(), measures.values.call(inputs), strict=True))
@@ -153,38 +146,11 @@ def _measure_function(measures: Measures) -> ca.Function:
     return ca.Function("map_measures", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
 
 
-def _scaled_plant(margin: Margin) -> ca.Function:
-    """(base, posture, p, kr) -> A, B Bᵀ, Cᵀ C of the scaled plant."""
-    g, kr = margin.plant.graph, ca.SX.sym("kr")
-    inputs = [g.base, g.posture, g.p, kr]
-    a, b, c = margin.scaled_plant.call([*inputs, margin.hold.call(inputs)[0]])
-    outputs = [ca.densify(x) for x in (a, b @ b.T, c.T @ c)]
-    return ca.Function("map_plant", inputs, outputs, ["base", "posture", "p", "kr"], ["A", "G", "H"], {"cse": True})
-
-
-@lru_cache(maxsize=8)
-def top_of_solutions(size: int) -> ca.Function:
-    """(A, G, H, X, Z) -> ε_max and the largest relative residual of AᵀX + XA − XGX + H = 0 and its dual."""
-    a, g, h, x, z = (ca.MX.sym(name, size, size) for name in ("A", "G", "H", "X", "Z"))
-    values, _ = top_eigenpairs(size).call([x, z])
-    residual = _residual(size)
-    worst = ca.fmax(residual(a, g, h, x), residual(a.T, h, g, z))
-    return ca.Function("map_margin", [a, g, h, x, z], [1 / ca.sqrt(1 + values[0]), worst])
-
-
-def _residual(size: int) -> ca.Function:
-    """(A, G, H, X) -> the largest element of AᵀX + XA − XGX + H relative to those of its terms."""
-    a, g, h, x = (ca.SX.sym(name, size, size) for name in ("A", "G", "H", "X"))
-    linear, quadratic = a.T @ x, x @ g @ x
-    left, *terms = (ca.norm_inf(ca.vec(t)) for t in (linear + linear.T - quadratic + h, linear, quadratic, h))
-    return ca.Function("riccati_residual", [a, g, h, x], [left / sum(terms)], {"cse": True})
-
-
-def _measured(stages: _Stages, postures: Vector, threads: int) -> tuple[Vector, ...]:
+def _measured(batches: _Batches, postures: Vector, threads: int) -> tuple[Vector, ...]:
     """The fields of `PointValues` up to `condition`."""
-    plant = stages.measures.plant
+    plant = batches.measures.plant
     p = np.array(plant.parameter_values).ravel()
-    frequency, w, scale, trace, least, rigid, jv, left_over = stages.values(
+    frequency, w, scale, trace, least, rigid, jv, left_over = batches.values(
         np.zeros(plant.n_base), postures, p, threads=threads
     )
     jacobians = jv.T.reshape(-1, plant.n_actuated, plant.n_task)
@@ -204,20 +170,16 @@ def _conditions(jacobians: Vector) -> Vector:
     return np.where(np.isnan(ratio), np.inf, ratio)
 
 
-def _margins(stages: _Stages, postures: Vector, gain: float, threads: int) -> Vector:
+def _margins(batches: _Batches, postures: Vector, gain: float, threads: int) -> Vector:
     """ε_max (N,); one by one, by the general solvers, where the batched equations are not solved."""
-    assert stages.plants is not None
-    assert stages.riccati is not None
-    assert stages.margins is not None
-    plant = stages.margin.plant
+    assert batches.margins is not None
+    plant = batches.margin.plant
     p, base = np.array(plant.parameter_values).ravel(), np.zeros(plant.n_base)
-    scaled = stages.plants(base, postures, p, [gain], threads=threads)
-    x, z, rest = stages.riccati(*scaled, threads=threads)
-    epsilon, residual = stages.margins(*scaled, x, z, threads=threads)
+    epsilon, rest, residual = batches.margins(base, postures, p, [gain], threads=threads)
     result = epsilon[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FlexoptWarning)  # of single points next to a singular posture
         for k in np.flatnonzero(~(np.fmax(rest[0], residual[0]) <= RESIDUAL_TOLERANCE)):
-            value = evaluate_margin(stages.margin, base, postures[:, k], gain).epsilon_max
+            value = evaluate_margin(batches.margin, base, postures[:, k], gain).epsilon_max
             result[k] = np.nan if value is None else value
     return result

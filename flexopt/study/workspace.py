@@ -73,11 +73,13 @@ def map_workspace(
     kr = arguments.checked("gain", gain, check_gain, 1.0)
     for name, flag in (("gravity", gravity), ("measures", measures), ("epsilon_max", epsilon_max)):
         arguments.flag(name, flag)
+    noted = len(arguments.faults)
     over = arguments.choice("over", over, OVER)
+    is_over = len(arguments.faults) == noted
     elbow = arguments.choice("elbow", elbow, ELBOWS)
     size = arguments.checked("points", points, _check_points, (2, 2))
     workers = arguments.checked("threads", threads, _check_threads, None)
-    rest = _other_joints(arguments, machine, over, posture)
+    rest = _other_joints(arguments, machine, over, posture) if is_over else np.zeros(0)
     ranges = _ranges(arguments, machine, over, x_range, y_range)
     arguments.done()
     if over == "end_point":
@@ -105,9 +107,7 @@ def _computed(
         machine, grid.posture[:, where], control=options["control"], gain=options["gain"], gravity=options["gravity"],
         epsilon_max=margins, threads=threads, progress=progress,
     )  # fmt: skip
-    dataset = workspace_dataset(
-        grid, values, machine, measures=measures, margins=margins, control=options["control"]
-    )
+    dataset = workspace_dataset(grid, values, machine, measures=measures, margins=margins, control=options["control"])
     dataset.attrs |= _attributes(machine, options)
     return WorkspaceMap(machine.name, options, dataset, provenance(machine, **options))
 
@@ -177,7 +177,7 @@ def _other_joints(arguments: Arguments, machine: Machine, over: Over, posture: A
     others = names[2:]
     if posture is None and not others:
         return nothing
-    given = [] if posture is None else np.ravel(cast(Any, posture)).tolist()
+    given = [] if posture is None else list(np.ravel(posture).tolist())
     if len(given) != len(others):
         sentence = f"needs {len(others)} angles in rad, for the joints that do not vary ({', '.join(others) or 'none'})"
         _note(arguments, "posture", sentence, posture)

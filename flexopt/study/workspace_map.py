@@ -74,7 +74,7 @@ class WorkspaceMap:
         """
         if Path(path).suffix.lower() != ".nc":
             raise InputError(f"to_netcdf: {os.fspath(path)!r}: the name must end in .nc")
-        self.dataset.to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+        cast(Any, self.dataset).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Frequencies, w_i, in-phase regions and ε_max; written to `path` (`.png`, `.svg`, `.pdf`) where one is given.
@@ -103,7 +103,9 @@ class WorkspaceMap:
             "points": int(mapped.size),
             "reachable": float(self.array("reachable").mean()),
             "mapped": float(mapped.mean()),
-            "variables": {str(name): self._summary(str(name)) for name in self.dataset.data_vars if _numeric(str(name))},
+            "variables": {
+                str(name): self._summary(str(name)) for name in self.dataset.data_vars if _numeric(str(name))
+            },
         }
         if "in_phase" in self.dataset:
             modes = range(1, self.dataset.sizes["mode"] + 1)
@@ -132,7 +134,9 @@ class WorkspaceMap:
             for key, title in (("in_phase", "in phase"), ("in_phase_strict", "strictly so")):
                 shares = document[key]
                 each = ", ".join(f"{100 * share:.1f} %" for share in shares["modes"])
-                both = "" if shares["first_two"] is None else f"; the first two together {100 * shares['first_two']:.1f} %"
+                both = (
+                    "" if shares["first_two"] is None else f"; the first two together {100 * shares['first_two']:.1f} %"
+                )
                 lines.append(f"  {title}: modes {each}{both}")
         return "\n".join(lines)
 
@@ -220,7 +224,7 @@ def workspace_dataset(
     }
     coordinates["joint"] = (joint, list(machine.joints), {"long_name": "actuated joint"})
     if measures:
-        numbers = np.arange(1, values.w.shape[0] + 1)
+        numbers = list(range(1, values.w.shape[0] + 1))
         coordinates["mode"] = (mode, numbers, {"units": "1", "long_name": "vibration mode, by ascending frequency"})
     return xr.Dataset(variables, coordinates)
 

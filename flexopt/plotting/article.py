@@ -1,0 +1,158 @@
+"""Figures 5 to 8 of the article in its arrangement, and the distance of the rigid plant from the full one.
+
+In: datasets of workspace maps, curves along a height, a sweep of gaps, arms as points. Out: matplotlib figures.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flexopt.plotting.fields import LOWEST_SHOWN, POSTURE, Values, draw_arm, draw_field, draw_regions, label_plane
+from flexopt.plotting.workspace import dataset_plane
+
+EPSILON_COLOR, W_COLOR = "#1b6ca8", "#d9820f"
+Arms = Mapping[str, Values]
+
+
+class CurveData(Protocol):
+    """What is read of a curve along one height."""
+
+    @property
+    def x(self) -> Values: ...  # noqa: D102
+    @property
+    def y(self) -> float: ...  # noqa: D102
+    @property
+    def w(self) -> Values: ...  # noqa: D102
+    @property
+    def epsilon_max(self) -> Values: ...  # noqa: D102
+    @property
+    def regular(self) -> Any: ...  # noqa: D102
+
+
+class SweepData(Protocol):
+    """What is read of a sweep of gaps."""
+
+    @property
+    def factors(self) -> tuple[float, ...]: ...  # noqa: D102
+    @property
+    def names(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def nu_gap(self) -> Values: ...  # noqa: D102
+    @property
+    def epsilon_max(self) -> Values: ...  # noqa: D102
+
+
+def plot_figure5(inverse: Any, arms: Arms) -> Figure:
+    """In-phase regions of modes 1 to 3, and the first two together (their intersection)."""
+    plane, in_phase = dataset_plane(inverse), _array(inverse, "in_phase")
+    figure = Figure(figsize=(9.0, 9.0), layout="constrained")
+    panels = [*in_phase[:3], in_phase[0] * in_phase[1]]
+    titles = ["(a) mode 1", "(b) mode 2", "(c) mode 3", "(d) modes 1 and 2 (intersection)"]
+    for k, (title, values) in enumerate(zip(titles, panels, strict=True)):
+        axes = figure.add_subplot(2, 2, k + 1)
+        draw_regions(axes, plane, values)
+        for name, arm in arms.items():
+            draw_arm(axes, arm, name)
+        label_plane(axes, plane, title, left=k % 2 == 0, bottom=k > 1)
+    figure.suptitle("Fig. 5: in phase (yellow) and out of phase (blue), Jacobian inverse control", fontsize=11)
+    return figure
+
+
+def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
+    """ε_max over the workspace."""
+    figure = Figure(figsize=(11.0, 4.9), layout="constrained")
+    for k, (title, dataset) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
+        axes, plane = figure.add_subplot(1, 2, k + 1), dataset_plane(dataset)
+        draw_field(axes, plane, _array(dataset, "epsilon_max"), label="$\\epsilon_{max}$", clipped=True)
+        for name, arm in arms.items():
+            draw_arm(axes, arm, name)
+        label_plane(axes, plane, title, left=k == 0)
+    figure.suptitle(f"Fig. 6: $\\epsilon_{{max}}$ over the workspace, kr = {inverse.attrs['gain']:.4g}", fontsize=11)
+    return figure
+
+
+def plot_figure7(transpose: Any, inverse: Any) -> Figure:
+    """w_i over the workspace: a row for each control, a column for each mode."""
+    figure = Figure(figsize=(13.0, 7.6), layout="constrained")
+    for row, (control, dataset) in enumerate((("transpose", transpose), ("inverse", inverse))):
+        plane, w, frequency = dataset_plane(dataset), _array(dataset, "w"), _array(dataset, "frequency_hz")
+        unit = dataset["w"].attrs["units"].replace("m2", "m²")
+        for mode in range(len(w)):
+            axes = figure.add_subplot(2, len(w), row * len(w) + mode + 1)
+            draw_field(axes, plane, w[mode], label=unit, clipped=True)
+            letter = "abcdefghij"[row * len(w) + mode]
+            title = f"({letter}) {control}: $w_{mode + 1}$, mean {np.nanmean(frequency[mode]):.4f} Hz"
+            label_plane(axes, plane, title, left=mode == 0, bottom=row == 1)
+    figure.suptitle("Fig. 7: $w_i$ over the workspace (0 is best; the lowest twentieth in one colour)", fontsize=11)
+    return figure
+
+
+def plot_figure8(transpose: CurveData, inverse: CurveData, marks: Mapping[str, float]) -> Figure:
+    """ε_max and w_1 along one height, with the end-points `marks` (name -> x, m) as thin lines."""
+    figure = Figure(figsize=(12.5, 4.6), layout="constrained")
+    for k, (title, curve) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
+        left = figure.add_subplot(1, 2, k + 1)
+        right = left.twinx()
+        _along(left, curve, curve.epsilon_max, EPSILON_COLOR, "$\\epsilon_{max}$", "-")
+        _along(right, curve, curve.w[0], W_COLOR, "$w_1$", "--")
+        right.ticklabel_format(axis="y", style="sci", scilimits=(0, 0))
+        left.set_ylabel("$\\epsilon_{max}$", color=EPSILON_COLOR)
+        right.set_ylabel("$w_1$", color=W_COLOR)
+        left.set_xlabel(f"x of the end-point, m (workspace frame, y = {curve.y:g} m)")
+        left.set_title(title, fontsize=10)
+        left.axhline(np.sin(np.pi / 8), color="#999999", linewidth=0.8, linestyle=":", zorder=0)
+        for name, x in marks.items():
+            left.axvline(x, color=POSTURE, linewidth=0.9, alpha=0.75, zorder=0)
+            left.annotate(
+                name, (x, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 0), textcoords="offset points",
+                color=POSTURE, fontsize=8.5, rotation=90, va="bottom",
+            )  # fmt: skip
+        lines = [*left.lines[:1], *right.lines[:1]]
+        left.legend(lines, [str(line.get_label()) for line in lines], loc="lower left", fontsize=8.5, framealpha=0.95)
+    figure.suptitle("Fig. 8: measures along $y_d$, elbow up (dotted: sin π/8)", fontsize=11)
+    return figure
+
+
+def _along(axes: Axes, curve: CurveData, values: Values, color: str, label: str, style: str) -> None:
+    """A curve, broken where the arm does not reach; its axis leaves out the lowest few points."""
+    steps = np.diff(curve.x)
+    broken = np.insert(values.astype(float), np.flatnonzero(steps > 2 * np.median(steps)) + 1, np.nan)
+    x = np.insert(curve.x.astype(float), np.flatnonzero(steps > 2 * np.median(steps)) + 1, np.nan)
+    axes.plot(x, broken, style, color=color, linewidth=1.7, label=label)
+    shown = values[curve.regular & np.isfinite(values)]
+    low, high = float(np.quantile(shown, LOWEST_SHOWN)), float(shown.max())
+    axes.set_ylim(low - 0.12 * (high - low), high + 0.08 * (high - low))
+
+
+def plot_gaps(sweep: SweepData) -> Figure:
+    """ν-gap between rigid and full plant, and ε_max, as the damping grows; robust postures and others."""
+    figure = Figure(figsize=(12.0, 4.6), layout="constrained")
+    panels: Sequence[tuple[str, Values]] = (("ν-gap to the rigid plant", sweep.nu_gap),
+                                           ("$\\epsilon_{max}$", sweep.epsilon_max))  # fmt: skip
+    for k, (label, values) in enumerate(panels):
+        axes = figure.add_subplot(1, 2, k + 1)
+        for name, row in zip(sweep.names, values, strict=True):
+            special = not name.startswith("optimum")
+            axes.semilogx(
+                sweep.factors, row, "-o" if special else "-", linewidth=1.8 if special else 1.0,
+                markersize=4.5, label=name if special or name.endswith(" 1") else None,
+                color=None if special else "#8a8f96" if not name.endswith(" 1") else "#222222",
+            )  # fmt: skip
+        axes.axhline(np.sin(np.pi / 8), color="#999999", linewidth=1.0, linestyle=":", zorder=0)
+        axes.set_xlabel("factor of the machine's damping")
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.25)
+    figure.axes[0].legend(fontsize=8.5, title="grey: further optima of $w_1$", title_fontsize=8)
+    figure.suptitle("Rigid plant kr R0/s² against the full one (dotted: sin π/8)", fontsize=11)
+    return figure
+
+
+def _array(dataset: Any, name: str) -> Values:
+    return np.asarray(dataset[name].values, dtype=float)

@@ -1,0 +1,102 @@
+"""Quantities over a plane: coloured fields, in-phase regions, and postures drawn over them."""
+
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+
+IN_PHASE, OUT_OF_PHASE = "#f5d327", "#27509b"
+POSTURE = "#d81b1b"
+# Near singular postures the measures fall without end: colours and axes start at this fraction of the points.
+LOWEST_SHOWN = 0.05
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The axes of a field: values (n_x,), (n_y,), and their labels."""
+
+    x: Values
+    y: Values
+    x_label: str
+    y_label: str
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Edges of the outermost points' cells."""
+        half_x, half_y = ((v[-1] - v[0]) / (v.size - 1) / 2 for v in (self.x, self.y))
+        x, y = (float(self.x[0]), float(self.x[-1])), (float(self.y[0]), float(self.y[-1]))
+        return x[0] - half_x, x[1] + half_x, y[0] - half_y, y[1] + half_y
+
+    @property
+    def aspect(self) -> Literal["equal", "auto"]:
+        """The same scale on both axes, unless that made a ribbon."""
+        return "equal" if 0.25 <= float(np.ptp(self.y) / np.ptp(self.x)) <= 4.0 else "auto"
+
+
+def draw_field(axes: Axes, plane: Plane, values: Values, *, label: str, clipped: bool = False) -> None:
+    """A field (n_y, n_x) with its colour bar; NaN stays white.
+
+    Args:
+        axes: to draw on.
+        plane: the axes.
+        values: the field.
+        label: of the colour bar.
+        clipped: let the colours begin at the lowest twentieth of the values, marked by an arrow.
+    """
+    finite = values[np.isfinite(values)]
+    low = float(np.quantile(finite, LOWEST_SHOWN)) if clipped and finite.size else None
+    image = axes.imshow(
+        values,
+        extent=plane.extent,
+        origin="lower",
+        interpolation="nearest",
+        aspect=plane.aspect,
+        cmap="viridis",
+        vmin=low,
+    )
+    figure = axes.get_figure()
+    assert figure is not None
+    bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="neither" if low is None else "min")
+    bar.set_label(label, fontsize=8.5)
+    bar.ax.tick_params(labelsize=7.5)
+    bar.formatter.set_powerlimits((-2, 3))  # pyright: ignore[reportAttributeAccessIssue]
+    bar.ax.yaxis.get_offset_text().set(fontsize=7.5)
+
+
+def draw_regions(axes: Axes, plane: Plane, values: Values) -> None:
+    """In-phase points (1) yellow, the others (0) blue, what is not mapped (NaN) white."""
+    axes.imshow(
+        values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, vmin=0.0, vmax=1.0,
+        cmap=ListedColormap([OUT_OF_PHASE, IN_PHASE]),
+    )  # fmt: skip
+
+
+def label_plane(axes: Axes, plane: Plane, title: str, *, left: bool = True, bottom: bool = True) -> None:
+    """Title and labels; those of inner panels are left out."""
+    axes.set_title(title, fontsize=9.5)
+    axes.set_xlabel(plane.x_label if bottom else "", fontsize=8.5)
+    axes.set_ylabel(plane.y_label if left else "", fontsize=8.5)
+    axes.tick_params(labelsize=7.5)
+
+
+def draw_arm(axes: Axes, arm: Values, name: str) -> None:
+    """An arm (2, joints and end-point) in red, with its name beside the end-point."""
+    axes.plot(arm[0], arm[1], "-", color="white", linewidth=3.4, solid_capstyle="round", zorder=4)
+    axes.plot(
+        arm[0], arm[1], "-o", color=POSTURE, linewidth=1.9, markersize=4.0, markeredgecolor="white",
+        markeredgewidth=0.6, label=f"posture {name}", zorder=5,
+    )  # fmt: skip
+    axes.annotate(
+        name, (float(arm[0, -1]), float(arm[1, -1])), xytext=(5, -11), textcoords="offset points", fontsize=9.5,
+        fontweight="bold", color=POSTURE, zorder=6,
+        bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
+    )  # fmt: skip

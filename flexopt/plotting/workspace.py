@@ -1,0 +1,79 @@
+"""The picture of a workspace map: frequencies, measures, in-phase regions and margin."""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from flexopt.plotting.fields import Plane, Values, draw_field, draw_regions, label_plane
+
+
+def dataset_plane(dataset: Any) -> Plane:
+    """The axes of a map's dataset."""
+    rows, columns = dataset["reachable"].dims
+    if columns == "x":
+        return Plane(_array(dataset, "x"), _array(dataset, "y"), "x, m (workspace frame)", "y, m (workspace frame)")
+    labels = [f"{dataset[name].attrs['long_name']}, rad" for name in (columns, rows)]
+    return Plane(_array(dataset, columns), _array(dataset, rows), *labels)
+
+
+def plot_workspace(dataset: Any, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw a map: a row for frequencies, w_i and in-phase regions, a column for each mode, and what concerns all.
+
+    Args:
+        dataset: the xarray.Dataset of a `WorkspaceMap`.
+        path: file to write (`.png`, `.svg`, `.pdf`), or None.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    plane, panels = dataset_plane(dataset), _panels(dataset)
+    columns = max(len(row) for row in panels)
+    width, height = np.ptp(plane.x), np.ptp(plane.y)
+    each = 3.0 * (min(2.0, max(0.6, height / width)) if plane.aspect == "equal" else 0.8)
+    figure = Figure(figsize=(1.0 + 3.9 * columns, 0.8 + (0.45 + each) * len(panels)), layout="constrained")
+    for row, entries in enumerate(panels):
+        for column, (kind, title, label, values) in enumerate(entries):
+            axes = figure.add_subplot(len(panels), columns, row * columns + column + 1)
+            if kind == "regions":
+                draw_regions(axes, plane, values)
+            else:
+                draw_field(axes, plane, values, label=label, clipped=kind == "clipped")
+            label_plane(axes, plane, title, left=column == 0, bottom=row == len(panels) - 1)
+    figure.suptitle(f"{dataset.attrs['title']}, kr = {float(dataset.attrs['gain']):.3g}", fontsize=11)
+    if path is not None:
+        figure.savefig(path, dpi=150)
+    return figure
+
+
+Panel = tuple[str, str, str, Values]
+
+
+def _panels(dataset: Any) -> list[list[Panel]]:
+    """Rows of (how to draw, title, label of the colours, values)."""
+    rows: list[list[Panel]] = []
+    whole: list[Panel] = []
+    if "w" in dataset:
+        frequency, w, in_phase = (_array(dataset, name) for name in ("frequency_hz", "w", "in_phase"))
+        unit = dataset["w"].attrs["units"].replace("m2", "m²")
+        modes = range(len(w))
+        rows.append([("field", f"mode {i + 1}: frequency", "Hz", frequency[i]) for i in modes])
+        rows.append([("clipped", f"mode {i + 1}: $w_{i + 1}$", unit, w[i]) for i in modes])
+        rows.append([("regions", f"mode {i + 1}: in phase (yellow)", "", in_phase[i]) for i in modes])
+        if len(w) > 1:
+            whole.append(("regions", "modes 1 and 2 both in phase (yellow)", "", in_phase[0] * in_phase[1]))
+        whole.append(("clipped", "rigid part: $\\lambda_{min}(R_0 + R_0^T)$", unit, _array(dataset, "rigid")))
+    if "epsilon_max" in dataset:
+        whole.insert(0, ("clipped", "robust stability margin", "$\\epsilon_{max}$", _array(dataset, "epsilon_max")))
+    if not whole:
+        whole.append(("field", "condition of the rigid-body Jacobian", "cond Jv", _array(dataset, "condition")))
+    return [*rows, whole] if max(map(len, rows), default=0) != 1 else [sum(rows, list[Panel]()), whole]
+
+
+def _array(dataset: Any, name: str) -> Values:
+    return np.asarray(dataset[name].values, dtype=float)

@@ -1,0 +1,149 @@
+"""One HTML file that needs no other, and one JSON file.
+
+In: a `Reproduction`. Out: `report.html` with its pictures inside, `report.json`.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flexopt.study.findings import Finding
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from flexopt.study.reproduction import Reproduction
+
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 1080px; margin: 2em auto; padding: 0 1em; color: #1d2126; }
+h1 { font-size: 1.5em } h2 { font-size: 1.2em; margin-top: 2em; border-bottom: 1px solid #d5d9de }
+table { border-collapse: collapse; margin: 1em 0; font-size: 0.9em }
+th, td { padding: 0.25em 0.7em; border-bottom: 1px solid #e3e6ea; text-align: left; vertical-align: top }
+td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
+.holds { color: #1b7a4b; font-weight: 600 } .fails { color: #b3261e; font-weight: 600 }
+figure { margin: 1em 0 } img { max-width: 100%; height: auto } figcaption { font-size: 0.9em; color: #4a5058 }
+footer { margin-top: 3em; font-size: 0.8em; color: #6b7178; overflow-wrap: anywhere }
+"""
+CAPTIONS = {
+    "figure5": "Fig. 5. In-phase (yellow) and out-of-phase (blue) regions, Jacobian inverse control: trace R_i > 0. "
+    "(d) is drawn as the intersection, which the caption's “union” must mean (see below). Red: Table 2's postures.",
+    "figure6": "Fig. 6. ε_max over the workspace with the inferred servo gain. Red: Table 2's postures.",
+    "figure7": "Fig. 7. w_i over the workspace: (a) to (c) transpose, (d) to (f) inverse control.",
+    "figure8": "Fig. 8. ε_max and w_1 along y_d, elbow up. Red lines: Table 2's end-points, and where the measures "
+    "printed for posture B are found.",
+    "gaps": "Not in the article: ν-gap between kr R0/s² and the full plant, and ε_max, as the damping grows.",
+}
+
+
+def write_report(result: Reproduction, folder: Path) -> tuple[Path, Path]:
+    """Write both files into `folder`, made if missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    page, data = folder / "report.html", folder / "report.json"
+    data.write_text(json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    page.write_text(report_html(result), encoding="utf-8")
+    return page, data
+
+
+def report_html(result: Reproduction) -> str:
+    """The page."""
+    pictures = {name: _picture(figure, CAPTIONS[name]) for name, figure in result.figures().items()}
+    body = [
+        "<h1>The article, computed again</h1>",
+        "<p>Configuration Optimization for End-Point Stabilization of Redundant Manipulators With Base Flexibility, "
+        "ASME Letters in Dynamic Systems and Control 1(2), 021001: its Table 2, Figs. 5 to 8, mean frequencies and "
+        "claims beside what flexopt computes.</p>",
+        "<h2>Table 2</h2>",
+        *_table2(result),
+        "<h2>Mean natural frequencies</h2>",
+        _frequencies(result),
+        "<h2>Figures</h2>",
+        *(pictures[name] for name in ("figure5", "figure6", "figure7", "figure8")),
+        "<h2>Where the article contradicts itself or the numbers</h2>",
+        _findings(result.contradictions),
+        "<h2>Its claims in words</h2>",
+        _findings(result.claims),
+        "<h2>The link through the gap metric</h2>",
+        f"<p>{html.escape(result.gaps.sentence)}</p>",
+        _gaps(result),
+        pictures["gaps"],
+        f"<footer>{html.escape(json.dumps(result.to_dict()['provenance']))}</footer>",
+    ]
+    head = f'<meta charset="utf-8"><title>The article, computed again</title><style>{STYLE}</style>'
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>\n' + "\n".join(body) + "\n</body></html>\n"
+
+
+def _picture(figure: Figure, caption: str) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)  # pyright: ignore[reportUnknownMemberType]
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    text = html.escape(caption)
+    return f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
+
+
+def _grid(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table; cells that read as numbers are set right."""
+
+    def cell(text: str) -> str:
+        number = text[:1] in tuple("+-−0123456789–") and len(text) < 32
+        return f"<td{' class=number' if number else ''}>{html.escape(text)}</td>"
+
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
+    lines = "\n".join("<tr>" + "".join(cell(text) for text in row) + "</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>\n{lines}\n</tbody></table>"
+
+
+def _table2(result: Reproduction) -> list[str]:
+    gain, rows = result.table.inferred, list[tuple[str, ...]]()
+    for row in result.table.rows:
+        name = f"{row.posture}: {row.reading}"
+        for i, w in enumerate(row.evaluation.w):
+            rows.append(
+                (name if i == 0 else "", f"w{i + 1}", f"{row.printed_w[i]:.4e}", f"{w:.5e}", f"{row.deviation[i]:+.2%}")
+            )
+        difference = row.epsilon_inferred - row.printed_epsilon
+        rows.append(("", "ε_max", f"{row.printed_epsilon:.4f}", f"{row.epsilon_inferred:.5f}", f"{difference:+.1e}"))
+    sentence = (
+        f"The servo gain kr is not printed. kr = {gain.kr:.5g} gives posture A ({gain.reading}) its ε_max of "
+        f"{gain.printed}, and {gain.interval[0]:.4g} to {gain.interval[1]:.4g} round to it; A is thus no test of "
+        f"ε_max, but B is. kr = {gain.other:.4g} would suit A, too, but makes B {gain.other_epsilon_b:.4f}."
+    )
+    header = ("posture and its input", "measure", "printed", "computed", "deviation (ε_max: difference)")
+    return [f"<p>{html.escape(sentence)}</p>", _grid(header, rows), f"<p>{html.escape(result.table.note)}</p>"]
+
+
+def _frequencies(result: Reproduction) -> str:
+    f = result.frequencies
+    rows: list[tuple[str, ...]] = [("printed", *(f"{v:.4f}" for v in f.printed))]
+    for name, values in f.means.items():
+        rows.append((name, *(f"{v:.4f} ({d:+.2%})" for v, d in zip(values, f.deviation[name], strict=True))))
+    return _grid(("mean, Hz", *(f"mode {i + 1}" for i in range(len(f.printed)))), rows)
+
+
+def _findings(group: Sequence[Finding]) -> str:
+    rows = "\n".join(
+        f"<tr><td>“{html.escape(f.quote)}”<br><small>{html.escape(f.where)}</small></td>"
+        f"<td class={'holds' if f.holds else 'fails'}>{'holds' if f.holds else 'fails'}</td>"
+        f"<td>{html.escape(f.sentence)}</td></tr>"
+        for f in group
+    )
+    head = "<tr><th>printed</th><th>verdict</th><th>numbers</th></tr>"
+    return f"<table><thead>{head}</thead><tbody>\n{rows}\n</tbody></table>"
+
+
+def _gaps(result: Reproduction) -> str:
+    g = result.gaps
+    rows: list[tuple[str, ...]] = []
+    for k, name in enumerate(g.names):
+        cells = (
+            f"{n:.5f} / {w:.5f} / {e:.4f}" for n, w, e in zip(g.nu_gap[k], g.gap[k], g.epsilon_max[k], strict=True)
+        )
+        rows.append((name, f"{g.w1[k]:.3e}", *cells))
+    rows.append(("nearer than sin(π/8)", "", *(f"{n} of {len(g.names)}" for n in g.within)))
+    rows.append(("rank correlation, ν-gap with ε_max", "", *(f"{c:+.2f}" for c in g.correlation_epsilon)))
+    return _grid(("ν-gap / gap / ε_max", "w1", *(f"damping × {f:g}" for f in g.factors)), rows)

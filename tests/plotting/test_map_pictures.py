@@ -1,0 +1,120 @@
+"""Pictures of maps and of the article show the numbers of the results: their artists carry them."""
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.plotting import article, plot_workspace
+from flexopt.study import curve, sweep_gaps
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
+
+
+@pytest.fixture(scope="module")
+def excavator():
+    return flexopt.load("excavator")
+
+
+@pytest.fixture(scope="module")
+def maps(excavator):
+    return {c: flexopt.map_workspace(excavator, control=c, points=(31, 29)) for c in ("transpose", "inverse")}
+
+
+def images(figure):
+    """Title -> array of each panel with an image (colour bars have none)."""
+    return {axes.get_title(): axes.images[0].get_array().filled(np.nan) for axes in figure.axes if axes.images}
+
+
+def test_map(maps, tmp_path):
+    result = maps["inverse"]
+    figure = result.plot(tmp_path / "map.png")
+    assert (tmp_path / "map.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    shown = images(figure)
+    for mode in range(3):
+        np.testing.assert_array_equal(shown[f"mode {mode + 1}: frequency"], result.array("frequency_hz")[mode])
+        np.testing.assert_array_equal(shown[f"mode {mode + 1}: $w_{mode + 1}$"], result.array("w")[mode])
+        np.testing.assert_array_equal(shown[f"mode {mode + 1}: in phase (yellow)"], result.array("in_phase")[mode])
+    np.testing.assert_array_equal(shown["robust stability margin"], result.array("epsilon_max"))
+    image = figure.axes[0].images[0]
+    left, right, bottom, top = image.get_extent()
+    step = 6.03 / 30
+    np.testing.assert_allclose([left, right], [-3.015 - step / 2, 3.015 + step / 2])
+    assert bottom == pytest.approx(-3.015 - 6.03 / 56)
+    assert top == -bottom
+    assert image.origin == "lower"
+    assert figure.axes[0].get_xlabel() == ""
+    assert any("workspace frame" in axes.get_xlabel() for axes in figure.axes)
+
+
+def test_map_of_little(excavator):
+    geometry = flexopt.map_workspace(excavator, points=(5, 4), measures=False, epsilon_max=False)
+    assert list(images(geometry.plot())) == ["condition of the rigid-body Jacobian"]
+    over = flexopt.map_workspace(excavator, points=(5, 4), over="posture", epsilon_max=False)
+    assert any(axes.get_xlabel() == "angle of boom, rad" for axes in plot_workspace(over.dataset).axes)
+    nothing = flexopt.map_workspace(excavator, points=(3, 3), x_range=(5, 6))
+    nothing.plot()
+
+
+def test_figure_5_draws_the_intersection_and_both_postures(maps):
+    arms = {"A": np.array([[0.0, 1.0, 1.5], [0.0, 1.0, 0.5]]), "B": np.array([[0.0, -1.0, 0.5], [0.0, 1.0, 1.2]])}
+    figure = article.plot_figure5(maps["inverse"].dataset, arms)
+    regions = maps["inverse"].array("in_phase")
+    shown = images(figure)
+    assert list(shown) == ["(a) mode 1", "(b) mode 2", "(c) mode 3", "(d) modes 1 and 2 (intersection)"]
+    for values, expected in zip(shown.values(), [*regions, regions[0] * regions[1]], strict=True):
+        np.testing.assert_array_equal(values, expected)
+    for axes in figure.axes:
+        drawn = {line.get_label(): line for line in axes.lines}
+        for name, arm in arms.items():
+            line = drawn[f"posture {name}"]
+            np.testing.assert_array_equal(line.get_xydata(), arm.T)
+            assert line.get_color() == article.POSTURE
+        low, high = axes.images[0].get_clim()
+        assert (low, high) == (0.0, 1.0)
+
+
+def test_figures_6_and_7_in_the_article_s_order(maps):
+    transpose, inverse = maps["transpose"], maps["inverse"]
+    shown = images(article.plot_figure6(transpose.dataset, inverse.dataset, {}))
+    assert list(shown) == ["(a) Jacobian transpose", "(b) Jacobian inverse"]
+    for values, result in zip(shown.values(), (transpose, inverse), strict=True):
+        np.testing.assert_array_equal(values, result.array("epsilon_max"))
+    shown = images(article.plot_figure7(transpose.dataset, inverse.dataset))
+    expected = [*transpose.array("w"), *inverse.array("w")]
+    assert [title[:3] for title in shown] == ["(a)", "(b)", "(c)", "(d)", "(e)", "(f)"]
+    for (title, values), w in zip(shown.items(), expected, strict=True):
+        np.testing.assert_array_equal(values, w)
+        assert "Hz" in title
+
+
+def test_figure_8(excavator):
+    curves = [curve(excavator, 1.087, control=control, elbow="up") for control in ("transpose", "inverse")]
+    figure = article.plot_figure8(*curves, {"A": -0.1733})
+    left, right = figure.axes[:2], figure.axes[2:]
+    panels = [figure.axes[0], figure.axes[2]], [figure.axes[1], figure.axes[3]]
+    assert len(left) == len(right) == 2
+    for epsilon_axes, w_axes, expected in zip(*panels, curves, strict=True):
+        lines = {line.get_label(): line.get_xydata() for line in (*epsilon_axes.lines, *w_axes.lines)}
+        np.testing.assert_array_equal(lines["$\\epsilon_{max}$"], np.column_stack([expected.x, expected.epsilon_max]))
+        np.testing.assert_array_equal(lines["$w_1$"], np.column_stack([expected.x, expected.w[0]]))
+        assert any(np.all(np.asarray(line.get_xdata()) == -0.1733) for line in epsilon_axes.lines)
+        low, high = epsilon_axes.get_ylim()
+        assert low < expected.epsilon_max[expected.regular].min() + 0.02
+        assert high > 0.3827
+
+
+def test_curves_are_broken_where_the_arm_does_not_reach(excavator):
+    low = curve(excavator, 0.3, control="inverse", elbow="up")
+    figure = article.plot_figure8(low, low, {})
+    data = figure.axes[0].lines[0].get_xydata()
+    assert np.isnan(data).any()
+
+
+def test_gap_picture(excavator):
+    sweep = sweep_gaps(
+        excavator, {"A": np.array([0.9929, -2.6306]), "optimum 1": np.array([1.8982, -1.465])}, factors=(1.0, 1e3)
+    )
+    figure = article.plot_gaps(sweep)
+    for axes, values in zip(figure.axes, (sweep.nu_gap, sweep.epsilon_max), strict=True):
+        for line, row in zip(axes.lines, values, strict=False):
+            np.testing.assert_array_equal(line.get_xydata(), np.column_stack([sweep.factors, row]))
