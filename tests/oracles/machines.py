@@ -175,11 +175,14 @@ def random_posture(rng: np.random.Generator, machine: Machine) -> np.ndarray:
 
 
 def regular_posture(rng: np.random.Generator, machine: Machine, condition: float = 30.0) -> np.ndarray:
-    """A random posture with cond Jv below `condition`, passive joints at rest."""
-    while True:
-        posture = random_posture(rng, machine)
-        if condition_at_rest(machine, posture) < condition:
-            return posture
+    """A random posture with cond Jv below `condition`, passive joints at rest: the best of 300 where none is."""
+    postures = [random_posture(rng, machine)]
+    while condition_at_rest(machine, postures[-1]) >= condition:
+        postures.append(random_posture(rng, machine))
+        if len(postures) == 300:
+            # One very short segment beside long ones keeps every posture above the bound.
+            return min(postures, key=lambda posture: condition_at_rest(machine, posture))
+    return postures[-1]
 
 
 def arm_at_rest(machine: Machine, posture: np.ndarray, base: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
