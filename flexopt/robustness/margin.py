@@ -11,7 +11,7 @@ whatever the number of variables: with X Z r = λ r, rᵀ Z r = 1, l = Z r it is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 
@@ -20,6 +20,7 @@ import numpy as np
 
 from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
 from flexopt.algebra.riccati import DOUBLINGS, lyapunov, riccati_pair, top_eigenpairs
+from flexopt.compiled import Batch, batch
 from flexopt.coprime import robust_margin
 from flexopt.errors import FlexoptError, NotStabilizable
 from flexopt.model import Machine
@@ -178,6 +179,12 @@ class Margin:
         return self._function(
             "margin", symbols, [1 / ca.sqrt(1 + values), rest, residual], ["epsilon", "rest", "residual"]
         )
+
+    @cached_property
+    def batched(self) -> Batch:
+        """`values` at many points at once, (rows, N) each: the form made for C, or this one where nothing compiles."""
+        compact = batch(replace(self, compact=True).values)
+        return compact if compact.compiled else batch(self.values)
 
     @cached_property
     def gradients(self) -> ca.Function:

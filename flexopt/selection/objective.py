@@ -57,6 +57,11 @@ class Quantities:
     margin: Margin
     gain: float
 
+    def epsilon_max(self, bases: Vector, postures: Vector) -> Vector:
+        """ε_max (N,) at many points (n_b, N), (n, N); compiled where that can be."""
+        p = self.measures.plant.parameter_values.full().ravel()
+        return self.margin.batched(bases, postures, p, [self.gain])[0][0]
+
     def branches(self, objective: Objective, base: Vector, posture: Vector) -> tuple[Vector, Vector]:
         """V with each of the two largest eigenvalues of XZ, (2,), and gradients by z, (3, n_z), as `Margin.gradients`.
 

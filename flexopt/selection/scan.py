@@ -103,7 +103,7 @@ def scan_redundancy(
     epsilon = np.full(elbow.size, np.nan)
     value = np.array(objective.alpha) @ w
     if objective.has_kinks:
-        epsilon = functions.margin.values.call([base, posture, p, functions.gain])[0].full()[0]
+        epsilon = functions.epsilon_max(base, posture)
         value = value + objective.beta * epsilon
     finite = np.isfinite(value) & np.all(np.isfinite(w), axis=0)
     return Scan(

@@ -93,5 +93,8 @@ def _compiler() -> Check:
     if found is None and importlib.util.find_spec("ziglang"):
         found = "the ziglang package"
     return Check(
-        "C compiler", found is not None, f"{found or 'none'} (optional: with one, maps are about a hundred times faster)", required=False
+        "C compiler",
+        found is not None,
+        f"{found or 'none'} (optional: with one, maps are about a hundred times faster)",
+        required=False,
     )

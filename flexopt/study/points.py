@@ -109,15 +109,11 @@ class _Batches:
 @lru_cache(maxsize=16)
 def _batches(machine: Machine, control: Control, gravity: bool, epsilon_max: bool) -> _Batches:
     measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
-    functions = [_measure_function(measures)]
-    if epsilon_max:
-        functions.append(build_margin(machine, control, gravity, compact=True).values)
     # Compilers are programs of their own, so that threads suffice to run several.
-    with ThreadPoolExecutor(default_threads()) as pool:
-        values, *margins = pool.map(batch, functions)
-    if margins and not margins[0].compiled:
-        margins = [batch(margin.values)]
-    return _Batches(measures, margin, values, margins[0] if margins else None)
+    with ThreadPoolExecutor(2) as pool:
+        values = pool.submit(batch, _measure_function(measures))
+        margins = pool.submit(lambda: margin.batched) if epsilon_max else None
+        return _Batches(measures, margin, values.result(), margins and margins.result())
 
 
 def _measure_function(measures: Measures) -> ca.Function:
