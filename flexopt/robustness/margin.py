@@ -11,6 +11,7 @@ whatever the number of variables: with X Z r = λ r, rᵀ Z r = 1, l = Z r it is
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
@@ -22,7 +23,7 @@ from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
 from flexopt.algebra.riccati import DOUBLINGS, lyapunov, riccati_pair, top_eigenpairs
 from flexopt.compiled import Batch, batch
 from flexopt.coprime import robust_margin
-from flexopt.errors import FlexoptError, NotStabilizable
+from flexopt.errors import FlexoptError, FlexoptWarning, NotStabilizable
 from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
@@ -330,7 +331,10 @@ def _numerically(margin: Margin, base: Vector, posture: Vector, kr: float) -> tu
     arguments = [base, posture, margin.plant.parameter_values]
     a, b, c = (x.full() for x in margin.physical_plant.call(arguments))
     try:
-        value = float(robust_margin(a, kr * b, c))
+        with warnings.catch_warnings():
+            # The sentence below says it: the plant is at the edge of what can be solved.
+            warnings.simplefilter("ignore", FlexoptWarning)
+            value = float(robust_margin(a, kr * b, c))
     except NotStabilizable as error:
         return None, f"ε_max: no feedback of the end-point stabilises the plant ({error.faults[0]})"
     except FlexoptError:
