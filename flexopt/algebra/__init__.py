@@ -9,5 +9,8 @@ from flexopt.algebra.dense import diagonal as diagonal
 from flexopt.algebra.dense import safe_norm as safe_norm
 from flexopt.algebra.dense import solve_spd as solve_spd
 from flexopt.algebra.eigen import clusters as clusters
+from flexopt.algebra.eigen import direct_eigen as direct_eigen
 from flexopt.algebra.eigen import perturbed_pencil as perturbed_pencil
+from flexopt.algebra.eigen import reciprocal as reciprocal
 from flexopt.algebra.eigen import symmetric_eigen as symmetric_eigen
+from flexopt.algebra.eigen import turned_vectors as turned_vectors

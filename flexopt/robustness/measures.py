@@ -14,11 +14,19 @@ from functools import cached_property, lru_cache
 
 import casadi as ca
 
+from flexopt.algebra import turned_vectors
+from flexopt.compiled import Batch, batch
 from flexopt.model import Machine
 from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
-from flexopt.robustness.modes import continue_modes, reduced_pencil, solve_modes
-from flexopt.robustness.residues import measure, residue_factors, rigid_residue, symmetric_part_vectors
+from flexopt.robustness.modes import continue_modes, reduced_pencil, solve_modes, solve_modes_quickly
+from flexopt.robustness.residues import (
+    measure,
+    rank_one_measure,
+    residue_factors,
+    rigid_residue,
+    symmetric_part_vectors,
+)
 
 
 @dataclass(frozen=True)
@@ -140,6 +148,61 @@ class Measures:
         z = ca.vertcat(g.base, g.posture)
         outputs = {"w_z": ca.jacobian(graph.w, z), "w_p": ca.jacobian(graph.w, g.p)}
         return self._composed("gradients", outputs | {"end_point_z": ca.jacobian(graph.end_point, z)})
+
+    @cached_property
+    def w_with_gradient(self) -> ca.Function:
+        """(base, posture, p) -> w (m, 1), exact ∂w/∂posture (m, n) as `w_posture`."""
+        w = self.graph.w
+        return self._composed("w_with_gradient", {"w": w, "w_posture": ca.jacobian(w, self.plant.graph.posture)})
+
+    @cached_property
+    def quick(self) -> ca.Function:
+        """(base, posture, p) -> w (m, 1) and `gap`: for many points, by `quick_batch`.
+
+        As `w`, but modes come from `solve_modes_quickly` and every frequency counts as simple: error some 3e-15 / gap
+        of |a_i||b_i|. Unless gap ≥ `TRUSTED_GAP`, ask `w`; `flexopt.robustness.batches` does.
+        """
+        w, gap, _ = self._quickly()
+        return self._function("quick", [], {"w": w, "gap": gap}, {})
+
+    @cached_property
+    def quick_with_gradient(self) -> ca.Function:
+        """(base, posture, p) -> the outputs of `quick`, and exact ∂w/∂posture (m, n) as `w_posture`."""
+        g, plant, symbols = self.plant.graph, self.plant, self._held
+        m = plant.n_passive
+        w, gap, held = self._quickly()
+        at = plant.operating_point(g.base, g.posture, g.p, symbols["deflection"] if self.gravity else None)
+        pencil = reduced_pencil(at, m)
+        modes = turned_vectors(pencil.stiffness, pencil.mass, symbols["omega_squared"], symbols["modes"])
+        a, b = residue_factors(at, pencil, modes, self.control)
+        near = ca.vertcat(*(rank_one_measure(a[:, i], b[:, i]) for i in range(m)))
+        inner = self._function("slope", [self.held], {"w_posture": ca.jacobian(near, g.posture)}, {"cse": False})
+        outputs = {"w": w, "gap": gap, "w_posture": inner(g.base, g.posture, g.p, held)}
+        return self._function("quick_with_gradient", [], outputs, {})
+
+    @cached_property
+    def quick_batch(self) -> Batch:
+        """`quick` at many points."""
+        return batch(self.quick)
+
+    @cached_property
+    def quick_batch_with_gradient(self) -> Batch:
+        """`quick_with_gradient` at many points."""
+        return batch(self.quick_with_gradient)
+
+    def _quickly(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """The w_i (m, 1), the gap, and what `hold` would give."""
+        g, plant = self.plant.graph, self.plant
+        m, r = plant.n_passive, plant.n_task
+        deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX(0, 1)
+        at = plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
+        pencil = reduced_pencil(at, m)
+        modes = solve_modes_quickly(pencil)
+        # w is of second degree in the modes: to divide by φᵀ M̄ φ afterwards saves as many square roots.
+        a, b = residue_factors(at, pencil, modes.shapes, self.control)
+        w = ca.vertcat(*(rank_one_measure(a[:, i], b[:, i]) for i in range(m))) / modes.squares
+        held = ca.veccat(deflection, modes.omega_squared, modes.normalised, ca.DM.eye(m), ca.DM.zeros(r, r * m))
+        return w, modes.gap, held
 
     @cached_property
     def nested(self) -> ca.Function:

@@ -8,8 +8,9 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
+import scipy.linalg
 
-from flexopt.algebra import clusters, perturbed_pencil, symmetric_eigen
+from flexopt.algebra import clusters, direct_eigen, perturbed_pencil, reciprocal, symmetric_eigen, turned_vectors
 
 SIZES = range(1, 13)
 EPS = np.finfo(float).eps
@@ -240,3 +241,93 @@ def test_sums_over_a_cluster_are_smooth_where_eigenvalues_repeat():
         actual = ours.full().reshape(exact.shape, order="F")
         # The doubles repeat an eigenvalue only to 1e-15: over the step of 1e-8 that shows at 1e-7.
         assert np.linalg.norm(actual - exact) <= 1e-7 * (1 + np.linalg.norm(exact))
+
+
+@cache
+def direct(size):
+    matrix = ca.SX.sym("A", size, size)
+    return ca.Function("direct", [matrix], list(direct_eigen(matrix)), {"cse": True})
+
+
+def spectrum_matrix(rng, values):
+    q = random_orthogonal(rng, len(values))
+    matrix = (q * values) @ q.T
+    return (matrix + matrix.T) / 2
+
+
+def graded_matrix(rng, size, spread):
+    root = spread ** -rng.uniform(0.0, 0.5, size)
+    return root[:, None] * spectrum_matrix(rng, rng.uniform(0.3, 2.0, size)) * root
+
+
+def descending_in_50_digits(matrix):
+    """Eigenvalues and unit eigenvectors."""
+    with mpmath.workdps(50):
+        values, vectors = mpmath.eigsy(mpmath.matrix(matrix.tolist()))
+        order = sorted(range(len(matrix)), key=lambda k: -values[k])
+        columns = [[float(vectors[i, k]) for k in order] for i in range(len(matrix))]
+        return np.array([float(values[k]) for k in order]), np.array(columns)
+
+
+DIRECT_CASES = {
+    "random": lambda rng, size: spectrum_matrix(rng, rng.uniform(0.1, 3.0, size)),
+    "graded": lambda rng, size: graded_matrix(rng, size, 1e4),
+    "very graded": lambda rng, size: graded_matrix(rng, size, 1e8),
+    "largest two close": lambda rng, size: spectrum_matrix(rng, np.array([1.0, 1.0 - 1e-4, 0.3])[:size]),
+    "smallest two close": lambda rng, size: spectrum_matrix(rng, np.array([0.1, 0.1 - 1e-5, 1.0])[:size]),
+    "three close": lambda rng, size: spectrum_matrix(rng, np.array([1.0, 1.0002, 1.00041])[:size]),
+    "equal spacing": lambda rng, size: spectrum_matrix(rng, np.array([1.0, 2.0, 3.0])[:size]),
+    "diagonal": lambda rng, size: np.diag(rng.uniform(0.1, 3.0, size)),
+}
+
+
+@pytest.mark.parametrize("size", [2, 3])
+@pytest.mark.parametrize("name", DIRECT_CASES)
+def test_direct_vectors_are_good_to_rounding_over_the_gap(name, size):
+    rng = np.random.default_rng(size)
+    for _ in range(20):
+        matrix = DIRECT_CASES[name](rng, size)
+        vectors, gap = (result.full() for result in direct(size)(matrix))
+        vectors = vectors / np.linalg.norm(vectors, axis=0)
+        values, expected = descending_in_50_digits(matrix)
+        expected = expected * np.sign(np.sum(vectors * expected, axis=0))
+        assert np.abs(vectors - expected).max() <= 10 * EPS / gap
+        smallest = np.min(2 * (values[:-1] - values[1:]) / (values[:-1] + values[1:]))
+        assert smallest * (1 - 1e-9) <= gap <= 3 * smallest * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("matrix", [np.eye(2), np.eye(3), np.diag([2.0, 2.0, 1.0]), np.diag([2.0, 1.0, 1.0])])
+def test_direct_gap_of_repeated_eigenvalues_is_never_trusted(matrix):
+    gap = float(direct(len(matrix))(matrix)[1])
+    assert not gap >= 1e-12
+
+
+def test_direct_sizes():
+    vectors, gap = direct_eigen(ca.SX.sym("A", 1, 1))
+    assert float(vectors) == 1
+    assert float(gap) == 2
+    with pytest.raises(ValueError, match="at most 3"):
+        direct_eigen(ca.SX.sym("A", 4, 4))
+
+
+def test_reciprocal_stays_a_shared_division():
+    x, y = ca.SX.sym("x"), ca.SX.sym("y", 3)
+    function = ca.Function("f", [x, y], [y * reciprocal(x)], {"cse": True})
+    codes = [function.instruction_id(k) for k in range(function.n_instructions())]
+    assert codes.count(ca.OP_DIV) + codes.count(ca.OP_INV) == 1
+    assert np.array_equal(function(3.0, [1.0, 2.0, 3.0]).full().ravel(), np.array([1.0, 2.0, 3.0]) * (1.0 / 3.0))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5])
+def test_turned_vectors_have_the_slope_of_the_perturbed_pencil(size):
+    rng = np.random.default_rng(size)
+    stiffness, mass, k_slope, m_slope = (spectrum_matrix(rng, rng.uniform(0.5, 2.0, size)) for _ in range(4))
+    values, vectors = (ca.DM(part) for part in scipy.linalg.eigh(stiffness, mass))
+    x = ca.SX.sym("x")
+    pencil = ca.DM(stiffness) + x * ca.DM(k_slope), ca.DM(mass) + x * ca.DM(m_slope)
+    turned = turned_vectors(*pencil, values, vectors)
+    perturbed = perturbed_pencil(*pencil, ca.SX(values), ca.SX(vectors), ca.SX(ca.DM.eye(size)))[1]
+    slopes = ca.Function("slopes", [x], [turned, ca.jacobian(turned, x), ca.jacobian(perturbed, x)])
+    at, slope, expected = (result.full() for result in slopes(0))
+    assert np.abs(at - vectors.full()).max() <= 1e-12
+    assert np.abs(slope - expected).max() <= 1e-11 * max(1.0, np.abs(expected).max())

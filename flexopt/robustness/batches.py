@@ -1,0 +1,69 @@
+"""w at many points at once, for maps and scans.
+
+In: `Measures` and arrays of placements and postures, one column a point. Out: arrays in the same order. The compiled
+`Measures.quick` computes all points; those whose frequencies nearly meet are computed again by `Measures.w`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from flexopt.robustness.measures import Measures
+from flexopt.robustness.modes import TRUSTED_GAP
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BatchedW:
+    """Measures at N points. m modes, n joints.
+
+    Attributes:
+        w: w_i, (m, N).
+        w_posture: ∂w_i/∂posture_j, (m, n, N), if asked for.
+        repaired: how many points were computed again.
+    """
+
+    w: Array
+    w_posture: Array | None
+    repaired: int
+
+
+def evaluate_w(
+    measures: Measures, bases: ArrayLike, postures: ArrayLike, *, threads: int = 1, gradient: bool = False
+) -> BatchedW:
+    """The w_i of `measures` at N points, with the machine's own parameters.
+
+    Args:
+        bases: (n_b, N), or (n_b,) for one placement at all points.
+        postures: (n, N), or (n,).
+        threads: among how many the points are divided; the results do not depend on it.
+        gradient: whether ∂w/∂posture is wanted.
+
+    Raises:
+        InputError: a shape or `threads` does not fit.
+    """
+    p = measures.plant.parameter_values.full().ravel()
+    quick = measures.quick_batch_with_gradient if gradient else measures.quick_batch
+    w, gap, *slopes = quick(bases, postures, p, threads=threads)
+    # A NaN is not trusted either.
+    doubtful = np.flatnonzero(~(gap[0] >= TRUSTED_GAP))
+    if doubtful.size:
+        points = [_columns(given, w.shape[1])[:, doubtful] for given in (bases, postures)]
+        w[:, doubtful] = measures.w.call([*points, ca.DM(p)])[0].full()
+        if gradient:
+            flat = measures.w_with_gradient.call([*points, ca.DM(p)])[1].full()
+            m, n = slopes[0].shape[0] // measures.plant.n_actuated, measures.plant.n_actuated
+            slopes[0][:, doubtful] = flat.reshape(m, doubtful.size, n).transpose(2, 0, 1).reshape(m * n, -1)
+    w_posture = slopes[0].reshape(-1, w.shape[0], w.shape[1]).transpose(1, 0, 2) if gradient else None
+    return BatchedW(w, w_posture, int(doubtful.size))
+
+
+def _columns(given: ArrayLike, n_points: int) -> Array:
+    array = np.asarray(given, dtype=np.float64)
+    array = array.reshape(-1, 1) if array.ndim < 2 else array
+    return np.broadcast_to(array, (array.shape[0], n_points))
