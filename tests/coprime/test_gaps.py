@@ -51,6 +51,14 @@ def test_values_printed_by_matlab():
     assert gap(one, two) == pytest.approx(0.0021, abs=1.5e-4)
 
 
+def test_example_of_matlabs_ncfmargin():
+    """(s + 2)/(s² + 5s + 10) with 4.4/s, and its gap to (s + 1)/(s² + 3s + 10), as printed to four digits."""
+    first = ([[0, 1], [-10, -5]], [[0], [1]], [[2, 1]])
+    second = ([[0, 1], [-10, -3]], [[0], [1]], [[1, 1]])
+    assert ncf_margin(first, ([[0.0]], [[1.0]], [[4.4]])) == pytest.approx(0.1961, abs=1e-4)
+    assert gap(first, second) == pytest.approx(0.1391, abs=1e-4)
+
+
 def test_gains_in_closed_form():
     expected = 2 / math.sqrt(10 * 2)
     assert gap(3.0, 1.0) == pytest.approx(expected, rel=1e-12)
