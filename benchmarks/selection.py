@@ -55,17 +55,15 @@ def _process(arguments: list[str], repeats: int = 7) -> float:
 
 def _slsqp(problem: flexopt.SelectionProblem, start: Vector) -> Vector:
     plant, measures = problem.measures.plant, problem.measures
-    p, scale = plant.parameter_values, problem.scale
+    p, scale, alpha = plant.parameter_values, problem.scale, np.array(problem.objective.alpha)
 
     def value(x: Vector) -> float:
         z = x * scale
-        return -float(problem.weights @ measures.w.call([z[:1], z[1:], p])[0].full().ravel()) / problem.objective_scale
+        return -float(alpha @ measures.w.call([z[:1], z[1:], p])[0].full().ravel()) / problem.objective_scale
 
     def gradient(x: Vector) -> Vector:
         z = x * scale
-        return (
-            -(problem.weights @ measures.gradients.call([z[:1], z[1:], p])[0].full()) * scale / problem.objective_scale
-        )
+        return -(alpha @ measures.gradients.call([z[:1], z[1:], p])[0].full()) * scale / problem.objective_scale
 
     def target(x: Vector) -> Vector:
         z = x * scale
