@@ -29,6 +29,7 @@ from flexopt.robustness import Evaluation as Evaluation
 from flexopt.robustness import Measures as Measures
 from flexopt.robustness import build_measures as build_measures
 from flexopt.robustness import evaluate as evaluate
+from flexopt.robustness import evaluate_w as evaluate_w
 from flexopt.selection import Candidate as Candidate
 from flexopt.selection import Selection as Selection
 from flexopt.selection import SelectionProblem as SelectionProblem

@@ -53,6 +53,11 @@ class RobustMargin:
     method: str
     warnings: tuple[str, ...] = ()
 
+    @property
+    def residuals(self) -> tuple[float, float]:
+        """`residual_x` and `residual_z`."""
+        return self.residual_x, self.residual_z
+
     def __float__(self) -> float:
         return self.epsilon_max
 

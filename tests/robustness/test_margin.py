@@ -156,6 +156,13 @@ def difference(f, exact):
     return min(found, key=lambda value: abs(value - exact))
 
 
+def fitted_slope(f, reach=2e-3, count=400):
+    """Slope at 0 of the polynomial of degree 8 fitted to f at Chebyshev points within `reach`."""
+    points = reach * np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    fit = np.polynomial.chebyshev.Chebyshev.fit(points, [f(h) for h in points], 8, domain=[-reach, reach])
+    return float(fit.deriv()(0.0))
+
+
 def regular_cases(control, count):
     """Margin, posture, p and gain of random damped machines, away from kinks."""
     for case in cases(seed=11, count=count, m_max=3):
@@ -177,7 +184,11 @@ def gradient_errors(control, count):
         def along(h, margin=margin, z=posture, d=direction, p=p, gain=gain):
             return float(margin.values.call([0, z + h * d, p, gain])[0][0])
 
-        yield abs(difference(along, exact) - exact) / size, size
+        error = abs(difference(along, exact) - exact) / size
+        if error > 1e-8:
+            # Rounding, or truncation: a polynomial through many points averages the one and has little of the other.
+            error = min(error, abs(fitted_slope(along) - exact) / size)
+        yield error, size
 
 
 @pytest.mark.parametrize("control", CONTROLS)
@@ -185,7 +196,7 @@ def test_gradient_by_posture_over_random_machines(control):
     """More than 100 machines and postures for each controller."""
     found = list(gradient_errors(control, 135))
     assert len(found) >= 100
-    assert all(error <= 1e-7 + NOISE / size for error, size in found)
+    assert max(error for error, _ in found) <= 1e-7
 
 
 @pytest.mark.parametrize("control", CONTROLS)
