@@ -13,7 +13,7 @@ base directions and passive joints are linear maps of u, applied once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -85,7 +85,7 @@ def build_chain(machine: Machine) -> ChainGraph:
 
     bodies = ["base", *(link.name for link in machine.links)]
     lengths = [value[f"{body}.length"] for body in bodies]
-    mass_u, bias_u, gravity_u = _absolute_dynamics(_masses(value, bodies), lengths, angles, to_u @ v, value["gravity"])
+    mass_u, bias_u, gravity_u = _absolute_dynamics(moments(value, bodies), angles, to_u @ v, value["gravity"])
 
     points = [ca.vertcat(of_q["base.x"], of_q["base.y"])]
     for length, angle in zip(lengths, angles, strict=True):
@@ -126,37 +126,71 @@ def _masses(value: dict[str, ca.SX], bodies: list[str]) -> list[_Mass]:
     return [*masses, _Mass(value["payload.mass"], ca.SX(0), tip, value[f"{bodies[-1]}.length"], ca.SX(0))]
 
 
-def _absolute_dynamics(
-    masses: list[_Mass], lengths: list[ca.SX], angles: list[ca.SX], u_rate: ca.SX, gravity: ca.SX
-) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Mass matrix, velocity terms and gravity forces in u = [x, y, φ_0, …]."""
-    n = len(lengths)
+@dataclass(frozen=True)
+class Moments:
+    """The constants of a chain in absolute angles, as graphs of p: everything that masses and lengths contribute.
+
+    Attributes:
+        total: all masses.
+        a, b: a_k, b_k, one for each body.
+        s, t: s_kl and t_kl for l ≤ k, as rows; t_kk = 0.
+    """
+
+    total: ca.SX
+    a: list[ca.SX]
+    b: list[ca.SX]
+    s: list[list[ca.SX]]
+    t: list[list[ca.SX]]
+
+
+def moments(value: dict[str, ca.SX], bodies: list[str]) -> Moments:
+    """From the parameters by name; `bodies` from the base outwards."""
+    masses, n = _masses(value, bodies), len(bodies)
+    lengths = [value[f"{body}.length"] for body in bodies]
     along = [[lengths[k] if k < j.body else j.along if k == j.body else ca.SX(0) for k in range(n)] for j in masses]
     left = [[j.left if k == j.body else ca.SX(0) for k in range(n)] for j in masses]
-    total = _sum(j.mass for j in masses)
-    a = [_sum(j.mass * along[i][k] for i, j in enumerate(masses)) for k in range(n)]
-    b = [_sum(j.mass * left[i][k] for i, j in enumerate(masses)) for k in range(n)]
 
+    def total_of(term: Callable[[int], ca.SX]) -> ca.SX:
+        return _sum(j.mass * term(i) for i, j in enumerate(masses))
+
+    s = [
+        [total_of(lambda i, k=k, m=m: along[i][k] * along[i][m] + left[i][k] * left[i][m]) for m in range(k + 1)]
+        for k in range(n)
+    ]
+    for k in range(n):
+        s[k][k] += _sum(j.inertia for j in masses if j.body == k)
+    return Moments(
+        total=_sum(j.mass for j in masses),
+        a=[total_of(lambda i, k=k: along[i][k]) for k in range(n)],
+        b=[total_of(lambda i, k=k: left[i][k]) for k in range(n)],
+        s=s,
+        t=[
+            [total_of(lambda i, k=k, m=m: along[i][k] * left[i][m] - left[i][k] * along[i][m]) for m in range(k)]
+            + [ca.SX(0)]
+            for k in range(n)
+        ],
+    )
+
+
+def _absolute_dynamics(of: Moments, angles: list[ca.SX], u_rate: ca.SX, gravity: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Mass matrix, velocity terms and gravity forces in u = [x, y, φ_0, …]."""
+    n = len(angles)
     mass = ca.SX.zeros(n + 2, n + 2)
     bias = ca.SX.zeros(n + 2, 1)
     force = ca.SX.zeros(n + 2, 1)
-    mass[0, 0] = mass[1, 1] = total
-    force[1] = total * gravity
+    mass[0, 0] = mass[1, 1] = of.total
+    force[1] = of.total * gravity
     for k in range(n):
-        column = a[k] * _n(angles[k]) - b[k] * _e(angles[k])
+        column = of.a[k] * _n(angles[k]) - of.b[k] * _e(angles[k])
         mass[0:2, k + 2] = column
         mass[k + 2, 0:2] = column.T
-        bias[0:2] -= (a[k] * _e(angles[k]) + b[k] * _n(angles[k])) * u_rate[k + 2] ** 2
+        bias[0:2] -= (of.a[k] * _e(angles[k]) + of.b[k] * _n(angles[k])) * u_rate[k + 2] ** 2
         force[k + 2] = gravity * column[1]
-        mass[k + 2, k + 2] = _sum(j.mass * (along[i][k] ** 2 + left[i][k] ** 2) for i, j in enumerate(masses)) + _sum(
-            j.inertia for j in masses if j.body == k
-        )
+        mass[k + 2, k + 2] = of.s[k][k]
         for m in range(k):
-            s = _sum(j.mass * (along[i][k] * along[i][m] + left[i][k] * left[i][m]) for i, j in enumerate(masses))
-            t = _sum(j.mass * (along[i][k] * left[i][m] - left[i][k] * along[i][m]) for i, j in enumerate(masses))
             cosine, sine = ca.cos(angles[k] - angles[m]), ca.sin(angles[k] - angles[m])
-            mass[k + 2, m + 2] = mass[m + 2, k + 2] = s * cosine + t * sine
-            pull = s * sine - t * cosine
+            mass[k + 2, m + 2] = mass[m + 2, k + 2] = of.s[k][m] * cosine + of.t[k][m] * sine
+            pull = of.s[k][m] * sine - of.t[k][m] * cosine
             bias[k + 2] += pull * u_rate[m + 2] ** 2
             bias[m + 2] -= pull * u_rate[k + 2] ** 2
     return mass, bias, force

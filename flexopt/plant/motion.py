@@ -1,0 +1,448 @@
+"""A planar chain's equations of motion as a simulator wants them: few operations, no trigonometry of their own.
+
+Coordinates u (n_q,): the base's free translations, then the absolute angle φ_k of every body that can turn, from the
+base outwards. Every cosine and sine comes in from outside as `Directions`, so the caller decides whether it computes them
+or carries them along by small rotations. With both translations free, x and y are eliminated on paper: with p_k =
+a_k n_k − b_k e_k the columns of the mass matrix (see `planar`), and Δ = φ_k − φ_l,
+
+    p_k·p_l = (a_k a_l + b_k b_l) cos Δ + (a_k b_l − b_k a_l) sin Δ,
+
+so that the angular block keeps its form S_kl cos Δ + T_kl sin Δ with constants S = s − (aa + bb)/m, T = t − (ab − ba)/m;
+the velocity terms are (S_kl sin Δ − T_kl cos Δ) φ̇_l², and gravity leaves it. A rigid direction changes it: where only
+one translation is free, its share of p_k p_l is subtracted as it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+
+from flexopt.model import Machine
+from flexopt.plant.planar import moments
+
+
+Pair = tuple[ca.SX, ca.SX]
+Directions = list[Pair]  # (cos φ_k, sin φ_k) of every body, from the base outwards
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What decides the graph: which parts exist, not how large they are. Equal structures share compiled code.
+
+    Attributes:
+        translations: free directions of the base among `"x"`, `"y"`.
+        rotation: whether the base can turn.
+        passive: of each link, whether its hinge is passive.
+        zeros: constants that are exactly zero and are left out of the graph.
+    """
+
+    translations: tuple[str, ...]
+    rotation: bool
+    passive: tuple[bool, ...]
+    zeros: frozenset[str] = frozenset()
+
+
+def structure_of(machine: Machine) -> Structure:
+    """A machine's structure, with the constants that are zero for its own parameters left out."""
+    whole = full_structure(machine)
+    values = constant_values(machine)
+    zeros = frozenset(name for name, value in values.items() if value == 0)
+    return Structure(whole.translations, whole.rotation, whole.passive, zeros)
+
+
+def full_structure(machine: Machine) -> Structure:
+    """A machine's structure with every constant kept, for parameters that vary."""
+    free = machine.free_base_directions
+    return Structure(
+        tuple(direction for direction in free if direction != "rotation"),
+        "rotation" in free,
+        tuple(link.passive for link in machine.links),
+    )
+
+
+@lru_cache(maxsize=64)
+def constants(machine: Machine) -> ca.Function:
+    """The constants of the motion from the parameters: input p (n_par,), one named output for each constant."""
+    names = [parameter.name for parameter in machine.parameters]
+    p = ca.SX.sym("p", len(names))
+    value = {name: p[i] for i, name in enumerate(names)}
+    bodies = ["base", *(link.name for link in machine.links)]
+    of, whole = moments(value, bodies), full_structure(machine)
+    both = len(whole.translations) == 2
+    # Reciprocals are constants of their own, so that no step divides by what never changes.
+    result = {"total": of.total, "inverse_total": 1 / of.total, "gravity": value["gravity"]}
+    if not whole.rotation:
+        result |= {"base_cos": ca.cos(value["base.rest_angle"]), "base_sin": ca.sin(value["base.rest_angle"])}
+    for direction in whole.translations:
+        result |= {f"stiffness_{direction}": value[f"base.stiffness.{direction}"]}
+        result |= {f"damping_{direction}": value[f"base.damping.{direction}"]}
+    for k, body in enumerate(bodies):
+        result |= {f"a{k}": of.a[k], f"b{k}": of.b[k], f"length{k}": value[f"{body}.length"]}
+        for m in range(k + 1):
+            s, t = of.s[k][m], of.t[k][m]
+            if both:
+                s -= (of.a[k] * of.a[m] + of.b[k] * of.b[m]) / of.total
+                t -= (of.a[k] * of.b[m] - of.b[k] * of.a[m]) / of.total
+            result[f"s{k}_{m}"] = s
+            if m < k:
+                result[f"t{k}_{m}"] = t
+    if both:
+        first = 0 if whole.rotation else 1
+        result["inverse_pivot"] = 1 / result[f"s{first}_{first}"]
+    if whole.rotation:
+        result |= {"stiffness0": value["base.stiffness.rotation"], "damping0": value["base.damping.rotation"]}
+    result["rest0"] = value["base.rest_angle"]
+    for k, link in enumerate(machine.links, 1):
+        if link.passive:
+            result |= {f"stiffness{k}": value[f"{link.name}.stiffness"], f"rest{k}": value[f"{link.name}.rest"]}
+            result |= {f"damping{k}": value[f"{link.name}.damping"]}
+        else:
+            result |= {f"damping{k}": value[f"{link.name}.joint_damping"]}
+    return ca.Function("constants", [p], list(result.values()), ["p"], list(result), {"cse": True})
+
+
+def constant_values(machine: Machine) -> dict[str, float]:
+    """The constants at the machine's own parameters."""
+    function = constants(machine)
+    values = function.call([ca.DM([parameter.value for parameter in machine.parameters])])
+    return dict(zip(function.name_out(), map(float, values), strict=True))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Graph builders of the equations of motion. All take and return SX; `value` holds the constants.
+
+    Attributes:
+        structure: which parts exist.
+        value: the constants by name, symbols or numbers; those in `structure.zeros` are ignored.
+    """
+
+    structure: Structure
+    value: Mapping[str, ca.SX]
+
+    @property
+    def n_translations(self) -> int:
+        """Free translations of the base, the first entries of u."""
+        return len(self.structure.translations)
+
+    @property
+    def n_bodies(self) -> int:
+        """The base and every link."""
+        return 1 + len(self.structure.passive)
+
+    @property
+    def first(self) -> int:
+        """The first body that can turn."""
+        return 0 if self.structure.rotation else 1
+
+    @property
+    def n(self) -> int:
+        """n_q, entries of u."""
+        return self.n_translations + self.n_bodies - self.first
+
+    @property
+    def hinges(self) -> list[int]:
+        """The bodies that hang on a passive hinge."""
+        return [0] * self.structure.rotation + [k for k, passive in enumerate(self.structure.passive, 1) if passive]
+
+    @property
+    def joints(self) -> list[int]:
+        """The bodies that an actuated joint carries."""
+        return [k for k, passive in enumerate(self.structure.passive, 1) if not passive]
+
+    @cached_property
+    def to_q(self) -> ca.DM:
+        """A (n_q, n_q) of q = A u + `offset`: relative from absolute angles, passive coordinates first."""
+        rows = ca.DM.zeros(self.n, self.n)
+        for row in range(self.n_translations):
+            rows[row, row] = 1
+        for row, body in enumerate([*self.hinges, *self.joints], self.n_translations):
+            rows[row, self._at(body)] = 1
+            if body > self.first:
+                rows[row, self._at(body - 1)] = -1
+        return rows
+
+    @property
+    def offset(self) -> ca.SX:
+        """The constant part of q: the angle of a base that cannot turn."""
+        column = ca.SX.zeros(self.n, 1)
+        if not self.structure.rotation:
+            row = next(i for i, body in enumerate([*self.hinges, *self.joints]) if body == 1)
+            column[self.n_translations + row] = -self._of("rest0")
+        return column
+
+    def angles(self, u: ca.SX) -> ca.SX:
+        """φ_k of the bodies that can turn."""
+        return u[self.n_translations :]
+
+    def with_base(self, directions: Directions) -> Directions:
+        """Directions of all bodies from those that can turn."""
+        return directions if self.structure.rotation else [(self._of("base_cos"), self._of("base_sin")), *directions]
+
+    def hinge_angles(self, u: ca.SX) -> ca.SX:
+        """Relative angles of the passive hinges, (number of hinges,)."""
+        return ca.vertcat(*(self._relative(u, k) for k in self.hinges))
+
+    def end_point(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
+        """r (2,), m."""
+        point = self._translation(u, base)
+        for k, (c, s) in enumerate(along):
+            point += self._of(f"length{k}") * ca.vertcat(c, s)
+        return point
+
+    def end_point_rate(self, w: ca.SX, along: Directions) -> ca.SX:
+        """ṙ = J v (2,), m/s."""
+        rate = self._translation(w, ca.SX(0))
+        for k in range(self.first, self.n_bodies):
+            c, s = along[k]
+            rate += self._of(f"length{k}") * w[self._at(k)] * ca.vertcat(-s, c)
+        return rate
+
+    def rigid_jacobian(self, along: Directions) -> ca.SX:
+        """Jv (2, n): columns of the actuated joints, the arm pointing along `along`."""
+        columns: list[ca.SX] = []
+        reach = ca.SX.zeros(2, 1)
+        for k in range(self.n_bodies - 1, 0, -1):
+            c, s = along[k]
+            reach += self._of(f"length{k}") * ca.vertcat(-s, c)
+            if k in self.joints:
+                columns.insert(0, ca.SX(reach))
+        return ca.horzcat(*columns)
+
+    def holding_torque(self, along: Directions) -> ca.SX:
+        """g_a (n,), N m: what the actuated joints must give to carry the weight, the arm pointing along `along`."""
+        forces = [self._weight(k, along) for k in range(self.n_bodies)]
+        return ca.vertcat(*(_sum(forces[k:]) for k in self.joints))
+
+    def potential(self, u: ca.SX, along: Directions) -> ca.SX:
+        """Gravity's potential, J."""
+        height = self._of("total") * self._translation(u, ca.SX(0))[1]
+        for k, (c, s) in enumerate(along):
+            height += self._of(f"a{k}") * s + self._of(f"b{k}") * c
+        return self._of("gravity") * height
+
+    def spring_energy(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """½ (q − q_rest)ᵀ K (q − q_rest), J."""
+        total = ca.SX(0)
+        for i, direction in enumerate(self.structure.translations):
+            total += self._of(f"stiffness_{direction}") * (u[i] - (base if direction == "x" else 0)) ** 2
+        for k in self.hinges:
+            total += self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}")) ** 2
+        return total / 2
+
+    def kinetic_energy(self, w: ca.SX, along: Directions) -> ca.SX:
+        """½ vᵀ M v, J."""
+        return ca.dot(w, self.momentum(w, along)) / 2
+
+    def momentum(self, w: ca.SX, along: Directions) -> ca.SX:
+        """M_u w (n_q,), conjugate to u."""
+        moving, columns, axes, block = self._block(along)
+        turning = {k: w[self._at(k)] for k in moving}
+        linear = [
+            self._of("total") * w[i] + _sum(columns[k][axis] * turning[k] for k in moving)
+            for i, axis in enumerate(axes)
+        ]
+        inverse = self._of("inverse_total")
+        angular = [
+            _sum(block[max(k, m), min(k, m)] * turning[m] for m in moving)
+            + _sum(columns[k][axis] * linear[i] for i, axis in enumerate(axes)) * inverse
+            for k in moving
+        ]
+        return ca.vertcat(*linear, *angular)
+
+    def rates_of_momentum(self, momentum: ca.SX, along: Directions) -> ca.SX:
+        """w = M_u⁻¹ p (n_q,)."""
+        moving, columns, axes, block = self._block(along)
+        inverse = self._of("inverse_total")
+        right = {
+            k: momentum[self._at(k)] - _sum(columns[k][axis] * momentum[i] for i, axis in enumerate(axes)) * inverse
+            for k in moving
+        }
+        turning = _solve_symmetric(block, right, moving, self._pivot(block))
+        linear = [
+            (momentum[i] - _sum(columns[k][axis] * turning[k] for k in moving)) * inverse for i, axis in enumerate(axes)
+        ]
+        return ca.vertcat(*linear, *(turning[k] for k in moving))
+
+    def force(
+        self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
+    ) -> ca.SX:
+        """Generalised forces on u but those of inertia, (n_q,): springs, dampers, torques, weight."""
+        linear = self._base_forces(u, w, base, base_rate)
+        angular = self._joint_forces(u, w, torque)
+        if gravity:
+            linear = [
+                f - self._of("gravity") * self._of("total") if direction == "y" else f
+                for f, direction in zip(linear, self.structure.translations, strict=True)
+            ]
+            angular = {k: f - self._weight(k, along) for k, f in angular.items()}
+        return ca.vertcat(*linear, *angular.values())
+
+    def acceleration(
+        self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
+    ) -> ca.SX:
+        """u̇̇ (n_q,).
+
+        Args:
+            u, w: coordinates and their rates.
+            along: (cos φ, sin φ) of every body.
+            torque: of the actuated joints, (n,), N m.
+            base, base_rate: where the springs' anchor is and how fast it moves, m and m/s.
+            gravity: whether it acts.
+        """
+        free = self.structure.translations
+        moving, columns, axes, block = self._block(along)
+        inverse = self._of("inverse_total")
+        force = self._base_forces(u, w, base, base_rate)
+        squares = {k: w[self._at(k)] ** 2 for k in moving}
+        # What the turning bodies pull the base along by: −bias of the translations.
+        swing = [ca.SX(0) for _ in free]
+        for k in moving:
+            c, s = along[k]
+            a, b = self._of(f"a{k}"), self._of(f"b{k}")
+            outward = (a * c - b * s, a * s + b * c)
+            for i, axis in enumerate(axes):
+                swing[i] += outward[axis] * squares[k]
+
+        right = self._joint_forces(u, w, torque)
+        for k in moving:
+            right[k] -= _sum(self._pull(k, m, along) * squares[m] for m in moving if m != k)
+            if gravity and "y" not in free:
+                right[k] -= self._weight(k, along)
+            for i, axis in enumerate(axes):
+                load = force[i] if len(free) == 2 else force[i] + swing[i]
+                right[k] -= columns[k][axis] * (load * inverse)
+        turning = _solve_symmetric(block, right, moving, self._pivot(block))
+
+        result: list[ca.SX] = []
+        for i, (axis, direction) in enumerate(zip(axes, free, strict=True)):
+            drag = _sum(columns[k][axis] * turning[k] for k in moving)
+            fall = self._of("gravity") if gravity and direction == "y" else ca.SX(0)
+            result.append((force[i] + swing[i] - drag) * inverse - fall)
+        return ca.vertcat(*result, *(turning[k] for k in moving))
+
+    def _block(
+        self, along: Directions
+    ) -> tuple[list[int], dict[int, tuple[ca.SX, ca.SX]], list[int], dict[tuple[int, int], ca.SX]]:
+        """Bodies that turn, columns p_k, axes of the free translations, and the block that is left without these."""
+        moving = list(range(self.first, self.n_bodies))
+        columns = {k: self._column(k, along) for k in moving}
+        axes = [0 if direction == "x" else 1 for direction in self.structure.translations]
+        block = {(k, m): self._inertia(k, m, along, columns, axes) for k in moving for m in moving if m <= k}
+        return moving, columns, axes, block
+
+    def _pivot(self, block: dict[tuple[int, int], ca.SX]) -> ca.SX:
+        return self._of("inverse_pivot") if self.n_translations == 2 else 1 / block[self.first, self.first]
+
+    def _base_forces(self, u: ca.SX, w: ca.SX, base: ca.SX, base_rate: ca.SX) -> list[ca.SX]:
+        """Springs and dampers of the free translations."""
+        force: list[ca.SX] = []
+        for i, direction in enumerate(self.structure.translations):
+            anchor, rate = (base, base_rate) if direction == "x" else (ca.SX(0), ca.SX(0))
+            stretch, speed = u[i] - anchor, w[i] - rate
+            force.append(-self._of(f"stiffness_{direction}") * stretch - self._of(f"damping_{direction}") * speed)
+        return force
+
+    def _of(self, name: str) -> ca.SX:
+        return ca.SX(0) if name in self.structure.zeros else self.value[name]
+
+    def _at(self, body: int) -> int:
+        return self.n_translations + body - self.first
+
+    def _relative(self, u: ca.SX, body: int) -> ca.SX:
+        """Angle of a body's hinge."""
+        angle = self._relative_rate(u, body)
+        return angle - self._of("rest0") if body == 1 == self.first else angle
+
+    def _relative_rate(self, w: ca.SX, body: int) -> ca.SX:
+        rate = w[self._at(body)]
+        return rate - w[self._at(body - 1)] if body > self.first else rate
+
+    def _translation(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """Ground point; `base` where x is rigid."""
+        of = {direction: u[i] for i, direction in enumerate(self.structure.translations)}
+        return ca.vertcat(of.get("x", base), of.get("y", ca.SX(0)))
+
+    def _column(self, k: int, along: Directions) -> tuple[ca.SX, ca.SX]:
+        """p_k = a_k n_k − b_k e_k."""
+        c, s = along[k]
+        a, b = self._of(f"a{k}"), self._of(f"b{k}")
+        return -a * s - b * c, a * c - b * s
+
+    def _weight(self, k: int, along: Directions) -> ca.SX:
+        return self._of("gravity") * self._column(k, along)[1]
+
+    def _between(self, k: int, m: int, along: Directions) -> Pair:
+        """Cosine and sine of φ_k − φ_m."""
+        (ck, sk), (cm, sm) = along[k], along[m]
+        return ck * cm + sk * sm, sk * cm - ck * sm
+
+    def _pull(self, k: int, m: int, along: Directions) -> ca.SX:
+        """Factor of φ̇_m² in the velocity terms of body k."""
+        high, low = max(k, m), min(k, m)
+        cosine, sine = self._between(high, low, along)
+        pull = self._of(f"s{high}_{low}") * sine - self._of(f"t{high}_{low}") * cosine
+        return pull if k > m else -pull
+
+    def _inertia(
+        self,
+        k: int,
+        m: int,
+        along: Directions,
+        columns: dict[int, tuple[ca.SX, ca.SX]],
+        axes: list[int],
+    ) -> ca.SX:
+        """Entry k ≥ m of the angular block, translations eliminated."""
+        entry = self._of(f"s{k}_{m}")
+        if k != m:
+            cosine, sine = self._between(k, m, along)
+            entry = entry * cosine + self._of(f"t{k}_{m}") * sine
+        if len(axes) == 1:
+            entry -= columns[k][axes[0]] * columns[m][axes[0]] * self._of("inverse_total")
+        return entry
+
+    def _joint_forces(self, u: ca.SX, w: ca.SX, torque: ca.SX) -> dict[int, ca.SX]:
+        """Generalised forces of the absolute angles: each hinge acts on its body and back on the one before."""
+        actuated = self.joints
+        at_hinge: dict[int, ca.SX] = {}
+        for k in range(self.first, self.n_bodies):
+            force = -self._of(f"damping{k}") * self._relative_rate(w, k)
+            if k in actuated:
+                force += torque[actuated.index(k)]
+            else:
+                force -= self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}"))
+            at_hinge[k] = force
+        return {k: at_hinge[k] - at_hinge.get(k + 1, ca.SX(0)) for k in range(self.first, self.n_bodies)}
+
+
+def _solve_symmetric(
+    block: dict[tuple[int, int], ca.SX], right: dict[int, ca.SX], index: list[int], pivot: ca.SX
+) -> dict[int, ca.SX]:
+    """Solution of a positive definite system, `pivot` the reciprocal of its first entry.
+
+    The last two unknowns are solved for together, so that few divisions wait for each other.
+    """
+    if len(index) == 1:
+        (k,) = index
+        return {k: right[k] * pivot}
+    if len(index) == 2:
+        i, j = index
+        a, b, c = block[i, i], block[j, i], block[j, j]
+        inverse = 1 / (a * c - b * b)
+        return {i: (c * right[i] - b * right[j]) * inverse, j: (a * right[j] - b * right[i]) * inverse}
+    first, rest = index[0], index[1:]
+    factor = {k: block[k, first] * pivot for k in rest}
+    reduced = {(k, m): block[k, m] - factor[k] * block[m, first] for k in rest for m in rest if m <= k}
+    onward = {k: right[k] - factor[k] * right[first] for k in rest}
+    solved = _solve_symmetric(reduced, onward, rest, 1 / reduced[rest[0], rest[0]])
+    head = right[first] * pivot
+    for k in rest:
+        head -= factor[k] * solved[k]
+    return {first: head, **solved}
+
+
+def _sum(terms: Iterable[ca.SX]) -> ca.SX:
+    return sum(terms, start=ca.SX(0))
