@@ -1,15 +1,15 @@
 """A planar chain's equations of motion as a simulator wants them: few operations, no trigonometry of their own.
 
 Coordinates u (n_q,): the base's free translations, then the absolute angle φ_k of every body that can turn, from the
-base outwards. Every cosine and sine comes in from outside as `Directions`, so the caller decides whether it computes them
-or carries them along by small rotations. With both translations free, x and y are eliminated on paper: with p_k =
+base outwards. Every cosine and sine comes in from outside as `Directions`, so the caller decides whether it computes
+them or carries them along by small rotations. With both translations free, x and y are eliminated on paper: with p_k =
 a_k n_k − b_k e_k the columns of the mass matrix (see `planar`), and Δ = φ_k − φ_l,
 
     p_k·p_l = (a_k a_l + b_k b_l) cos Δ + (a_k b_l − b_k a_l) sin Δ,
 
-so that the angular block keeps its form S_kl cos Δ + T_kl sin Δ with constants S = s − (aa + bb)/m, T = t − (ab − ba)/m;
-the velocity terms are (S_kl sin Δ − T_kl cos Δ) φ̇_l², and gravity leaves it. A rigid direction changes it: where only
-one translation is free, its share of p_k p_l is subtracted as it stands.
+so that the angular block keeps its form S_kl cos Δ + T_kl sin Δ with constants S = s − (aa + bb)/m and
+T = t − (ab − ba)/m; the velocity terms are (S_kl sin Δ − T_kl cos Δ) φ̇_l², and gravity leaves it. A rigid direction
+changes it: where only one translation is free, its share of p_k p_l is subtracted as it stands.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ import casadi as ca
 
 from flexopt.model import Machine
 from flexopt.plant.planar import moments
-
 
 Pair = tuple[ca.SX, ca.SX]
 Directions = list[Pair]  # (cos φ_k, sin φ_k) of every body, from the base outwards
@@ -187,7 +186,7 @@ class Motion:
         return ca.vertcat(*(self._relative(u, k) for k in self.hinges))
 
     def end_point(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
-        """r (2,), m."""
+        """The end-point r (2,), m."""
         point = self._translation(u, base)
         for k, (c, s) in enumerate(along):
             point += self._of(f"length{k}") * ca.vertcat(c, s)
@@ -254,7 +253,7 @@ class Motion:
         return ca.vertcat(*linear, *angular)
 
     def rates_of_momentum(self, momentum: ca.SX, along: Directions) -> ca.SX:
-        """w = M_u⁻¹ p (n_q,)."""
+        """Rates M_u⁻¹ p (n_q,)."""
         moving, columns, axes, block = self._block(along)
         inverse = self._of("inverse_total")
         right = {
@@ -284,7 +283,7 @@ class Motion:
     def acceleration(
         self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
     ) -> ca.SX:
-        """u̇̇ (n_q,).
+        """Second derivatives of u (n_q,).
 
         Args:
             u, w: coordinates and their rates.

@@ -1,0 +1,1 @@
+"""The nonlinear closed loop: controllers, integrators, runs, ensembles, and what they show."""

@@ -1,0 +1,109 @@
+"""Between the samples: the right-hand sides of the loop for the integrators.
+
+In: signals and constants of a loop, and the command that is held. Out: the graph builders of a `Field`.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+
+from flexopt.plant.motion import Directions
+from flexopt.simulation.directions import Frame, paired, stacked
+from flexopt.simulation.integrators import State
+from flexopt.simulation.sample import Layouts, Part
+from flexopt.simulation.structure import LoopStructure
+
+
+class Flow(Part):
+    """The loop between samples: the right-hand sides for the integrators."""
+
+    def __init__(self, structure: LoopStructure, layouts: Layouts, command: ca.SX, e: ca.SX, c: ca.SX) -> None:
+        super().__init__(structure, layouts, e, c)
+        self._held = command
+        self._given = [command, e, c]
+
+    @property
+    def n_translations(self) -> int:
+        """See `Field`."""
+        return self.motion.n_translations
+
+    def rates(self, t: ca.SX, state: State, along: Directions, frame: Frame) -> State:
+        """See `Field`."""
+        if not self.s.sampled:
+            return self._rates(t, state, along, frame)
+        # A called Function is inlined many times faster than the graph is built anew.
+        accelerations, z_rate = self._held_rates(t, state.u, state.w, state.z, stacked(along), *self._given)
+        return State(state.w, accelerations, z_rate)
+
+    def momentum(self, w: ca.SX, along: Directions) -> ca.SX:
+        """See `Field`."""
+        return self.motion.momentum(w, self.motion.with_base(along))
+
+    def rates_of_momentum(self, momentum: ca.SX, along: Directions) -> ca.SX:
+        """See `Field`."""
+        return self.motion.rates_of_momentum(momentum, self.motion.with_base(along))
+
+    def momentum_rates(self, t: ca.SX, state: State, along: Directions, frame: Frame) -> State:
+        """See `Field`."""
+        whole = self.motion.with_base(along)
+        base, base_rate = self.base_at(t)
+        command = self._command(t, state, whole, frame)
+        force = self.motion.force(
+            state.u, state.w, whole, self._acting(state, command), base, base_rate, gravity=self.s.gravity
+        )
+        # ∂T/∂φ at constant rates, by the chain rule through cos φ and sin φ.
+        pairs = ca.SX.sym("pairs", 2 * len(along))
+        energy = self.motion.kinetic_energy(state.w, self.motion.with_base(paired(pairs)))
+        by_pair = ca.substitute(ca.gradient(energy, pairs), pairs, stacked(along))
+        turning = [by_pair[2 * k + 1] * c - by_pair[2 * k] * s for k, (c, s) in enumerate(along)]
+        force += ca.vertcat(ca.SX.zeros(self.n_translations, 1), *turning)
+        return State(state.w, force, self._z_rate(t, state, whole, command))
+
+    @cached_property
+    def _held_rates(self) -> ca.Function:
+        motion, symbol = self.motion, ca.SX.sym
+        n_z = len(motion.joints) if self.s.lagging else 0
+        t, u, w, z = symbol("t"), symbol("u", motion.n), symbol("w", motion.n), symbol("z", n_z)
+        pairs = symbol("pairs", 2 * (motion.n - motion.n_translations))
+        result = self._rates(t, State(u, w, z), paired(pairs), None)
+        names = ["t", "u", "w", "z", "pairs", "command", "e", "c"]
+        return ca.Function(
+            "rates", [t, u, w, z, pairs, *self._given], [result.w, result.z], names, ["w_rate", "z_rate"]
+        )
+
+    def _rates(self, t: ca.SX, state: State, along: Directions, frame: Frame | None) -> State:
+        whole = self.motion.with_base(along)
+        base, base_rate = self.base_at(t)
+        command = self._command(t, state, whole, frame)
+        acceleration = self.motion.acceleration(
+            state.u, state.w, whole, self._acting(state, command), base, base_rate, gravity=self.s.gravity
+        )
+        return State(state.w, acceleration, self._z_rate(t, state, whole, command))
+
+    def _acting(self, state: State, command: ca.SX) -> ca.SX:
+        """Joint torques that act."""
+        return state.z[: len(self.motion.joints)] if self.s.lagging else command
+
+    def _z_rate(self, t: ca.SX, state: State, whole: Directions, command: ca.SX) -> ca.SX:
+        """Of lagging torques, and of a continuous law's states."""
+        n = len(self.motion.joints) if self.s.lagging else 0
+        lag = self.torque_rate(command, state.z[:n]) if self.s.lagging else ca.SX.zeros(0, 1)
+        if self.s.sampled:
+            return lag
+        return ca.vertcat(lag, self.law.derivative(self._error(t, state, whole)[0], state.z[n:], self.of))
+
+    def _error(self, t: ca.SX, state: State, whole: Directions) -> tuple[ca.SX, ca.SX]:
+        target, target_rate = self.target_at(t)
+        point = self.motion.end_point(state.u, whole, self.base_at(t)[0])
+        return target - point, target_rate - self.motion.end_point_rate(state.w, whole)
+
+    def _command(self, t: ca.SX, state: State, whole: Directions, frame: Frame | None) -> ca.SX:
+        if self.s.sampled or frame is None:
+            return self._held
+        n = len(self.motion.joints) if self.s.lagging else 0
+        e, e_rate = self._error(t, state, whole)
+        force = self.law.force(e, e_rate, state.z[n:], self.of)
+        known = self.known_directions(state.u, whole, frame)
+        return self.through_dead_band(self.torque_for(force, state.w, known))

@@ -1,0 +1,173 @@
+"""The start of a sample: what is measured, which torques are asked for, and what is watched.
+
+In: states, signals and constants of a loop as graphs. Out: the command, the discrete states' successors, monitors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from flexopt.algebra import apply_pseudo_inverse
+from flexopt.plant.motion import Directions, Motion
+from flexopt.simulation.directions import Frame
+from flexopt.simulation.feedback import FeedbackLaw
+from flexopt.simulation.structure import N_TASK, Layout, LoopStructure
+
+
+@dataclass(frozen=True)
+class Layouts:
+    """How the loop's vectors are laid out, and its law."""
+
+    law: FeedbackLaw
+    states: Layout
+    signals: Layout
+    constants: Layout
+
+
+class Part:
+    """What sampling and integration share: the motion with its constants, base and target at a time."""
+
+    def __init__(self, structure: LoopStructure, layouts: Layouts, e: ca.SX, c: ca.SX) -> None:
+        self.s, self.law = structure, layouts.law
+        self.of = layouts.constants.split(c)
+        self.e = layouts.signals.split(e)
+        self.motion = Motion(self.s.motion, self.of)
+
+    def base_at(self, t: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Anchor and its rate at a time after the start of the sample."""
+        if self.s.moving_base:
+            return self.e["base"] + t * self.e["base_rate"], self.e["base_rate"]
+        return self.of["base"], ca.SX(0)
+
+    def target_at(self, t: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Target and its rate, the like."""
+        if self.s.moving_target:
+            return self.e["target"] + t * self.e["target_rate"], self.e["target_rate"]
+        return self.of["target"], ca.SX.zeros(N_TASK, 1)
+
+    def known_directions(self, u: ca.SX, along: Directions, frame: Frame) -> Directions:
+        """Directions as the controller knows them: joints measured, passive hinges at their design angles."""
+        motion = self.motion
+        hinges, angles = motion.hinges, motion.hinge_angles(u)
+        design = self.of["design"][motion.n_translations :]
+        result: Directions = []
+        deflection, pair = ca.SX(0), None
+        for k, (c, s) in enumerate(along):
+            if k in hinges:
+                i = hinges.index(k)
+                deflection = deflection + angles[i] - design[i]
+                pair = frame.deflection(deflection)
+            if pair is None:
+                result.append((c, s))
+            else:
+                result.append((c * pair[0] + s * pair[1], s * pair[0] - c * pair[1]))
+        return result
+
+    def torque_for(self, force: ca.SX, w: ca.SX, known: Directions) -> ca.SX:
+        """Joint torques of a force at the end-point, with what gravity compensation and nullspace damper add."""
+        jacobian = self.motion.rigid_jacobian(known)
+        n = jacobian.shape[1]
+        if self.s.law == "none":
+            torque = ca.SX.zeros(n, 1)
+        elif self.s.control == "transpose":
+            torque = jacobian.T @ force
+        elif n == N_TASK:
+            a, b, c, d = jacobian[0, 0], jacobian[0, 1], jacobian[1, 0], jacobian[1, 1]
+            inverse = 1 / (a * d - b * c)
+            torque = inverse * ca.vertcat(d * force[0] - b * force[1], a * force[1] - c * force[0])
+        else:
+            torque = apply_pseudo_inverse(jacobian, force)
+        if self.s.compensated:
+            torque += self.motion.holding_torque(known)
+        if self.s.nullspace_damped and n > N_TASK:
+            rates = (ca.SX(self.motion.to_q) @ w)[-n:]
+            torque -= self.of["nullspace_damping"] * (rates - apply_pseudo_inverse(jacobian, jacobian @ rates))
+        if self.s.limited:
+            limit = self.of["torque_limit"]
+            torque = ca.fmax(-limit, ca.fmin(limit, torque))
+        return torque
+
+    def torque_rate(self, command: ca.SX, torque: ca.SX) -> ca.SX:
+        """Of lagging actuators."""
+        rate = self.of["bandwidth"] * (command - torque)
+        if self.s.rate_limited:
+            limit = self.of["rate_limit"]
+            rate = ca.fmax(-limit, ca.fmin(limit, rate))
+        return rate
+
+    def through_dead_band(self, command: ca.SX) -> ca.SX:
+        """What the actuators make of a command inside and outside their dead band."""
+        if not self.s.dead_band:
+            return command
+        band = self.of["dead_band"]
+        return command - ca.fmax(-band, ca.fmin(band, command))
+
+
+class Sample(Part):
+    """The loop at the start of a sample."""
+
+    def __init__(self, structure: LoopStructure, layouts: Layouts, x: ca.SX, e: ca.SX, c: ca.SX, frame: Frame) -> None:
+        super().__init__(structure, layouts, e, c)
+        self.x = layouts.states.split(x)
+        self.frame = frame
+        self.along = self.motion.with_base(frame.turned(None))
+        self.base, _ = self.base_at(ca.SX(0))
+        self.target, self.target_rate = self.target_at(ca.SX(0))
+        self.measured = self._measured()
+
+    def _measured(self) -> ca.SX:
+        """What the controller gets to see now: end-point and its rate."""
+        u, w = self.x["u"], self.x["w"]
+        fresh = ca.vertcat(self.motion.end_point(u, self.along, self.base), self.motion.end_point_rate(w, self.along))
+        if self.s.noisy:
+            fresh += self.e["noise"]
+        if self.s.quantised:
+            # A resolution of zero means none.
+            size = ca.vertcat(self.of["resolution"], self.of["rate_resolution"])
+            rounded = size * ca.floor(fresh / ca.if_else(size > 0, size, 1) + 0.5)
+            fresh = ca.if_else(size > 0, rounded, fresh)
+        self.fresh = fresh
+        return self.x["queue"][: 2 * N_TASK] if self.s.delay else fresh
+
+    @property
+    def error(self) -> tuple[ca.SX, ca.SX]:
+        """End-point error and its rate as measured."""
+        return self.target - self.measured[:N_TASK], self.target_rate - self.measured[N_TASK:]
+
+    def command(self) -> ca.SX:
+        """Joint torques asked for, dead band of the actuators included."""
+        e, e_rate = self.error
+        force = self.law.force(e, e_rate, self.x["law"], self.of)
+        known = self.known_directions(self.x["u"], self.along, self.frame)
+        return self.through_dead_band(self.torque_for(force, self.x["w"], known))
+
+    def applied(self, command: ca.SX) -> ca.SX:
+        """Torques that act."""
+        return self.x["torque"] if self.s.lagging else command
+
+    def successors(self) -> tuple[ca.SX, ca.SX]:
+        """States of a sampled law and of the queue at the next sample."""
+        period = self.s.substeps * self.of["h"]
+        e, _ = self.error
+        law = self.law.successor(e, self.x["law"], period, self.of) if self.s.sampled else ca.SX.zeros(0, 1)
+        queue = ca.vertcat(self.x["queue"][2 * N_TASK :], self.fresh) if self.s.delay else ca.SX.zeros(0, 1)
+        return law, queue
+
+    @property
+    def deflection(self) -> ca.SX:
+        """Passive coordinates less their design values (n_p,)."""
+        motion, u = self.motion, self.x["u"]
+        anchors = [self.base if direction == "x" else ca.SX(0) for direction in self.s.motion.translations]
+        passive = ca.vertcat(u[: motion.n_translations] - ca.vertcat(*anchors), motion.hinge_angles(u))
+        return passive - self.of["design"]
+
+    def monitor(self) -> ca.SX:
+        """All of `MONITORS` but the residual."""
+        e = self.target - self.motion.end_point(self.x["u"], self.along, self.base)
+        deflection, motion = self.deflection, self.motion
+        names = [f"stiffness_{d}" for d in self.s.motion.translations] + [f"stiffness{k}" for k in motion.hinges]
+        energy = sum((self.of[name] * deflection[i] ** 2 for i, name in enumerate(names)), start=ca.SX(0)) / 2
+        rotation = deflection[motion.n_translations] ** 2 if self.s.motion.rotation else ca.SX(0)
+        return ca.vertcat(ca.dot(e, e), energy, rotation)

@@ -1,0 +1,50 @@
+"""Runge–Kutta coefficients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Table = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """A Runge–Kutta method: stages k_i = f(t + c_i h, x + h Σ_j a_ij k_j), step x + h Σ_i b_i k_i.
+
+    Attributes:
+        a (s, s), b (s,), c (s,): the coefficients.
+        order: of convergence.
+    """
+
+    a: Table
+    b: Table
+    c: Table
+    order: int
+
+
+def classical() -> Tableau:
+    """The classical fourth-order method (Kutta 1901)."""
+    a = np.zeros((4, 4))
+    a[1, 0] = a[2, 1] = 0.5
+    a[3, 2] = 1.0
+    return Tableau(a, np.array([1, 2, 2, 1]) / 6, np.array([0, 0.5, 0.5, 1.0]), 4)
+
+
+def gauss(stages: int = 3) -> Tableau:
+    """Gauss–Legendre collocation of order 2s: symmetric, symplectic, |R(iω)| = 1 (Butcher 1964)."""
+    nodes, weights = np.polynomial.legendre.leggauss(stages)
+    c = (nodes + 1) / 2
+    powers = np.vander(c, stages, increasing=True)
+    integrals = np.stack([c ** (k + 1) / (k + 1) for k in range(stages)], axis=1)
+    return Tableau(integrals @ np.linalg.inv(powers), weights / 2, c, 2 * stages)
+
+
+def dormand_prince() -> Tableau:
+    """The eighth-order formula of DOP853, fixed step (Hairer, Nørsett, Wanner 1993); SciPy's coefficients."""
+    from scipy.integrate import DOP853  # noqa: PLC0415  (loads in 0.2 s)
+
+    n = DOP853.n_stages
+    return Tableau(np.array(DOP853.A)[:n, :n], np.array(DOP853.B), np.array(DOP853.C)[:n], 8)
