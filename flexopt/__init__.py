@@ -30,13 +30,20 @@ from flexopt.robustness import Measures as Measures
 from flexopt.robustness import build_measures as build_measures
 from flexopt.robustness import evaluate as evaluate
 from flexopt.robustness import evaluate_w as evaluate_w
+from flexopt.selection import BaseTrajectory as BaseTrajectory
 from flexopt.selection import Candidate as Candidate
 from flexopt.selection import Selection as Selection
 from flexopt.selection import SelectionProblem as SelectionProblem
 from flexopt.selection import build_selection as build_selection
+from flexopt.selection import nullspace_trajectory as nullspace_trajectory
 from flexopt.selection import select as select
 from flexopt.selection import solve_problem as solve_problem
 from flexopt.selection import solve_selection as solve_selection
+from flexopt.simulation import Actuator as Actuator
+from flexopt.simulation import Path as Path
+from flexopt.simulation import Sensor as Sensor
+from flexopt.simulation import Trajectory as Trajectory
+from flexopt.simulation import simulate as simulate
 
 if TYPE_CHECKING:
     from flexopt.study import WorkspaceMap as WorkspaceMap

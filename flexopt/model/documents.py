@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, cast
 
@@ -11,6 +12,7 @@ import numpy as np
 from flexopt.model.machine import Machine
 
 
+@cache
 def package_version(name: str) -> str:
     """Version of an installed package, `"unknown"` in a source tree that was never installed."""
     try:

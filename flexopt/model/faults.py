@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 
 from pydantic import ValidationError
 
-from flexopt.errors import Fault, ModelError, raise_if_any
+from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.model.machine import BASE_DIRECTIONS, FileModel
 
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
@@ -20,8 +20,14 @@ Table = Mapping[str, Any]
 Model = TypeVar("Model", bound=FileModel)
 
 
-def validated(model: type[Model], data: Table, origin: str, structural: Iterable[Fault]) -> Model:
-    """The model of `data`, or `ModelError` with the faults of single keys and the `structural` ones."""
+def validated(
+    model: type[Model],
+    data: Table,
+    origin: str,
+    structural: Iterable[Fault],
+    kind: type[InputError] = ModelError,
+) -> Model:
+    """The model of `data`, or an error of that kind with the faults of single keys and the `structural` ones."""
     try:
         result = model.model_validate(data)
     except ValidationError as error:
@@ -31,7 +37,7 @@ def validated(model: type[Model], data: Table, origin: str, structural: Iterable
         faults = []
     seen = {fault.field for fault in faults}
     faults += [fault for fault in structural if fault.field not in seen]
-    raise_if_any(ModelError, origin, faults)
+    raise_if_any(kind, origin, faults)
     assert result is not None
     return result
 

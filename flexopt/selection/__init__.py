@@ -1,9 +1,11 @@
 """Choosing a configuration: a nonlinear program over placement and posture, its starts, its solutions, their proof.
 
 In: a machine and a target for the end-point. Out: a `Selection` of verified local optima, ranked, or an error that says
-what stands in the way.
+what stands in the way; or a `BaseTrajectory` from where the machine stands.
 """
 
+from flexopt.selection.base_trajectory import BaseTrajectory as BaseTrajectory
+from flexopt.selection.nullspace import nullspace_trajectory as nullspace_trajectory
 from flexopt.selection.problem import SelectionProblem as SelectionProblem
 from flexopt.selection.problem import build_selection as build_selection
 from flexopt.selection.result import Candidate as Candidate

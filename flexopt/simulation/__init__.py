@@ -1,1 +1,11 @@
-"""The nonlinear closed loop: controllers, integrators, runs, ensembles, and what they show."""
+"""The nonlinear closed loop: controllers, integrators, runs, ensembles, and what they show.
+
+In: a machine, a posture, a controller. Out: trajectories with their measures and a verdict. The loop is one set of
+CasADi graphs; runs of it are compiled where that can be.
+"""
+
+from flexopt.model.simulation import Actuator as Actuator
+from flexopt.model.simulation import Path as Path
+from flexopt.model.simulation import Sensor as Sensor
+from flexopt.simulation.run import simulate as simulate
+from flexopt.simulation.trajectory import Trajectory as Trajectory

@@ -1,0 +1,221 @@
+"""A closed loop to be simulated, as validated data: start, controller, sensors, actuators, run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, cast
+
+import numpy as np
+from pydantic import Field, PrivateAttr
+
+from flexopt.errors import Fault
+from flexopt.model.machine import FileModel, Machine
+from flexopt.model.problem import Control, Elbow, check_base, check_gain, check_point, check_seed
+from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, check_number, check_numbers, check_schema, checked
+
+Feedback = Literal["pd", "pid", "robust", "none"]
+Method = Literal["rk4", "dop853", "gauss"]
+FEEDBACKS: tuple[Feedback, ...] = ("pd", "pid", "robust", "none")
+METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
+SAMPLES_MAX = 10_000_000
+DELAY_MAX = 100  # samples
+GAIN_MAX = 1e15
+
+Numbers = tuple[float, ...]
+
+
+def _list_of(unit: str, *, low: float, high: float) -> Callable[[Any], Numbers]:
+    """One number, or a list with one for each axis or joint."""
+
+    def check(value: Any) -> Numbers:
+        parts = cast(list[Any], list(value)) if isinstance(value, list | tuple) else [value]
+        if not parts:
+            raise ValueError(f"must be a number, or a list of numbers, in {unit}")
+        return check_numbers(parts, [f"entry {i + 1}" for i in range(len(parts))], unit, low=low, high=high)
+
+    return check
+
+
+def _number(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Any:
+    return checked(lambda value: check_number(value, unit, above=above, low=low, high=high))
+
+
+def _whole(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 1000:
+        raise ValueError("must be a whole number between 1 and 1000")
+    return value
+
+
+Gains = Annotated[Numbers, checked(_list_of("N/m and the like", low=0.0, high=GAIN_MAX))]
+Torques = Annotated[Numbers, checked(_list_of("N m", low=0.0, high=1e12))]
+Angles = Annotated[Numbers, checked(_list_of("rad", low=-ANGLE_MAX, high=ANGLE_MAX))]
+
+
+class Sensor(FileModel):
+    """How the end-point is measured.
+
+    Attributes:
+        noise, rate_noise: standard deviation of white noise on each sample of position, m, and rate, m/s.
+        resolution, rate_resolution: steps to which they are rounded, m and m/s; 0: not rounded.
+        delay: from measurement to command, s; a whole number of samples.
+    """
+
+    noise: Annotated[float, _number("m", low=0.0, high=1e3)] = 0.0
+    rate_noise: Annotated[float, _number("m/s", low=0.0, high=1e3)] = 0.0
+    resolution: Annotated[float, _number("m", low=0.0, high=1e3)] = 0.0
+    rate_resolution: Annotated[float, _number("m/s", low=0.0, high=1e3)] = 0.0
+    delay: Annotated[float, _number("s", low=0.0, high=10.0)] = 0.0
+
+
+class Actuator(FileModel):
+    """What the joints' drives make of the torque asked for; a number, or a list with one for each actuated joint.
+
+    Attributes:
+        torque_limit: largest torque asked for, N m.
+        dead_band: command below which nothing happens, and by which larger ones are smaller, N m.
+        bandwidth_hz: of a first-order servo, Hz.
+        rate_limit: largest rate of the servo's torque, N m/s; needs a bandwidth.
+    """
+
+    torque_limit: Torques | None = None
+    dead_band: Torques | None = None
+    bandwidth_hz: Annotated[Numbers, checked(_list_of("Hz", low=1e-3, high=1e6))] | None = None
+    rate_limit: Torques | None = None
+
+
+class Path(FileModel):
+    """Points at times, s, joined by straight lines; held before the first and after the last."""
+
+    times: Annotated[Numbers, checked(_list_of("s", low=0.0, high=1e6))]
+    points: tuple[Annotated[Numbers, checked(_list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX))], ...]
+
+    def faults(self, name: str, size: int) -> list[Fault]:
+        """What does not fit together."""
+        found: list[Fault] = []
+        if len(self.times) != len(self.points):
+            found.append(
+                Fault(f"{name}.points", f"needs one for each of the {len(self.times)} times", str(len(self.points)))
+            )
+        if any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
+            found.append(Fault(f"{name}.times", "must increase, in s"))
+        if any(len(point) != size for point in self.points):
+            found.append(Fault(f"{name}.points", f"must have {size} coordinates each, in m"))
+        return found
+
+    def at(self, times: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        """Points (len(times), size)."""
+        points = np.array(self.points, dtype=float)
+        return np.stack([np.interp(times, self.times, column) for column in points.T], axis=1)
+
+
+class SimulationOptions(FileModel):
+    """What `flexopt.simulate` takes (keys of `[simulation]`); see there."""
+
+    posture: Angles | None = None
+    end_point: Annotated[Numbers, checked(check_point)] | None = None
+    elbow: Elbow = "up"
+    base: Annotated[Numbers, checked(check_base)] = (0.0,)
+    control: Control = "inverse"
+    feedback: Feedback = "pd"
+    kp: Gains = (1e5,)
+    kv: Gains = (2e3,)
+    ki: Gains = (0.0,)
+    integral_limit: Annotated[float, _number("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
+    gain: Annotated[float, checked(check_gain)] = 5e5
+    offset: Angles | None = None
+    duration: Annotated[float, _number("s", above=0.0, high=1e6)] = 10.0
+    rate: Annotated[float, _number("Hz", above=0.0, high=1e6)] = 200.0
+    hold: bool = True
+    integrator: Method = "rk4"
+    substeps: Annotated[int, checked(_whole)] | None = None
+    gravity: bool = False
+    gravity_compensation: bool = True
+    nullspace_damping: Annotated[float, _number("N m s/rad", low=0.0, high=1e12)] = 0.0
+    sensor: Sensor = Sensor()
+    actuator: Actuator = Actuator()
+    base_path: Path | None = None
+    target_path: Path | None = None
+    seed: Annotated[int, checked(check_seed)] = 0
+    baked: bool = False
+
+    def faults(self, machine: Machine) -> list[Fault]:
+        """What does not fit together, or not this machine."""
+        found = self._posture_faults(machine) + self._controller_faults(machine) + self._time_faults()
+        if self.base_path is not None:
+            found += self.base_path.faults("base_path", 1)
+            if "x" not in machine.free_base_directions:
+                sentence = "needs a base that gives in x; a rigid one would jerk the machine along"
+                found.append(Fault("base_path", sentence))
+        if self.target_path is not None:
+            found += self.target_path.faults("target_path", 2)
+        return found
+
+    def _posture_faults(self, machine: Machine) -> list[Fault]:
+        n, found = len(machine.joints), list[Fault]()
+        if (self.posture is None) == (self.end_point is None):
+            found.append(Fault("posture, end_point", "give one of the two"))
+        if self.end_point is not None and n > 2:
+            sentence = f"does not name one posture of {n} actuated joints; give the posture"
+            found.append(Fault("end_point", sentence, str(list(self.end_point))))
+        wanted = f"needs {n} angles in rad, one for each actuated joint ({', '.join(machine.joints)})"
+        for name, value in (("posture", self.posture), ("offset", self.offset)):
+            if value is not None and len(value) != n:
+                found.append(Fault(name, f"{wanted}, not {len(value)}", str(list(value))))
+        if self.posture is not None and len(self.posture) == n:
+            for name, angle, (low, high) in zip(machine.joints, self.posture, machine.limits, strict=True):
+                if not low <= angle <= high:
+                    found.append(Fault(f"posture ({name})", f"must lie between {low:g} and {high:g} rad", f"{angle:g}"))
+        return found
+
+    def _controller_faults(self, machine: Machine) -> list[Fault]:
+        n, found = len(machine.joints), list[Fault]()
+        for name, gains in (("kp", self.kp), ("kv", self.kv), ("ki", self.ki)):
+            if len(gains) not in (1, 2):
+                found.append(Fault(name, "must be one number, or one for each of the 2 task axes", str(list(gains))))
+        wanted = f"must be one number, or one for each actuated joint ({', '.join(machine.joints)})"
+        for name in ("torque_limit", "dead_band", "bandwidth_hz", "rate_limit"):
+            value: Numbers | None = getattr(self.actuator, name)
+            if value is not None and len(value) not in (1, n):
+                found.append(Fault(f"actuator.{name}", wanted, str(list(value))))
+        if self.actuator.rate_limit is not None and self.actuator.bandwidth_hz is None:
+            sentence = "needs actuator.bandwidth_hz: it limits how fast the servo's torque changes"
+            found.append(Fault("actuator.rate_limit", sentence))
+        return found
+
+    def _time_faults(self) -> list[Fault]:
+        found: list[Fault] = []
+        samples, waits = self.duration * self.rate, self.sensor.delay * self.rate
+        if not 0.5 <= samples <= SAMPLES_MAX:
+            found.append(Fault("duration, rate", f"must give between 1 and {SAMPLES_MAX} samples", f"{samples:g}"))
+        if abs(waits - round(waits)) > 1e-6 or waits > DELAY_MAX:
+            sentence = f"must be a whole number (0 to {DELAY_MAX}) of samples of {1 / self.rate:g} s"
+            found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
+        if not self.hold and self.sensor != Sensor():
+            sentence = "noise, resolution and delay belong to a sampled controller: give hold = true"
+            found.append(Fault("sensor", sentence))
+        return found
+
+
+class Experiment(FileModel):
+    """A simulation in a file (`flexopt.load_experiment` reads one)."""
+
+    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
+    name: str = Field(min_length=1)
+    description: str = ""
+    source: str = ""
+    machine: str = Field(min_length=1)
+    simulation: SimulationOptions
+
+    _loaded: Machine | None = PrivateAttr(default=None)
+
+    def with_machine(self, machine: Machine) -> Experiment:
+        """The same experiment, holding its machine."""
+        twin = self.model_copy()
+        twin._loaded = machine
+        return twin
+
+    @property
+    def loaded_machine(self) -> Machine:
+        """The machine that the file names."""
+        assert self._loaded is not None
+        return self._loaded

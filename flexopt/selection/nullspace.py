@@ -1,0 +1,263 @@
+"""The article's nullspace law: move the base along the redundancy, uphill on V, while the end-point stays put.
+
+In: a machine and a posture. Out: a `BaseTrajectory`. With z = [base, actuated joints], ξ = ∂V/∂z and J_B = ∂r/∂z the
+law moves z by (I − J_B⁺ J_B) kξ ξ each sample (article, section 4). Steps are shortened where a limit asks for it;
+after each one the joints, and they alone, are corrected by Newton's method until r(z) is back on its target.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from flexopt.errors import Fault, NoSolutionFound
+from flexopt.model import Machine
+from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.documents import provenance
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_gain, check_margin_deg
+from flexopt.model.quantities import COORDINATE_MAX, check_number, check_numbers, check_pair
+from flexopt.plant.reach import reach
+from flexopt.robustness.evaluation import Evaluation, evaluate_checked
+from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop
+from flexopt.selection.nullspace_law import NullspaceLaw, Point, climb, retime
+from flexopt.selection.objective import Quantities, quantities, read_objectives
+
+OnDescent = Literal["stop", "continue"]
+SAMPLES_MAX = 1_000_000
+# The default kξ climbs a hill as wide as the arm and as high as V's size with this time constant, s.
+CLIMB_TIME = 0.5
+# The default min_gain, of V's size, 1/s.
+GAIN_SHARE = 1e-6
+# Rounding in V, relative to its size.
+ROUNDING = 1e-12
+
+
+def nullspace_trajectory(
+    machine: Machine,
+    posture: Any,
+    *,
+    base: Any = 0.0,
+    objective: str = "w1",
+    weights: Sequence[float] | None = None,
+    control: Control = "inverse",
+    gain: float = 5e5,
+    gravity: bool = False,
+    step_gain: Any = None,
+    metric: Sequence[float] | None = None,
+    rate: float = 200.0,
+    max_base_rate: float = 0.25,
+    max_joint_rate: float = 1.0,
+    max_base_acceleration: float | None = None,
+    base_range: tuple[float, float] | None = None,
+    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
+    min_gain: float | None = None,
+    duration: float = 60.0,
+    on_descent: OnDescent = "stop",
+) -> BaseTrajectory:
+    """Drive the base uphill on V with the end-point in its place: Δq_d = S (I − J_B⁺ J_B) kξ ξ at every sample.
+
+    J_B⁺ and the projector weigh metres against radians: in the coordinates √metric · z the law is the one above, so
+    Δz = W^(−1/2) (I − Ĵ⁺ Ĵ) kξ W^(−1/2) ξ with Ĵ = J_B W^(−1/2), W = diag(metric). By default W = I in SI, as in the
+    article: one metre counts as much as one radian. A scalar kξ never descends; a matrix may, which is seen before the
+    step from ξᵀ Δz < 0. A step is shortened as a whole, so that the end-point stays: to the rates, to the end of
+    `base_range` exactly, and before V would pass a maximum or a kink.
+
+    Args:
+        machine: from `flexopt.load`.
+        posture: actuated joints at the start (n,), rad; with `base` it says where the end-point stays.
+        base: placement at the start, x, m.
+        objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max.
+        weights: α of `"V"`, and β after them, as in `flexopt.build_selection`.
+        control: Jacobian `"inverse"` or `"transpose"`.
+        gain: servo gain kr of ε_max.
+        gravity: measures and end-point under static deflection.
+        step_gain: kξ for each sample: a positive scalar, (n_z,) for a diagonal, or (n_z, n_z), n_z = n_b + n. By
+            default the scalar L² / (size · 0.5 s · rate), L the arm's reach, size = Σ αi |a_i||b_i| + β at the start.
+        metric: diagonal of W, (n_z,), positive, 1/m² and 1/rad².
+        rate: samples a second, Hz.
+        max_base_rate: greatest speed of the base, m/s;  max_joint_rate: of each joint, rad/s, corrections aside.
+        max_base_acceleration: along the base's path, m/s². If given, the path is timed anew: it starts and ends at rest
+            and is nowhere faster than the law. By default the base starts and stops at once.
+        base_range: (lower, upper) of the placement, m.
+        singularity_margin_deg: as in `flexopt.build_selection`.
+        min_gain: stop when the law's step changes V by less, V's unit per second; 1e-6 of the size above by default.
+        duration: latest end, s.
+        on_descent: `"stop"` before a step with ξᵀ Δz < 0, or `"continue"`; descents are recorded in the result.
+
+    Raises:
+        InputError: arguments of wrong shape, not finite or out of range, all in one message.
+        SingularPosture: Jv loses rank at the start.
+        NoSolutionFound: V cannot be computed at the start.
+
+    Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, section 4.
+    """
+    arguments = Arguments("nullspace_trajectory")
+    machine = arguments.machine(machine)
+    angles, placement = arguments.posture(machine, posture), arguments.base(base)
+    control = arguments.control(control)
+    arguments.flag("gravity", gravity)
+    kr = arguments.checked("gain", gain, check_gain, 1.0)
+    goal, *more = read_objectives(arguments, machine, objective, weights)
+    if more:
+        arguments.faults.append(Fault("objective", "must be a single one: the law climbs one V", shown(objective)))
+    names = (*machine.base_coordinates, *machine.joints)
+    k_xi = None if step_gain is None else arguments.checked("step_gain", step_gain, lambda v: _k_xi(v, names), None)
+    w = arguments.checked("metric", metric, lambda v: _metric(v, names), np.ones(len(names)))
+
+    def positive(field: str, value: Any, unit: str, high: float) -> float:
+        return arguments.checked(field, value, lambda v: check_number(v, unit, above=0.0, high=high), 1.0)
+
+    hertz, seconds = positive("rate", rate, "Hz", 1e5), positive("duration", duration, "s", 1e6)
+    base_rate = positive("max_base_rate", max_base_rate, "m/s", 1e3)
+    joint_rate = positive("max_joint_rate", max_joint_rate, "rad/s", 1e3)
+    if max_base_acceleration is not None:
+        max_base_acceleration = positive("max_base_acceleration", max_base_acceleration, "m/s²", 1e4)
+    if seconds * hertz > SAMPLES_MAX:
+        sentence = f"times rate must be at most {SAMPLES_MAX} samples"
+        arguments.faults.append(Fault("duration", sentence, shown(duration)))
+    lower, upper = _base_range(arguments, base_range, placement)
+    margin = math.radians(arguments.checked("singularity_margin_deg", singularity_margin_deg, check_margin_deg, 10.0))
+    if min_gain is not None:
+        min_gain = arguments.checked("min_gain", min_gain, lambda v: check_number(v, "1/s", low=0.0, high=1e6), 0.0)
+    arguments.choice("on_descent", on_descent, ("stop", "continue"))
+    arguments.done()
+
+    functions = quantities(machine, control, gravity, kr)
+    start = np.concatenate([placement, angles])
+    initial = _evaluated(functions, start)
+    size = float(np.dot(goal.alpha, initial.scale)) + goal.beta or 1.0
+    if k_xi is None:
+        k_xi = np.eye(len(names)) * (reach(functions.measures.plant).outer ** 2 / (size * CLIMB_TIME * hertz))
+    least = GAIN_SHARE * size if min_gain is None else min_gain
+    law = NullspaceLaw(
+        functions=functions,
+        objective=goal,
+        k_xi=k_xi,
+        root=np.sqrt(w),
+        target=initial.end_point,
+        rate=hertz,
+        base_step=base_rate / hertz,
+        joint_step=joint_rate / hertz,
+        lower=lower,
+        upper=upper,
+        sine_squared=math.sin(margin) ** 2,
+    )
+    first = law.point(start)
+    _check_start(law, first, initial, margin)
+    points, stop = climb(law, first, least, int(seconds * hertz + 1e-9), on_descent == "stop")
+    if max_base_acceleration is not None:
+        points, cut = retime(law, points, max_base_acceleration, seconds)
+        stop = Stop.DURATION if cut else stop
+
+    options = {"base": placement.tolist(), "posture": angles.tolist(), "objective": goal.name}
+    options |= {"weights": goal.weights.tolist(), "control": control, "gain": kr, "gravity": gravity}
+    options |= {"step_gain": k_xi.tolist(), "metric": w.tolist(), "rate": hertz, "max_base_rate": base_rate}
+    options |= {"max_joint_rate": joint_rate, "max_base_acceleration": max_base_acceleration}
+    options |= {"base_range": None if base_range is None else [float(lower[0]), float(upper[0])]}
+    options |= {"singularity_margin_deg": math.degrees(margin), "min_gain": least, "duration": seconds}
+    return _trajectory(law, points, stop, initial, size, provenance(machine, **options, on_descent=on_descent))
+
+
+def _trajectory(
+    law: NullspaceLaw, points: list[Point], stop: Stop, initial: Evaluation, size: float, origin: dict[str, Any]
+) -> BaseTrajectory:
+    """The result, from its samples."""
+    machine, n_base = law.plant.machine, law.plant.n_base
+    z, values = np.array([point.z for point in points]), np.array([point.value for point in points])
+    predictions = np.array([point.gradient @ law.step(point)[0] for point in points])
+    falls = np.flatnonzero(np.diff(values) < -ROUNDING * size).tolist()
+    off = np.array([point.end_point - law.target for point in points])
+    return BaseTrajectory(
+        machine=machine.name,
+        objective=law.objective.name,
+        control=law.functions.measures.control,
+        base_coordinates=machine.base_coordinates,
+        joints=machine.joints,
+        target=law.target,
+        time=np.arange(len(points)) / law.rate,
+        base=z[:, :n_base],
+        base_rate=np.vstack([np.diff(z[:, :n_base], axis=0) * law.rate, np.zeros((1, n_base))]),
+        posture=z[:, n_base:],
+        V=values,
+        gradient=np.array([point.gradient for point in points]),
+        prediction=predictions,
+        end_point_error=np.sqrt(np.sum(off**2, axis=1)),
+        stop=stop,
+        descents=tuple(Descent(k, float(values[k] - values[k + 1]), bool(predictions[k] < 0)) for k in falls),
+        initial=initial,
+        final=_evaluated(law.functions, points[-1].z),
+        provenance=origin,
+    )
+
+
+def _evaluated(functions: Quantities, z: Vector) -> Evaluation:
+    measures, n_base = functions.measures, functions.measures.plant.n_base
+    return evaluate_checked(
+        measures.plant.machine,
+        z[n_base:],
+        z[:n_base],
+        control=measures.control,
+        gain=functions.gain,
+        damped=False,
+        gravity=measures.gravity,
+    )
+
+
+def _check_start(law: NullspaceLaw, start: Point, initial: Evaluation, margin: float) -> None:
+    if law.objective.has_kinks and initial.epsilon_max is None:
+        raise NoSolutionFound(f"V at the start: {'; '.join(initial.warnings)}", violations={}, iterate={})
+    refused = law.refuses(start)
+    if refused is Stop.UNSOLVED:
+        raise NoSolutionFound("V or its gradient is no number at the start", violations={}, iterate={})
+    if refused is Stop.SINGULAR:
+        arguments = Arguments("nullspace_trajectory")
+        sentence = f"comes closer than {math.degrees(margin):.4g}° to a singular posture; bend the arm or allow it by "
+        sentence += "singularity_margin_deg"
+        arguments.faults.append(Fault("posture", sentence, shown(start.z[law.plant.n_base :])))
+        arguments.done()
+
+
+def _k_xi(value: Any, names: tuple[str, ...]) -> Vector:
+    """kξ as a matrix (n_z, n_z)."""
+    n_z, high = len(names), 1e30
+    if not isinstance(value, list | tuple):
+        return np.eye(n_z) * check_number(value, "", above=0.0, high=high)
+    rows = cast(Sequence[Any], value)
+    shape = f"must be a positive number, {n_z} numbers ({', '.join(names)}), or {n_z} rows of {n_z}"
+    if len(rows) != n_z:
+        raise ValueError(shape)
+    if not any(isinstance(row, list | tuple) for row in rows):
+        matrix = np.diag(check_numbers(list(rows), list(names), "", low=-high, high=high))
+    else:
+        if any(not isinstance(row, list | tuple) or len(cast(Sequence[Any], row)) != n_z for row in rows):
+            raise ValueError(shape)
+        labels = [f"row {a}, column {b}" for a in names for b in names]
+        flat = check_numbers([x for row in rows for x in row], labels, "", low=-high, high=high)
+        matrix = np.array(flat).reshape(n_z, n_z)
+    if not np.any(matrix):
+        raise ValueError("must not be zero: nothing would move")
+    return matrix
+
+
+def _metric(value: Any, names: tuple[str, ...]) -> Vector:
+    """Diagonal of the metric (n_z,)."""
+    if value is None:
+        return np.ones(len(names))
+    if not isinstance(value, list | tuple) or len(cast(Sequence[Any], value)) != len(names):
+        raise ValueError(f"must be {len(names)} numbers, one for each of {', '.join(names)}")
+    return np.array(check_numbers(list(cast(Sequence[Any], value)), list(names), "", low=1e-12, high=1e12))
+
+
+def _base_range(arguments: Arguments, value: Any, placement: Vector) -> tuple[Vector, Vector]:
+    """Lower and upper ends for each base coordinate, (n_b,) each."""
+    low, high = -math.inf, math.inf
+    if value is not None:
+        low, high = arguments.checked(
+            "base_range", value, lambda v: check_pair(v, "m", -COORDINATE_MAX, COORDINATE_MAX), (low, high)
+        )
+    if np.any(placement < low) or np.any(placement > high):
+        arguments.faults.append(Fault("base", f"must lie in base_range, {low:g} to {high:g} m", shown(placement)))
+    return np.full(placement.size, low), np.full(placement.size, high)

@@ -1,0 +1,296 @@
+"""Run one closed loop and show it: `simulate`."""
+
+from __future__ import annotations
+
+import math
+import warnings as python_warnings
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, cast
+
+import casadi as ca
+import numpy as np
+
+from flexopt.compiled import Batch, Recurrence, batch, recurrence
+from flexopt.errors import FlexoptWarning, NoSolutionFound
+from flexopt.model import Machine
+from flexopt.model.arguments import Vector
+from flexopt.model.documents import provenance
+from flexopt.model.problem import Control, Elbow
+from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor, SimulationOptions
+from flexopt.plant import Plant, build_plant
+from flexopt.simulation.behaviour import Behaviour, behaviour
+from flexopt.simulation.loop import baked, closed_loop
+from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
+from flexopt.simulation.structure import LoopStructure
+from flexopt.simulation.trajectory import Trajectory
+
+# Largest relative change left by the implicit method's iterations.
+RESIDUAL_MAX = 1e-10
+# Below this share of its sine squared at the start, the arm was close to singular on its way.
+NEAR_SINGULAR = 1e-3
+
+
+def simulate(
+    machine: Machine,
+    posture: Any = None,
+    *,
+    end_point: Any = None,
+    elbow: Elbow | None = None,
+    base: Any = None,
+    control: Control | None = None,
+    feedback: Feedback | None = None,
+    kp: Any = None,
+    kv: Any = None,
+    ki: Any = None,
+    integral_limit: float | None = None,
+    gain: float | None = None,
+    offset: Any = None,
+    duration: float | None = None,
+    rate: float | None = None,
+    hold: bool | None = None,
+    integrator: Method | None = None,
+    substeps: int | None = None,
+    gravity: bool | None = None,
+    gravity_compensation: bool | None = None,
+    nullspace_damping: float | None = None,
+    sensor: Sensor | Mapping[str, Any] | None = None,
+    actuator: Actuator | Mapping[str, Any] | None = None,
+    base_path: Path | Mapping[str, Any] | None = None,
+    target_path: Path | Mapping[str, Any] | None = None,
+    seed: int | None = None,
+    baked: bool | None = None,
+) -> Trajectory:
+    """The nonlinear closed loop M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = [0; τ_a], simulated.
+
+    At each sample the controller measures the end-point r and its rate and asks for τ_a = Jvᵀ f (transpose) or Jv⁺ f
+    (inverse), f = Kp (r_d − r) + Kv (ṙ_d − ṙ); it knows the joints' angles and takes the passive coordinates for what
+    they are at equilibrium: nobody measures the base (article, sections 3.2 and 5).
+
+    Args:
+        machine: from `flexopt.load`.
+        posture: actuated joints (n,), rad, about which to work; or give `end_point` and `elbow`.
+        end_point: (n_task,), m, inertial frame; for arms with two joints.
+        elbow: `"up"` (default) or `"down"`.
+        base: placement x, m; 0 by default.
+        control: `"inverse"` (default) or `"transpose"`.
+        feedback: `"pd"` (default), `"pid"`, `"robust"` (the controller that attains ε_max) or `"none"`.
+        kp, kv, ki: gains, one number or one for each axis; 1e5, 2e3 and 0 by default (N/m, N s/m, N/(m s) for transpose
+            control).
+        integral_limit: largest |∫ ki e dt| for each axis.
+        gain: servo gain kr for which `"robust"` is designed; 5e5 by default.
+        offset: displacement of the joints at the start (n,), rad; +0.05, −0.05, … by default.
+        duration: s; 10 by default.
+        rate: of the samples, Hz; 200 by default.
+        hold: True (default): the command is computed at each sample and held; False: at every stage of the integrator.
+        integrator: `"rk4"` (default, the article's), `"dop853"` (explicit, order 8) or `"gauss"` (Gauss–Legendre, order
+            6, symplectic: the energy of undamped modes stays).
+        substeps: integration steps in a sample; by default 1 for `"rk4"`, else as the fastest mode needs.
+        gravity: False (default): the weight is taken to be compensated in all coordinates, as in the article; True: it
+            acts, and the machine hangs in its springs.
+        gravity_compensation: whether the command carries the arm's weight (default), where it acts.
+        nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad.
+        sensor: noise, resolution, delay; see `flexopt.Sensor`.
+        actuator: limits, dead band, servo; see `flexopt.Actuator`.
+        base_path: where the operator drives the base, `flexopt.Path` or a `BaseTrajectory`'s `path`.
+        target_path: where the end-point shall be, `flexopt.Path`; by default where it is in the posture.
+        seed: of the noise.
+        baked: fold this machine's and controller's numbers into code of their own: a little faster, compiled anew for
+            every set of numbers.
+
+    Raises:
+        InputError: arguments are not usable (all faults in one message), or RK4's step is too long for the fastest
+            mode.
+        SingularPosture: Jv loses rank in the posture.
+        UnreachableTarget: no posture reaches `end_point`.
+        NotStabilizable: `"robust"`: no controller can stabilise the plant.
+        NoSolutionFound: the static deflection, or the implicit integrator, did not converge.
+    """
+    given = dict(locals())
+    options = checked_options("simulate", given.pop("machine"), given)
+    return simulate_checked(build_scenario(machine, options))
+
+
+def simulate_checked(scenario: Scenario) -> Trajectory:
+    """`simulate` for a scenario that is known to be good."""
+    s, loop = scenario, scenario.loop
+    constants, signals = s.constants, s.signals()
+    runner, shown, folded = runners(loop.structure, constants if s.options.baked else None)
+    empty = np.zeros(0)
+    records = runner(s.start, empty if folded else constants, steps=s.samples, e=signals)
+    x = np.concatenate([s.start[:, None], records.x[:, :, 0].T], axis=1)
+    outputs = shown_at(s, shown, x, signals)
+    end_error = np.sqrt(np.sum(outputs["error"][:, -1:] ** 2, axis=0))
+    turns = loop.structure.motion.rotation
+    verdict = behaviour(s.times, records.monitor, end_error, float(s.frequencies_hz[0]), turns=turns)
+    check_residual(records.monitor)
+    return _trajectory(s, outputs, verdict)
+
+
+@lru_cache(maxsize=64)
+def _runner(structure: LoopStructure) -> tuple[Recurrence, Batch]:
+    loop = closed_loop(structure)
+    fast = loop.fast
+    runner = recurrence(loop.step, fast=fast, refresh=loop.refresh if fast else None)
+    return runner, batch(loop.outputs)
+
+
+def runners(structure: LoopStructure, constants: Vector | None = None) -> tuple[Recurrence, Batch, bool]:
+    """The compiled run and outputs of a structure; with `constants`, these folded into the run."""
+    runner, shown = _runner(structure)
+    if constants is None:
+        return runner, shown, False
+    return _baked_runner(structure, tuple(constants.tolist())), shown, True
+
+
+@lru_cache(maxsize=16)
+def _baked_runner(structure: LoopStructure, constants: tuple[float, ...]) -> Recurrence:
+    loop, c = closed_loop(structure), np.array(constants)
+    fast = loop.fast
+    return recurrence(
+        baked(loop.step, c), fast=fast and baked(fast, c), refresh=baked(loop.refresh, c) if fast else None
+    )
+
+
+def shown_at(scenario: Scenario, shown: Batch, x: Vector, signals: Vector | None) -> dict[str, Vector]:
+    """The loop's outputs at every state of a run, (rows, K), and `base` and `target`."""
+    s = scenario
+    e = np.zeros((0, 1)) if signals is None else np.concatenate([signals, _at_end(s, signals)]).T
+    values = shown(x, e, s.constants)
+    outputs = dict(zip(shown.function.name_out(), values, strict=True))
+    n = x.shape[1]
+    for name, path, fixed in (("base", s.options.base_path, s.base), ("target", s.options.target_path, s.target)):
+        outputs[name] = np.broadcast_to(fixed[:, None], (len(fixed), n)) if path is None else path.at(s.times).T
+    return outputs
+
+
+def _at_end(scenario: Scenario, signals: Vector) -> Vector:
+    """Signals (1, n_e) at the end of the last sample: where the paths have come to, and no noise."""
+    layout, last = scenario.loop.signals, signals[-1:].copy()
+    for name, path in (("base", scenario.options.base_path), ("target", scenario.options.target_path)):
+        if path is not None:
+            last[0, layout.slices[name]] = path.at(scenario.times[-1:])[0]
+    if "noise" in layout.sizes:
+        last[0, layout.slices["noise"]] = 0.0
+    return last
+
+
+def check_residual(monitor: Vector) -> None:
+    """Raise where the implicit method's iterations did not converge while the states were finite."""
+    residual = monitor[:, 3]
+    worst = float(np.sqrt(np.max(residual, initial=0.0, where=np.isfinite(residual))))
+    if worst > RESIDUAL_MAX:
+        raise NoSolutionFound(
+            f"simulate: the implicit integrator's iterations left a relative change of {worst:.2g} (allowed "
+            f"{RESIDUAL_MAX:g}); the loop is faster than its step: give more substeps, or lower gains",
+            violations={"implicit step": worst},
+            iterate={},
+        )
+
+
+def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Trajectory:
+    plant = build_plant(s.machine)
+    sentences = _warnings(s, plant, outputs, of)
+    for sentence in sentences:
+        python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
+    rows = {name: value.T for name, value in outputs.items()}
+    return Trajectory(
+        machine=s.machine.name,
+        control=s.options.control,
+        coordinates=plant.coordinates,
+        joints=s.machine.joints,
+        n_passive=plant.n_passive,
+        time=s.times,
+        q=rows["q"],
+        v=rows["v"],
+        end_point=rows["end_point"],
+        error=rows["error"],
+        torque=rows["torque"],
+        energy=rows["energy"][:, 0],
+        deflection=rows["deflection"],
+        base=rows["base"],
+        target=rows["target"],
+        verdict=of.verdict(),
+        growth_rate=_finite(of.growth_rate[0]),
+        growth_rate_error=_finite(of.growth_rate_error[0]),
+        settling_time=_finite(of.settling_time[0]),
+        overshoot=_overshoot(rows["error"]),
+        end_error=_finite(of.end_error[0]),
+        peak_base_rotation=_finite(of.peak_base_rotation[0]),
+        residual_oscillation=_modal_energy(s, plant, rows),
+        frequencies_hz=s.frequencies_hz,
+        warnings=sentences,
+        provenance=provenance(s.machine, **s.options.model_dump(exclude_defaults=True)),
+        draw=lambda q, base: _skeleton(plant, q, base),
+    )
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _overshoot(error: Vector) -> float | None:
+    """Largest distance beyond the target along the error at the start, as a share of that error."""
+    size = float(np.linalg.norm(error[0]))
+    if size == 0.0:
+        return None
+    beyond = -(error @ error[0]) / size**2
+    return _finite(max(0.0, float(np.max(beyond))))
+
+
+def _modal_energy(s: Scenario, plant: Plant, rows: dict[str, Vector]) -> Vector:
+    """½ (η̇² + ω² η²) of each flexible mode, its largest value in the slowest's last period, (m,), J.
+
+    η = φᵀ M (q − q_design), M at the design posture, so for small motions about it.
+    """
+    omega = 2 * np.pi * s.frequencies_hz
+    period = 1 / s.frequencies_hz[0] if s.frequencies_hz[0] > 0 else math.inf
+    last = s.times >= s.times[-1] - period
+    mass = plant.mass(s.q_design, s.base, plant.parameter_values).full()
+    shift = s.q_design.copy()
+    q = rows["q"][last] - shift
+    q[:, : plant.n_passive] = rows["deflection"][last]
+    eta, rate = q @ mass @ s.modes, rows["v"][last] @ mass @ s.modes
+    return np.max(0.5 * (rate**2 + (omega * eta) ** 2), axis=0)
+
+
+def _skeleton(plant: Plant, q: Vector, base: Vector) -> Vector:
+    """Ground point, joints and end-point of every sample (K, n_bodies + 1, n_task)."""
+    points = plant.skeleton.map(len(q))(q.T, base.T, ca.repmat(plant.parameter_values, 1, len(q))).full()
+    return cast(Vector, points.T.reshape(len(q), -1, plant.n_task))
+
+
+def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behaviour) -> tuple[str, ...]:
+    sentences: list[str] = []
+    ended = float(of.finite_until[0])
+    if ended < s.times[-1]:
+        sentences.append(f"the run left the finite numbers at {ended:.4g} s; what follows is not a number")
+    m = plant.n_passive
+    near, at = _closest_to_singular(s, plant, outputs["q"][m:])
+    if near < NEAR_SINGULAR:
+        sentences.append(
+            f"the arm came close to a singular posture at {at:.4g} s (sine squared {near:.2g} of its start)"
+        )
+    if plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
+        sentences.append("the arm's self-motion is not damped and may drift; nullspace_damping holds it")
+    return tuple(sentences)
+
+
+def _closest_to_singular(s: Scenario, plant: Plant, joints: Vector) -> tuple[float, float]:
+    """Least distance from singular postures, as a share of that at the design posture, and when."""
+    distance = _singularity(s.machine)
+    values = distance(s.base, joints, plant.parameter_values)[0][0]
+    start = float(distance(s.base, s.posture, plant.parameter_values)[0][0, 0])
+    index = int(np.nanargmin(values)) if np.any(np.isfinite(values)) else 0
+    return float(values[index]) / start, float(s.times[index])
+
+
+@lru_cache(maxsize=16)
+def _singularity(machine: Machine) -> Batch:
+    return batch(build_plant(machine).singularity_sine_squared)
+
+
+def simulate_options(machine: Machine, options: SimulationOptions) -> Trajectory:
+    """`simulate` for validated options, as an experiment file holds them."""
+    given = {name: getattr(options, name) for name in options.model_fields_set}
+    return simulate_checked(build_scenario(machine, checked_options("simulate", machine, given)))

@@ -1,0 +1,305 @@
+"""From checked options to numbers: the structure of the loop, its constants, its start, its signals.
+
+In: a machine and `SimulationOptions`. Out: a `Scenario` that the runs and the linear analysis share.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from flexopt.errors import InputError, NoSolutionFound, raise_if_any
+from flexopt.model import Machine
+from flexopt.model.arguments import Vector
+from flexopt.model.faults import validated
+from flexopt.model.simulation import SimulationOptions
+from flexopt.plant import Plant, build_plant, inverse_kinematics
+from flexopt.plant.motion import Motion, constant_values, structure_of
+from flexopt.plant.singularity import check_regular
+from flexopt.plant.statics import check_held
+from flexopt.simulation.loop import ClosedLoop, closed_loop
+from flexopt.simulation.robust import robust_law
+from flexopt.simulation.structure import N_TASK, LoopStructure
+
+OFFSET = 0.05  # rad
+# Steps of the accurate methods, as shares of the fastest mode's radian.
+ACCURATE_STEP = 0.7
+# Where RK4 leaves the imaginary axis: |R(iy)| > 1 beyond √8.
+RK4_LIMIT = math.sqrt(8.0)
+STATIC_TOLERANCE = 1e-8
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A loop ready to run.
+
+    Attributes:
+        machine, options: what was asked for.
+        loop: its graphs.
+        posture, base: design configuration.
+        q_design: all coordinates at equilibrium, (n_q,).
+        target: end-point there, (n_task,), m.
+        frequencies_hz, modes: undamped modes with the joints held by nothing, ascending, (m,) and (n_q, m).
+        parts: constants by name, for `ClosedLoop.constants`.
+        start: states x (n_x,).
+        period: of a sample, s.
+        samples: how many.
+    """
+
+    machine: Machine
+    options: SimulationOptions
+    loop: ClosedLoop
+    posture: Vector
+    base: Vector
+    q_design: Vector
+    target: Vector
+    frequencies_hz: Vector
+    modes: Vector
+    parts: Mapping[str, Any]
+    start: Vector
+    period: float
+    samples: int
+
+    @property
+    def constants(self) -> Vector:
+        """C (n_c,)."""
+        return self.loop.constants.packed(self.parts)[:, 0]
+
+    @property
+    def times(self) -> Vector:
+        """Instants of the samples and the end, (samples + 1,), s."""
+        return np.arange(self.samples + 1) * self.period
+
+    def signals(self, rng: np.random.Generator | None = None) -> Vector | None:
+        """E (samples, n_e) that is not constant, noise drawn from `rng`; None where there is none."""
+        layout, options = self.loop.signals, self.options
+        if not layout.total:
+            return None
+        columns: dict[str, Vector] = {}
+        for name, path in (("base", options.base_path), ("target", options.target_path)):
+            if path is not None:
+                points = path.at(self.times)
+                columns |= {name: points[:-1], f"{name}_rate": np.diff(points, axis=0) / self.period}
+        if "noise" in layout.sizes:
+            generator = rng or np.random.default_rng(options.seed)
+            size = np.repeat([options.sensor.noise, options.sensor.rate_noise], N_TASK)
+            columns["noise"] = generator.standard_normal((self.samples, 2 * N_TASK)) * size
+        return np.concatenate([columns[name] for name in layout.sizes], axis=1)
+
+
+def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
+    """Options of a call, or one error with every fault."""
+    plain = {name: _plain(value) for name, value in given.items() if value is not None}
+    if not isinstance(machine, Machine):
+        raise InputError(f'{call}: machine must be a Machine, from flexopt.load("excavator") for example')
+    options = validated(SimulationOptions, plain, call, (), InputError)
+    raise_if_any(InputError, call, options.faults(machine))
+    return options
+
+
+def build_scenario(machine: Machine, options: SimulationOptions) -> Scenario:
+    """The scenario of checked options.
+
+    Raises:
+        SingularPosture: Jv loses rank in the design posture.
+        UnreachableTarget: no posture reaches `end_point`.
+        InputError: the springs do not hold the machine; the step is too long for RK4.
+        NoSolutionFound: the static deflection did not converge.
+    """
+    design = _design(machine, options.posture, options.end_point, options.elbow, options.base, options.gravity)
+    period = 1 / options.rate
+    fastest = 2 * math.pi * float(design.frequencies_hz[-1])
+    substeps, iterations = _stepping(options, fastest)
+    structure = _structure(machine, options, substeps, iterations)
+    parts: dict[str, Any] = dict(constant_values(machine))
+    n = len(machine.joints)
+    parts |= {"h": period / substeps, "design": design.passive, "base": options.base, "target": design.target}
+    parts |= {name: np.broadcast_to(getattr(options, name), N_TASK) for name in ("kp", "kv", "ki")}
+    parts |= {"integral_limit": options.integral_limit, "nullspace_damping": options.nullspace_damping}
+    parts |= {"resolution": [options.sensor.resolution] * N_TASK}
+    parts |= {"rate_resolution": [options.sensor.rate_resolution] * N_TASK}
+    actuator = options.actuator
+    for name, value in (
+        ("torque_limit", actuator.torque_limit),
+        ("dead_band", actuator.dead_band),
+        ("rate_limit", actuator.rate_limit),
+        ("bandwidth", actuator.bandwidth_hz and [2 * math.pi * hz for hz in actuator.bandwidth_hz]),
+    ):
+        if value is not None:
+            parts[name] = np.broadcast_to(value, n)
+    if options.feedback == "robust":
+        law = robust_law(
+            machine, tuple(design.posture), tuple(design.base), options.control, options.gravity, options.gain,
+            period if options.hold else 0.0,
+        )  # fmt: skip
+        structure = replace(structure, order=law.n_states)
+        parts |= {name: getattr(law, name).ravel(order="F") for name in "ABCD"}
+    loop = closed_loop(structure)
+    q_start = design.q.copy()
+    q_start[-n:] += default_offset(n) if options.offset is None else np.array(options.offset)
+    return Scenario(
+        machine=machine,
+        options=options,
+        loop=loop,
+        posture=design.posture,
+        base=design.base,
+        q_design=design.q,
+        target=design.target,
+        frequencies_hz=design.frequencies_hz,
+        modes=design.modes,
+        parts=parts,
+        start=start_states(machine, loop, parts, q_start[:, None])[:, 0],
+        period=period,
+        samples=max(1, round(options.duration * options.rate)),
+    )
+
+
+@dataclass(frozen=True)
+class _Design:
+    """The configuration about which the controller works."""
+
+    posture: Vector
+    base: Vector
+    q: Vector
+    passive: Vector
+    target: Vector
+    frequencies_hz: Vector
+    modes: Vector
+
+
+@lru_cache(maxsize=256)
+def _design(
+    machine: Machine,
+    posture: tuple[float, ...] | None,
+    end_point: tuple[float, ...] | None,
+    elbow: Any,
+    base: tuple[float, ...],
+    gravity: bool,
+) -> _Design:
+    plant = build_plant(machine)
+    if posture is None:
+        posture = tuple(inverse_kinematics(machine, end_point, base=base[0], gravity=gravity, elbow=elbow)[0])
+    angles, placement, p, m = np.array(posture), np.array(base), plant.parameter_values, plant.n_passive
+    q = plant.rest(placement, angles, p).full().ravel()
+    check_regular(plant, q, placement)
+    stiffness = plant.stiffness(p).full()
+    if gravity:
+        q[:m] = plant.deflected(placement, angles, p).full().ravel()
+        _check_static(plant, q, placement)
+        stiffness = check_held(plant, q, placement)
+    frequencies, modes = _flexible_modes(stiffness, plant.mass(q, placement, p).full(), m)
+    passive = q[:m].copy()
+    if "x" in machine.free_base_directions:
+        passive[0] -= placement[0]
+    target = plant.end_point(q, placement, p).full().ravel()
+    return _Design(angles, placement, q, passive, target, frequencies, modes)
+
+
+def _check_static(plant: Plant, q: Vector, base: Vector) -> None:
+    p, m = plant.parameter_values, plant.n_passive
+    weight = plant.gravity(q, base, p).full().ravel()[:m]
+    rest = plant.rest(base, q[m:], p).full().ravel()
+    residual = plant.stiffness(p).full()[:m, :m] @ (q - rest)[:m] + weight
+    left = float(np.abs(residual).max())
+    if not left <= STATIC_TOLERANCE * (1 + float(np.abs(weight).max())):
+        raise NoSolutionFound(
+            f"the static deflection under gravity did not converge: {left:.3g} N or N m left over",
+            violations={"static equilibrium": left},
+            iterate=dict(zip(plant.coordinates, q.tolist(), strict=True)),
+        )
+
+
+def _flexible_modes(stiffness: Vector, mass: Vector, m: int) -> tuple[Vector, Vector]:
+    """The m flexible frequencies, Hz, ascending, and mass-normalised modes (n_q, m)."""
+    root = np.linalg.cholesky(mass)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ stiffness @ inverse.T)
+    return np.sqrt(np.maximum(values[-m:], 0.0)) / (2 * math.pi), inverse.T @ vectors[:, -m:]
+
+
+def _stepping(options: SimulationOptions, fastest: float) -> tuple[int, int]:
+    """Integration steps in a sample, and iterations of the implicit method; `fastest` in rad/s."""
+    period = 1 / options.rate
+    substeps = options.substeps
+    if substeps is None:
+        substeps = 1 if options.integrator == "rk4" else max(1, math.ceil(fastest * period / ACCURATE_STEP))
+    reach = fastest * period / substeps
+    if options.integrator == "rk4" and reach > RK4_LIMIT:
+        need = math.ceil(fastest * period / RK4_LIMIT)
+        raise InputError(
+            f"simulate: rate = {options.rate:g} Hz with {substeps} substeps: RK4 is unstable for the mode at "
+            f"{fastest / (2 * math.pi):.4g} Hz (step {period / substeps:g} s); needs substeps of at least {need}, or "
+            "integrator = 'dop853' or 'gauss'"
+        )
+    if reach > 100.0 or substeps > 1000:
+        raise InputError(
+            f"simulate: rate = {options.rate:g} Hz is too slow for the mode at {fastest / (2 * math.pi):.4g} Hz: "
+            "a sample would need more than 1000 integration steps"
+        )
+    # Fixed-point iterations shrink the change by a quarter of the step in radians of the fastest mode.
+    shrink = min(0.25 * reach, 0.75)
+    return substeps, max(6, math.ceil(-38.0 / math.log(shrink))) if options.integrator == "gauss" else 0
+
+
+def _structure(machine: Machine, options: SimulationOptions, substeps: int, iterations: int) -> LoopStructure:
+    sensor, actuator = options.sensor, options.actuator
+    laws: dict[str, Any] = {"robust": "state_space"}
+    return LoopStructure(
+        motion=structure_of(machine),
+        control=options.control,
+        law=laws.get(options.feedback, options.feedback),
+        sampled=options.hold,
+        method=options.integrator,
+        substeps=substeps,
+        iterations=iterations,
+        gravity=options.gravity,
+        compensated=options.gravity and options.gravity_compensation,
+        delay=round(sensor.delay * options.rate),
+        quantised=bool(sensor.resolution or sensor.rate_resolution),
+        noisy=bool(sensor.noise or sensor.rate_noise),
+        limited=actuator.torque_limit is not None,
+        lagging=actuator.bandwidth_hz is not None,
+        rate_limited=actuator.rate_limit is not None,
+        dead_band=actuator.dead_band is not None,
+        nullspace_damped=options.nullspace_damping > 0,
+        moving_base=options.base_path is not None,
+        moving_target=options.target_path is not None,
+    )
+
+
+def default_offset(n: int) -> Vector:
+    """The displacement of the joints (n,) at the start where none is given: ±0.05 rad in turn."""
+    return OFFSET * (-1.0) ** np.arange(n)
+
+
+def start_states(machine: Machine, loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
+    """States x (n_x, N) at rest in configurations q (n_q, N).
+
+    Servos start with the torque that carries the weight, measurements on their way show the start.
+    """
+    motion = Motion(loop.structure.motion, {})
+    shift = np.zeros((motion.n, 1))
+    if not loop.structure.motion.rotation:
+        shift[motion.n_translations + [*motion.hinges, *motion.joints].index(1)] = -parts["rest0"]
+    u = np.linalg.solve(motion.to_q.full(), q - shift)
+    x = np.zeros((loop.states.total, q.shape[1]))
+    x[loop.states.slices["u"]] = u
+    plant, base = build_plant(machine), parts["base"]
+    if loop.structure.compensated and loop.structure.lagging:
+        weight = plant.gravity(q, base, plant.parameter_values).full()
+        x[loop.states.slices["torque"]] = weight[plant.n_passive :]
+    if loop.structure.delay:
+        points = plant.end_point(q, base, plant.parameter_values).full()
+        measured = np.concatenate([points, np.zeros_like(points)])
+        x[loop.states.slices["queue"]] = np.tile(measured, (loop.structure.delay, 1))
+    return x
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays as Python numbers and lists."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

@@ -1,0 +1,183 @@
+"""The result of one run: samples, measures, pictures, files."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from flexopt.model.arguments import Vector
+from flexopt.model.documents import json_ready
+from flexopt.simulation.behaviour import Verdict
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A closed-loop run. K samples from the start to the end; SI and rad.
+
+    Attributes:
+        machine, control, coordinates, joints: names.
+        n_passive: how many of the coordinates are passive; they come first.
+        time: (K,), s.
+        q, v: coordinates and rates (K, n_q), passive first.
+        end_point, error: r and r_d − r (K, n_task), m, inertial frame.
+        torque: that acts on the joints from each sample on (K, n), N m.
+        energy: kinetic, of the springs and, where it acts, of the weight (K,), J.
+        deflection: passive coordinates less their values at equilibrium (K, m).
+        base: anchor of the springs (K, n_b), m.
+        target: of the end-point, (K, n_task), m.
+        verdict: `"converges"` or `"grows"`, by the base's oscillation; see `simulation.behaviour`.
+        growth_rate, growth_rate_error: of its amplitude and the standard error, 1/s; None where the base never moved.
+        settling_time: after which |e| stays below 2 % of its start, s; None where it does not.
+        overshoot: how far the end-point went beyond its target, as a share of the error at the start.
+        end_error: |e| at the end, m; None where the run left the finite numbers.
+        peak_base_rotation: rad; None for a base that cannot turn.
+        residual_oscillation: largest energy of each flexible mode in the last period of the slowest, (m,), J.
+        frequencies_hz: of these modes, (m,).
+        skeleton: ground point, joints and end-point at each sample (K, n_bodies + 1, n_task), m.
+        warnings: sentences.
+    """
+
+    machine: str
+    control: str
+    coordinates: tuple[str, ...]
+    joints: tuple[str, ...]
+    n_passive: int
+    time: Vector
+    q: Vector
+    v: Vector
+    end_point: Vector
+    error: Vector
+    torque: Vector
+    energy: Vector
+    deflection: Vector
+    base: Vector
+    target: Vector
+    verdict: Verdict
+    growth_rate: float | None
+    growth_rate_error: float | None
+    settling_time: float | None
+    overshoot: float | None
+    end_error: float | None
+    peak_base_rotation: float | None
+    residual_oscillation: Vector
+    frequencies_hz: Vector
+    warnings: tuple[str, ...]
+    provenance: dict[str, Any] = field(repr=False)
+    draw: Any = field(repr=False, default=None)
+
+    @cached_property
+    def skeleton(self) -> Vector:
+        """See the class."""
+        return cast(Vector, self.draw(self.q, self.base))
+
+    @cached_property
+    def dataset(self) -> xr.Dataset:
+        """Every sample with named axes and units."""
+        import xarray as xr  # noqa: PLC0415  (slow to import)
+
+        axes = ["x", "y", "z"][: self.end_point.shape[1]]
+        units = {"coordinate": "m or rad", "joint": "N m"}
+        passive = list(self.coordinates[: self.n_passive])
+        variables = {
+            "q": (("time", "coordinate"), self.q, {"units": units["coordinate"]}),
+            "v": (("time", "coordinate"), self.v, {"units": "m/s or rad/s"}),
+            "end_point": (("time", "axis"), self.end_point, {"units": "m", "frame": "inertial"}),
+            "error": (("time", "axis"), self.error, {"units": "m"}),
+            "torque": (("time", "joint"), self.torque, {"units": "N m"}),
+            "energy": ("time", self.energy, {"units": "J"}),
+            "deflection": (("time", "passive"), self.deflection, {"units": "m or rad"}),
+            "base": (("time", "placement"), self.base, {"units": "m"}),
+            "target": (("time", "axis"), self.target, {"units": "m", "frame": "inertial"}),
+        }
+        labels = {
+            "time": ("time", self.time, {"units": "s"}), "coordinate": list(self.coordinates), "axis": axes,
+            "joint": list(self.joints), "passive": passive, "placement": axes[: self.base.shape[1]],
+        }  # fmt: skip
+        return xr.Dataset(variables, labels, {"verdict": self.verdict, "machine": self.machine})
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary of the measures (keys as in the command line's `--json`)."""
+        document = {
+            "machine": self.machine, "control": self.control, "verdict": self.verdict, "growth_rate": self.growth_rate,
+            "growth_rate_error": self.growth_rate_error, "settling_time": self.settling_time,
+            "overshoot": self.overshoot, "end_error": self.end_error, "peak_base_rotation": self.peak_base_rotation,
+            "residual_oscillation": self.residual_oscillation, "frequencies_hz": self.frequencies_hz,
+            "duration": float(self.time[-1]), "samples": len(self.time), "warnings": self.warnings,
+            "provenance": self.provenance,
+        }  # fmt: skip
+        return cast(dict[str, Any], json_ready(document))
+
+    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
+        """Write every sample, the measures and the provenance to a netCDF file.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        import json  # noqa: PLC0415
+
+        data = self.dataset.copy()
+        data.attrs["flexopt"] = json.dumps(self.to_dict())
+        data.to_netcdf(path, engine="scipy")
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them."""
+        names = ["time_s", *(f"q_{c}" for c in self.coordinates), *(f"v_{c}" for c in self.coordinates)]
+        for word in ("end_point", "error"):
+            names += [f"{word}_{axis}_m" for axis in ["x", "y", "z"][: self.end_point.shape[1]]]
+        names += [*(f"torque_{joint}_Nm" for joint in self.joints), "energy_J"]
+        columns = [self.time[:, None], self.q, self.v, self.end_point, self.error, self.torque, self.energy[:, None]]
+        lines = [",".join(names)]
+        lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw end-point error, base oscillation and torques over time.
+
+        Args:
+            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
+
+        Returns:
+            A matplotlib Figure.
+        """
+        from flexopt.plotting import plot_trajectory  # noqa: PLC0415  (matplotlib is slow to import)
+
+        return plot_trajectory(self, path)
+
+    def animate(self, path: str | os.PathLike[str], *, speed: float = 1.0, magnify: float = 1.0) -> None:
+        """Write a moving picture of the machine: `.gif` or `.html`, which open anywhere.
+
+        Args:
+            path: the file.
+            speed: of the film, relative to the machine.
+            magnify: factor on the base's deflections, which are small.
+        """
+        from flexopt.plotting import animate_trajectory  # noqa: PLC0415
+
+        animate_trajectory(self, path, speed=speed, magnify=magnify)
+
+    def __repr__(self) -> str:
+        def number(value: float | None, text: str) -> str:
+            return "–" if value is None else text.format(value)
+
+        rotation = number(self.peak_base_rotation, "{:.4g} rad")
+        modes = ", ".join(
+            f"{hz:.2f} Hz {e:.2e} J" for hz, e in zip(self.frequencies_hz, self.residual_oscillation, strict=True)
+        )
+        lines = [
+            f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {self.verdict} "
+            f"({number(self.growth_rate, '{:+.4g}')}/s ± {number(self.growth_rate_error, '{:.1g}')})",
+            f"  end-point: settles in {number(self.settling_time, '{:.3f} s')}, overshoot "
+            f"{number(self.overshoot and 100 * self.overshoot, '{:.1f} %')}, {number(self.end_error, '{:.3e} m')} off "
+            "at the end",
+            f"  base: turns by up to {rotation}; left in its modes: {modes}",
+        ]
+        return "\n".join([*lines, *(f"  warning: {warning}" for warning in self.warnings)])
