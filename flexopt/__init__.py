@@ -40,10 +40,14 @@ from flexopt.selection import select as select
 from flexopt.selection import solve_problem as solve_problem
 from flexopt.selection import solve_selection as solve_selection
 from flexopt.simulation import Actuator as Actuator
+from flexopt.simulation import Ensemble as Ensemble
 from flexopt.simulation import Path as Path
 from flexopt.simulation import Sensor as Sensor
 from flexopt.simulation import Trajectory as Trajectory
+from flexopt.simulation import sampled_loop as sampled_loop
 from flexopt.simulation import simulate as simulate
+from flexopt.simulation import simulate_ensemble as simulate_ensemble
+from flexopt.simulation import stability_border as stability_border
 
 if TYPE_CHECKING:
     from flexopt.study import WorkspaceMap as WorkspaceMap

@@ -7,5 +7,11 @@ CasADi graphs; runs of it are compiled where that can be.
 from flexopt.model.simulation import Actuator as Actuator
 from flexopt.model.simulation import Path as Path
 from flexopt.model.simulation import Sensor as Sensor
+from flexopt.simulation.ensemble import Ensemble as Ensemble
+from flexopt.simulation.ensemble import simulate_ensemble as simulate_ensemble
+from flexopt.simulation.linear import SampledLoop as SampledLoop
+from flexopt.simulation.linear import StabilityBorder as StabilityBorder
+from flexopt.simulation.linear import sampled_loop as sampled_loop
+from flexopt.simulation.linear import stability_border as stability_border
 from flexopt.simulation.run import simulate as simulate
 from flexopt.simulation.trajectory import Trajectory as Trajectory

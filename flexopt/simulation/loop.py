@@ -60,6 +60,11 @@ class ClosedLoop:
         """Layout of e."""
         return Layout(signal_sizes(self.structure))
 
+    @property
+    def to_q(self) -> NDArray[np.float64]:
+        """A (n_q, n_q) of q = A u + constant."""
+        return self._shape.to_q.full()
+
     @cached_property
     def directions(self) -> int:
         """Entries of d: cosine and sine of every body that turns."""

@@ -13,7 +13,7 @@ from flexopt.algebra import apply_pseudo_inverse
 from flexopt.plant.motion import Directions, Motion
 from flexopt.simulation.directions import Frame
 from flexopt.simulation.feedback import FeedbackLaw
-from flexopt.simulation.structure import N_TASK, Layout, LoopStructure
+from flexopt.simulation.structure import MODEL, N_TASK, Layout, LoopStructure
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class Part:
         self.of = layouts.constants.split(c)
         self.e = layouts.signals.split(e)
         self.motion = Motion(self.s.motion, self.of)
+        own = {name.removeprefix(MODEL): value for name, value in self.of.items() if name.startswith(MODEL)}
+        self.model = Motion(self.s.motion, self.of | own)
 
     def base_at(self, t: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Anchor and its rate at a time after the start of the sample."""
@@ -67,7 +69,7 @@ class Part:
 
     def torque_for(self, force: ca.SX, w: ca.SX, known: Directions) -> ca.SX:
         """Joint torques of a force at the end-point, with what gravity compensation and nullspace damper add."""
-        jacobian = self.motion.rigid_jacobian(known)
+        jacobian = self.model.rigid_jacobian(known)
         n = jacobian.shape[1]
         if self.s.law == "none":
             torque = ca.SX.zeros(n, 1)
@@ -80,7 +82,7 @@ class Part:
         else:
             torque = apply_pseudo_inverse(jacobian, force)
         if self.s.compensated:
-            torque += self.motion.holding_torque(known)
+            torque += self.model.holding_torque(known)
         if self.s.nullspace_damped and n > N_TASK:
             rates = (ca.SX(self.motion.to_q) @ w)[-n:]
             torque -= self.of["nullspace_damping"] * (rates - apply_pseudo_inverse(jacobian, jacobian @ rates))

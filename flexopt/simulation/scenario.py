@@ -24,7 +24,7 @@ from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.simulation.loop import ClosedLoop, closed_loop
 from flexopt.simulation.robust import robust_law
-from flexopt.simulation.structure import N_TASK, LoopStructure
+from flexopt.simulation.structure import MODEL, N_TASK, LoopStructure
 
 OFFSET = 0.05  # rad
 # Steps of the accurate methods, as shares of the fastest mode's radian.
@@ -44,6 +44,7 @@ class Scenario:
         posture, base: design configuration.
         q_design: all coordinates at equilibrium, (n_q,).
         target: end-point there, (n_task,), m.
+        offset: of the joints at the start, (n,), rad.
         frequencies_hz, modes: undamped modes with the joints held by nothing, ascending, (m,) and (n_q, m).
         parts: constants by name, for `ClosedLoop.constants`.
         start: states x (n_x,).
@@ -58,6 +59,7 @@ class Scenario:
     base: Vector
     q_design: Vector
     target: Vector
+    offset: Vector
     frequencies_hz: Vector
     modes: Vector
     parts: Mapping[str, Any]
@@ -102,8 +104,14 @@ def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> Simula
     return options
 
 
-def build_scenario(machine: Machine, options: SimulationOptions) -> Scenario:
+def build_scenario(machine: Machine, options: SimulationOptions, zeros: frozenset[str] | None = None) -> Scenario:
     """The scenario of checked options.
+
+    Args:
+        machine: from `flexopt.load`.
+        options: checked.
+        zeros: constants that are zero for all machines of an ensemble, whose controllers then keep this machine's
+            numbers; None for this machine alone.
 
     Raises:
         SingularPosture: Jv loses rank in the design posture.
@@ -116,7 +124,10 @@ def build_scenario(machine: Machine, options: SimulationOptions) -> Scenario:
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
     substeps, iterations = _stepping(options, fastest)
     structure = _structure(machine, options, substeps, iterations)
+    if zeros is not None:
+        structure = replace(structure, motion=replace(structure.motion, zeros=zeros), own_model=True)
     parts: dict[str, Any] = dict(constant_values(machine))
+    parts |= {f"{MODEL}{name}": value for name, value in parts.items()}
     n = len(machine.joints)
     parts |= {"h": period / substeps, "design": design.passive, "base": options.base, "target": design.target}
     parts |= {name: np.broadcast_to(getattr(options, name), N_TASK) for name in ("kp", "kv", "ki")}
@@ -140,8 +151,8 @@ def build_scenario(machine: Machine, options: SimulationOptions) -> Scenario:
         structure = replace(structure, order=law.n_states)
         parts |= {name: getattr(law, name).ravel(order="F") for name in "ABCD"}
     loop = closed_loop(structure)
-    q_start = design.q.copy()
-    q_start[-n:] += default_offset(n) if options.offset is None else np.array(options.offset)
+    offset = default_offset(n) if options.offset is None else np.array(options.offset)
+    q_start = np.concatenate([design.q[:-n], design.q[-n:] + offset])
     return Scenario(
         machine=machine,
         options=options,
@@ -150,6 +161,7 @@ def build_scenario(machine: Machine, options: SimulationOptions) -> Scenario:
         base=design.base,
         q_design=design.q,
         target=design.target,
+        offset=offset,
         frequencies_hz=design.frequencies_hz,
         modes=design.modes,
         parts=parts,

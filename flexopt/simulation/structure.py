@@ -41,6 +41,7 @@ class LoopStructure:
         limited, lagging, rate_limited, dead_band: of the actuators.
         nullspace_damped: whether a damper acts on the arm's self-motion.
         moving_base, moving_target: whether they come as signals instead of constants.
+        own_model: whether the controller has constants of its own for geometry and weight, in place of the machine's.
     """
 
     motion: Structure
@@ -63,6 +64,10 @@ class LoopStructure:
     nullspace_damped: bool = False
     moving_base: bool = False
     moving_target: bool = False
+    own_model: bool = False
+
+
+MODEL = "model_"  # prefix of a controller's own constants
 
 
 class Layout:
@@ -93,6 +98,7 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
     s, shape = structure, Motion(structure.motion, {})
     n = len(shape.joints)
     sizes = {name: 1 for name in motion_constant_names(shape) if name not in s.motion.zeros}
+    sizes |= {f"{MODEL}{name}": 1 for name in sizes if s.own_model and is_known(name)}
     sizes |= {"h": 1, "design": shape.n_translations + len(shape.hinges)}
     sizes |= {} if s.moving_base else {"base": 1}
     sizes |= {} if s.moving_target else {"target": N_TASK}
@@ -107,6 +113,11 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
     ):
         sizes |= {name: size} if part else {}
     return sizes
+
+
+def is_known(name: str) -> bool:
+    """Whether a controller uses this constant of the motion: for its Jacobian, or to carry the weight."""
+    return name == "gravity" or name.startswith("length") or (name[0] in "ab" and name[1:].isdigit())
 
 
 def state_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:

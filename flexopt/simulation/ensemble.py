@@ -1,0 +1,373 @@
+"""Many closed loops at once: start states, gains and machine parameters that vary from member to member.
+
+In: the options of `simulate`, and arrays with one row for each member. Out: an `Ensemble`, one dataset. Members go
+through the compiled loop side by side, in groups that keep nothing but window maxima unless their samples are wanted,
+so memory does not grow with the number of steps.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.compiled import Batch, Recurrence, batch
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.model import Machine
+from flexopt.model.arguments import Vector
+from flexopt.model.documents import json_ready, provenance
+from flexopt.plant import build_plant
+from flexopt.plant.motion import constants
+from flexopt.simulation.behaviour import Behaviour, behaviour
+from flexopt.simulation.run import check_residual, runners
+from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, start_states
+from flexopt.simulation.structure import N_TASK
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+WINDOWS = 250  # at most, for the measures of a member
+GROUP = 512  # members that go through together on one core
+BYTES_MAX = 4e9  # of samples kept
+MEMBERS_MAX = 100_000_000
+
+Keep = Literal["measures", "trajectories"]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """Measures of N members, one dataset.
+
+    Attributes:
+        dataset: xarray.Dataset over `member`: `grows`, `growth_rate`, `growth_rate_error`, `settling_time`,
+            `peak_error`, `end_error`, `peak_base_rotation`, `finite_until` (see `simulation.behaviour.Behaviour`), what
+            was varied, and with `keep="trajectories"` also `q`, `v`, `end_point`, `error`, `torque`, `energy` over
+            `time`.
+    """
+
+    dataset: xr.Dataset
+    provenance: dict[str, Any] = field(repr=False)
+
+    @property
+    def n_members(self) -> int:
+        """Number of members."""
+        return int(self.dataset.sizes["member"])
+
+    @property
+    def growing(self) -> float:
+        """Share of the members whose oscillation grows."""
+        return float(self.dataset["grows"].mean())
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready summary: shares, and 5th, 50th and 95th percentiles."""
+        quantiles = {
+            name: self._quantiles(self.dataset[name].to_numpy())
+            for name in ("growth_rate", "settling_time", "peak_error", "end_error", "peak_base_rotation")
+        }
+        document = {
+            "members": self.n_members,
+            "growing": self.growing,
+            "percentiles": {"levels": [5, 50, 95], **quantiles},
+            "provenance": self.provenance,
+        }
+        return cast(dict[str, Any], json_ready(document))
+
+    @staticmethod
+    def _quantiles(values: Vector) -> list[float]:
+        """Of the values that are finite."""
+        finite = values[np.isfinite(values)]
+        return np.percentile(finite, [5, 50, 95]).tolist() if finite.size else [math.nan] * 3
+
+    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
+        """Write the dataset and the provenance to a netCDF file.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        data = self.dataset.copy()
+        data["grows"] = data["grows"].astype("int8")
+        data.attrs["flexopt"] = json.dumps(self.to_dict())
+        data.to_netcdf(path, engine="scipy")
+
+    def __repr__(self) -> str:
+        d = self.dataset
+        rate = self._quantiles(d["growth_rate"].to_numpy())
+        return (
+            f"Ensemble({self.n_members} members: {100 * self.growing:.1f} % grow; growth rate "
+            f"{rate[0]:+.3g} … {rate[1]:+.3g} … {rate[2]:+.3g}/s (5, 50, 95 %))"
+        )
+
+
+def simulate_ensemble(
+    machine: Machine,
+    posture: Any = None,
+    *,
+    vary: Mapping[str, Any],
+    keep: Keep = "measures",
+    threads: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Ensemble:
+    """Many runs of `simulate` at once.
+
+    Args:
+        machine, posture, options: as for `flexopt.simulate`; they hold for every member where `vary` says nothing.
+        vary: arrays with one row for each of N members, by name: `"offset"` (N, n), rad; `"deflection"` (N, m), passive
+            coordinates at the start less their equilibrium, m or rad; `"rates"` (N, n_q), their rates at the start;
+            `"kp"`, `"kv"`, `"ki"` (N,) or (N, n_task); any of the machine's parameters, `"payload.mass"` for example
+            (N,). Where parameters vary, the controller keeps the numbers of `machine`: it does not know.
+        keep: `"measures"` (default), or `"trajectories"` for every sample of every member, too.
+        threads: among how many the members are divided; all cores by default. The results do not depend on it.
+        progress: called with the number of members done and N.
+
+    Raises:
+        InputError: arguments are not usable (all faults in one message); the samples to keep exceed 4 GB.
+        others: as `flexopt.simulate`.
+
+    With noise every member draws its own, from `seed` and its number.
+    """
+    checked = checked_options("simulate_ensemble", machine, {"posture": posture, **options})
+    varied = _checked(machine, vary, keep, threads)
+    n = len(next(iter(varied.values())))
+    names = [parameter.name for parameter in machine.parameters]
+    zeros, motion = _motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
+    s = build_scenario(machine, checked, zeros)
+    plan = _Plan(s, varied, motion, n, keep)
+    shares = _run(plan, threads or _cores(), progress)
+    given = {name: list(np.shape(value)) for name, value in varied.items()}
+    settings = checked.model_dump(exclude_defaults=True)
+    return Ensemble(_dataset(plan, varied, shares), provenance(machine, vary=given, keep=keep, **settings))
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What every group of members needs."""
+
+    scenario: Scenario
+    varied: dict[str, Vector]
+    motion: dict[str, Vector]
+    n: int
+    keep: Keep
+
+    def parts(self, rows: slice) -> dict[str, Any]:
+        """Constants by name, (size, members) where they vary."""
+        parts = dict(self.scenario.parts)
+        parts |= {name: values[rows][None, :] for name, values in self.motion.items()}
+        for name in ("kp", "kv", "ki"):
+            if name in self.varied:
+                parts[name] = np.broadcast_to(self.varied[name].reshape(self.n, -1).T[:, rows], (N_TASK, _count(rows)))
+        return parts
+
+    def start(self, rows: slice) -> Vector:
+        """States x (n_x, members)."""
+        s, count = self.scenario, _count(rows)
+        m = len(s.q_design) - len(s.posture)
+        q = np.repeat(s.q_design[:, None], count, axis=1)
+        q[m:] += self.varied["offset"][rows].T if "offset" in self.varied else s.offset[:, None]
+        if "deflection" in self.varied:
+            q[:m] += self.varied["deflection"][rows].T
+        x = start_states(s.machine, s.loop, s.parts, q)
+        if "rates" in self.varied:
+            x[s.loop.states.slices["w"]] = np.linalg.solve(s.loop.to_q, self.varied["rates"][rows].T)
+        return x
+
+    def signals(self, rows: slice) -> Vector | None:
+        """E (steps, n_e) or (steps, n_e, members): noise of its own for every member."""
+        s = self.scenario
+        if "noise" not in s.loop.signals.sizes:
+            return s.signals()
+        each = [s.signals(np.random.default_rng([s.options.seed, k])) for k in range(rows.start, rows.stop)]
+        return np.stack(cast(list[Vector], each), axis=2)
+
+
+def _count(rows: slice) -> int:
+    return rows.stop - rows.start
+
+
+@dataclass(frozen=True)
+class _Share:
+    """One group's results."""
+
+    measures: Behaviour
+    samples: dict[str, Vector]
+
+
+def _run(plan: _Plan, threads: int, progress: Progress | None) -> list[_Share]:
+    runner, shown, _ = runners(plan.scenario.loop.structure)
+    size = GROUP * threads
+    shares: list[_Share] = []
+    for begin in range(0, plan.n, size):
+        rows = slice(begin, min(plan.n, begin + size))
+        shares.append(_group(plan, rows, runner, shown, threads))
+        if progress is not None:
+            progress(rows.stop, plan.n)
+    return shares
+
+
+def _group(plan: _Plan, rows: slice, runner: Recurrence, shown: Batch, threads: int) -> _Share:
+    s = plan.scenario
+    stride = 1 if plan.keep == "trajectories" else math.ceil(s.samples / WINDOWS)
+    c, start, e = s.loop.constants.packed(plan.parts(rows)), plan.start(rows), plan.signals(rows)
+    keep: Literal["records", "monitors"] = "records" if plan.keep == "trajectories" else "monitors"
+    records = runner(start, c, steps=s.samples, e=e, stride=stride, threads=threads, keep=keep)
+    check_residual(records.monitor)
+    end = np.zeros((s.loop.signals.total, 1))
+    if e is not None:
+        end = (e[-1] if e.ndim == 3 else e[-1][:, None]).copy()
+        for name, path in (("base", s.options.base_path), ("target", s.options.target_path)):
+            if path is not None:
+                end[s.loop.signals.slices[name]] = path.at(s.times[-1:]).T
+    names = shown.function.name_out()
+    error = shown(records.last, end, c, threads=threads)[names.index("error")]
+    edges = np.concatenate([[0.0], records.k * s.period])
+    measures = behaviour(
+        edges, records.monitor, np.sqrt(np.sum(error**2, axis=0)), float(s.frequencies_hz[0]),
+        turns=s.loop.structure.motion.rotation,
+    )  # fmt: skip
+    samples: dict[str, Vector] = {}
+    if plan.keep == "trajectories":
+        samples = _samples(shown, np.concatenate([start[None], records.x]), e, end, c, threads)
+    return _Share(measures, samples)
+
+
+def _samples(shown: Batch, x: Vector, e: Vector | None, end: Vector, c: Vector, threads: int) -> dict[str, Vector]:
+    """Outputs of every state: name -> (members, samples, rows)."""
+    k, _, n = x.shape
+    flat = np.ascontiguousarray(x.transpose(1, 0, 2)).reshape(x.shape[1], k * n)
+    constants_of = c if c.shape[1] == 1 else np.tile(c, (1, k))
+    signals = np.zeros((0, 1))
+    if e is not None:
+        whole = np.concatenate([np.broadcast_to(e.reshape(k - 1, e.shape[1], -1), (k - 1, e.shape[1], n)),
+                                np.broadcast_to(end[None], (1, e.shape[1], n))])  # fmt: skip
+        signals = np.ascontiguousarray(whole.transpose(1, 0, 2)).reshape(e.shape[1], k * n)
+    values = shown(flat, signals, constants_of, threads=threads)
+    return {
+        name: value.reshape(-1, k, n).transpose(2, 1, 0)
+        for name, value in zip(shown.function.name_out(), values, strict=True)
+    }
+
+
+def _dataset(plan: _Plan, varied: Mapping[str, Vector], shares: list[_Share]) -> xr.Dataset:
+    import xarray as xr  # noqa: PLC0415  (slow to import)
+
+    s, plant = plan.scenario, build_plant(plan.scenario.machine)
+    units = {
+        "growth_rate": "1/s", "growth_rate_error": "1/s", "settling_time": "s", "peak_error": "m", "end_error": "m",
+        "peak_base_rotation": "rad", "finite_until": "s",
+    }  # fmt: skip
+    variables: dict[str, Any] = {}
+    for name in ("grows", *units):
+        values = np.concatenate([getattr(share.measures, name) for share in shares])
+        variables[name] = ("member", values, {"units": units.get(name, "")})
+    axis = {"offset": "joint", "deflection": "passive", "rates": "coordinate", "kp": "axis", "kv": "axis", "ki": "axis"}
+    unit = {parameter.name: parameter.unit for parameter in s.machine.parameters}
+    for name, values in varied.items():
+        dims = ("member", axis.get(name, "axis"))[: values.ndim]
+        variables[name if name not in variables else f"varied.{name}"] = (dims, values, {"units": unit.get(name, "")})
+    coordinates: dict[str, Any] = {"axis": ["x", "y", "z"][:N_TASK], "joint": list(s.machine.joints)}
+    coordinates |= {"coordinate": list(plant.coordinates), "passive": list(plant.coordinates[: plant.n_passive])}
+    if plan.keep == "trajectories":
+        axes = {
+            "q": "coordinate",
+            "v": "coordinate",
+            "end_point": "axis",
+            "error": "axis",
+            "torque": "joint",
+            "energy": None,
+        }
+        for name, label in axes.items():
+            values = np.concatenate([share.samples[name] for share in shares])
+            dims = ("member", "time", label) if label else ("member", "time")
+            variables[name] = (dims, values if label else values[:, :, 0])
+        coordinates["time"] = ("time", s.times, {"units": "s"})
+    used = {dim for entry in variables.values() for dim in ([entry[0]] if isinstance(entry[0], str) else entry[0])}
+    return xr.Dataset(variables, {name: value for name, value in coordinates.items() if name in used})
+
+
+def _motion_constants(
+    machine: Machine, varied: Mapping[str, Vector], n: int
+) -> tuple[frozenset[str] | None, dict[str, Vector]]:
+    """Constants of the motion that vary, (N,) each, and those that are zero for all; None where none varies."""
+    if not varied:
+        return None, {}
+    function = constants(machine)
+    p = np.repeat(np.array([[parameter.value] for parameter in machine.parameters]), n, axis=1)
+    names = [parameter.name for parameter in machine.parameters]
+    for name, values in varied.items():
+        p[names.index(name)] = values
+    columns = dict(zip(function.name_out(), (value[0] for value in batch(function)(p)), strict=True))
+    zeros = frozenset(name for name, value in columns.items() if not np.any(value))
+    return zeros, {name: value for name, value in columns.items() if name not in zeros}
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _checked(machine: Machine, vary: Any, keep: Any, threads: Any) -> dict[str, NDArray[np.float64]]:
+    """The arrays, all with the same number of rows, or one error with every fault."""
+    plant, faults = build_plant(machine), list[Fault]()
+    parameters = {parameter.name: parameter.unit for parameter in machine.parameters}
+    widths: dict[str, tuple[int, ...]] = {
+        "offset": (plant.n_actuated,), "deflection": (plant.n_passive,), "rates": (plant.n_coordinates,),
+        "kp": (0, N_TASK), "kv": (0, N_TASK), "ki": (0, N_TASK),
+    }  # fmt: skip
+    widths |= dict.fromkeys(parameters, (0,))
+    arrays: dict[str, Vector] = {}
+    if not isinstance(vary, Mapping) or not vary:
+        faults.append(Fault("vary", "must be a dictionary of arrays, one row for each member"))
+        vary = {}
+    for name, value in cast(Mapping[Any, Any], vary).items():
+        if name not in widths:
+            words = ", ".join([*list(widths)[:6], "or a parameter of the machine: " + ", ".join(parameters)])
+            faults.append(Fault(f"vary[{name!r}]", f"is not something that varies; known are {words}"))
+            continue
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            faults.append(Fault(f"vary[{name!r}]", "must be numbers, as many in each row"))
+            continue
+        width = array.shape[1] if array.ndim == 2 else 0
+        if array.ndim not in (1, 2) or width not in widths[name] or not len(array):
+            shapes = " or ".join("(members,)" if w == 0 else f"(members, {w})" for w in widths[name])
+            faults.append(Fault(f"vary[{name!r}]", f"must have the shape {shapes}, not {array.shape}"))
+        elif not np.all(np.isfinite(array)):
+            faults.append(
+                Fault(f"vary[{name!r}]", f"must be finite; entry {int(np.argmin(np.isfinite(array).ravel()))} is not")
+            )
+        else:
+            faults += _range_faults(machine, name, array)
+            arrays[name] = array
+    lengths = {name: len(array) for name, array in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        faults.append(Fault("vary", f"needs one number of members, not {lengths}"))
+    if keep not in ("measures", "trajectories"):
+        faults.append(Fault("keep", "must be measures or trajectories", repr(keep)))
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        faults.append(Fault("threads", "must be a whole number of at least 1", repr(threads)))
+    raise_if_any(InputError, "simulate_ensemble", faults)
+    return arrays
+
+
+def _range_faults(machine: Machine, name: str, array: Vector) -> list[Fault]:
+    """Values that a machine file would not be allowed to have, or negative gains."""
+    if name in ("kp", "kv", "ki") and np.any(array < 0):
+        return [Fault(f"vary[{name!r}]", "must not be negative", f"{array.min():g}")]
+    unit = next((parameter.unit for parameter in machine.parameters if parameter.name == name), None)
+    if unit is None:
+        return []
+    positive = ("mass", "inertia", "length", "stiffness")
+    last = name.rsplit(".", 1)[-1] if "stiffness" not in name else "stiffness"
+    zero_allowed = name in ("payload.mass", "base.length")
+    if last in positive and not zero_allowed and np.any(array <= 0):
+        return [Fault(f"vary[{name!r}]", f"must be greater than 0 {unit}", f"{array.min():g}")]
+    if (zero_allowed or "damping" in name or name == "gravity") and np.any(array < 0):
+        return [Fault(f"vary[{name!r}]", f"must not be negative ({unit})", f"{array.min():g}")]
+    return []
