@@ -11,22 +11,15 @@ import ctypes
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexopt.compiled.accelerated import function_key, level_for
-from flexopt.compiled.compilers import CompilationFailed, Compiler, find_compiler, library_suffix, tell_failure
 from flexopt.compiled.interpreted import Array, Interpreted
 from flexopt.compiled.lanes import kernel_source
-from flexopt.compiled.storage import find, recall, remember, store
+from flexopt.compiled.libraries import load
 from flexopt.errors import Fault, InputError, raise_if_any
-
-# Lines of generated code and how hard to optimise them. Of lanes, which are structures, gcc's scalar replacement of
-# aggregates takes a time that grows with the square of the length; without it the code is 15 % slower.
-_LEVELS = ((12_000, ("-O2",)), (20_000, ("-O2", "-fno-tree-sra")), (40_000, ("-O1", "-fno-tree-sra")))
 
 # A multiple of every processor's number of lanes, so that threads never share a group of points.
 _GROUP = 64
@@ -165,40 +158,9 @@ def _run(
 
 def _kernel(function: ca.Function) -> Callable[..., int] | None:
     """The compiled loop over points, or None where it cannot be."""
-    compiler = find_compiler()
-    if compiler is None:
+    library = load([function], "batch", lambda: kernel_source(function))
+    if library is None:
         return None
-    try:
-        key = function_key(function, compiler, "batch")
-    except RuntimeError:  # a Callback cannot be serialised
-        return None
-    found = find(key, library_suffix())
-    if found is None and recall(key) is None:
-        found = _built(function, compiler, key)
-    if found is None:
-        return None
-    try:
-        kernel = ctypes.CDLL(str(found)).flexopt_kernel
-    except OSError as error:
-        tell_failure(f"{found} could not be loaded ({error})")
-        return None
+    kernel = library.flexopt_kernel
     kernel.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p] + [ctypes.c_longlong] * 2
     return kernel
-
-
-def _built(function: ca.Function, compiler: Compiler, key: str) -> Path | None:
-    try:
-        source = kernel_source(function)
-    except RuntimeError:  # CasADi cannot generate it
-        return None
-    level = level_for(source, _LEVELS)
-    if level is None:
-        return None
-    try:
-        return store(key, library_suffix(), lambda path: compiler.build(source, path, language="c++", level=level))
-    except CompilationFailed as failure:
-        if failure.by_source:
-            remember(key, "the graph decides its course by numbers, or CasADi does not generate it")
-        else:
-            tell_failure(f"{function.name()} could not be compiled ({failure})")
-    return None

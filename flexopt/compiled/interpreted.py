@@ -53,11 +53,65 @@ class _Chunk:
         at = slice(begin, begin + self._size)
         for x, values in zip(self._x, inputs, strict=True):
             x[:] = values[:, at].T if values.shape[1] != 1 else values.T
-        self._evaluate()
-        failed = self._buffer.ret() != 0
+        failed = not _succeeds(self._buffer, self._evaluate)
         if failed and self._points is not None:
             for k in range(at.start, at.stop):
                 self._points(inputs, outputs, k, k + 1)
             return
         for y, values in zip(self._y, outputs, strict=True):
             values[:, at] = np.nan if failed else y.T
+
+
+class Accumulated:
+    """Runs a step x_next, monitor = step(x, e, c) of one member over many steps, a call for each chunk of them."""
+
+    def __init__(self, step: ca.Function) -> None:
+        self._step = step
+        self._chunks = dict[int, _Run]()
+
+    def __call__(self, x0: Array, e: Array, c: Array, x: Array, monitor: Array) -> None:
+        """`e` (steps, n_e); the results x (steps, n) and monitor (steps, n_m) are written in place."""
+        begin, end = 0, x.shape[0]
+        largest = _CHUNKS[0]
+        while begin < end:
+            size = next(size for size in _CHUNKS if size <= min(end - begin, largest))
+            if size not in self._chunks:
+                self._chunks[size] = _Run(self._step, size)
+            at = slice(begin, begin + size)
+            if not self._chunks[size](x0, e[at], c, x[at], monitor[at]):
+                if size > 1:  # closer to the step that failed
+                    largest = size - 1
+                    continue
+                x[at], monitor[at] = np.nan, np.nan
+            x0 = x[begin + size - 1]
+            begin += size
+
+
+class _Run:
+    """`size` steps in one call, through buffers that are kept with it."""
+
+    def __init__(self, step: ca.Function, size: int) -> None:
+        self._in = [np.zeros((size if k else 1, step.nnz_in(k))) for k in range(3)]
+        self._out = [np.zeros((size, step.nnz_out(k))) for k in range(2)]
+        self._buffer, evaluate = step.mapaccum(size).buffer()
+        self._evaluate: Callable[[], None] = evaluate
+        for k, values in enumerate(self._in):
+            self._buffer.set_arg(k, values.data)  # pyright: ignore[reportCallIssue] - the stubs ask for a size
+        for k, values in enumerate(self._out):
+            self._buffer.set_res(k, values.data)  # pyright: ignore[reportCallIssue]
+
+    def __call__(self, x0: Array, e: Array, c: Array, x: Array, monitor: Array) -> bool:
+        for buffer, values in zip(self._in, (x0, e, c), strict=True):
+            buffer[:] = values
+        succeeded = _succeeds(self._buffer, self._evaluate)
+        x[:], monitor[:] = self._out
+        return succeeded
+
+
+def _succeeds(buffer: ca.FunctionBuffer, evaluate: Callable[[], None]) -> bool:
+    """Evaluate; a failing Function returns a status, or raises where it is called by another."""
+    try:
+        evaluate()
+    except RuntimeError:
+        return False
+    return buffer.ret() == 0

@@ -82,6 +82,9 @@ INLINE lane sq(lane x) { return x * x; }
 INLINE lane sqrt(lane x) {
 #if defined(HAS_ELEMENTWISE)
   return __builtin_elementwise_sqrt(x.v);
+#elif defined(__clang__)  // before version 16; it joins the points itself
+  for (int k = 0; k < LANES; ++k) x.v[k] = __builtin_sqrt(x.v[k]);
+  return x;
 #elif defined(__AVX512F__)
   return (vec)__builtin_ia32_sqrtpd512_mask(x.v, x.v, -1, 4);
 #elif defined(__AVX__)

@@ -1,7 +1,7 @@
-"""C++ source that evaluates a Function at several points at once.
+"""C++ source that evaluates a Function at several points, or runs a recurrence for several members, at once.
 
-In: a CasADi Function whose inputs and outputs are dense columns. Out: the text of a translation unit with one exported
-`kernel`. CasADi's own C generator writes the evaluation; `lane.hpp` supplies the type that takes the place of `double`.
+In: CasADi Functions; those of a recurrence have dense columns. Out: the text of a translation unit with one exported
+function. CasADi's own C generator writes the evaluation; `lane.hpp` supplies the type that takes the place of `double`.
 What the generator writes is cut down to the functions that are reached, so that helpers which branch on numbers, but
 are never called, do not keep a graph from compiling.
 """
@@ -9,6 +9,7 @@ are never called, do not keep a graph from compiling.
 from __future__ import annotations
 
 import re
+from collections.abc import Container, Mapping
 from functools import cache
 from importlib.resources import files
 
@@ -23,13 +24,23 @@ _VALUE = r"\(\*\w+(?:\+\+)?\)|\*\w+|\w+(?:\[\w+\])?"
 _CHOICE = re.compile(rf"\(({_VALUE})\?({_VALUE}):0\)")
 _NAME = re.compile(r"\bcasadi_\w+")
 
-_KERNEL = """
+# Lines of generated code and how hard to optimise them. Of lanes, which are structures, gcc's scalar replacement of
+# aggregates takes a time that grows with the square of the length; without it the code is 15 % slower.
+LEVELS = ((12_000, ("-O2",)), (20_000, ("-O2", "-fno-tree-sra")), (40_000, ("-O1", "-fno-tree-sra")))
+
+# CasADi writes a graph depth first. Scheduling it before registers are assigned, which gcc leaves out on x86, makes the
+# code 5 to 15 % faster and changes no result.
+_SCHEDULED = '#pragma GCC optimize("schedule-insns", "sched-pressure")'
+
+_EXPORT = """
 #if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif
+"""
 
+_KERNEL = """
 // Points begin .. end-1. rows[k]: values of input nonzero k, one a point, or a single one where fixed[k].
 // results[k]: where output nonzero k goes, one a point. Returns 0, or what the generated function returned.
 extern "C" EXPORT int flexopt_kernel(const double *const *rows, const unsigned char *fixed, double *const *results,
@@ -68,12 +79,50 @@ extern "C" EXPORT int flexopt_kernel(const double *const *rows, const unsigned c
 
 def kernel_source(function: ca.Function) -> str:
     """The translation unit; whether it compiles decides whether the Function can be batched."""
-    head = [_resource("lane.hpp"), _resource("lane_math.hpp")]
-    head += ["typedef lane casadi_real;", "typedef long long casadi_int;"]
-    head += [f"#define {theirs} {ours}" for theirs, ours in _OWN.items()]
-    head += ["#define casadi_inf __builtin_inf()", '#define casadi_nan __builtin_nan("")']
     body, name = _generated(function)
-    return "\n".join([*head, body, _kernel(function, name)])
+    return "\n".join([_head(), body, _kernel(function, name)])
+
+
+def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int]) -> str:
+    """The translation unit of a recurrence.
+
+    Args:
+        functions: `step` and, if there is a fast step, `fast` and `refresh`; their inputs and outputs dense columns.
+        sizes: the numbers of rows, by their names in `recurrence.hpp`.
+    """
+    work = max(function.sz_w() for function in functions.values())
+    constants = dict(sizes) | {"WORK": work}
+    lines = [_head(), f"#define FAST {int('fast' in functions)}"]
+    lines.append("enum { " + ", ".join(f"{name} = {value}" for name, value in constants.items()) + " };")
+    lines += [_call(name, function) for name, function in functions.items()]
+    return "\n".join([*lines, _resource("recurrence.hpp")])
+
+
+def _head() -> str:
+    lines = [_SCHEDULED, _resource("lane.hpp"), _resource("lane_math.hpp"), _EXPORT]
+    lines += ["typedef lane casadi_real;", "typedef long long casadi_int;"]
+    lines += [f"#define {theirs} {ours}" for theirs, ours in _OWN.items()]
+    lines += ["#define casadi_inf __builtin_inf()", '#define casadi_nan __builtin_nan("")']
+    lines.append("#define CASADI_CAST(type, x) ((type)(x))")
+    return "\n".join(lines)
+
+
+def _call(name: str, function: ca.Function) -> str:
+    """The Function in a namespace of its own, and `call_name(inputs…, outputs…, w)`."""
+    body, generated = _generated(function)
+    inputs, outputs = [
+        [f"{kind}{k}" for k in range(n)] for kind, n in (("i", function.n_in()), ("o", function.n_out()))
+    ]
+    parameters = [f"const lane *{i}" for i in inputs] + [f"lane *{o}" for o in outputs]
+    return f"""namespace {name}_graph {{
+{body}
+}}
+INLINE int call_{name}({", ".join(parameters)}, lane *w) {{
+  const lane *arg[{function.sz_arg()} + 1] = {{{", ".join(inputs)}}};
+  lane *res[{function.sz_res()} + 1] = {{{", ".join(outputs)}}};
+  casadi_int iw[{function.sz_iw()} + 1];
+  return {name}_graph::{generated}(arg, res, iw, w, 0);
+}}"""
 
 
 @cache
@@ -85,15 +134,15 @@ def _generated(function: ca.Function) -> tuple[str, str]:
     """The definitions that the Function's evaluation reaches, and the name of that evaluation."""
     generator = ca.CodeGenerator("flexopt_generated", {"with_export": False, "include_math": False})
     generator.add(function)
-    pieces = _pieces(_CHOICE.sub(r"select(\1,\2,0)", generator.dump()))
+    pieces = definitions(_CHOICE.sub(r"select(\1,\2,0)", generator.dump()))
     exported = pieces[function.name()]
     match = re.search(r"return (casadi_\w+)\(", exported)
     assert match is not None, exported
-    reached = _reached(pieces, match[1])
+    reached = reached_from(pieces, match[1], _OWN)
     return "\n".join(text for name, text in pieces.items() if name in reached), match[1]
 
 
-def _pieces(text: str) -> dict[str, str]:
+def definitions(text: str) -> dict[str, str]:
     """Name -> text of every table, struct and function defined at the left margin, in their order."""
     pieces: dict[str, str] = {}
     lines = iter(text.splitlines())
@@ -108,11 +157,12 @@ def _pieces(text: str) -> dict[str, str]:
     return pieces
 
 
-def _reached(pieces: dict[str, str], root: str) -> set[str]:
+def reached_from(pieces: dict[str, str], root: str, without: Container[str] = ()) -> set[str]:
+    """Names of the pieces that `root` reaches, itself among them, leaving aside those in `without`."""
     reached, waiting = {root}, [root]
     while waiting:
         for name in set(_NAME.findall(pieces[waiting.pop()])) - reached:
-            if name in pieces and name not in _OWN:
+            if name in pieces and name not in without:
                 reached.add(name)
                 waiting.append(name)
     return reached

@@ -230,11 +230,11 @@ class Motion:
             total += self._of(f"stiffness_{direction}") * (u[i] - (base if direction == "x" else 0)) ** 2
         for k in self.hinges:
             total += self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}")) ** 2
-        return total / 2
+        return 0.5 * total
 
     def kinetic_energy(self, w: ca.SX, along: Directions) -> ca.SX:
         """½ vᵀ M v, J."""
-        return ca.dot(w, self.momentum(w, along)) / 2
+        return 0.5 * ca.dot(w, self.momentum(w, along))
 
     def momentum(self, w: ca.SX, along: Directions) -> ca.SX:
         """M_u w (n_q,), conjugate to u."""

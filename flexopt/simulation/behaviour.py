@@ -1,7 +1,7 @@
 """What a run shows in a few numbers: does the base's oscillation grow, when does the end-point settle.
 
-In: maxima over short windows of the squared end-point error, of the oscillation's energy in the springs and of the
-squared base rotation, one column for each member. Out: `Behaviour`, one entry for each member. The same code judges one
+In: maxima over short windows of the squared end-point error, of the squared base rotation and of the energy of each
+flexible mode, one column for each member. Out: `Behaviour`, one entry for each member. The same code judges one
 trajectory, recorded at every sample, and an ensemble that keeps nothing but window maxima.
 """
 
@@ -15,29 +15,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.model.arguments import Vector
+from flexopt.simulation.structure import MONITORS
 
 Verdict = Literal["converges", "grows"]
 SETTLED = 0.02  # share of the error at the start
-# Oscillation energy below this share of its largest value is rounding.
+# Energy of a mode below this share of the largest of all so far is rounding.
 ROUNDING = 1e-24
 FEWEST_WINDOWS = 4
+# An amplitude that ends so many times larger than it began has grown, whatever it does in the end.
+GROWN = 3.0
 
 
 @dataclass(frozen=True)
 class Behaviour:
-    """Measures of N runs.
+    """Measures of N runs, m flexible modes.
 
     Attributes:
-        grows: the verdict: it left the finite numbers, or the fit below says so (N,).
-        growth_rate: of the base oscillation's amplitude, 1/s: half the slope of the logarithm of the energy's maxima
-            over periods of the slowest mode, least squares over the second half of the run (N,); NaN where the base
-            never moved.
-        growth_rate_error: standard error of that slope (N,). `grows` where the rate exceeds twice it, or where the
-            oscillation does not decay by twice it and ends no smaller than it began.
+        grows: the verdict (N,): the run left the finite numbers, or some mode's amplitude grows: its growth rate
+            exceeds twice its standard error, or it ends three times as large as it began, or no smaller and without a
+            decay of twice that error.
+        growth_rate: the largest of the modes' growth rates, 1/s: half the slope of the logarithm of the mode's energy,
+            maxima over periods of the slowest mode, least squares over the second half of the run (N,); NaN where the
+            base never moved.
+        growth_rate_error: standard error of that slope (N,).
         settling_time: after which the end-point error stays below 2 % of what it was at the start, s; NaN where it does
             not (N,).
         peak_error, end_error: largest and last |e|, m (N,).
         peak_base_rotation: rad (N,); NaN for a base that cannot turn.
+        residual_oscillation: largest energy of each mode in the slowest one's last period (m, N), J.
         finite_until: time up to which every state was a finite number, s (N,).
     """
 
@@ -48,6 +53,7 @@ class Behaviour:
     peak_error: Vector
     end_error: Vector
     peak_base_rotation: Vector
+    residual_oscillation: Vector
     finite_until: Vector
 
     def verdict(self, member: int = 0) -> Verdict:
@@ -60,67 +66,75 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, slowest_hz: fl
 
     Args:
         times: (windows + 1,) edges of the windows, s.
-        monitors: (windows, 3 or more, N) maxima: squared error, oscillation energy, squared base rotation.
+        monitors: (windows, 3 + m, N) maxima of `MONITORS` and of the modes' energies.
         end_error: |e| at the end, (N,).
         slowest_hz: frequency of the slowest flexible mode.
         turns: whether the base can turn.
     """
-    squared_error, energy, rotation = monitors[:, 0], monitors[:, 1], monitors[:, 2]
-    alive = np.logical_and.accumulate(np.isfinite(squared_error) & np.isfinite(energy), axis=0)
+    squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, len(MONITORS) :]
+    alive = np.logical_and.accumulate(np.isfinite(squared_error) & np.all(np.isfinite(energy), axis=1), axis=0)
     finite = np.where(np.all(alive, axis=0), times[-1], times[np.sum(alive, axis=0)])
-    rate, error, first, last = _growth(times, np.where(alive, energy, np.nan), slowest_hz)
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)
-    stays = (last >= first) & (rate > -2 * error)
+
+    peaks, centres = _periods(times, np.where(alive[:, None], energy, np.nan), slowest_hz)
+    rate, error, first, last = _growth(peaks, centres)
     with np.errstate(invalid="ignore"):
-        grows = diverged | (rate > 2 * error) | stays
-    loud = squared_error > SETTLED**2 * squared_error[:1]
-    loud |= ~np.isfinite(squared_error)
+        growing = (rate > 2 * error) | (last >= GROWN * first) | ((last >= first) & (rate > -2 * error))
+    fastest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)[None]
+
+    loud = ~(squared_error <= SETTLED**2 * squared_error[:1])
     last_loud = len(loud) - 1 - np.argmax(loud[::-1], axis=0)
     settling = np.where(np.any(loud, axis=0), times[1:][last_loud], times[0])
-    settling = np.where(loud[-1], np.nan, settling)
     peak = np.sqrt(np.max(np.where(alive, squared_error, -np.inf), axis=0, initial=0.0))
     turn = np.sqrt(np.max(np.where(alive, rotation, -np.inf), axis=0, initial=0.0))
     return Behaviour(
-        grows=grows,
-        growth_rate=rate,
-        growth_rate_error=error,
-        settling_time=settling,
+        grows=diverged | np.any(growing, axis=0),
+        growth_rate=np.take_along_axis(rate, fastest, axis=0)[0],
+        growth_rate_error=np.take_along_axis(error, fastest, axis=0)[0],
+        settling_time=np.where(loud[-1], np.nan, settling),
         peak_error=np.where(diverged, np.inf, peak),
         end_error=np.where(diverged, np.inf, end_error),
         peak_base_rotation=turn if turns else np.full_like(turn, np.nan),
+        residual_oscillation=peaks[-1],
         finite_until=finite,
     )
 
 
-def _growth(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, Vector, Vector, Vector]:
-    """Growth rate, its standard error, and the amplitudes in the first and the last period, each (N,)."""
+def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, Vector]:
+    """Maxima over whole periods of the slowest mode (periods, m, N), and the periods' centres, s.
+
+    Counted from the end: what is left over at the start is the transient's. A run shorter than four periods is cut in
+    four.
+    """
     step = float(times[-1] - times[0]) / len(energy)
     per_period = max(1, math.ceil(1 / (slowest_hz * step) - 1e-9)) if slowest_hz > 0 else 1
     per_period = min(per_period, max(1, len(energy) // FEWEST_WINDOWS))
-    # Whole periods, counted from the end: what is left over at the start is the transient's.
     count = len(energy) // per_period
     whole = energy[len(energy) - count * per_period :]
-    peaks = np.max(whole.reshape(count, per_period, -1), axis=1)
-    centres = times[-1] - step * per_period * (np.arange(count)[::-1] + 0.5)
+    peaks = np.max(whole.reshape(count, per_period, *energy.shape[1:]), axis=1)
+    return peaks, times[-1] - step * per_period * (np.arange(count)[::-1] + 0.5)
 
-    floor = ROUNDING * np.nanmax(np.where(np.isfinite(peaks), peaks, np.nan), axis=0, initial=0.0)
-    used = np.logical_and.accumulate(np.isfinite(peaks) & (peaks > floor), axis=0)
+
+def _growth(peaks: Vector, centres: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+    """Growth rate, its standard error, and the amplitudes in the first and the last period, each (m, N)."""
+    count = len(peaks)
+    largest = np.maximum.accumulate(np.max(peaks, axis=1), axis=0)[:, None]
+    with np.errstate(invalid="ignore"):
+        used = np.logical_and.accumulate(np.isfinite(peaks) & (peaks > ROUNDING * largest), axis=0)
     length = np.sum(used, axis=0)
-    used &= np.arange(count)[:, None] >= length // 2
-    weight = used.astype(float)
-    n = np.sum(weight, axis=0)
+    used &= np.arange(count)[:, None, None] >= length // 2
+    n = np.sum(used, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.where(used, 0.5 * np.log(peaks), 0.0)
-        mean_t = weight.T @ centres / n
-        mean_y = np.sum(logarithm, axis=0) / n
-        dt = np.where(used, centres[:, None] - mean_t, 0.0)
-        dy = np.where(used, logarithm - mean_y, 0.0)
+        time = np.where(used, centres[:, None, None], 0.0)
+        dt = np.where(used, time - np.sum(time, axis=0) / n, 0.0)
+        dy = np.where(used, logarithm - np.sum(logarithm, axis=0) / n, 0.0)
         spread = np.sum(dt**2, axis=0)
         rate = np.sum(dt * dy, axis=0) / spread
         residual = np.sum((dy - rate * dt) ** 2, axis=0)
-        error = np.sqrt(np.maximum(residual, 0.0) / np.maximum(n - 2, 1) / spread)
+        error = np.sqrt(residual / np.maximum(n - 2, 1) / spread)
         first = np.sqrt(peaks[0])
         last = np.sqrt(np.take_along_axis(peaks, np.maximum(length - 1, 0)[None], axis=0)[0])
     still = length < 2
-    return (np.where(still, np.nan, rate), np.where(still, np.nan, error),
-            np.where(still, 0.0, first), np.where(still, -1.0, last))  # fmt: skip
+    nothing = np.where(still, np.nan, rate)
+    return nothing, np.where(still, np.nan, error), np.where(still, 1.0, first), np.where(still, 0.0, last)

@@ -81,8 +81,10 @@ class Carried:
         """See the class; squares, so that the largest needs no absolute values."""
         largest = ca.SX(0)
         for angles, limit in ((self._rotations, TURN_LIMIT), (self._deflections, DEFLECTION_LIMIT)):
+            square = ca.SX(0)
             for angle in angles:
-                largest = ca.fmax(largest, (angle / limit) ** 2)
+                square = ca.fmax(square, angle * angle)
+            largest = ca.fmax(largest, square * (1 / limit**2))
         return largest
 
 

@@ -47,9 +47,9 @@ class Ensemble:
 
     Attributes:
         dataset: xarray.Dataset over `member`: `grows`, `growth_rate`, `growth_rate_error`, `settling_time`,
-            `peak_error`, `end_error`, `peak_base_rotation`, `finite_until` (see `simulation.behaviour.Behaviour`), what
-            was varied, and with `keep="trajectories"` also `q`, `v`, `end_point`, `error`, `torque`, `energy` over
-            `time`.
+            `peak_error`, `end_error`, `peak_base_rotation`, `residual_oscillation`, `finite_until` (see
+            `simulation.behaviour.Behaviour`), what was varied, and with `keep="trajectories"` also `q`, `v`,
+            `end_point`, `error`, `torque`, `energy` over `time`.
     """
 
     dataset: xr.Dataset
@@ -266,12 +266,15 @@ def _dataset(plan: _Plan, varied: Mapping[str, Vector], shares: list[_Share]) ->
     for name in ("grows", *units):
         values = np.concatenate([getattr(share.measures, name) for share in shares])
         variables[name] = ("member", values, {"units": units.get(name, "")})
+    left = np.concatenate([share.measures.residual_oscillation for share in shares], axis=1).T
+    variables["residual_oscillation"] = (("member", "mode"), left, {"units": "J"})
     axis = {"offset": "joint", "deflection": "passive", "rates": "coordinate", "kp": "axis", "kv": "axis", "ki": "axis"}
     unit = {parameter.name: parameter.unit for parameter in s.machine.parameters}
     for name, values in varied.items():
         dims = ("member", axis.get(name, "axis"))[: values.ndim]
         variables[name if name not in variables else f"varied.{name}"] = (dims, values, {"units": unit.get(name, "")})
     coordinates: dict[str, Any] = {"axis": ["x", "y", "z"][:N_TASK], "joint": list(s.machine.joints)}
+    coordinates["mode"] = np.arange(1, left.shape[1] + 1)
     coordinates |= {"coordinate": list(plant.coordinates), "passive": list(plant.coordinates[: plant.n_passive])}
     if plan.keep == "trajectories":
         axes = {

@@ -207,7 +207,7 @@ class ClosedLoop:
                 state, turned, more = substep(state, turned, command, t, e, c)
                 turn = ca.fmax(turn, more) if carried else turn
         x_next = ca.vertcat(state, law, queue) if s.sampled else ca.vertcat(state, queue)
-        monitor = ca.vertcat(monitor, residual)
+        monitor = ca.vertcat(monitor[:2], residual, monitor[2:])
         inputs, names = ([x, d, e, c], ["x", "d", "e", "c"]) if carried else ([x, e, c], ["x", "e", "c"])
         outputs, results = [x_next, monitor], ["x_next", "monitor"]
         if carried:

@@ -22,7 +22,7 @@ from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.loop import baked, closed_loop
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
-from flexopt.simulation.structure import LoopStructure
+from flexopt.simulation.structure import MONITORS, LoopStructure
 from flexopt.simulation.trajectory import Trajectory
 
 # Largest relative change left by the implicit method's iterations.
@@ -177,7 +177,7 @@ def _at_end(scenario: Scenario, signals: Vector) -> Vector:
 
 def check_residual(monitor: Vector) -> None:
     """Raise where the implicit method's iterations did not converge while the states were finite."""
-    residual = monitor[:, 3]
+    residual = monitor[:, MONITORS.index("residual")]
     worst = float(np.sqrt(np.max(residual, initial=0.0, where=np.isfinite(residual))))
     if worst > RESIDUAL_MAX:
         raise NoSolutionFound(
@@ -217,7 +217,7 @@ def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Traje
         overshoot=_overshoot(rows["error"]),
         end_error=_finite(of.end_error[0]),
         peak_base_rotation=_finite(of.peak_base_rotation[0]),
-        residual_oscillation=_modal_energy(s, plant, rows),
+        residual_oscillation=of.residual_oscillation[:, 0],
         frequencies_hz=s.frequencies_hz,
         warnings=sentences,
         provenance=provenance(s.machine, **s.options.model_dump(exclude_defaults=True)),
@@ -236,22 +236,6 @@ def _overshoot(error: Vector) -> float | None:
         return None
     beyond = -(error @ error[0]) / size**2
     return _finite(max(0.0, float(np.max(beyond))))
-
-
-def _modal_energy(s: Scenario, plant: Plant, rows: dict[str, Vector]) -> Vector:
-    """½ (η̇² + ω² η²) of each flexible mode, its largest value in the slowest's last period, (m,), J.
-
-    η = φᵀ M (q − q_design), M at the design posture, so for small motions about it.
-    """
-    omega = 2 * np.pi * s.frequencies_hz
-    period = 1 / s.frequencies_hz[0] if s.frequencies_hz[0] > 0 else math.inf
-    last = s.times >= s.times[-1] - period
-    mass = plant.mass(s.q_design, s.base, plant.parameter_values).full()
-    shift = s.q_design.copy()
-    q = rows["q"][last] - shift
-    q[:, : plant.n_passive] = rows["deflection"][last]
-    eta, rate = q @ mass @ s.modes, rows["v"][last] @ mass @ s.modes
-    return np.max(0.5 * (rate**2 + (omega * eta) ** 2), axis=0)
 
 
 def _skeleton(plant: Plant, q: Vector, base: Vector) -> Vector:

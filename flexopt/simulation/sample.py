@@ -166,10 +166,17 @@ class Sample(Part):
         return passive - self.of["design"]
 
     def monitor(self) -> ca.SX:
-        """All of `MONITORS` but the residual."""
+        """All of `MONITORS` but the residual, then the energy of each flexible mode.
+
+        ½ (η̇_i² + ω_i² η_i²), η = Φᵀ M (q − q_design), J: of small motions about the design posture.
+        """
         e = self.target - self.motion.end_point(self.x["u"], self.along, self.base)
-        deflection, motion = self.deflection, self.motion
-        names = [f"stiffness_{d}" for d in self.s.motion.translations] + [f"stiffness{k}" for k in motion.hinges]
-        energy = sum((self.of[name] * deflection[i] ** 2 for i, name in enumerate(names)), start=ca.SX(0)) / 2
-        rotation = deflection[motion.n_translations] ** 2 if self.s.motion.rotation else ca.SX(0)
-        return ca.vertcat(ca.dot(e, e), energy, rotation)
+        n_moving = self.motion.n_translations
+        rotation = self.deflection[n_moving] ** 2 if self.s.motion.rotation else ca.SX(0)
+        away = self.x["u"] - self.of["u_design"]
+        if "x" in self.s.motion.translations:
+            away[0] -= self.base
+        projection = ca.reshape(self.of["modes"], self.of["omega_squared"].shape[0], self.motion.n)
+        eta, rate = projection @ away, projection @ self.x["w"]
+        energy = 0.5 * (rate**2 + self.of["omega_squared"] * eta**2)
+        return ca.vertcat(ca.dot(e, e), rotation, energy)

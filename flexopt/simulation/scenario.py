@@ -151,6 +151,7 @@ def build_scenario(machine: Machine, options: SimulationOptions, zeros: frozense
         structure = replace(structure, order=law.n_states)
         parts |= {name: getattr(law, name).ravel(order="F") for name in "ABCD"}
     loop = closed_loop(structure)
+    parts |= _modal(loop, machine, design, parts)
     offset = default_offset(n) if options.offset is None else np.array(options.offset)
     q_start = np.concatenate([design.q[:-n], design.q[-n:] + offset])
     return Scenario(
@@ -169,6 +170,30 @@ def build_scenario(machine: Machine, options: SimulationOptions, zeros: frozense
         period=period,
         samples=max(1, round(options.duration * options.rate)),
     )
+
+
+def _modal(loop: ClosedLoop, machine: Machine, design: _Design, parts: Mapping[str, Any]) -> dict[str, Any]:
+    """What projects states on the flexible modes: Φᵀ M in the coordinates u, and ω²."""
+    plant = build_plant(machine)
+    mass = plant.mass(design.q, design.base, plant.parameter_values).full()
+    projection = design.modes.T @ mass @ loop.to_q
+    q = design.q.copy()
+    q[: len(design.passive)] = design.passive  # relative to where the base stands
+    omega = 2 * np.pi * design.frequencies_hz
+    return {
+        "u_design": _to_u(loop, parts, q[:, None])[:, 0],
+        "modes": projection.ravel(order="F"),
+        "omega_squared": omega**2,
+    }
+
+
+def _to_u(loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
+    """U (n_q, N) of configurations q."""
+    motion = Motion(loop.structure.motion, {})
+    shift = np.zeros((motion.n, 1))
+    if not loop.structure.motion.rotation:
+        shift[motion.n_translations + [*motion.hinges, *motion.joints].index(1)] = -parts["rest0"]
+    return np.linalg.solve(loop.to_q, q - shift)
 
 
 @dataclass(frozen=True)
@@ -294,13 +319,8 @@ def start_states(machine: Machine, loop: ClosedLoop, parts: Mapping[str, Any], q
 
     Servos start with the torque that carries the weight, measurements on their way show the start.
     """
-    motion = Motion(loop.structure.motion, {})
-    shift = np.zeros((motion.n, 1))
-    if not loop.structure.motion.rotation:
-        shift[motion.n_translations + [*motion.hinges, *motion.joints].index(1)] = -parts["rest0"]
-    u = np.linalg.solve(motion.to_q.full(), q - shift)
     x = np.zeros((loop.states.total, q.shape[1]))
-    x[loop.states.slices["u"]] = u
+    x[loop.states.slices["u"]] = _to_u(loop, parts, q)
     plant, base = build_plant(machine), parts["base"]
     if loop.structure.compensated and loop.structure.lagging:
         weight = plant.gravity(q, base, plant.parameter_values).full()

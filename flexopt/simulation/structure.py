@@ -21,7 +21,8 @@ from flexopt.simulation.feedback import FeedbackLaw, Law
 
 Method = Literal["rk4", "dop853", "gauss"]
 METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
-MONITORS = ("squared_error", "oscillation_energy", "squared_base_rotation", "residual")
+# What a run watches at the start of each sample; after these the energy of each flexible mode.
+MONITORS = ("squared_error", "squared_base_rotation", "residual")
 N_TASK = 2
 
 
@@ -100,6 +101,8 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
     sizes = {name: 1 for name in motion_constant_names(shape) if name not in s.motion.zeros}
     sizes |= {f"{MODEL}{name}": 1 for name in sizes if s.own_model and is_known(name)}
     sizes |= {"h": 1, "design": shape.n_translations + len(shape.hinges)}
+    m = shape.n_translations + len(shape.hinges)
+    sizes |= {"u_design": shape.n, "modes": m * shape.n, "omega_squared": m}
     sizes |= {} if s.moving_base else {"base": 1}
     sizes |= {} if s.moving_target else {"target": N_TASK}
     sizes |= law.constants

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
-import platform
-import sys
-
 import casadi as ca
 import numpy as np
 import pytest
 
 import flexopt
 from flexopt.compiled import accelerate, batch, find_compiler
-from tests.compiled.comparison import QUIET
+from tests.compiled.comparison import QUIET, control_register
 
 pytestmark = pytest.mark.filterwarnings(QUIET)
 
@@ -129,21 +125,12 @@ def test_a_graph_that_calls_another_library() -> None:
         assert result[0, k] == pytest.approx(2 * float(_problem()(points[:, k], 1.0)[0]), rel=1e-13)
 
 
-def _control_register() -> bytes:
-    """The floating-point environment of this thread, as the C library stores it; status flags left out."""
-    if sys.platform != "linux" or platform.machine() != "x86_64":
-        return b""
-    environment = ctypes.create_string_buffer(64)
-    ctypes.CDLL("libm.so.6").fegetenv(environment)
-    return environment.raw[:2] + (int.from_bytes(environment.raw[28:32], "little") & ~0x3F).to_bytes(4, "little")
-
-
 def test_the_floating_point_mode_of_the_process_is_untouched() -> None:
-    before = _control_register()
+    before = control_register()
     x = ca.SX.sym("x")
     function = ca.Function("mode", [x], [x / 4])
     (result,) = batch(function)([[2.2250738585072014e-308] * 9])
     assert (result > 0).all(), "the lanes keep denormals"
     assert float(accelerate(function)(2.2250738585072014e-308)) > 0
     assert np.all(np.array([2.2250738585072014e-308]) / 4 > 0)
-    assert _control_register() == before
+    assert control_register() == before

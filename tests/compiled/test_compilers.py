@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from flexopt.compiled import accelerate, batch, compilers, find_compiler
+from flexopt.compiled import accelerate, batch, compilers, find_compiler, recurrence
 from flexopt.compiled.compilers import CompilationFailed, Compiler
 from flexopt.errors import CompilerNotFound, FlexoptWarning
 from tests.compiled.comparison import QUIET
@@ -23,6 +23,11 @@ def _function(name: str = "f") -> ca.Function:
     return ca.Function(name, [x], [ca.sin(x) * x])
 
 
+def _step() -> ca.Function:
+    x, e, c = ca.SX.sym("x"), ca.SX.sym("e", 0), ca.SX.sym("c")
+    return ca.Function("step", [x, e, c], [ca.sin(c * x), x])
+
+
 def _check_fallback() -> None:
     points = np.linspace(-3, 3, 20)[None]
     function = _function()
@@ -30,6 +35,9 @@ def _check_fallback() -> None:
     assert not evaluate.compiled
     np.testing.assert_allclose(evaluate(points)[0], np.sin(points) * points, rtol=1e-14)
     assert accelerate(function) is function
+    run = recurrence(_step())
+    assert not run.compiled
+    np.testing.assert_allclose(run([0.3], [2.0], steps=2).last, [[np.sin(2 * np.sin(0.6))]], rtol=1e-14)
 
 
 def _script(path: Path, body: str) -> str:
@@ -99,6 +107,7 @@ sys.exit(subprocess.call({list(good.command)!r} + sys.argv[1:]))
     assert len(told) == 1
     monkeypatch.delenv("FLEXOPT_CXX")
     assert batch(_function()).compiled, "the failure is not remembered"
+    assert recurrence(_step()).compiled
 
 
 def test_a_compiler_that_hangs_is_stopped(tmp_path: Path) -> None:

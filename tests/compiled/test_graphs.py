@@ -38,6 +38,7 @@ MATRIX: dict[str, Callable[[ca.MX, ca.MX, ca.MX], ca.MX]] = {
     "transpose": lambda _, a, __: a.T,
     "slices": lambda x, a, n: ca.vertcat(a[1, :].T, x[::-1], n),
     "sparse": lambda x, _, n: ca.diag(x) * n,
+    "made dense": lambda x, _, n: ca.densify(ca.diag(x) * n),
     "cumulative": lambda x, _, __: ca.cumsum(x),
     "repeated": lambda x, _, __: _step()(_step()(x)),
     "map": lambda x, a, _: _step().map(3)(a),
@@ -100,9 +101,14 @@ def test_what_decides_its_course_by_numbers_is_left_to_the_virtual_machine(kind:
         np.testing.assert_allclose(results[:, k], np.array(function(X[:, k], N[:, k])).ravel(), rtol=1e-12)
 
 
-def test_a_point_at_which_the_evaluation_fails_is_nan() -> None:
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_point_at_which_the_evaluation_fails_is_nan(nested: bool) -> None:
     x, p = ca.SX.sym("x"), ca.SX.sym("p")
     hopeless = ca.rootfinder("root", "newton", ca.Function("g", [x, p], [x**2 + p]), {"max_iter": 30})
+    if nested:
+        inputs = ca.MX.sym("x"), ca.MX.sym("p")
+        hopeless = ca.Function("outer", list(inputs), [hopeless(*inputs)])
     (result,) = batch(hopeless)([1.0], np.array([[-4.0, 1.0, -9.0] * 20]))
     assert np.isnan(result[0, 1::3]).all()
     np.testing.assert_allclose(result[0, 0::3], 2.0)
