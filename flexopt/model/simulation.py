@@ -28,12 +28,34 @@ def _list_of(unit: str, *, low: float, high: float) -> Callable[[Any], Numbers]:
     """One number, or a list with one for each axis or joint."""
 
     def check(value: Any) -> Numbers:
-        parts = cast(list[Any], list(value)) if isinstance(value, list | tuple) else [value]
+        value = _plain(value)
+        parts = [_plain(part) for part in cast(list[Any], value)] if isinstance(value, list | tuple) else [value]
         if not parts:
             raise ValueError(f"must be a number, or a list of numbers, in {unit}")
         return check_numbers(parts, [f"entry {i + 1}" for i in range(len(parts))], unit, low=low, high=high)
 
     return check
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays as Python numbers and lists."""
+    return cast(Any, value.tolist()) if isinstance(value, np.ndarray | np.generic) else value  # pyright: ignore[reportUnknownMemberType]
+
+
+def _check_points(value: Any) -> tuple[Numbers, ...]:
+    """A list of points, each a list of coordinates."""
+    parts = _plain(value)
+    if not isinstance(parts, list | tuple) or not parts:
+        raise ValueError("must be a list of points, each a list of coordinates in m")
+    check, points, sentences = _list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX), list[Numbers](), list[str]()
+    for i, part in enumerate(cast(list[Any], parts), 1):
+        try:
+            points.append(check(part))
+        except ValueError as error:
+            sentences.append(f"point {i}: {error}")
+    if sentences:
+        raise ValueError("; ".join(sentences))
+    return tuple(points)
 
 
 def _number(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Any:
@@ -87,7 +109,7 @@ class Path(FileModel):
     """Points at times, s, joined by straight lines; held before the first and after the last."""
 
     times: Annotated[Numbers, checked(_list_of("s", low=0.0, high=1e6))]
-    points: tuple[Annotated[Numbers, checked(_list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX))], ...]
+    points: Annotated[tuple[Numbers, ...], checked(_check_points)]
 
     def faults(self, name: str, size: int) -> list[Fault]:
         """What does not fit together."""

@@ -71,15 +71,22 @@ def constants(machine: Machine) -> ca.Function:
     bodies = ["base", *(link.name for link in machine.links)]
     of, whole = moments(value, bodies), full_structure(machine)
     both = len(whole.translations) == 2
-    # Reciprocals are constants of their own, so that no step divides by what never changes.
-    result = {"total": of.total, "inverse_total": 1 / of.total, "gravity": value["gravity"]}
+    # Quotients are constants of their own, so that no step divides by what never changes.
+    result = {
+        "total": of.total,
+        "inverse_total": 1 / of.total,
+        "inverse_root_total": 1 / ca.sqrt(of.total),
+        "gravity": value["gravity"],
+    }
     if not whole.rotation:
         result |= {"base_cos": ca.cos(value["base.rest_angle"]), "base_sin": ca.sin(value["base.rest_angle"])}
     for direction in whole.translations:
-        result |= {f"stiffness_{direction}": value[f"base.stiffness.{direction}"]}
-        result |= {f"damping_{direction}": value[f"base.damping.{direction}"]}
+        for word in ("stiffness", "damping"):
+            result[f"{word}_{direction}"] = value[f"base.{word}.{direction}"]
+            result[f"{word}_{direction}_m"] = value[f"base.{word}.{direction}"] / of.total
     for k, body in enumerate(bodies):
         result |= {f"a{k}": of.a[k], f"b{k}": of.b[k], f"length{k}": value[f"{body}.length"]}
+        result |= {f"am{k}": of.a[k] / of.total, f"bm{k}": of.b[k] / of.total}
         for m in range(k + 1):
             s, t = of.s[k][m], of.t[k][m]
             if both:
@@ -270,7 +277,8 @@ class Motion:
         self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
     ) -> ca.SX:
         """Generalised forces on u but those of inertia, (n_q,): springs, dampers, torques, weight."""
-        linear = self._base_forces(u, w, base, base_rate)
+        free = range(self.n_translations)
+        linear = [self._base_force(i, u, w, base, base_rate) for i in free]
         angular = self._joint_forces(u, w, torque)
         if gravity:
             linear = [
@@ -292,36 +300,46 @@ class Motion:
             base, base_rate: where the springs' anchor is and how fast it moves, m and m/s.
             gravity: whether it acts.
         """
+        # With X_k = φ̇_k² cos φ_k and Y_k = φ̇_k² sin φ_k the right-hand side of body k is
+        # Q_k − A_k sin φ_k + B_k cos φ_k; A and B are sums of X, Y and the base's force. Sums end with what is known
+        # last.
         free = self.structure.translations
-        moving, columns, axes, block = self._block(along)
-        inverse = self._of("inverse_total")
-        force = self._base_forces(u, w, base, base_rate)
+        moving = range(self.first, self.n_bodies)
+        shares = {k: (self._of(f"am{k}"), self._of(f"bm{k}")) for k in moving}
         squares = {k: w[self._at(k)] ** 2 for k in moving}
-        # What the turning bodies pull the base along by: −bias of the translations.
-        swing = [ca.SX(0) for _ in free]
-        for k in moving:
-            c, s = along[k]
-            a, b = self._of(f"a{k}"), self._of(f"b{k}")
-            outward = (a * c - b * s, a * s + b * c)
-            for i, axis in enumerate(axes):
-                swing[i] += outward[axis] * squares[k]
+        spin = {k: (along[k][0] * squares[k], along[k][1] * squares[k]) for k in moving}
+        pull = dict.fromkeys("xy", ca.SX(0))  # on the base, per total mass
+        for i, direction in enumerate(free):
+            pull[direction] = self._base_force(i, u, w, base, base_rate, "_m")
+            if len(free) == 1:
+                pull[direction] += _sum(_along(shares[k], spin[k])[direction == "y"] for k in moving)
 
         right = self._joint_forces(u, w, torque)
         for k in moving:
-            right[k] -= _sum(self._pull(k, m, along) * squares[m] for m in moving if m != k)
-            if gravity and "y" not in free:
-                right[k] -= self._weight(k, along)
-            for i, axis in enumerate(axes):
-                load = force[i] if len(free) == 2 else force[i] + swing[i]
-                right[k] -= columns[k][axis] * (load * inverse)
-        turning = _solve_symmetric(block, right, moving, self._pivot(block))
+            a, b = self._of(f"a{k}"), self._of(f"b{k}")
+            weight = self._of("gravity") if gravity and "y" not in free else ca.SX(0)
+            to_sine, to_cosine = -weight * b, -weight * a
+            for m in moving:
+                if m != k:
+                    more_sine, more_cosine = _along(self._coupling(k, m), spin[m])
+                    to_sine, to_cosine = to_sine + more_sine, to_cosine + more_cosine
+            to_sine -= a * pull["x"] + b * pull["y"]
+            to_cosine -= a * pull["y"] - b * pull["x"]
+            c, s = along[k]
+            right[k] = right[k] - s * to_sine + c * to_cosine
+        block = self._block(along)[3]
+        turning = _solve_symmetric(block, right, list(moving), self._pivot(block))
 
-        result: list[ca.SX] = []
-        for i, (axis, direction) in enumerate(zip(axes, free, strict=True)):
-            drag = _sum(columns[k][axis] * turning[k] for k in moving)
-            fall = self._of("gravity") if gravity and direction == "y" else ca.SX(0)
-            result.append((force[i] + swing[i] - drag) * inverse - fall)
-        return ca.vertcat(*result, *(turning[k] for k in moving))
+        falling = {"y": self._of("gravity")} if gravity else {}
+        linear = {direction: pull[direction] - falling.get(direction, 0) for direction in free}
+        for k in moving:
+            (c, s), (x, y) = along[k], spin[k]
+            if len(free) == 1:  # `pull` has the first part already
+                x, y = ca.SX(0), ca.SX(0)
+            drawn = _along(shares[k], (x + s * turning[k], y - c * turning[k]))
+            for direction in free:
+                linear[direction] += drawn[direction == "y"]
+        return ca.vertcat(*linear.values(), *(turning[k] for k in moving))
 
     def _block(
         self, along: Directions
@@ -336,14 +354,12 @@ class Motion:
     def _pivot(self, block: dict[tuple[int, int], ca.SX]) -> ca.SX:
         return self._of("inverse_pivot") if self.n_translations == 2 else 1 / block[self.first, self.first]
 
-    def _base_forces(self, u: ca.SX, w: ca.SX, base: ca.SX, base_rate: ca.SX) -> list[ca.SX]:
-        """Springs and dampers of the free translations."""
-        force: list[ca.SX] = []
-        for i, direction in enumerate(self.structure.translations):
-            anchor, rate = (base, base_rate) if direction == "x" else (ca.SX(0), ca.SX(0))
-            stretch, speed = u[i] - anchor, w[i] - rate
-            force.append(-self._of(f"stiffness_{direction}") * stretch - self._of(f"damping_{direction}") * speed)
-        return force
+    def _base_force(self, i: int, u: ca.SX, w: ca.SX, base: ca.SX, base_rate: ca.SX, per: str = "") -> ca.SX:
+        """Spring and damper of the i-th free translation; with "_m" over the total mass."""
+        direction = self.structure.translations[i]
+        anchor, rate = (base, base_rate) if direction == "x" else (ca.SX(0), ca.SX(0))
+        stiffness, damping = self._of(f"stiffness_{direction}{per}"), self._of(f"damping_{direction}{per}")
+        return -stiffness * (u[i] - anchor) - damping * (w[i] - rate)
 
     def _of(self, name: str) -> ca.SX:
         return ca.SX(0) if name in self.structure.zeros else self.value[name]
@@ -379,12 +395,11 @@ class Motion:
         (ck, sk), (cm, sm) = along[k], along[m]
         return ck * cm + sk * sm, sk * cm - ck * sm
 
-    def _pull(self, k: int, m: int, along: Directions) -> ca.SX:
-        """Factor of φ̇_m² in the velocity terms of body k."""
+    def _coupling(self, k: int, m: int) -> Pair:
+        """S_km and T_km, which changes sign with the order."""
         high, low = max(k, m), min(k, m)
-        cosine, sine = self._between(high, low, along)
-        pull = self._of(f"s{high}_{low}") * sine - self._of(f"t{high}_{low}") * cosine
-        return pull if k > m else -pull
+        t = self._of(f"t{high}_{low}")
+        return self._of(f"s{high}_{low}"), t if k > m else -t
 
     def _inertia(
         self,
@@ -429,18 +444,35 @@ def _solve_symmetric(
         return {k: right[k] * pivot}
     if len(index) == 2:
         i, j = index
-        a, b, c = block[i, i], block[j, i], block[j, j]
-        inverse = 1 / (a * c - b * b)
-        return {i: (c * right[i] - b * right[j]) * inverse, j: (a * right[j] - b * right[i]) * inverse}
+        twice = 2 / (block[i, i] * block[j, j] - block[j, i] ** 2)
+        ii, ij, jj = (0.5 * block[key] * twice for key in ((j, j), (j, i), (i, i)))
+        return {i: ii * right[i] - ij * right[j], j: jj * right[j] - ij * right[i]}
     first, rest = index[0], index[1:]
     factor = {k: block[k, first] * pivot for k in rest}
-    reduced = {(k, m): block[k, m] - factor[k] * block[m, first] for k in rest for m in rest if m <= k}
     onward = {k: right[k] - factor[k] * right[first] for k in rest}
+    head = pivot * right[first]
+    if len(rest) == 2:
+        # The inverse's rows are ready before the right-hand side is. (CasADi turns products with 1/det into divisions,
+        # those with s/(s det) it leaves.)
+        i, j = rest
+        scale = block[first, first]
+        a, b, c = (scale * block[k, m] - block[k, first] * block[m, first] for k, m in ((i, i), (j, i), (j, j)))
+        reciprocal = scale / (a * c - b * b)
+        ii, ij, jj = c * reciprocal, b * reciprocal, a * reciprocal
+        head -= (factor[i] * ii - factor[j] * ij) * onward[i]
+        head -= (factor[j] * jj - factor[i] * ij) * onward[j]
+        return {first: head, i: ii * onward[i] - ij * onward[j], j: jj * onward[j] - ij * onward[i]}
+    reduced = {(k, m): block[k, m] - factor[k] * block[m, first] for k in rest for m in rest if m <= k}
     solved = _solve_symmetric(reduced, onward, rest, 1 / reduced[rest[0], rest[0]])
-    head = right[first] * pivot
     for k in rest:
         head -= factor[k] * solved[k]
     return {first: head, **solved}
+
+
+def _along(scale: Pair, vector: Pair) -> Pair:
+    """(a x − b y, a y + b x)."""
+    (a, b), (x, y) = scale, vector
+    return a * x - b * y, a * y + b * x
 
 
 def _sum(terms: Iterable[ca.SX]) -> ca.SX:

@@ -10,6 +10,7 @@ from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
+UNDERCARRIAGE, BASE = "#444444", "#777777"
 
 
 def draw_machine(axes: Axes, skeleton: Points, color: str, *, ghost: bool = False, label: str = "") -> None:
@@ -23,30 +24,20 @@ def draw_machine(axes: Axes, skeleton: Points, color: str, *, ghost: bool = Fals
         label: for the legend.
     """
     alpha, order = (0.35, 2.0) if ghost else (1.0, 3.0)
-    size = float(np.linalg.norm(np.diff(skeleton, axis=1), axis=0).sum())
+    size = reach(skeleton)
     width = 0.32 * size
     x, y = skeleton[:, 0]
     axes.add_patch(
         Rectangle(
             (x - width / 2, y - 0.035 * size), width, 0.07 * size,
-            facecolor="#444444", edgecolor="#222222", alpha=alpha, zorder=order,
+            facecolor=UNDERCARRIAGE, edgecolor="#222222", alpha=alpha, zorder=order,
         )
     )  # fmt: skip
-    count = skeleton.shape[1] - 1
-    for k in range(count):
-        start, end = skeleton[:, k], skeleton[:, k + 1]
-        along = end - start
-        length = float(np.hypot(*along))
-        if length == 0.0:
-            continue
-        across = np.array([-along[1], along[0]]) / length
-        thick = size * (0.028 - 0.016 * k / count)
-        thin = size * (0.028 - 0.016 * (k + 1) / count)
-        outline = np.array([start + thick * across, end + thin * across, end - thin * across, start - thick * across])
+    for k, outline in enumerate(bars(skeleton)):
         axes.add_patch(
             Polygon(
-                outline, closed=True, facecolor="#777777" if k == 0 else color, edgecolor="black",
-                linewidth=0.6, alpha=alpha, zorder=order + 0.1,
+                outline, closed=True, facecolor=BASE if k == 0 else color, edgecolor="black", linewidth=0.6,
+                alpha=alpha, zorder=order + 0.1,
             )
         )  # fmt: skip
     axes.plot(
@@ -54,6 +45,25 @@ def draw_machine(axes: Axes, skeleton: Points, color: str, *, ghost: bool = Fals
         alpha=min(1.0, 2 * alpha), zorder=order + 0.2,
     )  # fmt: skip
     axes.plot([], [], color=color, linewidth=6, alpha=alpha, label=label)
+
+
+def reach(skeleton: Points) -> float:
+    """Length of all bodies, m."""
+    return float(np.linalg.norm(np.diff(skeleton, axis=1), axis=0).sum())
+
+
+def bars(skeleton: Points) -> list[Points]:
+    """Outlines (4, 2) of the bodies, each a bar that tapers towards the end-point; a point without length is one."""
+    size, count = reach(skeleton), skeleton.shape[1] - 1
+    outlines: list[Points] = []
+    for k, (start, end) in enumerate(zip(skeleton.T[:-1], skeleton.T[1:], strict=True)):
+        along = end - start
+        across = np.array([-along[1], along[0]]) / (float(np.hypot(*along)) or 1.0)
+        thick, thin = size * (0.028 - 0.016 * k / count), size * (0.028 - 0.016 * (k + 1) / count)
+        outlines.append(
+            np.array([start + thick * across, end + thin * across, end - thin * across, start - thick * across])
+        )
+    return outlines
 
 
 def draw_ground(axes: Axes, low: float, high: float, height: float) -> None:

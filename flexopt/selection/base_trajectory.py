@@ -7,9 +7,10 @@ another timing.
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready
 from flexopt.model.problem import Control
 from flexopt.robustness.evaluation import Evaluation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Stop(Enum):
@@ -101,6 +105,19 @@ class BaseTrajectory:
         document |= {"descents": [vars(descent) for descent in self.descents]}
         document |= {"initial": self.initial.to_dict(), "final": self.final.to_dict()}
         return json_ready(document | {"provenance": self.provenance})
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the machine at start and end, and the base's position and rate and V over time.
+
+        Args:
+            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
+
+        Returns:
+            A matplotlib Figure.
+        """
+        from flexopt.plotting import plot_base_trajectory  # noqa: PLC0415  (matplotlib is slow to import)
+
+        return plot_base_trajectory(self, path)
 
     def __repr__(self) -> str:
         point = ", ".join(f"{x:.4g}" for x in self.target)

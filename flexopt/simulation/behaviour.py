@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.model.arguments import Vector
-from flexopt.simulation.structure import MONITORS
 
 Verdict = Literal["converges", "grows"]
 SETTLED = 0.02  # share of the error at the start
 # Energy of a mode below this share of the largest of all so far is rounding.
-ROUNDING = 1e-24
+ROUNDING = 1e-20
 FEWEST_WINDOWS = 4
 # An amplitude that ends so many times larger than it began has grown, whatever it does in the end.
 GROWN = 3.0
@@ -66,12 +65,12 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, slowest_hz: fl
 
     Args:
         times: (windows + 1,) edges of the windows, s.
-        monitors: (windows, 3 + m, N) maxima of `MONITORS` and of the modes' energies.
+        monitors: (windows, 2 + m, N) maxima of `Sample.monitor`.
         end_error: |e| at the end, (N,).
         slowest_hz: frequency of the slowest flexible mode.
         turns: whether the base can turn.
     """
-    squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, len(MONITORS) :]
+    squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, 2:]
     alive = np.logical_and.accumulate(np.isfinite(squared_error) & np.all(np.isfinite(energy), axis=1), axis=0)
     finite = np.where(np.all(alive, axis=0), times[-1], times[np.sum(alive, axis=0)])
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)

@@ -138,7 +138,7 @@ def simulate_ensemble(
     n = len(next(iter(varied.values())))
     names = [parameter.name for parameter in machine.parameters]
     zeros, motion = _motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
-    s = build_scenario(machine, checked, zeros)
+    s = build_scenario(machine, checked, zeros, watched=True)
     plan = _Plan(s, varied, motion, n, keep)
     shares = _run(plan, threads or _cores(), progress)
     given = {name: list(np.shape(value)) for name, value in varied.items()}
@@ -217,20 +217,21 @@ def _group(plan: _Plan, rows: slice, runner: Recurrence, shown: Batch, threads: 
     c, start, e = s.loop.constants.packed(plan.parts(rows)), plan.start(rows), plan.signals(rows)
     keep: Literal["records", "monitors"] = "records" if plan.keep == "trajectories" else "monitors"
     records = runner(start, c, steps=s.samples, e=e, stride=stride, threads=threads, keep=keep)
-    check_residual(records.monitor)
+    structure = s.loop.structure
+    check_residual(structure, records.monitor)
     end = np.zeros((s.loop.signals.total, 1))
     if e is not None:
         end = (e[-1] if e.ndim == 3 else e[-1][:, None]).copy()
         for name, path in (("base", s.options.base_path), ("target", s.options.target_path)):
             if path is not None:
-                end[s.loop.signals.slices[name]] = path.at(s.times[-1:]).T
+                end[s.loop.signals.slices[name]] = s.along(name, path, s.times[-1:]).T
     names = shown.function.name_out()
     error = shown(records.last, end, c, threads=threads)[names.index("error")]
     edges = np.concatenate([[0.0], records.k * s.period])
-    measures = behaviour(
-        edges, records.monitor, np.sqrt(np.sum(error**2, axis=0)), float(s.frequencies_hz[0]),
-        turns=s.loop.structure.motion.rotation,
-    )  # fmt: skip
+    watched = records.monitor[:, : 2 + len(s.frequencies_hz)]
+    end_error = np.sqrt(np.sum(error**2, axis=0))
+    turns = structure.motion.rotation
+    measures = behaviour(edges, watched, end_error, float(s.frequencies_hz[0]), turns=turns)
     samples: dict[str, Vector] = {}
     if plan.keep == "trajectories":
         samples = _samples(shown, np.concatenate([start[None], records.x]), e, end, c, threads)

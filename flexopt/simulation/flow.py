@@ -10,7 +10,7 @@ from functools import cached_property
 import casadi as ca
 
 from flexopt.plant.motion import Directions
-from flexopt.simulation.directions import Frame, paired, stacked
+from flexopt.simulation.directions import paired, stacked
 from flexopt.simulation.integrators import State
 from flexopt.simulation.sample import Layouts, Part
 from flexopt.simulation.structure import LoopStructure
@@ -29,10 +29,10 @@ class Flow(Part):
         """See `Field`."""
         return self.motion.n_translations
 
-    def rates(self, t: ca.SX, state: State, along: Directions, frame: Frame) -> State:
+    def rates(self, t: ca.SX, state: State, along: Directions) -> State:
         """See `Field`."""
         if not self.s.sampled:
-            return self._rates(t, state, along, frame)
+            return self._rates(t, state, along)
         # A called Function is inlined many times faster than the graph is built anew.
         accelerations, z_rate = self._held_rates(t, state.u, state.w, state.z, stacked(along), *self._given)
         return State(state.w, accelerations, z_rate)
@@ -45,11 +45,11 @@ class Flow(Part):
         """See `Field`."""
         return self.motion.rates_of_momentum(momentum, self.motion.with_base(along))
 
-    def momentum_rates(self, t: ca.SX, state: State, along: Directions, frame: Frame) -> State:
+    def momentum_rates(self, t: ca.SX, state: State, along: Directions) -> State:
         """See `Field`."""
         whole = self.motion.with_base(along)
         base, base_rate = self.base_at(t)
-        command = self._command(t, state, whole, frame)
+        command = self._command(t, state, whole)
         force = self.motion.force(
             state.u, state.w, whole, self._acting(state, command), base, base_rate, gravity=self.s.gravity
         )
@@ -67,16 +67,16 @@ class Flow(Part):
         n_z = len(motion.joints) if self.s.lagging else 0
         t, u, w, z = symbol("t"), symbol("u", motion.n), symbol("w", motion.n), symbol("z", n_z)
         pairs = symbol("pairs", 2 * (motion.n - motion.n_translations))
-        result = self._rates(t, State(u, w, z), paired(pairs), None)
+        result = self._rates(t, State(u, w, z), paired(pairs))
         names = ["t", "u", "w", "z", "pairs", "command", "e", "c"]
         return ca.Function(
             "rates", [t, u, w, z, pairs, *self._given], [result.w, result.z], names, ["w_rate", "z_rate"]
         )
 
-    def _rates(self, t: ca.SX, state: State, along: Directions, frame: Frame | None) -> State:
+    def _rates(self, t: ca.SX, state: State, along: Directions) -> State:
         whole = self.motion.with_base(along)
         base, base_rate = self.base_at(t)
-        command = self._command(t, state, whole, frame)
+        command = self._command(t, state, whole)
         acceleration = self.motion.acceleration(
             state.u, state.w, whole, self._acting(state, command), base, base_rate, gravity=self.s.gravity
         )
@@ -99,11 +99,11 @@ class Flow(Part):
         point = self.motion.end_point(state.u, whole, self.base_at(t)[0])
         return target - point, target_rate - self.motion.end_point_rate(state.w, whole)
 
-    def _command(self, t: ca.SX, state: State, whole: Directions, frame: Frame | None) -> ca.SX:
-        if self.s.sampled or frame is None:
+    def _command(self, t: ca.SX, state: State, whole: Directions) -> ca.SX:
+        if self.s.sampled:
             return self._held
         n = len(self.motion.joints) if self.s.lagging else 0
         e, e_rate = self._error(t, state, whole)
         force = self.law.force(e, e_rate, state.z[n:], self.of)
-        known = self.known_directions(state.u, whole, frame)
+        known = self.known_directions(whole)
         return self.through_dead_band(self.torque_for(force, state.w, known))

@@ -18,15 +18,18 @@ from flexopt.plant.motion import Motion
 from flexopt.simulation.directions import Carried, Computed, stacked
 from flexopt.simulation.feedback import FeedbackLaw
 from flexopt.simulation.flow import Flow
-from flexopt.simulation.integrators import State, explicit_step, gauss_step
+from flexopt.simulation.integrators import State, classical_step, explicit_step, gauss_step
 from flexopt.simulation.sample import Layouts, Sample
 from flexopt.simulation.structure import N_TASK, Layout, LoopStructure, constant_sizes, signal_sizes, state_sizes
-from flexopt.simulation.tableaus import classical, dormand_prince, gauss
+from flexopt.simulation.tableaus import dormand_prince, gauss
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Graphs of one loop. x are its states, e its signals, c its constants; see `states`, `signals`, `constants`."""
+    """Graphs of one loop. x are its states, e its signals, c its constants; see `states`, `signals`, `constants`.
+
+    Inside, x is measured from where the base stands at first, so that nothing is lost far from the origin.
+    """
 
     structure: LoopStructure
 
@@ -72,7 +75,11 @@ class ClosedLoop:
 
     @cached_property
     def step(self) -> ca.Function:
-        """One sample. Inputs x, e, c; outputs x_next and monitor, the `MONITORS` at the sample's start."""
+        """One sample. Inputs x, e, c; outputs x_next and monitor.
+
+        The monitor holds, of a watched loop, `Sample.monitor` at the sample's start, and of the implicit method, last,
+        the square of the relative change that its iterations left.
+        """
         return self._stepped("step", carried=False)
 
     @cached_property
@@ -88,28 +95,32 @@ class ClosedLoop:
         """Directions d of a state. Inputs x, c."""
         x, c = ca.SX.sym("x", self.states.total), ca.SX.sym("c", self.constants.total)
         angles = self._shape.angles(self.states.split(x)["u"])
-        return ca.Function("refresh", [x, c], [stacked(Computed(angles).turned(None))], ["x", "c"], ["d"])
+        return ca.Function("refresh", [x, c], [stacked(Computed(angles).start.pairs)], ["x", "c"], ["d"])
 
     @cached_property
     def outputs(self) -> ca.Function:
         """What a state shows. Inputs x, e, c.
 
         Outputs q, v (n_q,); end_point, error = r_d − r, error_rate (n_task,), m; torque (n,) of the joints, N m;
-        energy, J: kinetic, springs and weight; deflection (n_p,): passive coordinates less their design values.
+        energy, J: kinetic, springs and weight; deflection (n_p,): passive coordinates less their design values;
+        monitor: see `Sample.monitor`.
         """
         x, e, c = self._symbols()
         at = Sample(self.structure, self.layouts, x, e, c, Computed(self._shape.angles(self.states.split(x)["u"])))
         u, w = at.x["u"], at.x["w"]
         motion, a = at.motion, ca.SX(self._shape.to_q)
-        point = motion.end_point(u, at.along, at.base)
+        point, place = motion.end_point(u, at.along, at.base), ca.vertcat(at.of["base"], 0)
+        shift = ca.SX.zeros(motion.n, 1)
+        if "x" in self.structure.motion.translations:
+            shift[0] = at.of["base"]
         rate = motion.end_point_rate(w, at.along)
         energy = motion.kinetic_energy(w, at.along) + motion.spring_energy(u, at.base)
         if self.structure.gravity:
             energy += motion.potential(u, at.along)
         outputs = {
-            "q": a @ u + motion.offset, "v": a @ w, "end_point": point, "error": at.target - point,
+            "q": a @ u + motion.offset + shift, "v": a @ w, "end_point": point + place, "error": at.target - point,
             "error_rate": at.target_rate - rate, "torque": at.applied(at.command()), "energy": energy,
-            "deflection": at.deflection,
+            "deflection": at.deflection, "monitor": at.monitor(),
         }  # fmt: skip
         dense = [ca.densify(value) for value in outputs.values()]
         return ca.Function("outputs", [x, e, c], dense, ["x", "e", "c"], list(outputs), {"cse": True})
@@ -131,7 +142,8 @@ class ClosedLoop:
         command = at.command() if self.structure.sampled else ca.SX.zeros(0, 1)
         law, queue = at.successors()
         turn = frame.turn if isinstance(frame, Carried) else ca.SX(0)
-        outputs = [ca.densify(value) for value in (command, law, queue, at.monitor(), turn)]
+        monitor = at.monitor() if self.structure.watched else ca.SX.zeros(0, 1)
+        outputs = [ca.densify(value) for value in (command, law, queue, monitor, turn)]
         names = ["command", "law", "queue", "monitor", "turn"]
         return ca.Function("sampling", [x, d, e, c], outputs, ["x", "d", "e", "c"], names, {"cse": True})
 
@@ -141,9 +153,11 @@ class ClosedLoop:
         state = self._state(s)
         frame: Computed | Carried = Carried(d) if carried else Computed(self._shape.angles(state.u))
         flow = Flow(self.structure, self.layouts, command, e, c)
-        tableau = classical() if self.structure.method == "rk4" else dormand_prince()
-        after = explicit_step(flow, tableau, flow.of["h"], t, state, frame)
-        turned = stacked(frame.turned(self._shape.angles(after.u) - self._shape.angles(state.u))) if carried else d
+        if self.structure.method == "rk4":
+            after, heading = classical_step(flow, flow.of["h"], t, state, frame)
+        else:
+            after, heading = explicit_step(flow, dormand_prince(), flow.of["h"], t, state, frame)
+        turned = stacked(heading.pairs) if carried else d
         turn = frame.turn if isinstance(frame, Carried) else ca.SX(0)
         outputs = [ca.vertcat(after.u, after.w, after.z), turned, turn]
         names = ["s", "d", "command", "t", "e", "c"]
@@ -207,7 +221,7 @@ class ClosedLoop:
                 state, turned, more = substep(state, turned, command, t, e, c)
                 turn = ca.fmax(turn, more) if carried else turn
         x_next = ca.vertcat(state, law, queue) if s.sampled else ca.vertcat(state, queue)
-        monitor = ca.vertcat(monitor[:2], residual, monitor[2:])
+        monitor = ca.vertcat(monitor, residual) if s.method == "gauss" else monitor
         inputs, names = ([x, d, e, c], ["x", "d", "e", "c"]) if carried else ([x, e, c], ["x", "e", "c"])
         outputs, results = [x_next, monitor], ["x_next", "monitor"]
         if carried:

@@ -6,9 +6,8 @@ import math
 import warnings as python_warnings
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from flexopt.compiled import Batch, Recurrence, batch, recurrence
@@ -22,7 +21,7 @@ from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.loop import baked, closed_loop
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
-from flexopt.simulation.structure import MONITORS, LoopStructure
+from flexopt.simulation.structure import LoopStructure
 from flexopt.simulation.trajectory import Trajectory
 
 # Largest relative change left by the implicit method's iterations.
@@ -122,8 +121,10 @@ def simulate_checked(scenario: Scenario) -> Trajectory:
     outputs = shown_at(s, shown, x, signals)
     end_error = np.sqrt(np.sum(outputs["error"][:, -1:] ** 2, axis=0))
     turns = loop.structure.motion.rotation
-    verdict = behaviour(s.times, records.monitor, end_error, float(s.frequencies_hz[0]), turns=turns)
-    check_residual(records.monitor)
+    # As in a watched loop, what is watched at a sample's start stands for the sample.
+    watched = outputs["monitor"][:, :-1].T[:, :, None]
+    verdict = behaviour(s.times, watched, end_error, float(s.frequencies_hz[0]), turns=turns)
+    check_residual(loop.structure, records.monitor)
     return _trajectory(s, outputs, verdict)
 
 
@@ -169,15 +170,17 @@ def _at_end(scenario: Scenario, signals: Vector) -> Vector:
     layout, last = scenario.loop.signals, signals[-1:].copy()
     for name, path in (("base", scenario.options.base_path), ("target", scenario.options.target_path)):
         if path is not None:
-            last[0, layout.slices[name]] = path.at(scenario.times[-1:])[0]
+            last[0, layout.slices[name]] = scenario.along(name, path, scenario.times[-1:])[0]
     if "noise" in layout.sizes:
         last[0, layout.slices["noise"]] = 0.0
     return last
 
 
-def check_residual(monitor: Vector) -> None:
+def check_residual(structure: LoopStructure, monitor: Vector) -> None:
     """Raise where the implicit method's iterations did not converge while the states were finite."""
-    residual = monitor[:, MONITORS.index("residual")]
+    if structure.method != "gauss":
+        return
+    residual = monitor[:, -1]
     worst = float(np.sqrt(np.max(residual, initial=0.0, where=np.isfinite(residual))))
     if worst > RESIDUAL_MAX:
         raise NoSolutionFound(
@@ -221,7 +224,7 @@ def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Traje
         frequencies_hz=s.frequencies_hz,
         warnings=sentences,
         provenance=provenance(s.machine, **s.options.model_dump(exclude_defaults=True)),
-        draw=lambda q, base: _skeleton(plant, q, base),
+        model=s.machine,
     )
 
 
@@ -236,12 +239,6 @@ def _overshoot(error: Vector) -> float | None:
         return None
     beyond = -(error @ error[0]) / size**2
     return _finite(max(0.0, float(np.max(beyond))))
-
-
-def _skeleton(plant: Plant, q: Vector, base: Vector) -> Vector:
-    """Ground point, joints and end-point of every sample (K, n_bodies + 1, n_task)."""
-    points = plant.skeleton.map(len(q))(q.T, base.T, ca.repmat(plant.parameter_values, 1, len(q))).full()
-    return cast(Vector, points.T.reshape(len(q), -1, plant.n_task))
 
 
 def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behaviour) -> tuple[str, ...]:

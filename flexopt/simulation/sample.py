@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from flexopt.algebra import apply_pseudo_inverse
-from flexopt.plant.motion import Directions, Motion
+from flexopt.plant.motion import Directions, Motion, Pair
 from flexopt.simulation.directions import Frame
 from flexopt.simulation.feedback import FeedbackLaw
 from flexopt.simulation.structure import MODEL, N_TASK, Layout, LoopStructure
@@ -38,10 +38,10 @@ class Part:
         self.model = Motion(self.s.motion, self.of | own)
 
     def base_at(self, t: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Anchor and its rate at a time after the start of the sample."""
+        """Anchor and its rate at a time after the start of the sample, x from where the base stood at first."""
         if self.s.moving_base:
             return self.e["base"] + t * self.e["base_rate"], self.e["base_rate"]
-        return self.of["base"], ca.SX(0)
+        return ca.SX(0), ca.SX(0)
 
     def target_at(self, t: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Target and its rate, the like."""
@@ -49,22 +49,20 @@ class Part:
             return self.e["target"] + t * self.e["target_rate"], self.e["target_rate"]
         return self.of["target"], ca.SX.zeros(N_TASK, 1)
 
-    def known_directions(self, u: ca.SX, along: Directions, frame: Frame) -> Directions:
-        """Directions as the controller knows them: joints measured, passive hinges at their design angles."""
-        motion = self.motion
-        hinges, angles = motion.hinges, motion.hinge_angles(u)
-        design = self.of["design"][motion.n_translations :]
-        result: Directions = []
-        deflection, pair = ca.SX(0), None
-        for k, (c, s) in enumerate(along):
-            if k in hinges:
-                i = hinges.index(k)
-                deflection = deflection + angles[i] - design[i]
-                pair = frame.deflection(deflection)
-            if pair is None:
-                result.append((c, s))
-            else:
-                result.append((c * pair[0] + s * pair[1], s * pair[0] - c * pair[1]))
+    def known_directions(self, along: Directions) -> Directions:
+        """Directions as the controller knows them: joints measured, passive hinges at their design angles.
+
+        A body's direction is turned back by the deflections of all hinges before it, products of the pairs at hand.
+        """
+        design, result = self.of["design_directions"], Directions()
+        back: Pair | None = None
+        for k, pair in enumerate(along):
+            if k in self.motion.hinges:
+                i = self.motion.hinges.index(k)
+                own = _between(pair, along[k - 1]) if k else pair
+                own = _between(own, (design[2 * i], design[2 * i + 1]))
+                back = own if back is None else _together(own, back)
+            result.append(pair if back is None else _between(pair, back))
         return result
 
     def torque_for(self, force: ca.SX, w: ca.SX, known: Directions) -> ca.SX:
@@ -77,8 +75,9 @@ class Part:
             torque = jacobian.T @ force
         elif n == N_TASK:
             a, b, c, d = jacobian[0, 0], jacobian[0, 1], jacobian[1, 0], jacobian[1, 1]
-            inverse = 1 / (a * d - b * c)
-            torque = inverse * ca.vertcat(d * force[0] - b * force[1], a * force[1] - c * force[0])
+            twice = 2 / (a * d - b * c)  # CasADi would turn a product with 1/det back into two divisions
+            half = 0.5 * force
+            torque = twice * ca.vertcat(d * half[0] - b * half[1], a * half[1] - c * half[0])
         else:
             torque = apply_pseudo_inverse(jacobian, force)
         if self.s.compensated:
@@ -113,8 +112,7 @@ class Sample(Part):
     def __init__(self, structure: LoopStructure, layouts: Layouts, x: ca.SX, e: ca.SX, c: ca.SX, frame: Frame) -> None:
         super().__init__(structure, layouts, e, c)
         self.x = layouts.states.split(x)
-        self.frame = frame
-        self.along = self.motion.with_base(frame.turned(None))
+        self.along = self.motion.with_base(frame.start.pairs)
         self.base, _ = self.base_at(ca.SX(0))
         self.target, self.target_rate = self.target_at(ca.SX(0))
         self.measured = self._measured()
@@ -142,7 +140,7 @@ class Sample(Part):
         """Joint torques asked for, dead band of the actuators included."""
         e, e_rate = self.error
         force = self.law.force(e, e_rate, self.x["law"], self.of)
-        known = self.known_directions(self.x["u"], self.along, self.frame)
+        known = self.known_directions(self.along)
         return self.through_dead_band(self.torque_for(force, self.x["w"], known))
 
     def applied(self, command: ca.SX) -> ca.SX:
@@ -166,7 +164,7 @@ class Sample(Part):
         return passive - self.of["design"]
 
     def monitor(self) -> ca.SX:
-        """All of `MONITORS` but the residual, then the energy of each flexible mode.
+        """What a run is judged by: squared end-point error, squared base rotation, energy of each flexible mode.
 
         ½ (η̇_i² + ω_i² η_i²), η = Φᵀ M (q − q_design), J: of small motions about the design posture.
         """
@@ -180,3 +178,13 @@ class Sample(Part):
         eta, rate = projection @ away, projection @ self.x["w"]
         energy = 0.5 * (rate**2 + self.of["omega_squared"] * eta**2)
         return ca.vertcat(ca.dot(e, e), rotation, energy)
+
+
+def _between(a: Pair, b: Pair) -> Pair:
+    """Cosine and sine of α − β."""
+    return a[0] * b[0] + a[1] * b[1], a[1] * b[0] - a[0] * b[1]
+
+
+def _together(a: Pair, b: Pair) -> Pair:
+    """Cosine and sine of α + β."""
+    return a[0] * b[0] - a[1] * b[1], a[1] * b[0] + a[0] * b[1]

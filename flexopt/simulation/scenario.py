@@ -17,7 +17,7 @@ from flexopt.errors import InputError, NoSolutionFound, raise_if_any
 from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.faults import validated
-from flexopt.model.simulation import SimulationOptions
+from flexopt.model.simulation import Path, SimulationOptions
 from flexopt.plant import Plant, build_plant, inverse_kinematics
 from flexopt.plant.motion import Motion, constant_values, structure_of
 from flexopt.plant.singularity import check_regular
@@ -77,6 +77,10 @@ class Scenario:
         """Instants of the samples and the end, (samples + 1,), s."""
         return np.arange(self.samples + 1) * self.period
 
+    def along(self, name: str, path: Path, times: Vector) -> Vector:
+        """Points of a path as the loop takes them, from where the base stands at first."""
+        return path.at(times) - (self.base if name == "base" else _place(self.base))
+
     def signals(self, rng: np.random.Generator | None = None) -> Vector | None:
         """E (samples, n_e) that is not constant, noise drawn from `rng`; None where there is none."""
         layout, options = self.loop.signals, self.options
@@ -85,13 +89,18 @@ class Scenario:
         columns: dict[str, Vector] = {}
         for name, path in (("base", options.base_path), ("target", options.target_path)):
             if path is not None:
-                points = path.at(self.times)
+                points = self.along(name, path, self.times)
                 columns |= {name: points[:-1], f"{name}_rate": np.diff(points, axis=0) / self.period}
         if "noise" in layout.sizes:
             generator = rng or np.random.default_rng(options.seed)
             size = np.repeat([options.sensor.noise, options.sensor.rate_noise], N_TASK)
             columns["noise"] = generator.standard_normal((self.samples, 2 * N_TASK)) * size
         return np.concatenate([columns[name] for name in layout.sizes], axis=1)
+
+
+def _place(base: Vector) -> Vector:
+    """Where the base stands, (n_task,), m."""
+    return np.concatenate([base, np.zeros(N_TASK - len(base))])
 
 
 def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
@@ -104,7 +113,9 @@ def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> Simula
     return options
 
 
-def build_scenario(machine: Machine, options: SimulationOptions, zeros: frozenset[str] | None = None) -> Scenario:
+def build_scenario(
+    machine: Machine, options: SimulationOptions, zeros: frozenset[str] | None = None, *, watched: bool = False
+) -> Scenario:
     """The scenario of checked options.
 
     Args:
@@ -112,6 +123,7 @@ def build_scenario(machine: Machine, options: SimulationOptions, zeros: frozense
         options: checked.
         zeros: constants that are zero for all machines of an ensemble, whose controllers then keep this machine's
             numbers; None for this machine alone.
+        watched: whether steps give what is judged.
 
     Raises:
         SingularPosture: Jv loses rank in the design posture.
@@ -124,12 +136,20 @@ def build_scenario(machine: Machine, options: SimulationOptions, zeros: frozense
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
     substeps, iterations = _stepping(options, fastest)
     structure = _structure(machine, options, substeps, iterations)
+    structure = replace(structure, watched=watched)
     if zeros is not None:
         structure = replace(structure, motion=replace(structure.motion, zeros=zeros), own_model=True)
     parts: dict[str, Any] = dict(constant_values(machine))
     parts |= {f"{MODEL}{name}": value for name, value in parts.items()}
     n = len(machine.joints)
-    parts |= {"h": period / substeps, "design": design.passive, "base": options.base, "target": design.target}
+    parts |= {
+        "h": period / substeps,
+        "design": design.passive,
+        "base": design.base,
+        "target": design.target - _place(design.base),
+    }
+    hinges = design.passive[len(structure.motion.translations) :]
+    parts["design_directions"] = np.stack([np.cos(hinges), np.sin(hinges)], axis=1).ravel()
     parts |= {name: np.broadcast_to(getattr(options, name), N_TASK) for name in ("kp", "kv", "ki")}
     parts |= {"integral_limit": options.integral_limit, "nullspace_damping": options.nullspace_damping}
     parts |= {"resolution": [options.sensor.resolution] * N_TASK}
@@ -177,11 +197,9 @@ def _modal(loop: ClosedLoop, machine: Machine, design: _Design, parts: Mapping[s
     plant = build_plant(machine)
     mass = plant.mass(design.q, design.base, plant.parameter_values).full()
     projection = design.modes.T @ mass @ loop.to_q
-    q = design.q.copy()
-    q[: len(design.passive)] = design.passive  # relative to where the base stands
     omega = 2 * np.pi * design.frequencies_hz
     return {
-        "u_design": _to_u(loop, parts, q[:, None])[:, 0],
+        "u_design": _to_u(loop, parts, design.q[:, None])[:, 0],
         "modes": projection.ravel(order="F"),
         "omega_squared": omega**2,
     }
@@ -193,6 +211,8 @@ def _to_u(loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
     shift = np.zeros((motion.n, 1))
     if not loop.structure.motion.rotation:
         shift[motion.n_translations + [*motion.hinges, *motion.joints].index(1)] = -parts["rest0"]
+    if "x" in loop.structure.motion.translations:
+        shift[0] = parts["base"]
     return np.linalg.solve(loop.to_q, q - shift)
 
 
@@ -321,12 +341,12 @@ def start_states(machine: Machine, loop: ClosedLoop, parts: Mapping[str, Any], q
     """
     x = np.zeros((loop.states.total, q.shape[1]))
     x[loop.states.slices["u"]] = _to_u(loop, parts, q)
-    plant, base = build_plant(machine), parts["base"]
+    plant, base = build_plant(machine), np.atleast_1d(parts["base"])
     if loop.structure.compensated and loop.structure.lagging:
         weight = plant.gravity(q, base, plant.parameter_values).full()
         x[loop.states.slices["torque"]] = weight[plant.n_passive :]
     if loop.structure.delay:
-        points = plant.end_point(q, base, plant.parameter_values).full()
+        points = plant.end_point(q, base, plant.parameter_values).full() - _place(base)[:, None]
         measured = np.concatenate([points, np.zeros_like(points)])
         x[loop.states.slices["queue"]] = np.tile(measured, (loop.structure.delay, 1))
     return x

@@ -21,8 +21,6 @@ from flexopt.simulation.feedback import FeedbackLaw, Law
 
 Method = Literal["rk4", "dop853", "gauss"]
 METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
-# What a run watches at the start of each sample; after these the energy of each flexible mode.
-MONITORS = ("squared_error", "squared_base_rotation", "residual")
 N_TASK = 2
 
 
@@ -42,6 +40,7 @@ class LoopStructure:
         limited, lagging, rate_limited, dead_band: of the actuators.
         nullspace_damped: whether a damper acts on the arm's self-motion.
         moving_base, moving_target: whether they come as signals instead of constants.
+        watched: whether a step gives what is judged (see `Sample.monitor`); else it is taken from the samples.
         own_model: whether the controller has constants of its own for geometry and weight, in place of the machine's.
     """
 
@@ -66,6 +65,7 @@ class LoopStructure:
     moving_base: bool = False
     moving_target: bool = False
     own_model: bool = False
+    watched: bool = False
 
 
 MODEL = "model_"  # prefix of a controller's own constants
@@ -89,7 +89,9 @@ class Layout:
     def packed(self, parts: Mapping[str, Any]) -> NDArray[np.float64]:
         """One array (total,) or (total, N) from parts (size,) or (size, N), those for all members repeated."""
         columns = [np.asarray(parts[name], dtype=np.float64) for name in self.sizes]
-        columns = [part.reshape(size, -1) for part, size in zip(columns, self.sizes.values(), strict=True)]
+        columns = [
+            part.reshape(size, -1 if size else 1) for part, size in zip(columns, self.sizes.values(), strict=True)
+        ]
         n = max((part.shape[1] for part in columns if part.size), default=1)
         return np.concatenate([np.broadcast_to(part, (len(part), n)) for part in columns] or [np.zeros((0, n))])
 
@@ -100,10 +102,10 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
     n = len(shape.joints)
     sizes = {name: 1 for name in motion_constant_names(shape) if name not in s.motion.zeros}
     sizes |= {f"{MODEL}{name}": 1 for name in sizes if s.own_model and is_known(name)}
-    sizes |= {"h": 1, "design": shape.n_translations + len(shape.hinges)}
+    sizes |= {"h": 1, "design": shape.n_translations + len(shape.hinges), "design_directions": 2 * len(shape.hinges)}
     m = shape.n_translations + len(shape.hinges)
     sizes |= {"u_design": shape.n, "modes": m * shape.n, "omega_squared": m}
-    sizes |= {} if s.moving_base else {"base": 1}
+    sizes["base"] = 1
     sizes |= {} if s.moving_target else {"target": N_TASK}
     sizes |= law.constants
     sizes |= {"resolution": N_TASK, "rate_resolution": N_TASK} if s.quantised else {}
@@ -142,11 +144,13 @@ def motion_constant_names(motion: Motion) -> list[str]:
     """Names of all constants of a structure, in the order of `plant.motion.constants`."""
     s = motion.structure
     both = len(s.translations) == 2
-    names = ["total", "inverse_total", "gravity"] + ([] if s.rotation else ["base_cos", "base_sin"])
+    names = ["total", "inverse_total", "inverse_root_total", "gravity"] + (
+        [] if s.rotation else ["base_cos", "base_sin"]
+    )
     for direction in s.translations:
-        names += [f"stiffness_{direction}", f"damping_{direction}"]
+        names += [f"{word}_{direction}{per}" for word in ("stiffness", "damping") for per in ("", "_m")]
     for k in range(motion.n_bodies):
-        names += [f"a{k}", f"b{k}", f"length{k}"]
+        names += [f"a{k}", f"b{k}", f"length{k}", f"am{k}", f"bm{k}"]
         for m in range(k + 1):
             names += [f"s{k}_{m}"] + ([f"t{k}_{m}"] if m < k else [])
     names += ["inverse_pivot"] if both else []

@@ -25,14 +25,6 @@ class Tableau:
     order: int
 
 
-def classical() -> Tableau:
-    """The classical fourth-order method (Kutta 1901)."""
-    a = np.zeros((4, 4))
-    a[1, 0] = a[2, 1] = 0.5
-    a[3, 2] = 1.0
-    return Tableau(a, np.array([1, 2, 2, 1]) / 6, np.array([0, 0.5, 0.5, 1.0]), 4)
-
-
 def gauss(stages: int = 3) -> Tableau:
     """Gauss–Legendre collocation of order 2s: symmetric, symplectic, |R(iω)| = 1 (Butcher 1964)."""
     nodes, weights = np.polynomial.legendre.leggauss(stages)

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready
+from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Verdict
 
 if TYPE_CHECKING:
@@ -42,6 +44,7 @@ class Trajectory:
         peak_base_rotation: rad; None for a base that cannot turn.
         residual_oscillation: largest energy of each flexible mode in the last period of the slowest, (m,), J.
         frequencies_hz: of these modes, (m,).
+        model: the machine.
         skeleton: ground point, joints and end-point at each sample (K, n_bodies + 1, n_task), m.
         warnings: sentences.
     """
@@ -72,12 +75,15 @@ class Trajectory:
     frequencies_hz: Vector
     warnings: tuple[str, ...]
     provenance: dict[str, Any] = field(repr=False)
-    draw: Any = field(repr=False, default=None)
+    model: Machine = field(repr=False)
 
     @cached_property
     def skeleton(self) -> Vector:
         """See the class."""
-        return cast(Vector, self.draw(self.q, self.base))
+        plant, n = build_plant(self.model), len(self.time)
+        p = np.repeat(plant.parameter_values.full(), n, axis=1)
+        points = plant.skeleton.map(n)(self.q.T, self.base.T, p).full()
+        return cast(Vector, points.T.reshape(n, -1, plant.n_task))
 
     @cached_property
     def dataset(self) -> xr.Dataset:

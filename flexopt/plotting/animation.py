@@ -1,0 +1,145 @@
+"""A run as a moving picture.
+
+In: a trajectory. Out: a `.gif`, or a `.html` that needs nothing else. Frames are drawn over a background that stays.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+import math
+import os
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from flexopt.errors import Fault
+from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.quantities import check_number
+from flexopt.plotting.stage import Film, Stage
+from flexopt.plotting.trajectory import check_runs
+from flexopt.simulation.trajectory import Trajectory
+
+FRAMES_MAX = 250
+SHORTEST_FRAME = 4  # hundredths of a second, in which GIF counts: 25 frames a second
+FILM = (0.2, 600.0)  # s
+TRACE_POINTS = 4000
+COLORS, NEARLY_WHITE = 64, 248
+TRANSPARENT = COLORS  # the palette's next entry
+
+
+def animate_trajectory(
+    trajectory: Trajectory, path: str | os.PathLike[str], *, speed: float = 1.0, magnify: float = 1.0
+) -> None:
+    """Write a run as a film of at most 250 frames, 25 a second where that suffices; fewer a second in longer films.
+
+    Passive coordinates are drawn at equilibrium + `magnify` · deflection, and with them the arm and its end-point. A
+    run that diverges ends with its last number.
+
+    Args:
+        trajectory: from `flexopt.simulate`.
+        path: file to write, `.gif` or `.html` (one file with a slider, opens without a network).
+        speed: of the film, relative to the machine.
+        magnify: factor on the deflections of the passive coordinates.
+
+    Raises:
+        InputError: arguments are not usable, all faults in one message.
+        OSError: the file cannot be written.
+    """
+    check_runs("animate_trajectory", {"trajectory": trajectory})
+    arguments = Arguments("animate_trajectory")
+    suffix = arguments.checked("path", path, _check_suffix, ".gif")
+    rate = arguments.checked("speed", speed, lambda v: check_number(v, "", above=0.0, high=1e9), math.nan)
+    factor = arguments.checked("magnify", magnify, lambda v: check_number(v, "", low=0.0, high=1e6), 1.0)
+    alive = np.flatnonzero(np.all(np.isfinite(trajectory.q), axis=1))
+    seconds = float(trajectory.time[alive[-1]]) / rate if alive.size else 0.0
+    if not math.isnan(seconds) and not FILM[0] <= seconds <= FILM[1]:
+        lasts = f"the film would last {seconds:.3g} s; it must last {FILM[0]:g} to {FILM[1]:g} s"
+        if seconds > 0:
+            lasts += f", so speed must lie between {seconds * rate / FILM[1]:.3g} and {seconds * rate / FILM[0]:.3g}"
+        arguments.faults.append(Fault("speed", lasts, shown(speed)))
+    arguments.done()
+    film = _film(trajectory, alive, seconds, rate, factor)
+    images = list(_frames(film))
+    if suffix == ".gif":
+        still, *others = images
+        still.save(path, save_all=True, append_images=others, duration=10 * film.delay, loop=0, optimize=True)
+    else:
+        Path(path).write_text(_page(film, images), encoding="utf-8")
+
+
+def _check_suffix(path: Any) -> str:
+    if not isinstance(path, str | os.PathLike):
+        raise ValueError("must be a path that ends in .gif or .html")
+    suffix = Path(cast(str, path)).suffix.lower()
+    if suffix not in (".gif", ".html"):
+        raise ValueError("must end in .gif or .html")
+    return suffix
+
+
+def _film(t: Trajectory, alive: NDArray[np.int64], seconds: float, rate: float, factor: float) -> Film:
+    every = max(1, len(alive) // TRACE_POINTS)
+    delay = max(SHORTEST_FRAME, math.ceil(100 * seconds / FRAMES_MAX - 1e-9))
+    count = max(2, math.floor(100 * seconds / delay + 1e-9))
+    shots = np.searchsorted(t.time[alive], rate * delay / 100 * np.arange(count) - 1e-9).clip(0, len(alive) - 1)
+    kept = np.unique(np.concatenate([np.arange(0, len(alive), every), shots]))
+    rows = alive[kept]
+    q, base, deflection = t.q[rows].copy(), t.base[rows], t.deflection[rows]
+    q[:, : t.n_passive] -= deflection
+    anchor = cast(Vector, t.draw(q, base))[:, 0]
+    q[:, : t.n_passive] += factor * deflection
+    turning = "base.rotation" in t.coordinates[: t.n_passive]
+    turn = factor * deflection[:, t.coordinates.index("base.rotation")] if turning else np.zeros(len(rows))
+    caption = f"speed × {rate:g}; deflections " + ("in true size" if factor == 1 else f"× {factor:g}")
+    skeleton = cast(Vector, t.draw(q, base))
+    frames = np.searchsorted(kept, shots)
+    return Film(t, t.time[rows], skeleton, anchor, t.target[rows], turn, frames, delay, caption)
+
+
+def _frames(film: Film) -> Iterator[Image.Image]:
+    """The frames, with one palette for all."""
+    stage = Stage(film)
+
+    def shot(k: int) -> Image.Image:
+        return Image.fromarray(stage.shot(k))
+
+    palette = shot(int(film.frames[-1])).quantize(COLORS, dither=Image.Dither.NONE)
+    palette.putpalette([255 if level > NEARLY_WHITE else level for level in palette.getpalette() or []])
+    for k in film.frames:
+        yield shot(int(k)).quantize(palette=palette, dither=Image.Dither.NONE)
+
+
+def _page(film: Film, images: list[Image.Image]) -> str:
+    """A page with a player: the first frame, and of each frame the pixels that differ from it."""
+    first = np.asarray(images[0])
+    overlays: list[str] = []
+    for image in images:
+        pixels = np.asarray(image)
+        overlay = Image.fromarray(np.where(pixels == first, TRANSPARENT, pixels).astype(np.uint8), "P")
+        overlay.putpalette([*(image.getpalette() or [])[: 3 * COLORS], 255, 255, 255])
+        overlays.append(_data_url(overlay, transparency=TRANSPARENT))
+    template = files("flexopt.plotting").joinpath("player.html").read_text(encoding="utf-8")
+    fields = {
+        "TITLE": html.escape(f"{film.trajectory.machine}, {film.caption}"),
+        "STILL": _data_url(images[0]),
+        "FRAMES": json.dumps(overlays),
+        "DELAY": str(10 * film.delay),
+    }
+    for name, text in fields.items():
+        template = template.replace(f"@{name}@", text)
+    return template
+
+
+def _data_url(image: Image.Image, **options: Any) -> str:
+    stream = io.BytesIO()
+    image.save(stream, "PNG", optimize=False, **options)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

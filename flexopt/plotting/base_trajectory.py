@@ -1,0 +1,98 @@
+"""The picture of a base trajectory: the machine at both ends, and what happens on the way.
+
+In: a `BaseTrajectory`. Out: a figure.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import os
+import textwrap
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.model.arguments import shown
+from flexopt.plotting.machine import draw_ground, draw_machine, reach
+from flexopt.plotting.panels import Line, Panel, draw_panel
+from flexopt.plotting.selection import CHOSEN, PRESENT
+from flexopt.plotting.trajectory import write
+from flexopt.selection.base_trajectory import BaseTrajectory
+
+TITLE_WIDTH = 100  # characters
+
+
+def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw the machine at start and end; base position, base rate and V over time; why it stops.
+
+    Args:
+        trajectory: from `flexopt.nullspace_trajectory`.
+        path: file to write (`.png`, `.svg`, `.pdf`), or None.
+
+    Raises:
+        InputError: not a base trajectory, or the file's suffix is unknown.
+        OSError: the file cannot be written.
+    """
+    # A caller without types may pass anything.
+    if not isinstance(trajectory, BaseTrajectory):  # pyright: ignore[reportUnnecessaryIsInstance]
+        sentence = "must be a BaseTrajectory, from flexopt.nullspace_trajectory for example"
+        raise_if_any(InputError, "plot_base_trajectory", [Fault("trajectory", sentence, shown(trajectory))])
+    t = trajectory
+    figure = Figure(figsize=(7.2, 4.9), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1.0])
+    _draw_ends(figure.add_subplot(grid[:, 0]), t)
+    names = t.base_coordinates
+    position: tuple[Line, ...] = tuple((name, t.time, row) for name, row in zip(names, t.base.T, strict=True))
+    rate: tuple[Line, ...] = tuple((name, t.time, row) for name, row in zip(names, t.base_rate.T, strict=True))
+    panels = [
+        Panel("base position, m", position),
+        Panel("base rate, m/s", rate, steps=True),
+        Panel(f"V: {t.objective}", (("V", t.time, t.V),)),
+    ]
+    drawn: list[Axes] = []
+    for row, panel in enumerate(panels):
+        drawn.append(figure.add_subplot(grid[row, 1], sharex=drawn[0] if drawn else None))
+        draw_panel(drawn[-1], panel)
+        drawn[-1].set_title(f"({'bcd'[row]})", loc="left", fontsize=8, pad=2.5)
+        drawn[-1].tick_params(labelbottom=row == len(panels) - 1)
+    drawn[-1].set_xlabel("time, s", fontsize=8)
+    drawn[-1].ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
+    drawn[-1].yaxis.get_offset_text().set(fontsize=7.5)
+    if t.descents:
+        at = [descent.index for descent in t.descents]
+        drawn[-1].plot(t.time[at], t.V[at], "v", color=CHOSEN, markersize=4, linestyle="none", label="V descends")
+        drawn[-1].legend(loc="best", fontsize=7.5)
+    heading = f"{t.machine}, Jacobian {t.control} control, objective {t.objective}: {t.status}"
+    figure.suptitle(textwrap.fill(heading, TITLE_WIDTH), fontsize=9)
+    write("plot_base_trajectory", figure, path)
+    return figure
+
+
+def _draw_ends(axes: Axes, t: BaseTrajectory) -> None:
+    start, end = t.initial.skeleton, t.final.skeleton
+    points, size = np.hstack([start, end, t.target[:, None]]), reach(end)
+    low, high = float(points[0].min()) - 0.22 * size, float(points[0].max()) + 0.22 * size
+    draw_ground(axes, low, high, float(end[1, 0]) - 0.035 * size)
+    draw_machine(axes, start, PRESENT, ghost=True, label="start: " + _placement(t, 0))
+    draw_machine(axes, end, CHOSEN, label="end: " + _placement(t, -1))
+    axes.plot(*t.target, marker="+", color="black", markersize=11, markeredgewidth=1.4, linestyle="none", zorder=6)
+    axes.annotate(
+        "end-point", (float(t.target[0]), float(t.target[1])), xytext=(6, 6), textcoords="offset points", fontsize=8,
+        zorder=6,
+    )  # fmt: skip
+    axes.set_aspect("equal")
+    axes.set_xlim(low, high)
+    axes.set_ylim(min(float(points[1].min()), float(end[1, 0])) - 0.12 * size, float(points[1].max()) + 0.35 * size)
+    axes.set_xlabel("x, m (inertial frame)", fontsize=8)
+    axes.set_ylabel("y, m", fontsize=8)
+    axes.tick_params(labelsize=7.5)
+    axes.set_title("(a)", loc="left", fontsize=8, pad=2.5)
+    axes.legend(loc="upper center", fontsize=7.5, framealpha=0.95, handlelength=1.2)
+
+
+def _placement(t: BaseTrajectory, k: int) -> str:
+    places = ", ".join(f"{name} = {x:.2f} m" for name, x in zip(t.base_coordinates, t.base[k], strict=True))
+    return f"{places}, V = {t.V[k]:.2e}".replace("-", "−")

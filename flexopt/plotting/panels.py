@@ -1,0 +1,142 @@
+"""Quantities over time in one pair of axes: lines, their envelopes, limits that show the run.
+
+In: labelled samples. Out: drawn axes.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from flexopt.model.arguments import Vector
+from flexopt.simulation.behaviour import ROUNDING
+
+COLORS = ("#3b6ea5", "#d95f02", "#1b9e77", "#7570b3", "#222222", "#9aa0a6")
+STYLES = ("-", "--", "-.", ":")
+ENVELOPE = "#5f6368"
+# A line has at most twice as many points: more than a column of print has dots.
+BINS = 1200
+# A run that ends so many times larger than it mostly was leaves its axes at the second of these multiples.
+DIVERGED, SHOWN = 1e3, 5.0
+# Range of the energy from which on its axis is logarithmic.
+LOG_FROM = 20.0
+Line = tuple[str, Vector, Vector]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What one pair of axes shows.
+
+    Attributes:
+        label: quantity and unit.
+        lines: (name, time, values) each.
+        rate: of their envelopes, 1/s; None: none.
+        logarithmic: where that is of use.
+        steps: a value holds until the next.
+    """
+
+    label: str
+    lines: tuple[Line, ...]
+    rate: float | None = None
+    logarithmic: bool = False
+    steps: bool = False
+
+
+def draw_panel(axes: Axes, panel: Panel, *, legend: bool = True) -> None:
+    """Lines, envelopes, label and scale of one panel."""
+    sizes = [float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))) for _, _, values in panel.lines]
+    smaller_on_top = np.argsort(np.argsort(-np.array(sizes), kind="stable"))
+    for k, (name, time, values) in enumerate(panel.lines):
+        color, style = COLORS[k % len(COLORS)], STYLES[k // len(COLORS) % len(STYLES)]
+        order = 2.0 + 0.01 * float(smaller_on_top[k])
+        axes.plot(
+            *thinned(time, values), style, color=color, linewidth=0.9, label=name, zorder=order,
+            drawstyle="steps-post" if panel.steps else "default",
+        )  # fmt: skip
+    times = np.concatenate([time[np.isfinite(values)] for _, time, values in panel.lines])
+    if times.size > 1:
+        axes.set_xlim(float(times.min()), float(times.max()))
+    _set_scale(axes, panel)
+    if panel.rate is not None:
+        # Beyond the data an envelope is cut off: it may begin far above what the transient was.
+        axes.set_ylim(axes.get_ylim())
+        for _, time, values in panel.lines:
+            for label, curve in zip(("envelope", "_"), _envelopes(time, values, panel.rate), strict=False):
+                axes.plot(*curve, "--", color=ENVELOPE, linewidth=0.8, label=label, zorder=4)
+    axes.set_ylabel(panel.label, fontsize=8)
+    axes.tick_params(labelsize=7.5)
+    axes.locator_params(axis="x", nbins=6)
+    axes.grid(color="#e3e3e3", linewidth=0.5)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    if legend and len(panel.lines) > 1:
+        axes.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6, fontsize=7.5, frameon=False, borderaxespad=0.0,
+            borderpad=0.0, handlelength=1.4, columnspacing=1.0,
+        )  # fmt: skip
+
+
+def _set_scale(axes: Axes, panel: Panel) -> None:
+    """Limits that do not hide most of a run that flies away; logarithmic where asked for and of use."""
+    sizes = [size[np.isfinite(size)] for size in (np.abs(values) for _, _, values in panel.lines)]
+    sizes = [size for size in sizes if size.size]
+    if not sizes:
+        return
+    axes.yaxis.get_offset_text().set(fontsize=7.5)
+    # An energy goes with the square of the motion.
+    power = 2 if panel.logarithmic else 1
+    tops = [_top(size, power) for size in sizes]
+    cut = max(tops) < max(float(size.max()) for size in sizes)
+    # At the very start the energy may be next to nothing.
+    least = min(float(np.quantile(size, 0.05)) for size in sizes)
+    positive = all(bool(np.all(values[1:][np.isfinite(values[1:])] > 0)) for _, _, values in panel.lines)
+    if panel.logarithmic and positive and max(tops) > LOG_FROM * least > 0:
+        axes.set_yscale("log", nonpositive="mask")
+        axes.set_ylim(0.5 * least, (1.0 if cut else 2.0) * max(tops))
+    elif cut:
+        axes.set_ylim(-max(tops), max(tops))
+
+
+def _top(sizes: Vector, power: int) -> float:
+    """What an axis must hold of a line: its peak, unless it comes last and is far from all before."""
+    usual, most = float(np.quantile(sizes, 0.75)), float(sizes.max())
+    late = int(np.argmax(sizes)) >= 0.9 * (len(sizes) - 1)
+    return SHOWN**power * usual if late and most > DIVERGED**power * usual > 0 else most
+
+
+def _envelopes(time: Vector, values: Vector, rate: float) -> tuple[tuple[Vector, Vector], ...]:
+    """±A exp(rate t), the least that holds the second half of what is more than rounding; none where nothing moves."""
+    sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
+    moving = np.flatnonzero(sizes > math.sqrt(ROUNDING) * sizes.max())
+    half = moving[len(moving) // 2 :]
+    if half.size == 0:
+        return ()
+    end = float(time[half[-1]])
+    size = float(np.max(np.abs(values[half]) * np.exp(-rate * (time[half] - end))))
+    t = np.linspace(float(time[0]), end, 200)
+    # Far beyond any axis, and short of overflow.
+    envelope = size * np.exp(np.minimum(rate * (t - end), 200.0))
+    return (t, envelope), (t, -envelope)
+
+
+def thinned(time: Vector, values: Vector) -> tuple[Vector, Vector]:
+    """The samples, or the least and greatest of each of `BINS` parts, in order of time."""
+    if len(values) <= 2 * BINS:
+        return time, values
+    edges = np.linspace(0, len(values), BINS + 1).astype(int)
+    kept: list[int] = []
+    for start, stop in pairwise(edges.tolist()):
+        part = values[start:stop]
+        finite = np.flatnonzero(np.isfinite(part))
+        if finite.size == 0:
+            kept.append(start)
+            continue
+        kept += sorted({start + int(finite[np.argmin(part[finite])]), start + int(finite[np.argmax(part[finite])])})
+    return time[kept], values[kept]

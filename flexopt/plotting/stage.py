@@ -1,0 +1,179 @@
+"""The scene of a film: the machine on its springs, its end-point's trace, error and base motion beside it.
+
+In: a `Film`, the rows of a run that are drawn. Out: pictures, one for each row. What does not move is drawn once.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from flexopt.model.arguments import Vector
+from flexopt.plotting.machine import BASE, UNDERCARRIAGE, bars, draw_ground, reach
+from flexopt.plotting.panels import draw_panel
+from flexopt.plotting.selection import CHOSEN, PRESENT
+from flexopt.plotting.trajectory import deflection_panel, error_panel, title
+from flexopt.simulation.trajectory import Trajectory
+
+DPI, SIZE, SCENE = 100, (7.2, 4.6), (0.075, 0.11, 0.43, 0.77)
+# Share of the time for which each point of the machine is surely in the picture; a run that flies away leaves it.
+USUAL = 0.97
+# Shares of the machine's length: height of the undercarriage's half, of the springs; half its width.
+HALF_HEIGHT, SPRING, HALF_WIDTH = 0.035, 0.085, 0.16
+
+
+@dataclass(frozen=True)
+class Film:
+    """What is drawn: `frames` are rows of `skeleton`, shown for `delay` hundredths of a second each.
+
+    Attributes:
+        skeleton: deflections magnified (K, n_bodies + 1, 2);  anchor: where the ground point is at equilibrium (K, 2).
+        target: of the end-point (K, 2).
+        turn: rotation of the base from equilibrium, magnified (K,), rad.
+    """
+
+    trajectory: Trajectory
+    time: Vector
+    skeleton: Vector
+    anchor: Vector
+    target: Vector
+    turn: Vector
+    frames: NDArray[np.int64]
+    delay: int
+    caption: str
+
+
+class Stage:
+    """The figure: what stays in it, and the artists that move."""
+
+    def __init__(self, film: Film) -> None:
+        self.film = film
+        self.length = reach(film.skeleton[0].T)
+        self.figure = Figure(figsize=SIZE, dpi=DPI)
+        self.canvas = FigureCanvasAgg(self.figure)
+        t = film.trajectory
+        self.scene = self.figure.add_axes(SCENE)
+        self._draw_scene(self.scene)
+        bodies = film.skeleton.shape[1] - 1
+        faces = [UNDERCARRIAGE, BASE, *[PRESENT] * (bodies - 1)]
+        self.bodies = PolyCollection([], facecolors=faces, edgecolors="black", linewidths=0.6, zorder=3)
+        self.scene.add_collection(self.bodies, autolim=False)
+        (self.springs,) = self.scene.plot([], [], color=UNDERCARRIAGE, linewidth=1.0, zorder=2)
+        (self.joints,) = self.scene.plot([], [], "o", color="white", markeredgecolor="black", markersize=4, zorder=4)
+        (self.trace,) = self.scene.plot([], [], color=CHOSEN, linewidth=0.8, zorder=5)
+        (self.target,) = self.scene.plot([], [], "+", color="black", markersize=11, markeredgewidth=1.3, zorder=6)
+        self.clock = self.scene.text(0.03, 0.965, "", transform=self.scene.transAxes, fontsize=9, va="top")
+        panels = [error_panel(t), *([deflection_panel({"deflection": t}, _widest(t))] if t.n_passive else [])]
+        self.cursors: list[tuple[Axes, Any]] = []
+        for k, panel in enumerate(panels):
+            axes = self.figure.add_axes((0.605, 0.56 - 0.45 * k, 0.365, 0.32))
+            draw_panel(axes, panel)
+            (cursor,) = axes.plot([], [], color="black", linewidth=1.0, zorder=5)
+            self.cursors.append((axes, cursor))
+        self.cursors[-1][0].set_xlabel("time, s", fontsize=8)
+        self.figure.text(0.5, 0.975, title(t), fontsize=9.5, ha="center", va="top")
+        steps = np.diff(film.time[film.frames])
+        self.decimals = max(1, math.ceil(-math.log10(float(steps[steps > 0].min()))))
+        # In the order they are drawn.
+        self.moving: list[Artist] = [self.springs, self.bodies, self.joints, self.trace, self.target, self.clock]
+        self.moving += [cursor for _, cursor in self.cursors]
+        for artist in self.moving:
+            artist.set_animated(True)
+        self.canvas.draw()
+        self.background: Any = self.canvas.copy_from_bbox(self.figure.bbox)
+
+    def _draw_scene(self, axes: Axes) -> None:
+        """Ground, limits and labels; limits hold the machine's usual motion, not a run that flies away."""
+        skeleton, anchor, length = self.film.skeleton, self.film.anchor, self.length
+        center = anchor[:, None]
+        near = np.clip(skeleton, center - 1.1 * length, center + 1.1 * length)
+        ends = np.quantile(near, [1 - USUAL, USUAL], axis=0)
+        low, high = ends[0].min(axis=0), ends[1].max(axis=0)
+        floor = float(anchor[:, 1].min()) - (HALF_HEIGHT + SPRING) * length
+        low = np.minimum(low, [float(anchor[:, 0].min()) - 0.26 * length, floor]) - 0.06 * length
+        high = np.maximum(high, [float(anchor[:, 0].max()) + 0.26 * length, high[1]])
+        high += np.array([0.06, 0.2]) * length
+        draw_ground(axes, low[0] - 9 * length, high[0] + 9 * length, floor)
+        # The same scale on both axes, in a frame that is filled: the narrower direction is given more.
+        frame = np.array([SCENE[2] * SIZE[0], SCENE[3] * SIZE[1]])
+        more = frame * np.max((high - low) / frame) - (high - low)
+        low, high = low - more * [0.5, 0.0], high + more * [0.5, 1.0]
+        axes.set_xlim(float(low[0]), float(high[0]))
+        axes.set_ylim(float(low[1]), float(high[1]))
+        axes.set_xlabel("x, m (inertial frame)", fontsize=8)
+        axes.set_ylabel("y, m", fontsize=8)
+        axes.tick_params(labelsize=7.5)
+        axes.set_title(self.film.caption, fontsize=8, pad=3)
+
+    def shot(self, k: int) -> NDArray[np.uint8]:
+        """The picture at row k, (height, width, 3)."""
+        self.canvas.restore_region(self.background)
+        self._move(k)
+        for artist in self.moving:
+            artist.draw(self.canvas.get_renderer())
+        picture: Any = self.canvas.buffer_rgba()
+        rgba: NDArray[np.uint8] = np.array(picture)
+        return rgba[..., :3].copy()
+
+    def _move(self, k: int) -> None:
+        """Put everything where it is in row k."""
+        film, length = self.film, self.length
+        # Farther away than this nothing is in sight.
+        skeleton = np.clip(film.skeleton[k], film.anchor[k] - 50 * length, film.anchor[k] + 50 * length)
+        along = np.array([math.cos(film.turn[k]), math.sin(film.turn[k])])
+        across = np.array([-along[1], along[0]])
+        wide, high = HALF_WIDTH * length * along, HALF_HEIGHT * length * across
+        ground = skeleton[0]
+        corners = np.array([ground - wide - high, ground + wide - high, ground + wide + high, ground - wide + high])
+        self.bodies.set_verts([corners, *bars(skeleton.T)])
+        self.joints.set_data(skeleton[1:-1, 0], skeleton[1:-1, 1])
+        self.springs.set_data(*self._springs(k, ground, wide, high))
+        points = np.clip(film.skeleton[: k + 1, -1], film.anchor[k] - 50 * length, film.anchor[k] + 50 * length)
+        self.trace.set_data(points[:, 0], points[:, 1])
+        self.target.set_data(film.target[k, :1], film.target[k, 1:2])
+        self.clock.set_text(f"t = {film.time[k]:.{self.decimals}f} s")
+        for axes, cursor in self.cursors:
+            cursor.set_data([film.time[k]] * 2, axes.get_ylim())
+
+    def _springs(self, k: int, ground: Vector, wide: Vector, high: Vector) -> tuple[Vector, Vector]:
+        """Two from below and one from the side, straight where the base does not give; from plates that stay put."""
+        t, length, anchor = self.film.trajectory, self.length, self.film.anchor[k]
+        free = t.coordinates[: t.n_passive]
+        plate = anchor - [0.0, (HALF_HEIGHT + SPRING) * length]
+        upright = not {"base.y", "base.rotation"}.isdisjoint(free)
+        gap = np.full((1, 2), np.nan)
+        parts: list[Vector] = []
+        for side in (-0.7, 0.7):
+            foot = plate + np.array([side * HALF_WIDTH * length, 0.0])
+            parts += [_zigzag(foot, ground + side * wide - high, 0.02 * length if upright else 0.0), gap]
+        wall = anchor - [(HALF_WIDTH + SPRING) * length, 0.0]
+        post = np.array([[wall[0], plate[1]], [wall[0], wall[1] + HALF_HEIGHT * length]])
+        parts += [post, gap, _zigzag(wall, ground - wide, 0.02 * length if "base.x" in free else 0.0)]
+        points = np.concatenate(parts)
+        return points[:, 0], points[:, 1]
+
+
+def _widest(t: Trajectory) -> int:
+    """The passive coordinate shown: the base's rotation, or else the first."""
+    passive = t.coordinates[: t.n_passive]
+    return passive.index("base.rotation") if "base.rotation" in passive else 0
+
+
+def _zigzag(start: Vector, end: Vector, amplitude: float) -> Vector:
+    """A spring of four turns (n, 2)."""
+    share = np.concatenate([[0.0], np.linspace(0.15, 0.85, 9), [1.0]])
+    side = np.concatenate([[0.0, 0.0], np.tile([1.0, -1.0], 4)[:7], [0.0, 0.0]])
+    along = end - start
+    across = np.array([-along[1], along[0]]) / (float(np.hypot(*along)) or 1.0)
+    return start + share[:, None] * along + amplitude * side[:, None] * across

@@ -1,0 +1,171 @@
+"""Pictures of closed-loop runs: one in full, or several side by side.
+
+In: trajectories. Out: figures of end-point error (mm), the base's deflections (mm, mrad), torques (kN m), energy (kJ).
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.model.arguments import shown
+from flexopt.plotting.panels import Panel, draw_panel
+from flexopt.simulation.trajectory import Trajectory
+
+
+def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw a run over time: end-point error, torques and energy; each passive coordinate with its envelope.
+
+    Envelopes are ±A exp(σ t), σ the growth rate, A the least that holds the second half of the run, from which σ was
+    found. A run that diverges is drawn up to the last number, on axes that show what came before. Of long runs the
+    extremes of every 1,200th part are drawn.
+
+    Args:
+        trajectory: from `flexopt.simulate`.
+        path: file to write (`.png`, `.svg`, `.pdf`), or None.
+
+    Raises:
+        InputError: not a trajectory, or the file's suffix is unknown.
+        OSError: the file cannot be written.
+    """
+    check_runs("plot_trajectory", {"trajectory": trajectory})
+    t = trajectory
+    torques = Panel("torque, kN m", tuple((j, t.time, 1e-3 * row) for j, row in zip(t.joints, t.torque.T, strict=True)))
+    energy = Panel("energy, kJ", (("energy", t.time, 1e-3 * t.energy),), logarithmic=True)
+    deflections = [deflection_panel({"deflection": t}, k, t.growth_rate) for k in range(t.n_passive)]
+    left, right = [error_panel(t), torques, energy], deflections
+    figure = Figure(figsize=(7.2, 0.9 + 1.45 * max(len(left), len(right))), layout="constrained")
+    drawn = _draw_columns(figure, left, right)
+    if right and drawn[len(left)].lines[1:]:
+        drawn[len(left)].set_title(r"dashed: $\pm A\,e^{\sigma t}$", loc="right", fontsize=8, pad=2.5)
+    figure.suptitle(title(t), fontsize=9.5)
+    write("plot_trajectory", figure, path)
+    return figure
+
+
+def plot_trajectories(trajectories: Mapping[str, Trajectory], path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw several runs on the same axes: end-point error on the left, the base's oscillation on the right.
+
+    Args:
+        trajectories: name -> run; the runs have the same passive coordinates.
+        path: file to write (`.png`, `.svg`, `.pdf`), or None.
+
+    Raises:
+        InputError: no runs, or they do not compare, or the file's suffix is unknown.
+        OSError: the file cannot be written.
+    """
+    check_runs("plot_trajectories", trajectories)
+    first = next(iter(trajectories.values()))
+    left = [
+        Panel(f"error {axis}, mm", tuple((name, t.time, 1e3 * t.error[:, k]) for name, t in trajectories.items()))
+        for k, axis in enumerate(axis_names(first))
+    ]
+    right = [deflection_panel(trajectories, k) for k in range(first.n_passive)]
+    rows = max(len(left), len(right))
+    figure = Figure(figsize=(7.2, 0.9 + 0.3 * len(trajectories) + 1.4 * rows), layout="constrained")
+    panels = _draw_columns(figure, left, right, legends=False)
+    handles = panels[0].get_lines()[: len(trajectories)]
+    labels = [f"{name}: {outcome(t)}" for name, t in trajectories.items()]
+    figure.legend(handles, labels, loc="outside upper center", ncols=1 if len(labels) > 2 else 2, fontsize=8)
+    write("plot_trajectories", figure, path)
+    return figure
+
+
+def check_runs(call: str, runs: Any) -> None:
+    """Raise where `runs` is not a mapping name -> Trajectory whose passive coordinates agree."""
+    faults: list[Fault] = []
+    if not isinstance(runs, Mapping) or not runs:
+        sentence = "must be a dictionary with at least one entry, name -> Trajectory"
+        raise_if_any(InputError, call, [Fault("trajectories", sentence, shown(runs))])
+    named = cast(Mapping[Any, Any], runs)
+    passive: dict[str, tuple[str, ...]] = {}
+    for name, run in named.items():
+        if isinstance(run, Trajectory):
+            passive[str(name)] = run.coordinates[: run.n_passive]
+        else:
+            faults.append(Fault(str(name), "must be a Trajectory, from flexopt.simulate for example", shown(run)))
+    expected = next(iter(passive.values()), ())
+    faults += [
+        Fault(name, f"must have the passive coordinates of the first run ({', '.join(expected)})", ", ".join(its))
+        for name, its in passive.items()
+        if its != expected
+    ]
+    raise_if_any(InputError, call, faults)
+
+
+def write(call: str, figure: Figure, path: str | os.PathLike[str] | None) -> None:
+    """Write a figure where asked."""
+    if path is None:
+        return
+    known = sorted(figure.canvas.get_supported_filetypes())
+    suffix = Path(path).suffix
+    if suffix[1:].lower() not in known:
+        sentence = "must end in " + ", ".join(f".{each}" for each in known)
+        raise_if_any(InputError, call, [Fault("path", sentence, os.fspath(path))])
+    figure.savefig(path, dpi=200)
+
+
+def title(trajectory: Trajectory) -> str:
+    """The run and its outcome."""
+    t = trajectory
+    finite = np.flatnonzero(np.isfinite(t.energy))
+    until = f", no number after {t.time[finite[-1]]:.3g} s" if 0 < finite.size < t.time.size else ""
+    return f"{t.machine}, Jacobian {t.control} control: {outcome(t)}{until}"
+
+
+def outcome(trajectory: Trajectory) -> str:
+    """Verdict and growth rate."""
+    rate, error = trajectory.growth_rate, trajectory.growth_rate_error
+    if rate is None:
+        return trajectory.verdict
+    spread = "" if error is None else f" ± {error:.1g}"
+    number = f"{rate:+.3g}{spread}".replace("-", "−")
+    return f"{trajectory.verdict}, $\\sigma$ = {number} s$^{{-1}}$"
+
+
+def axis_names(trajectory: Trajectory) -> Sequence[str]:
+    """Task axes."""
+    return ("x", "y", "z")[: trajectory.error.shape[1]]
+
+
+def error_panel(trajectory: Trajectory) -> Panel:
+    """End-point error of every axis."""
+    axes = zip(axis_names(trajectory), trajectory.error.T, strict=True)
+    return Panel("end-point error, mm", tuple((axis, trajectory.time, 1e3 * row) for axis, row in axes))
+
+
+def deflection_panel(runs: Mapping[str, Trajectory], k: int, rate: float | None = None) -> Panel:
+    """Passive coordinate k of every run."""
+    coordinate = next(iter(runs.values())).coordinates[k]
+    kind = "rotation" if coordinate == "base.rotation" else coordinate.removeprefix("base.")
+    unit = "mm" if coordinate in ("base.x", "base.y", "base.z") else "mrad"
+    name = f"base {kind}" if coordinate.startswith("base.") else kind
+    lines = tuple((run, t.time, 1e3 * t.deflection[:, k]) for run, t in runs.items())
+    return Panel(f"{name}, {unit}", lines, rate)
+
+
+def _draw_columns(figure: Figure, *columns: Sequence[Panel], legends: bool = True) -> list[Axes]:
+    """Columns of panels that share their time axis, each column as high as the figure."""
+    grid = figure.add_gridspec(1, len(columns))
+    drawn: list[Axes] = []
+    for column, panels in enumerate(columns):
+        rows = grid[column].subgridspec(max(1, len(panels)), 1)
+        for row, panel in enumerate(panels):
+            axes = figure.add_subplot(rows[row], sharex=drawn[0] if drawn else None)
+            last = row == len(panels) - 1
+            axes.tick_params(labelbottom=last)
+            axes.set_xlabel("time, s" if last else "", fontsize=8)
+            draw_panel(axes, panel, legend=legends)
+            letter = chr(ord("a") + len(drawn)) if len(drawn) < 26 else str(len(drawn) + 1)
+            axes.set_title(f"({letter})", loc="left", fontsize=8, pad=2.5)
+            drawn.append(axes)
+    return drawn
