@@ -17,9 +17,11 @@ from flexopt.errors import NoSolutionFound as NoSolutionFound
 from flexopt.errors import NotStabilizable as NotStabilizable
 from flexopt.errors import SingularPosture as SingularPosture
 from flexopt.errors import UnreachableTarget as UnreachableTarget
+from flexopt.model import Experiment as Experiment
 from flexopt.model import Machine as Machine
 from flexopt.model import Problem as Problem
 from flexopt.model import load as load
+from flexopt.model import load_experiment as load_experiment
 from flexopt.model import load_problem as load_problem
 from flexopt.model import machine_from_dict as machine_from_dict
 from flexopt.plant import Plant as Plant
@@ -44,6 +46,7 @@ from flexopt.simulation import Ensemble as Ensemble
 from flexopt.simulation import Path as Path
 from flexopt.simulation import Sensor as Sensor
 from flexopt.simulation import Trajectory as Trajectory
+from flexopt.simulation import run_experiment as run_experiment
 from flexopt.simulation import sampled_loop as sampled_loop
 from flexopt.simulation import simulate as simulate
 from flexopt.simulation import simulate_ensemble as simulate_ensemble

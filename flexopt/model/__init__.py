@@ -1,7 +1,7 @@
-"""Machines and problems as validated data.
+"""Machines, problems and experiments as validated data.
 
-In: TOML files or dictionaries. Out: frozen `Machine` and `Problem` objects, or one `ModelError` that lists every fault.
-Nothing symbolic.
+In: TOML files or dictionaries. Out: frozen `Machine`, `Problem` and `Experiment` objects, or one `ModelError` that
+lists every fault. Nothing symbolic.
 """
 
 from flexopt.model.files import shipped_names as shipped_names
@@ -11,5 +11,9 @@ from flexopt.model.problem import Problem as Problem
 from flexopt.model.problem import SelectionOptions as SelectionOptions
 from flexopt.model.reading import load as load
 from flexopt.model.reading import load_any as load_any
+from flexopt.model.reading import load_experiment as load_experiment
 from flexopt.model.reading import load_problem as load_problem
+from flexopt.model.reading import load_simulated as load_simulated
 from flexopt.model.reading import machine_from_dict as machine_from_dict
+from flexopt.model.simulation import Experiment as Experiment
+from flexopt.model.simulation import SimulationOptions as SimulationOptions

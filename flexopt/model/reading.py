@@ -1,4 +1,4 @@
-"""From a name, a path or a dictionary to a validated machine or problem."""
+"""From a name, a path or a dictionary to a validated machine, problem or experiment."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import os
 from collections.abc import Mapping
 from typing import Any, cast
 
-from flexopt.errors import ModelError
+from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.model.faults import Table, machine_faults, problem_faults, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.machine import Machine
 from flexopt.model.problem import Problem
+from flexopt.model.simulation import Experiment
 
 
 def load(name_or_path: str | os.PathLike[str]) -> Machine:
@@ -39,6 +40,29 @@ def load_problem(name_or_path: str | os.PathLike[str]) -> Problem:
     return _problem(read_source(name_or_path, ("problems",)))
 
 
+def load_experiment(name_or_path: str | os.PathLike[str]) -> Experiment:
+    """Read and validate an experiment, a simulation in a file; its machine is loaded with it.
+
+    Args:
+        name_or_path: a name (`"article-a"` finds the shipped `problems/article-a.toml`) or the path of a TOML file.
+            A relative path in its `machine` key starts from the file's folder.
+
+    Raises:
+        ModelError: as for `load`, for the experiment and for its machine.
+    """
+    return _experiment(read_source(name_or_path, ("problems",)))
+
+
+def load_simulated(name_or_path: str | os.PathLike[str]) -> Machine | Experiment:
+    """A machine or an experiment, whichever the name or file is.
+
+    Raises:
+        ModelError: as for `load` and `load_experiment`.
+    """
+    source = read_source(name_or_path, KINDS)
+    return _experiment(source) if source.kind == "problems" else machine_from_dict(source.data, origin=source.name)
+
+
 def load_any(name_or_path: str | os.PathLike[str]) -> Machine | Problem:
     """A machine or a problem, whichever the name or file is.
 
@@ -65,11 +89,27 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     return validated(Machine, named, origin, machine_faults(named))
 
 
+def _experiment(source: Source) -> Experiment:
+    if "simulation" not in source.data:
+        raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
+    experiment = validated(Experiment, source.data, source.name, ())
+    machine = _machine_of(source, experiment.machine)
+    faults = [Fault(f"simulation.{f.field}", f.sentence, f.value) for f in experiment.simulation.faults(machine)]
+    raise_if_any(ModelError, source.name, faults)
+    return experiment.with_machine(machine)
+
+
 def _problem(source: Source) -> Problem:
+    if "simulation" in source.data:
+        raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
     problem = validated(Problem, source.data, source.name, problem_faults(source.data))
-    beside = source.folder / problem.machine
-    is_file = problem.machine.endswith(".toml") and beside.exists()
-    return problem.with_machine(load(beside if is_file else problem.machine))
+    return problem.with_machine(_machine_of(source, problem.machine))
+
+
+def _machine_of(source: Source, name: str) -> Machine:
+    """The machine that a file names, beside it or among the shipped."""
+    beside = source.folder / name
+    return load(beside if name.endswith(".toml") and beside.exists() else name)
 
 
 def _with_link_names(data: Table) -> dict[str, Any]:

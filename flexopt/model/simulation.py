@@ -6,12 +6,30 @@ from collections.abc import Callable
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault
 from flexopt.model.machine import FileModel, Machine
-from flexopt.model.problem import Control, Elbow, check_base, check_gain, check_point, check_seed
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, check_number, check_numbers, check_schema, checked
+from flexopt.model.problem import (
+    Control,
+    Elbow,
+    check_base,
+    check_gain,
+    check_objective,
+    check_point,
+    check_seed,
+    check_weights,
+)
+from flexopt.model.quantities import (
+    ANGLE_MAX,
+    COORDINATE_MAX,
+    BaseRange,
+    check_number,
+    check_numbers,
+    check_schema,
+    checked,
+)
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
@@ -124,10 +142,10 @@ class Path(FileModel):
             found.append(Fault(f"{name}.points", f"must have {size} coordinates each, in m"))
         return found
 
-    def at(self, times: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points (len(times), size)."""
-        points = np.array(self.points, dtype=float)
-        return np.stack([np.interp(times, self.times, column) for column in points.T], axis=1)
+        columns = [np.interp(times, self.times, column) for column in zip(*self.points, strict=True)]
+        return np.array(columns).T
 
 
 class SimulationOptions(FileModel):
@@ -218,6 +236,17 @@ class SimulationOptions(FileModel):
         return found
 
 
+class NullspaceOptions(FileModel):
+    """How the base moves by the nullspace law (keys of `[nullspace]`); see `flexopt.nullspace_trajectory`."""
+
+    objective: Annotated[str, checked(check_objective)] = "w1"
+    weights: Annotated[tuple[float, ...], checked(check_weights)] | None = None
+    base_range: BaseRange | None = None
+    max_base_rate: Annotated[float, _number("m/s", above=0.0, high=1e3)] = 0.25
+    max_base_acceleration: Annotated[float, _number("m/s²", above=0.0, high=1e6)] | None = None
+    duration: Annotated[float, _number("s", above=0.0, high=1e6)] = 60.0
+
+
 class Experiment(FileModel):
     """A simulation in a file (`flexopt.load_experiment` reads one)."""
 
@@ -227,6 +256,7 @@ class Experiment(FileModel):
     source: str = ""
     machine: str = Field(min_length=1)
     simulation: SimulationOptions
+    nullspace: NullspaceOptions | None = None
 
     _loaded: Machine | None = PrivateAttr(default=None)
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready
 from flexopt.model.problem import Control
+from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 
 if TYPE_CHECKING:
@@ -88,6 +89,11 @@ class BaseTrajectory:
     initial: Evaluation
     final: Evaluation
     provenance: dict[str, Any] = field(repr=False)
+
+    @property
+    def path(self) -> Path:
+        """The base's motion as `flexopt.simulate` takes it."""
+        return Path.model_validate({"times": self.time.tolist(), "points": tuple(self.base.tolist())})
 
     @property
     def status(self) -> str:

@@ -9,6 +9,7 @@ from flexopt.model.simulation import Path as Path
 from flexopt.model.simulation import Sensor as Sensor
 from flexopt.simulation.ensemble import Ensemble as Ensemble
 from flexopt.simulation.ensemble import simulate_ensemble as simulate_ensemble
+from flexopt.simulation.experiment import run_experiment as run_experiment
 from flexopt.simulation.linear import SampledLoop as SampledLoop
 from flexopt.simulation.linear import StabilityBorder as StabilityBorder
 from flexopt.simulation.linear import sampled_loop as sampled_loop

@@ -92,9 +92,9 @@ class Ensemble:
             OSError: the file cannot be written.
         """
         data = self.dataset.copy()
-        data["grows"] = data["grows"].astype("int8")
+        data["grows"] = cast(Any, data["grows"]).astype("int8")
         data.attrs["flexopt"] = json.dumps(self.to_dict())
-        data.to_netcdf(path, engine="scipy")
+        cast(Any, data).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
 
     def __repr__(self) -> str:
         d = self.dataset

@@ -6,10 +6,11 @@ with the self-motion of a redundant arm (an undriven double eigenvalue 1) taken 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -49,7 +50,7 @@ class SampledLoop:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Ln μ / T, rad/s, imaginary parts up to the Nyquist frequency."""
-        return np.asarray(np.log(self.multipliers) / self.period)
+        return cast(NDArray[np.complex128], np.log(self.multipliers) / self.period)
 
     @property
     def stable(self) -> bool:
@@ -122,10 +123,11 @@ def stability_border(
         parts = {"kp": np.full(N_TASK, kp), "kv": np.full(N_TASK, ratio * kp if ratio is not None else kv)}
         return linearised(replace(scenario, parts={**scenario.parts, **parts})).growth_rate
 
-    grid = np.linspace(np.log10(KP_LOW), np.log10(KP_HIGH), KP_POINTS)
+    low, high = math.log10(KP_LOW), math.log10(KP_HIGH)
+    grid = [low + (high - low) * k / (KP_POINTS - 1) for k in range(KP_POINTS)]
     stable = np.array([growth(x) < 0 for x in grid])
     edges = np.flatnonzero(stable[1:] != stable[:-1])
-    roots = [float(10 ** brentq(growth, grid[i], grid[i + 1], xtol=1e-10)) for i in edges]
+    roots = [float(10 ** brentq(growth, grid[i], grid[i + 1], xtol=1e-10)) for i in edges.tolist()]
     ends = ([KP_LOW] if stable[0] else []) + roots + ([KP_HIGH] if stable[-1] else [])
     intervals = tuple(zip(ends[::2], ends[1::2], strict=True))
     return StabilityBorder(intervals, (KP_LOW, KP_HIGH), kv if ratio is None else ratio, ratio is not None)
@@ -149,7 +151,7 @@ def linearised(scenario: Scenario) -> SampledLoop:
     for basis in _self_motions(s, x[:, 0], c):
         matrix, rank = _without(matrix, basis)
         removed += rank
-    values = np.linalg.eigvals(matrix)
+    values = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
     values = values[np.argsort(-np.abs(values))]
     return SampledLoop(values[: len(values) - removed], s.period)
 
@@ -197,7 +199,7 @@ def _self_motions(scenario: Scenario, x: Vector, c: Vector) -> list[Vector]:
     jacobian = ca.jacobian(loop.outputs.call(symbol)[rows], symbol[0])
     by_u = np.array(ca.Function("J", symbol, [jacobian]).call([x, _still(scenario), c])[0])[:, :n]
     # Columns of the actuated joints, in u.
-    joints = np.linalg.inv(motion.to_q.full())[:, n - len(motion.joints) :]
+    joints = np.linalg.inv(loop.to_q)[:, n - len(motion.joints) :]
     kernel = np.linalg.svd(by_u @ joints)[2][N_TASK:].T
     position, rate = np.zeros((len(x), excess)), np.zeros((len(x), excess))
     position[:n], rate[n : 2 * n] = joints @ kernel, joints @ kernel

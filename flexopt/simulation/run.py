@@ -237,8 +237,8 @@ def _overshoot(error: Vector) -> float | None:
     size = float(np.linalg.norm(error[0]))
     if size == 0.0:
         return None
-    beyond = -(error @ error[0]) / size**2
-    return _finite(max(0.0, float(np.max(beyond))))
+    beyond = float(np.max(-(error @ error[0]) / size**2))
+    return max(0.0, beyond) if math.isfinite(beyond) else None
 
 
 def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behaviour) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -75,7 +75,8 @@ class Scenario:
     @property
     def times(self) -> Vector:
         """Instants of the samples and the end, (samples + 1,), s."""
-        return np.arange(self.samples + 1) * self.period
+        times: Vector = np.arange(self.samples + 1, dtype=np.float64) * self.period
+        return times
 
     def along(self, name: str, path: Path, times: Vector) -> Vector:
         """Points of a path as the loop takes them, from where the base stands at first."""
@@ -100,7 +101,9 @@ class Scenario:
 
 def _place(base: Vector) -> Vector:
     """Where the base stands, (n_task,), m."""
-    return np.concatenate([base, np.zeros(N_TASK - len(base))])
+    place: Vector = np.zeros(N_TASK)
+    place[: len(base)] = base
+    return place
 
 
 def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
@@ -206,14 +209,15 @@ def _modal(loop: ClosedLoop, machine: Machine, design: _Design, parts: Mapping[s
 
 
 def _to_u(loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
-    """U (n_q, N) of configurations q."""
+    """Coordinates u (n_q, N) of configurations q."""
     motion = Motion(loop.structure.motion, {})
     shift = np.zeros((motion.n, 1))
     if not loop.structure.motion.rotation:
         shift[motion.n_translations + [*motion.hinges, *motion.joints].index(1)] = -parts["rest0"]
     if "x" in loop.structure.motion.translations:
         shift[0] = parts["base"]
-    return np.linalg.solve(loop.to_q, q - shift)
+    u: Vector = np.asarray(np.linalg.solve(loop.to_q, q - shift), dtype=np.float64)
+    return u
 
 
 @dataclass(frozen=True)
@@ -249,11 +253,11 @@ def _design(
         q[:m] = plant.deflected(placement, angles, p).full().ravel()
         _check_static(plant, q, placement)
         stiffness = check_held(plant, q, placement)
-    frequencies, modes = _flexible_modes(stiffness, plant.mass(q, placement, p).full(), m)
+    frequencies, modes = _flexible_modes(stiffness, plant.mass.call([q, placement, p])[0].full(), m)
     passive = q[:m].copy()
     if "x" in machine.free_base_directions:
         passive[0] -= placement[0]
-    target = plant.end_point(q, placement, p).full().ravel()
+    target = plant.end_point.call([q, placement, p])[0].full().ravel()
     return _Design(angles, placement, q, passive, target, frequencies, modes)
 
 
@@ -276,7 +280,9 @@ def _flexible_modes(stiffness: Vector, mass: Vector, m: int) -> tuple[Vector, Ve
     root = np.linalg.cholesky(mass)
     inverse = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse @ stiffness @ inverse.T)
-    return np.sqrt(np.maximum(values[-m:], 0.0)) / (2 * math.pi), inverse.T @ vectors[:, -m:]
+    frequencies: Vector = np.sqrt(np.maximum(values[-m:], 0.0)) / (2 * math.pi)
+    modes: Vector = np.asarray(inverse.T @ vectors[:, -m:], dtype=np.float64)
+    return frequencies, modes
 
 
 def _stepping(options: SimulationOptions, fastest: float) -> tuple[int, int]:
@@ -331,7 +337,7 @@ def _structure(machine: Machine, options: SimulationOptions, substeps: int, iter
 
 def default_offset(n: int) -> Vector:
     """The displacement of the joints (n,) at the start where none is given: ±0.05 rad in turn."""
-    return OFFSET * (-1.0) ** np.arange(n)
+    return np.array([OFFSET if k % 2 == 0 else -OFFSET for k in range(n)])
 
 
 def start_states(machine: Machine, loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
@@ -353,5 +359,11 @@ def start_states(machine: Machine, loop: ClosedLoop, parts: Mapping[str, Any], q
 
 
 def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays as Python numbers and lists."""
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    """NumPy scalars and arrays as Python numbers and lists, and sequences of points as they are validated."""
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())  # pyright: ignore[reportUnknownMemberType]
+    if isinstance(value, Mapping):
+        return {name: _plain(part) for name, part in cast(Mapping[Any, Any], value).items()}
+    if isinstance(value, list | tuple):
+        return tuple(_plain(part) for part in cast(list[Any], value))
+    return value

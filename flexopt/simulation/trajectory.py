@@ -132,7 +132,7 @@ class Trajectory:
 
         data = self.dataset.copy()
         data.attrs["flexopt"] = json.dumps(self.to_dict())
-        data.to_netcdf(path, engine="scipy")
+        cast(Any, data).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them."""

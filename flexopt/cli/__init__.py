@@ -1,0 +1,63 @@
+"""The command line: `flexopt evaluate | select | simulate | map | reproduce | doctor`.
+
+In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
+go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import click
+
+from flexopt.cli.analysis import evaluate_command, select_command
+from flexopt.cli.common import FAILED, print_json
+from flexopt.cli.simulation import simulate_command
+from flexopt.cli.studies import doctor_command, map_command, reproduce_command
+from flexopt.errors import FlexoptError, InputError
+from flexopt.model.documents import json_ready, package_version
+
+BAD_INPUT = 2
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_version("flexopt"), prog_name="flexopt")
+def cli() -> None:
+    """Configurations of a machine on a compliant base in which end-point feedback does not excite the base."""
+
+
+for command in (
+    evaluate_command,
+    select_command,
+    simulate_command,
+    map_command,
+    reproduce_command,
+    doctor_command,
+):
+    cli.add_command(command)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of the `flexopt` command."""
+    given = sys.argv[1:] if arguments is None else arguments
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # Greek letters on a console that has none
+    try:
+        cli.main(args=given, prog_name="flexopt", standalone_mode=False)
+    except click.exceptions.Exit as leave:
+        sys.exit(leave.exit_code)
+    except click.Abort:
+        sys.exit(130)
+    except click.ClickException as error:
+        _fail(InputError(error.format_message()), "--json" in given)
+    except FlexoptError as error:
+        _fail(error, "--json" in given)
+
+
+def _fail(error: FlexoptError, as_json: bool) -> None:
+    click.echo(f"flexopt: {error}", err=True)
+    if as_json:
+        print_json({"status": "failed", "converged": False, "error": json_ready(error.to_dict())})
+    sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)

@@ -1,0 +1,144 @@
+"""What the commands share: options, text to numbers, progress, files, JSON on standard output."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import click
+
+from flexopt.errors import Fault, FlexoptWarning, InputError, raise_if_any
+from flexopt.model.problem import CONTROLS, ELBOWS
+
+FAILED = 3
+FILE_NAME_MAX = 255
+PICTURES = (".png", ".svg", ".pdf")
+
+Decorator = Callable[[Callable[..., None]], Callable[..., None]]
+
+
+def option(*names: str, **settings: Any) -> Decorator:
+    """An option of a command."""
+    return cast(Decorator, click.option(*names, **settings))
+
+
+JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+CONTROL = option("--control", metavar="|".join(CONTROLS), help="Jacobian inverse (default) or transpose control.")
+GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
+GAIN = option("--gain", metavar="KR", help="Servo gain of the margin ε_max (5e5 by default).")
+BASE = option("--base", metavar="X", help="Placement of the base, m; for select, where it stands now.")
+END_POINT = option("--end-point", metavar="X,Y", help="Target of the end-point, inertial frame, m.")
+ELBOW = option("--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch (up by default).")
+
+
+def print_json(document: dict[str, Any]) -> None:
+    """Print one document; NaN is refused."""
+    click.echo(json.dumps(document, indent=2, allow_nan=False))
+
+
+@contextmanager
+def option_names(options: dict[str, Any]) -> Generator[None]:
+    """Faults of arguments under the names of the options they were given by."""
+    spelled = {"target": "end_point", "end-point": "end_point"}
+    try:
+        yield
+    except InputError as error:
+        renamed: list[Fault] = []
+        for fault in error.faults:
+            name, _, rest = fault.field.partition(" ")
+            word = spelled.get(name, name)
+            given = options.get(word) is not None
+            field = f"--{word.replace('_', '-')} {rest}".strip() if given else fault.field
+            renamed.append(Fault(field, fault.sentence, fault.value))
+        if type(error) is InputError:
+            raise_if_any(InputError, error.heading, renamed)
+        raise
+
+
+@contextmanager
+def warnings_to_stderr(as_json: bool) -> Generator[None]:
+    """Flexopt's warnings as lines on standard error; in text they are part of the result itself."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", FlexoptWarning)
+        yield
+    for warning in caught:
+        if not issubclass(warning.category, FlexoptWarning):
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+        elif as_json:
+            click.echo(f"flexopt: warning: {warning.message}", err=True)
+
+
+@contextmanager
+def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
+    """A bar on standard error where that is a terminal, else one line at the end."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: click.echo(f"{what} {done}/{total}", err=True) if done == total else None
+        return
+    with click.progressbar(length=1, label=what, file=sys.stderr, show_pos=True) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.length = total
+            bar.update(done - bar.pos)
+
+        yield show
+
+
+def check_folder(option: str, path: str) -> None:
+    """Find out that a folder cannot be made before the work is done."""
+    target = Path(path)
+    made = next((folder for folder in (target, *target.parents) if folder.exists()), None)
+    if made is None or not made.is_dir():
+        raise InputError(f"{option} = {path!r}: {str(made or target)!r} is no folder")
+
+
+def check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> None:
+    """Find out that a file cannot be written before the work is done."""
+    if path is None:
+        return
+    target = Path(path)
+    if len(target.name.encode()) > FILE_NAME_MAX:
+        raise InputError(f"{option}: the file name is too long, {len(target.name.encode())} bytes of {FILE_NAME_MAX}")
+    if target.suffix.lower() not in suffixes:
+        raise InputError(f"{option} = {path!r}: the name must end in {' or '.join(suffixes)}")
+    if target.is_dir() or not target.parent.is_dir():
+        raise InputError(f"{option} = {path!r}: there is no folder {str(target.parent)!r} to write a file into")
+
+
+def write_file(option: str, path: str, write: Callable[[], object]) -> None:
+    """Run `write`; what the system refuses is bad input of the option."""
+    try:
+        write()
+    except OSError as error:
+        raise InputError(f"{option} = {path!r}: cannot be written ({error.strerror})") from None
+
+
+def numbers(text: str | None) -> list[Any] | None:
+    """`1,2.5` as numbers; what is no number stays text, for the checks to name."""
+    return None if text is None else [number(part) for part in text.split(",")]
+
+
+def placement(text: str | None) -> Any:
+    """A placement: one number alone, or a list."""
+    parts = numbers(text)
+    return parts[0] if parts is not None and len(parts) == 1 else parts
+
+
+def number(text: str) -> Any:
+    """A number, or the text as it stands, for the checks to name."""
+    try:
+        return text.strip() if "_" in text else float(text)
+    except ValueError:
+        return text.strip()
+
+
+def whole(text: str | None) -> Any:
+    """A whole number where it is one."""
+    if text is None:
+        return None
+    value = number(text)
+    return int(value) if isinstance(value, float) and value.is_integer() else value
