@@ -15,6 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
+from benchmarks.simulation.ours import Ours, first_use, large_ensemble, python_call
 from benchmarks.simulation.peers import (
     WITHOUT_AVX512,
     HandWritten,
@@ -57,8 +58,12 @@ SINGLE_PEERS |= {"Numba, one compiled loop": NumbaLoop, "MuJoCo, all C": MujocoL
 MANY_PEERS[f"{MANY_LIMIT}, two threads"] = lambda: HandWrittenLanes(threads=2)
 
 # flexopt's rows: a constructor each, as for the peers.
-SINGLE_OURS: Rows = {}
-MANY_OURS: Rows = {}
+SINGLE_OURS: Rows = {"flexopt": Ours, "flexopt, baked": lambda: Ours(baked=True)}
+MANY_OURS: Rows = {
+    "flexopt, as simulate_ensemble runs it": lambda: Ours(watched=True),
+    "flexopt, the steps alone": Ours,
+    "flexopt, as simulate_ensemble runs it, two threads": lambda: Ours(watched=True, threads=2),
+}
 
 
 def built(rows: Rows) -> tuple[dict[str, Simulator], dict[str, str]]:
@@ -130,6 +135,19 @@ def main() -> None:
     title = f"{MEMBERS} simulations at once, ns a step and member"
     references = {n: one_by_one(many, n, judge) for n in counts}
     compare(title, MANY_PEERS | MANY_OURS, many, references, MANY_LIMIT)
+    plain, whole = python_call()
+    empty, cached = first_use()
+    seconds, memory = large_ensemble()
+    rows = [
+        ("what", "measured", "bar"),
+        ("flexopt.simulate of 10 s at 200 Hz, from Python", f"{1e3 * plain:.2f} ms", ""),
+        ("the same, its dataset included", f"{1e3 * whole:.2f} ms", "2 ms"),
+        ("first simulate of a process, nothing compiled yet", f"{empty:.2f} s", "3 s"),
+        ("first simulate of a process, code in the cache", f"{1e3 * cached:.0f} ms", "50 ms"),
+        ("simulate_ensemble, 100,000 members, 2,000 steps", f"{seconds:.1f} s", ""),
+        ("peak memory of that process", f"{memory / 2**20:.0f} MiB", "1024 MiB"),
+    ]
+    print(table("Whole calls", rows))
 
 
 if __name__ == "__main__":

@@ -44,6 +44,7 @@ class Structure:
     zeros: frozenset[str] = frozenset()
 
 
+@lru_cache(maxsize=64)
 def structure_of(machine: Machine) -> Structure:
     """A machine's structure, with the constants that are zero for its own parameters left out."""
     whole = full_structure(machine)
@@ -112,9 +113,14 @@ def constants(machine: Machine) -> ca.Function:
 
 def constant_values(machine: Machine) -> dict[str, float]:
     """The constants at the machine's own parameters."""
+    return dict(_values(machine))
+
+
+@lru_cache(maxsize=64)
+def _values(machine: Machine) -> tuple[tuple[str, float], ...]:
     function = constants(machine)
     values = function.call([ca.DM([parameter.value for parameter in machine.parameters])])
-    return dict(zip(function.name_out(), map(float, values), strict=True))
+    return tuple(zip(function.name_out(), map(float, values), strict=True))
 
 
 @dataclass(frozen=True)

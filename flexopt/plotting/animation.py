@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from flexopt.errors import Fault
-from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.arguments import Arguments, shown
 from flexopt.model.quantities import check_number
 from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.trajectory import check_runs
@@ -95,12 +95,12 @@ def _film(t: Trajectory, alive: NDArray[np.int64], seconds: float, rate: float, 
     rows = alive[kept]
     q, base, deflection = t.q[rows].copy(), t.base[rows], t.deflection[rows]
     q[:, : t.n_passive] -= deflection
-    anchor = cast(Vector, t.draw(q, base))[:, 0]
+    anchor = t.skeletons(q, base)[:, 0]
     q[:, : t.n_passive] += factor * deflection
     turning = "base.rotation" in t.coordinates[: t.n_passive]
     turn = factor * deflection[:, t.coordinates.index("base.rotation")] if turning else np.zeros(len(rows))
     caption = f"speed × {rate:g}; deflections " + ("in true size" if factor == 1 else f"× {factor:g}")
-    skeleton = cast(Vector, t.draw(q, base))
+    skeleton = t.skeletons(q, base)
     frames = np.searchsorted(kept, shots)
     return Film(t, t.time[rows], skeleton, anchor, t.target[rows], turn, frames, delay, caption)
 

@@ -20,6 +20,8 @@ Verdict = Literal["converges", "grows"]
 SETTLED = 0.02  # share of the error at the start
 # Energy of a mode below this share of the largest of all so far is rounding.
 ROUNDING = 1e-20
+# So is what moves by less than this, m and rad.
+STILL = 1e-12
 FEWEST_WINDOWS = 4
 # An amplitude that ends so many times larger than it began has grown, whatever it does in the end.
 GROWN = 3.0
@@ -32,7 +34,7 @@ class Behaviour:
     Attributes:
         grows: the verdict (N,): the run left the finite numbers, or some mode's amplitude grows: its growth rate
             exceeds twice its standard error, or it ends three times as large as it began, or no smaller and without a
-            decay of twice that error.
+            decay of twice that error. A mode at rest at the start is taken to begin in the middle of its motion.
         growth_rate: the largest of the modes' growth rates, 1/s: half the slope of the logarithm of the mode's energy,
             maxima over periods of the slowest mode, least squares over the second half of the run (N,); NaN where the
             base never moved.
@@ -60,7 +62,9 @@ class Behaviour:
         return "grows" if self.grows[member] else "converges"
 
 
-def behaviour(times: Vector, monitors: Vector, end_error: Vector, slowest_hz: float, *, turns: bool) -> Behaviour:
+def behaviour(
+    times: Vector, monitors: Vector, end_error: Vector, slowest_hz: float, *, turns: bool, still: Vector | float = 0.0
+) -> Behaviour:
     """Judge N runs.
 
     Args:
@@ -69,6 +73,7 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, slowest_hz: fl
         end_error: |e| at the end, (N,).
         slowest_hz: frequency of the slowest flexible mode.
         turns: whether the base can turn.
+        still: energy of each mode (m,), J, that is taken for rounding; by default only what is small beside the others.
     """
     squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, 2:]
     alive = np.logical_and.accumulate(np.isfinite(squared_error) & np.all(np.isfinite(energy), axis=1), axis=0)
@@ -76,12 +81,12 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, slowest_hz: fl
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)
 
     peaks, centres = _periods(times, np.where(alive[:, None], energy, np.nan), slowest_hz)
-    rate, error, first, last = _growth(peaks, centres)
+    rate, error, first, last = _growth(peaks, centres, still)
     with np.errstate(invalid="ignore"):
         growing = (rate > 2 * error) | (last >= GROWN * first) | ((last >= first) & (rate > -2 * error))
     fastest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)[None]
 
-    loud = ~(squared_error <= SETTLED**2 * squared_error[:1])
+    loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
     last_loud = len(loud) - 1 - np.argmax(loud[::-1], axis=0)
     settling = np.where(np.any(loud, axis=0), times[1:][last_loud], times[0])
     peak = np.sqrt(np.max(np.where(alive, squared_error, -np.inf), axis=0, initial=0.0))
@@ -114,14 +119,18 @@ def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, 
     return peaks, times[-1] - step * per_period * (np.arange(count)[::-1] + 0.5)
 
 
-def _growth(peaks: Vector, centres: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-    """Growth rate, its standard error, and the amplitudes in the first and the last period, each (m, N)."""
-    count = len(peaks)
+def _growth(peaks: Vector, centres: Vector, still: Vector | float) -> tuple[Vector, Vector, Vector, Vector]:
+    """Growth rate, its standard error, and the amplitudes in the first and the last period, each (m, N).
+
+    Of the periods from where a mode first leaves rounding to where it falls back, or to the end.
+    """
     largest = np.maximum.accumulate(np.max(peaks, axis=1), axis=0)[:, None]
     with np.errstate(invalid="ignore"):
-        used = np.logical_and.accumulate(np.isfinite(peaks) & (peaks > ROUNDING * largest), axis=0)
-    length = np.sum(used, axis=0)
-    used &= np.arange(count)[:, None, None] >= length // 2
+        above = np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1))))
+    begun = np.logical_or.accumulate(above, axis=0)
+    whole = begun & ~np.logical_or.accumulate(begun & ~above, axis=0)
+    begin, length = np.argmax(whole, axis=0), np.sum(whole, axis=0)
+    used = whole & (np.arange(len(peaks))[:, None, None] >= begin + length // 2)
     n = np.sum(used, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.where(used, 0.5 * np.log(peaks), 0.0)
@@ -132,8 +141,11 @@ def _growth(peaks: Vector, centres: Vector) -> tuple[Vector, Vector, Vector, Vec
         rate = np.sum(dt * dy, axis=0) / spread
         residual = np.sum((dy - rate * dt) ** 2, axis=0)
         error = np.sqrt(residual / np.maximum(n - 2, 1) / spread)
-        first = np.sqrt(peaks[0])
-        last = np.sqrt(np.take_along_axis(peaks, np.maximum(length - 1, 0)[None], axis=0)[0])
-    still = length < 2
-    nothing = np.where(still, np.nan, rate)
-    return nothing, np.where(still, np.nan, error), np.where(still, 1.0, first), np.where(still, 0.0, last)
+        # What sets in later is compared with where the fit begins: it may have been pushed.
+        start = np.where(begin == 0, 0, begin + length // 2)
+        first, last = (
+            np.sqrt(np.take_along_axis(peaks, at[None], axis=0)[0]) for at in (start, begin + np.maximum(length - 1, 0))
+        )
+    unmoved = length < 2
+    return (np.where(unmoved, np.nan, rate), np.where(unmoved, np.nan, error),
+            np.where(unmoved, 1.0, first), np.where(unmoved, 0.0, last))  # fmt: skip

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 WINDOWS = 250  # at most, for the measures of a member
 GROUP = 512  # members that go through together on one core
 BYTES_MAX = 4e9  # of samples kept
-MEMBERS_MAX = 100_000_000
 
 Keep = Literal["measures", "trajectories"]
 Progress = Callable[[int, int], None]
@@ -140,10 +139,24 @@ def simulate_ensemble(
     zeros, motion = _motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
     s = build_scenario(machine, checked, zeros, watched=True)
     plan = _Plan(s, varied, motion, n, keep)
+    _check_room(plan)
     shares = _run(plan, threads or _cores(), progress)
     given = {name: list(np.shape(value)) for name, value in varied.items()}
-    settings = checked.model_dump(exclude_defaults=True)
+    settings = checked.model_dump(exclude_unset=True)
     return Ensemble(_dataset(plan, varied, shares), provenance(machine, vary=given, keep=keep, **settings))
+
+
+def _check_room(plan: _Plan) -> None:
+    """Refuse samples that would not fit into memory, before anything runs."""
+    if plan.keep != "trajectories":
+        return
+    outputs = plan.scenario.loop.outputs
+    numbers = sum(outputs.size1_out(k) for k in range(outputs.n_out())) * (plan.scenario.samples + 1) * plan.n
+    if 8 * numbers > BYTES_MAX:
+        raise InputError(
+            f"simulate_ensemble: keep = trajectories would take {8e-9 * numbers:.3g} GB for {plan.n} members of "
+            f"{plan.scenario.samples} samples (allowed: {1e-9 * BYTES_MAX:g} GB); keep = measures needs none of it"
+        )
 
 
 @dataclass(frozen=True)
@@ -179,7 +192,7 @@ class _Plan:
         return x
 
     def signals(self, rows: slice) -> Vector | None:
-        """E (steps, n_e) or (steps, n_e, members): noise of its own for every member."""
+        """Signals e (steps, n_e) or (steps, n_e, members): noise of its own for every member."""
         s = self.scenario
         if "noise" not in s.loop.signals.sizes:
             return s.signals()
@@ -231,7 +244,7 @@ def _group(plan: _Plan, rows: slice, runner: Recurrence, shown: Batch, threads: 
     watched = records.monitor[:, : 2 + len(s.frequencies_hz)]
     end_error = np.sqrt(np.sum(error**2, axis=0))
     turns = structure.motion.rotation
-    measures = behaviour(edges, watched, end_error, float(s.frequencies_hz[0]), turns=turns)
+    measures = behaviour(edges, watched, end_error, float(s.frequencies_hz[0]), turns=turns, still=s.still)
     samples: dict[str, Vector] = {}
     if plan.keep == "trajectories":
         samples = _samples(shown, np.concatenate([start[None], records.x]), e, end, c, threads)
@@ -343,9 +356,8 @@ def _checked(machine: Machine, vary: Any, keep: Any, threads: Any) -> dict[str, 
             shapes = " or ".join("(members,)" if w == 0 else f"(members, {w})" for w in widths[name])
             faults.append(Fault(f"vary[{name!r}]", f"must have the shape {shapes}, not {array.shape}"))
         elif not np.all(np.isfinite(array)):
-            faults.append(
-                Fault(f"vary[{name!r}]", f"must be finite; entry {int(np.argmin(np.isfinite(array).ravel()))} is not")
-            )
+            row = int(np.argmin(np.isfinite(array).reshape(len(array), -1).all(axis=1)))
+            faults.append(Fault(f"vary[{name!r}]", f"must be finite; row {row} is not"))
         else:
             faults += _range_faults(machine, name, array)
             arrays[name] = array

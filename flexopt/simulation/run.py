@@ -18,7 +18,7 @@ from flexopt.model.documents import provenance
 from flexopt.model.problem import Control, Elbow
 from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor, SimulationOptions
 from flexopt.plant import Plant, build_plant
-from flexopt.simulation.behaviour import Behaviour, behaviour
+from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
 from flexopt.simulation.loop import baked, closed_loop
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
 from flexopt.simulation.structure import LoopStructure
@@ -123,7 +123,7 @@ def simulate_checked(scenario: Scenario) -> Trajectory:
     turns = loop.structure.motion.rotation
     # As in a watched loop, what is watched at a sample's start stands for the sample.
     watched = outputs["monitor"][:, :-1].T[:, :, None]
-    verdict = behaviour(s.times, watched, end_error, float(s.frequencies_hz[0]), turns=turns)
+    verdict = behaviour(s.times, watched, end_error, float(s.frequencies_hz[0]), turns=turns, still=s.still)
     check_residual(loop.structure, records.monitor)
     return _trajectory(s, outputs, verdict)
 
@@ -223,7 +223,7 @@ def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Traje
         residual_oscillation=of.residual_oscillation[:, 0],
         frequencies_hz=s.frequencies_hz,
         warnings=sentences,
-        provenance=provenance(s.machine, **s.options.model_dump(exclude_defaults=True)),
+        provenance=provenance(s.machine, **s.options.model_dump(exclude_unset=True)),
         model=s.machine,
     )
 
@@ -235,7 +235,7 @@ def _finite(value: float) -> float | None:
 def _overshoot(error: Vector) -> float | None:
     """Largest distance beyond the target along the error at the start, as a share of that error."""
     size = float(np.linalg.norm(error[0]))
-    if size == 0.0:
+    if size < STILL:
         return None
     beyond = float(np.max(-(error @ error[0]) / size**2))
     return max(0.0, beyond) if math.isfinite(beyond) else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, cast
 
 import numpy as np
@@ -22,6 +22,7 @@ from flexopt.plant import Plant, build_plant, inverse_kinematics
 from flexopt.plant.motion import Motion, constant_values, structure_of
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
+from flexopt.simulation.behaviour import STILL
 from flexopt.simulation.loop import ClosedLoop, closed_loop
 from flexopt.simulation.robust import robust_law
 from flexopt.simulation.structure import MODEL, N_TASK, LoopStructure
@@ -31,6 +32,8 @@ OFFSET = 0.05  # rad
 ACCURATE_STEP = 0.7
 # Where RK4 leaves the imaginary axis: |R(iy)| > 1 beyond √8.
 RK4_LIMIT = math.sqrt(8.0)
+# And where it leaves the negative real axis: |R(−y)| > 1 beyond.
+RK4_REAL_LIMIT = 2.785
 STATIC_TOLERANCE = 1e-8
 
 
@@ -67,9 +70,9 @@ class Scenario:
     period: float
     samples: int
 
-    @property
+    @cached_property
     def constants(self) -> Vector:
-        """C (n_c,)."""
+        """Constants c (n_c,)."""
         return self.loop.constants.packed(self.parts)[:, 0]
 
     @property
@@ -82,8 +85,14 @@ class Scenario:
         """Points of a path as the loop takes them, from where the base stands at first."""
         return path.at(times) - (self.base if name == "base" else _place(self.base))
 
+    @property
+    def still(self) -> Vector:
+        """Energy of each mode (m,), J, where every coordinate is off by what counts as rounding."""
+        projection = np.reshape(self.parts["modes"], (len(self.frequencies_hz), -1), order="F")
+        return 0.5 * self.parts["omega_squared"] * (STILL * np.sum(np.abs(projection), axis=1)) ** 2
+
     def signals(self, rng: np.random.Generator | None = None) -> Vector | None:
-        """E (samples, n_e) that is not constant, noise drawn from `rng`; None where there is none."""
+        """Signals e (samples, n_e) that is not constant, noise drawn from `rng`; None where there is none."""
         layout, options = self.loop.signals, self.options
         if not layout.total:
             return None
@@ -137,7 +146,7 @@ def build_scenario(
     design = _design(machine, options.posture, options.end_point, options.elbow, options.base, options.gravity)
     period = 1 / options.rate
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
-    substeps, iterations = _stepping(options, fastest)
+    substeps, iterations = _stepping(options, fastest, 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,)))
     structure = _structure(machine, options, substeps, iterations)
     structure = replace(structure, watched=watched)
     if zeros is not None:
@@ -285,24 +294,24 @@ def _flexible_modes(stiffness: Vector, mass: Vector, m: int) -> tuple[Vector, Ve
     return frequencies, modes
 
 
-def _stepping(options: SimulationOptions, fastest: float) -> tuple[int, int]:
-    """Integration steps in a sample, and iterations of the implicit method; `fastest` in rad/s."""
+def _stepping(options: SimulationOptions, mode: float, servo: float) -> tuple[int, int]:
+    """Integration steps in a sample, and iterations of the implicit method; the fastest mode and servo in rad/s."""
     period = 1 / options.rate
-    substeps = options.substeps
+    fastest, substeps = max(mode, servo), options.substeps
+    what = f"mode at {mode / (2 * math.pi):.4g} Hz" if mode >= servo else f"servo of {servo / (2 * math.pi):.4g} Hz"
     if substeps is None:
         substeps = 1 if options.integrator == "rk4" else max(1, math.ceil(fastest * period / ACCURATE_STEP))
     reach = fastest * period / substeps
-    if options.integrator == "rk4" and reach > RK4_LIMIT:
-        need = math.ceil(fastest * period / RK4_LIMIT)
+    need = max(math.ceil(mode * period / RK4_LIMIT), math.ceil(servo * period / RK4_REAL_LIMIT))
+    if options.integrator == "rk4" and substeps < need:
         raise InputError(
-            f"simulate: rate = {options.rate:g} Hz with {substeps} substeps: RK4 is unstable for the mode at "
-            f"{fastest / (2 * math.pi):.4g} Hz (step {period / substeps:g} s); needs substeps of at least {need}, or "
-            "integrator = 'dop853' or 'gauss'"
+            f"simulate: rate = {options.rate:g} Hz with {substeps} substeps: RK4 is unstable for the {what} "
+            f"(step {period / substeps:g} s); needs substeps of at least {need}, or integrator = 'dop853' or 'gauss'"
         )
     if reach > 100.0 or substeps > 1000:
         raise InputError(
-            f"simulate: rate = {options.rate:g} Hz is too slow for the mode at {fastest / (2 * math.pi):.4g} Hz: "
-            "a sample would need more than 1000 integration steps"
+            f"simulate: rate = {options.rate:g} Hz is too slow for the {what}: a sample would need more than 1000 "
+            "integration steps"
         )
     # Fixed-point iterations shrink the change by a quarter of the step in radians of the fastest mode.
     shrink = min(0.25 * reach, 0.75)

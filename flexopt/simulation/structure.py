@@ -87,13 +87,13 @@ class Layout:
         return {name: column[part] for name, part in self.slices.items()}
 
     def packed(self, parts: Mapping[str, Any]) -> NDArray[np.float64]:
-        """One array (total,) or (total, N) from parts (size,) or (size, N), those for all members repeated."""
+        """One array (total, 1) or (total, N) from parts (size,) or (size, N), those for all members repeated."""
         columns = [np.asarray(parts[name], dtype=np.float64) for name in self.sizes]
-        columns = [
-            part.reshape(size, -1 if size else 1) for part, size in zip(columns, self.sizes.values(), strict=True)
-        ]
-        n = max((part.shape[1] for part in columns if part.size), default=1)
-        return np.concatenate([np.broadcast_to(part, (len(part), n)) for part in columns] or [np.zeros((0, n))])
+        n = max((part.size // size for part, size in zip(columns, self.sizes.values(), strict=True) if size), default=1)
+        result = np.empty((self.total, n))
+        for part, where, size in zip(columns, self.slices.values(), self.sizes.values(), strict=True):
+            result[where] = part.reshape(size, -1) if size else 0.0
+        return result
 
 
 def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:

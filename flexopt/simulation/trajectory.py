@@ -80,10 +80,18 @@ class Trajectory:
     @cached_property
     def skeleton(self) -> Vector:
         """See the class."""
-        plant, n = build_plant(self.model), len(self.time)
+        return self.skeletons(self.q, self.base)
+
+    def skeletons(self, q: Vector, base: Vector) -> Vector:
+        """Ground point, joints and end-point in K configurations (K, n_q) and placements (K, n_b).
+
+        Returns:
+            (K, n_bodies + 1, n_task), m.
+        """
+        plant, n = build_plant(self.model), len(q)
         p = np.repeat(plant.parameter_values.full(), n, axis=1)
-        points = plant.skeleton.map(n)(self.q.T, self.base.T, p).full()
-        return cast(Vector, points.T.reshape(n, -1, plant.n_task))
+        points = plant.skeleton.map(n).call([q.T, base.T, p])[0].full()
+        return points.T.reshape(n, -1, plant.n_task)
 
     @cached_property
     def dataset(self) -> xr.Dataset:

@@ -1,0 +1,290 @@
+"""Growth rates, verdicts and settling times of signals that are known in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import linregress
+
+from flexopt.simulation.behaviour import behaviour
+from flexopt.simulation.run import _overshoot
+
+STEP, SLOWEST = 0.005, 3.0
+TIMES = np.arange(2001) * STEP
+AT = TIMES[:-1]
+
+
+def judged(*energies, error=None, rotation=None, times=TIMES, end=None, still=0.0):
+    """Behaviour of one member whose modes have these energies."""
+    n = len(times) - 1
+    error = np.exp(-times[:-1]) if error is None else error
+    rotation = np.zeros(n) if rotation is None else rotation
+    monitors = np.stack([error**2, rotation**2, *energies], axis=1)[:, :, None]
+    return behaviour(
+        times, monitors, np.array([abs(error[-1]) if end is None else end]), SLOWEST, turns=True, still=still
+    )
+
+
+def amplitude(rate, frequency=SLOWEST, phase=0.0, wobble=0.0):
+    """Energy of a mode whose amplitude goes as exp(rate t); `wobble` lets it beat at twice the frequency."""
+    return np.exp(2 * rate * AT) * (1 + wobble * np.cos(4 * math.pi * frequency * AT + phase))
+
+
+@settings(derandomize=True, deadline=None)
+@given(rate=st.floats(-3, 3), frequency=st.floats(3, 25), phase=st.floats(0, 6), wobble=st.floats(0, 0.9))
+def test_one_mode(rate, frequency, phase, wobble):
+    result = judged(amplitude(rate, frequency, phase, wobble))
+    measured, error = float(result.growth_rate[0]), float(result.growth_rate_error[0])
+    # Periods are whole samples, so the largest value wanders through them by up to half a period of what wobbles, a
+    # twelfth of a second: over the five of the fit 2/60 of the rate.
+    assert abs(measured - rate) <= 3 * error + (0.04 if wobble else 1e-6) * abs(rate) + 1e-9
+    if abs(rate) > 0.01:
+        assert result.grows[0] == (rate > 0)
+
+
+@pytest.mark.parametrize("rate", [-2.0, -0.05, 0.05, 2.0])
+def test_a_clean_exponential_gives_its_rate(rate):
+    """Maxima over equal spans of an exponential are an exponential again: the fit is exact."""
+    result = judged(amplitude(rate))
+    assert result.growth_rate[0] == pytest.approx(rate, rel=1e-9)
+    assert result.growth_rate_error[0] < 1e-8
+    assert result.verdict() == ("grows" if rate > 0 else "converges")
+
+
+def test_the_fit_is_a_linear_regression():
+    """Slope and standard error of the second half's logarithms, against SciPy's, each period one step of a staircase."""
+    rng = np.random.default_rng(5)
+    logarithms = 0.3 * np.arange(40) * 0.25 + rng.normal(0.0, 0.1, 40)
+    times = np.arange(2001) * STEP
+    energy = np.repeat(np.exp(2 * logarithms), 50)
+    monitors = np.stack([np.exp(-AT), 0 * AT, energy], axis=1)[:, :, None]
+    result = behaviour(times, monitors, np.ones(1), 4.0, turns=True)
+    expected = linregress(0.25 * np.arange(20), logarithms[20:])
+    assert result.growth_rate[0] == pytest.approx(expected.slope, rel=1e-10)
+    assert result.growth_rate_error[0] == pytest.approx(expected.stderr, rel=1e-10)
+
+
+def test_periods_hide_what_happens_within_them():
+    """A measure that touches zero twice in each period still gives its envelope's rate."""
+    result = judged(np.exp(-0.6 * AT) * np.cos(2 * math.pi * SLOWEST * AT) ** 2)
+    assert result.growth_rate[0] == pytest.approx(-0.3, rel=0.05)
+    assert result.growth_rate_error[0] < 5e-3
+
+
+def test_the_fastest_growing_mode_decides():
+    both = judged(amplitude(-0.5), 1e-6 * amplitude(0.3, 13.0), amplitude(-2.0, 22.0))
+    assert both.grows[0]
+    assert both.growth_rate[0] == pytest.approx(0.3, rel=1e-6)
+    calm = judged(amplitude(-0.5), 1e-6 * amplitude(-0.3, 13.0), amplitude(-2.0, 22.0))
+    assert not calm.grows[0]
+    assert calm.growth_rate[0] == pytest.approx(-0.3, rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [-0.3, 0.3])
+@pytest.mark.parametrize("beat", [0.4, 1.1])
+def test_two_modes_that_beat(rate, beat):
+    """Energy that swings to and fro between a mode and a neighbour: the error says what the fit is worth."""
+    shape = np.exp(2 * rate * AT) * (1 + 0.5 * np.cos(2 * math.pi * beat * AT))
+    result = judged(shape)
+    assert abs(result.growth_rate[0] - rate) <= 3 * result.growth_rate_error[0]
+    assert result.growth_rate_error[0] > 1e-3
+    assert result.grows[0] == (rate > 0)
+
+
+def test_a_transient_that_dies_before_the_oscillation_grows():
+    shape = 100 * amplitude(-5.0) + 1e-3 * amplitude(0.4)
+    result = judged(shape)
+    assert result.grows[0]
+    assert result.growth_rate[0] == pytest.approx(0.4, rel=0.02)
+
+
+def test_nothing_moves():
+    result = judged(np.zeros(2000), error=np.zeros(2000))
+    assert not result.grows[0]
+    assert result.verdict() == "converges"
+    assert np.isnan(result.growth_rate[0])
+    assert np.isnan(result.growth_rate_error[0])
+    assert result.settling_time[0] == 0.0
+    assert result.end_error[0] == 0.0
+    assert result.peak_error[0] == 0.0
+    assert result.finite_until[0] == TIMES[-1]
+    np.testing.assert_array_equal(result.residual_oscillation, [[0.0]])
+
+
+def test_a_mode_that_never_moves_beside_one_that_does():
+    result = judged(np.zeros(2000), amplitude(-0.4))
+    assert not result.grows[0]
+    assert result.growth_rate[0] == pytest.approx(-0.4, rel=1e-6)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("at", [1, 700, 1999])
+def test_a_run_that_leaves_the_finite_numbers(bad, at):
+    energy, error = amplitude(0.2), np.ones(2000)
+    energy[at:] = bad
+    error[at:] = bad
+    result = judged(energy, error=error, end=np.nan)
+    assert result.grows[0]
+    assert result.finite_until[0] == pytest.approx(at * STEP)
+    assert result.end_error[0] == np.inf
+    assert result.peak_error[0] == np.inf
+    assert np.isnan(result.settling_time[0])
+    if at > 600:
+        assert result.growth_rate[0] == pytest.approx(0.2, rel=0.02)
+
+
+def test_only_the_end_is_not_finite():
+    """The state after the last sample, which no monitor sees."""
+    result = judged(amplitude(-0.2), end=np.nan)
+    assert result.grows[0]
+    assert result.end_error[0] == np.inf
+
+
+def test_rounding_is_no_oscillation():
+    """A decay of −20/s meets rounding, at 1e-26 of where it began, after 1.5 s; what follows is not fitted."""
+    rng = np.random.default_rng(0)
+    noise = 1e-26 * rng.uniform(0.5, 2.0, 2000) * np.exp(0.2 * AT)
+    result = judged(amplitude(-20.0) + noise)
+    assert not result.grows[0]
+    assert result.growth_rate[0] == pytest.approx(-20.0, rel=0.02)
+
+
+def test_a_noise_floor_seldom_counts_as_growth():
+    """Sensor noise keeps the base moving at a level: the rate is zero within its error, and seldom called growth.
+
+    The verdict takes a slope of more than twice its error for growth: 2.5 % of the slopes of pure noise.
+    """
+    grown = 0
+    for seed in range(300):
+        noise = np.random.default_rng(seed).chisquare(2, 2000) * 1e-4
+        result = judged(amplitude(-3.0) + noise)
+        assert abs(result.growth_rate[0]) < 5 * result.growth_rate_error[0]
+        grown += bool(result.grows[0])
+    assert grown / 300 < 0.06
+
+
+def test_threefold_growth_counts_whatever_comes_last():
+    shape = np.where(AT < 5, np.exp(1.0 * AT), np.exp(5.0) * np.exp(-0.2 * (AT - 5)))
+    result = judged(shape)
+    assert result.growth_rate[0] < 0
+    assert result.grows[0]
+
+
+def test_what_stays_below_rounding_has_no_rate():
+    still = np.array([1e-18])
+    result = judged(1e-20 * amplitude(0.1), still=still)
+    assert result.verdict() == "converges"
+    assert np.isnan(result.growth_rate[0])
+
+
+def test_growth_out_of_rounding_is_seen():
+    """Noise below the floor for a second, then exp(0.8 t) rises from it."""
+    shape = 1e-20 * np.random.default_rng(1).uniform(0.5, 2.0, 2000) + 1e-19 * amplitude(0.8)
+    result = judged(shape, still=np.array([1e-18]))
+    assert result.verdict() == "grows"
+    assert result.growth_rate[0] == pytest.approx(0.8, rel=0.02)
+
+
+def test_decay_into_rounding_is_fitted_down_to_it():
+    shape = np.maximum(amplitude(-4.0), 1e-19 * (1 + AT))
+    result = judged(shape, still=np.array([1e-18]))
+    assert result.verdict() == "converges"
+    assert result.growth_rate[0] == pytest.approx(-4.0, rel=0.01)
+
+
+def test_a_mode_that_is_pushed_later_and_then_decays():
+    """Zero for two seconds, driven for one, and free from there: its rise is no growth."""
+    shape = np.where(AT < 2, 0.0, np.where(AT < 3, (AT - 2) ** 2, np.exp(-0.6 * (AT - 3))))
+    result = judged(amplitude(-1.0), shape, still=np.full(2, 1e-18))
+    assert result.verdict() == "converges"
+    assert result.growth_rate[0] == pytest.approx(-0.3, rel=0.01)
+
+
+@pytest.mark.parametrize("decay", [0.8, 2.0, 10.0])
+def test_settling_time_of_a_decay(decay):
+    """e = e₀ exp(−σ t) stays below 2 % from ln 50/σ on."""
+    result = judged(amplitude(-1.0), error=0.3 * np.exp(-decay * AT))
+    exact = math.log(50) / decay
+    assert exact <= result.settling_time[0] <= exact + STEP * (1 + 1e-9)
+    assert result.peak_error[0] == pytest.approx(0.3)
+    assert result.end_error[0] == pytest.approx(0.3 * np.exp(-decay * AT[-1]))
+
+
+def test_settling_waits_for_the_last_time_it_is_left():
+    error = np.full(2000, 0.001)
+    error[0], error[900] = 1.0, 0.021
+    assert judged(amplitude(-1.0), error=error).settling_time[0] == pytest.approx(901 * STEP)
+    error[900] = 0.02
+    assert judged(amplitude(-1.0), error=error).settling_time[0] == pytest.approx(STEP)
+    error[-1] = 0.5
+    assert np.isnan(judged(amplitude(-1.0), error=error).settling_time[0])
+
+
+def test_peak_rotation_is_the_largest():
+    turn = 0.04 * np.exp(-AT) * np.abs(np.cos(7 * AT))
+    assert judged(amplitude(-1.0), rotation=turn).peak_base_rotation[0] == pytest.approx(turn.max())
+    monitors = np.ones((10, 3, 1))
+    rigid = behaviour(np.arange(11.0), monitors, np.ones(1), SLOWEST, turns=False)
+    assert np.isnan(rigid.peak_base_rotation[0])
+
+
+@pytest.mark.parametrize("rate", [-1.0, -0.02, 0.02, 1.0])
+@pytest.mark.parametrize("window", [2, 7, 40])
+def test_windows_and_samples_give_the_same_verdict(rate, window):
+    error = np.exp(-0.7 * AT)
+    rows = np.stack([error**2, 0 * AT, amplitude(rate, 3.0, 0.4, 0.5), amplitude(-2.0, 13.0)], axis=1)
+    starts = np.arange(0, 2000, window)
+    edges = np.append(AT[starts], TIMES[-1])
+    fine = behaviour(TIMES, rows[:, :, None], error[-1:], SLOWEST, turns=True)
+    coarse = behaviour(edges, np.maximum.reduceat(rows, starts)[:, :, None], error[-1:], SLOWEST, turns=True)
+    assert fine.grows[0] == coarse.grows[0] == (rate > 0)
+    allowed = 3 * (fine.growth_rate_error[0] + coarse.growth_rate_error[0]) + 2e-3
+    assert abs(fine.growth_rate[0] - coarse.growth_rate[0]) <= allowed + 0.02 * abs(rate)
+    assert abs(fine.settling_time[0] - coarse.settling_time[0]) <= window * STEP + 1e-12
+    assert fine.peak_error[0] == coarse.peak_error[0]
+
+
+def test_members_do_not_touch_each_other():
+    rng = np.random.default_rng(3)
+    rates = rng.uniform(-1, 1, 9)
+    monitors = np.stack(
+        [np.stack([np.exp(-AT), 0 * AT, amplitude(rate, 3.0), amplitude(rate - 1, 13.0)], axis=1) for rate in rates],
+        axis=2,
+    )
+    monitors[300:, :, 4] = np.nan
+    monitors[:, 2:, 6] = 0.0
+    together = behaviour(TIMES, monitors, np.ones(9), SLOWEST, turns=True)
+    for i in range(9):
+        alone = behaviour(TIMES, monitors[:, :, i : i + 1], np.ones(1), SLOWEST, turns=True)
+        for name in ("grows", "growth_rate", "growth_rate_error", "settling_time", "finite_until", "peak_error"):
+            np.testing.assert_allclose(getattr(together, name)[i], getattr(alone, name)[0], rtol=1e-12)
+        np.testing.assert_array_equal(together.residual_oscillation[:, i], alone.residual_oscillation[:, 0])
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 5, 17])
+def test_short_runs_are_judged_without_complaint(samples):
+    times = np.arange(samples + 1) * STEP
+    monitors = np.ones((samples, 4, 2))
+    monitors[:, 2:, 1] = 0.0
+    result = behaviour(times, monitors, np.ones(2), SLOWEST, turns=True)
+    assert result.grows.shape == (2,)
+    assert result.residual_oscillation.shape == (2, 2)
+    assert not result.grows[1]
+
+
+@pytest.mark.parametrize("zeta", [0.1, 0.4, 0.7])
+def test_overshoot_of_the_second_order_response(zeta):
+    """exp(−π ζ/√(1 − ζ²)), in whatever direction the error points."""
+    root = math.sqrt(1 - zeta**2)
+    t = np.linspace(0, 10, 20_001)
+    e = np.exp(-zeta * t) * (np.cos(root * t) + zeta / root * np.sin(root * t))
+    error = np.outer(e, [0.3, -0.4])
+    assert _overshoot(error) == pytest.approx(math.exp(-math.pi * zeta / root), rel=1e-6)
+    assert _overshoot(np.outer(np.exp(-t), [0.0, 1.0])) == 0.0
+    assert _overshoot(np.zeros((5, 2))) is None
+    error[7] = np.nan
+    assert _overshoot(error) is None

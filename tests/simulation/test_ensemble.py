@@ -1,0 +1,139 @@
+"""Ensembles: every member is the run that `simulate` makes of it, and nothing depends on how they are grouped."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import flexopt
+from flexopt.errors import FlexoptError, InputError
+from flexopt.model import machine_from_dict
+from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
+
+OFFSETS = np.random.default_rng(3).normal(0.0, 0.03, (21, 2))
+
+
+def with_payload(mass):
+    return machine_from_dict(EXCAVATOR.to_dict() | {"payload": {"mass": float(mass)}})
+
+
+def test_members_are_the_runs_of_simulate():
+    kp, kv = np.linspace(2e4, 2e5, 21), np.linspace(1e3, 4e3, 21)
+    many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"offset": OFFSETS, "kp": kp, "kv": kv}).dataset
+    for k in (0, 7, 20):
+        one = flexopt.simulate(EXCAVATOR, POSTURE_B, offset=OFFSETS[k], kp=kp[k], kv=kv[k])
+        assert bool(many["grows"][k]) == (one.verdict == "grows")
+        # Windows of an ensemble hold several samples, so periods begin a few samples apart.
+        assert float(many["growth_rate"][k]) == pytest.approx(one.growth_rate, abs=3e-3)
+        assert float(many["end_error"][k]) == pytest.approx(one.end_error, abs=1e-10)
+        assert float(many["peak_base_rotation"][k]) == pytest.approx(one.peak_base_rotation, abs=1e-4)
+        settled = float(many["settling_time"][k])
+        assert (
+            math.isnan(settled) if one.settling_time is None else settled == pytest.approx(one.settling_time, abs=0.05)
+        )
+
+
+def test_trajectories_of_members():
+    kept = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"offset": OFFSETS}, keep="trajectories", duration=2.0)
+    one = flexopt.simulate(EXCAVATOR, POSTURE_B, offset=OFFSETS[5], duration=2.0)
+    for name in ("q", "v", "end_point", "error", "torque", "energy"):
+        member = kept.dataset[name][5].to_numpy()
+        size = np.abs(getattr(one, name)).max()
+        assert np.abs(member - getattr(one, name)).max() <= 1e-10 * size
+    assert kept.dataset["time"].to_numpy() == pytest.approx(one.time)
+
+
+def test_parameters_vary_the_machine_and_not_the_controller():
+    masses = np.array([0.0, 150.0, 900.0])
+    many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"payload.mass": masses}, keep="trajectories").dataset
+    for k, mass in enumerate(masses):
+        # The Jacobian knows no mass, so the controller is the same.
+        one = flexopt.simulate(with_payload(mass), POSTURE_B)
+        assert np.abs(many["q"][k].to_numpy() - one.q).max() < 1e-10
+    lengths = flexopt.simulate_ensemble(
+        EXCAVATOR, POSTURE_B, vary={"stick.length": [1.097, 1.2]}, duration=1.0, keep="trajectories"
+    ).dataset
+    # The target stays that of the machine in hand, so a longer stick begins with an error of its own.
+    assert np.abs(lengths["error"][1, 0] - lengths["error"][0, 0]).max() > 0.05
+
+
+@pytest.mark.parametrize("options", [{}, {"sensor": {"noise": 1e-3, "delay": 0.01}, "seed": 5}], ids=["exact", "noisy"])
+def test_grouping_and_threads_do_not_matter(options, monkeypatch):
+    vary = {"offset": OFFSETS}
+    one = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary=vary, threads=1, duration=2.0, **options)
+    monkeypatch.setattr("flexopt.simulation.ensemble.GROUP", 3)
+    done: list[tuple[int, int]] = []
+    two = flexopt.simulate_ensemble(
+        EXCAVATOR, POSTURE_B, vary=vary, threads=2, duration=2.0, progress=lambda *now: done.append(now), **options
+    )
+    xr.testing.assert_identical(one.dataset, two.dataset)
+    assert done == [(min(6 * k, 21), 21) for k in range(1, 5)]
+
+
+def test_start_states():
+    deflection, rates = np.array([[1e-3, 0.0, 0.01], [0.0, 0.0, 0.0]]), np.array([[0.0] * 5, [0.0, 0.0, 0.1, 0.0, 0.2]])
+    vary = {"deflection": deflection, "rates": rates, "offset": np.zeros((2, 2))}
+    start = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_A, vary=vary, keep="trajectories", duration=0.1).dataset
+    rest = np.array([0.0, 0.0, 1.2451, *POSTURE_A])
+    assert start["q"][0, 0].to_numpy() == pytest.approx(rest + np.array([1e-3, 0.0, 0.01, 0.0, 0.0]), abs=1e-15)
+    assert start["v"][1, 0].to_numpy() == pytest.approx(rates[1], abs=1e-15)
+
+
+def test_divergence_of_one_member_leaves_the_others_alone():
+    kp = np.array([1e5, 1e12, 1e5])
+    many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"kp": kp}).dataset
+    assert many["grows"].to_numpy().tolist() == [False, True, False]
+    assert many["finite_until"].to_numpy()[1] < 10.0
+    assert float(many["end_error"][0]) == float(many["end_error"][2])
+    assert math.isinf(float(many["end_error"][1]))
+
+
+def test_summary_and_file(tmp_path):
+    ensemble = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"kp": [1e5, 1e12]})
+    document = json.loads(json.dumps(ensemble.to_dict(), allow_nan=False))
+    assert document["members"] == 2
+    assert document["growing"] == 0.5
+    assert "50.0 % grow" in repr(ensemble)
+    ensemble.to_netcdf(tmp_path / "e.nc")
+    with xr.open_dataset(tmp_path / "e.nc") as back:
+        assert back["grows"].to_numpy().tolist() == [0, 1]
+        assert back["kp"].to_numpy().tolist() == [1e5, 1e12]
+
+
+BAD = [
+    ({}, "must be a dictionary"),
+    (None, "must be a dictionary"),
+    ({"kq": [1.0]}, "is not something that varies"),
+    ({"kp": [1.0, math.nan]}, "row 1 is not"),
+    ({"kp": [-1.0]}, "must not be negative"),
+    ({"kp": []}, "must have the shape"),
+    ({"kp": "many"}, "must be numbers"),
+    ({"offset": [[0.1, 0.2, 0.3]]}, "(members, 2)"),
+    ({"offset": [[0.1, 0.2]], "kp": [1.0, 2.0]}, "one number of members"),
+    ({"payload.mass": [-1.0]}, "must not be negative"),
+    ({"boom.mass": [0.0]}, "greater than 0 kg"),
+    ({"base.stiffness.x": [math.inf]}, "must be finite"),
+]
+
+
+@pytest.mark.parametrize(("vary", "message"), BAD, ids=lambda x: str(x)[:30])
+def test_bad_input(vary, message):
+    with pytest.raises(InputError, match="simulate_ensemble") as caught:
+        flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary=vary)
+    assert message in str(caught.value)
+
+
+def test_all_faults_at_once():
+    with pytest.raises(InputError) as caught:
+        flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"kp": [-1.0], "kz": [1.0]}, keep="all", threads=0)
+    assert len(caught.value.faults) == 4
+
+
+def test_samples_that_would_fill_the_memory_are_refused():
+    vary = {"offset": np.zeros((100_000, 2))}
+    with pytest.raises(FlexoptError, match="GB"):
+        flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary=vary, keep="trajectories")

@@ -1,0 +1,254 @@
+"""Convergence orders against an independent ODE; what Gauss's method keeps: the symplectic form, and the way back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from flexopt import build_plant
+from flexopt.model import machine_from_dict
+from flexopt.plant.motion import Motion
+from flexopt.simulation.scenario import Scenario
+from flexopt.simulation.tableaus import dormand_prince, gauss
+from tests.oracles.closed_loop_ode import Loop
+from tests.oracles.machines import NumpySource, Structure, draw_machine
+from tests.simulation.loops import EXCAVATOR, POSTURE_A, Case, scenario, stable_case
+
+ORDERS = {"rk4": 4, "dop853": 8, "gauss": 6}
+# First step in radians of the fastest mode: where the next two halvings show the order above rounding.
+FIRST = {"rk4": 0.4, "dop853": 1.6, "gauss": 1.2}
+
+
+def final(made: Scenario, steps: int) -> np.ndarray:
+    """[q, v] after so many samples, step by step in CasADi's virtual machine."""
+    loop, x, c = made.loop, made.start, made.constants
+    signals = made.signals()
+    for k in range(steps):
+        x = loop.step(x, ca.DM.zeros(0) if signals is None else signals[k], c)[0]
+    shown = loop.outputs(x, ca.DM.zeros(loop.signals.total), c)
+    return np.concatenate([shown[0].full().ravel(), shown[1].full().ravel()])
+
+
+def check_order(errors: list[float], order: int) -> None:
+    """The order between the last two errors that rounding (10⁻¹³ and less) does not touch."""
+    above = [error for error in errors if error > 5e-13]
+    assert len(above) >= 2, errors
+    assert above[0] < 1e-3, errors
+    measured = math.log2(above[-2] / above[-1])
+    # A method may gain on its order over a whole run; it may not lose.
+    assert order - 0.4 < measured < order + 1.2, errors
+
+
+PARTS = [
+    pytest.param({}, id="pd"),
+    pytest.param({"feedback": "pid"}, id="pid"),
+    pytest.param({"feedback": "pid", "actuator": "servo"}, id="pid with servo"),
+    pytest.param({"gravity": True}, id="gravity"),
+    pytest.param({"paths": True}, id="moving base and target"),
+]
+
+
+def both(case: Case, parts: dict, span: float) -> tuple[dict, Loop]:
+    """The same loop as options of `simulate` and as the independent ODE."""
+    o = case.options
+    given = {name: o[name] for name in ("posture", "base", "control", "kp", "kv", "offset")}
+    given |= {"nullspace_damping": o.get("nullspace_damping", 0.0)}
+    words = {name: given[name] for name in ("base", "control", "kp", "kv", "nullspace_damping")}
+    if parts.get("feedback") == "pid":
+        ki = 0.5 * o["kp"]
+        given |= {"feedback": "pid", "ki": ki}
+        words |= {"ki": ki}
+    if parts.get("actuator"):
+        given |= {"actuator": {"bandwidth_hz": 20.0}}
+        words |= {"bandwidth": 2 * math.pi * 20.0}
+    if parts.get("gravity"):
+        given |= {"gravity": True}
+        words |= {"gravity": True}
+    loop = Loop(case.machine, np.asarray(o["posture"]), **words)
+    if parts.get("paths"):
+        far, aside = o["base"] + 0.3 * span, loop.target + np.array([0.4, -0.2]) * span
+        given["base_path"] = {"times": [0.0, span], "points": [[o["base"]], [far]]}
+        given["target_path"] = {"times": [0.0, span], "points": [loop.target.tolist(), aside.tolist()]}
+        base, target = o["base"], loop.target
+        loop.base_path = lambda t: base + 0.3 * t
+        loop.target_path = lambda t: target + np.array([0.4, -0.2]) * t
+    return given, loop
+
+
+@pytest.mark.parametrize("parts", PARTS)
+@pytest.mark.parametrize("method", list(ORDERS))
+def test_order_with_continuous_control(method, parts):
+    structure = Structure(3, ("x", "rotation"), (1,))
+    case = stable_case(3, structure, "inverse")
+    fastest = 2 * math.pi * case.scenario.frequencies_hz[-1]
+    span = 12 / fastest
+    given, loop = both(case, parts, span)
+    exact = loop.run(case.options["offset"], period=span, samples=1, hold=False, exact=True)[-1]
+    size, errors = np.abs(exact).max(), list[float]()
+    for halvings in range(3):
+        steps = math.ceil(fastest * span / FIRST[method]) * 2**halvings
+        made = scenario(
+            case.machine, **given, hold=False, integrator=method, substeps=1, rate=steps / span, duration=span
+        )
+        assert made.samples == steps
+        errors.append(float(np.abs(final(made, steps) - exact).max() / size))
+    check_order(errors, ORDERS[method])
+
+
+@pytest.mark.parametrize("parts", [PARTS[1], PARTS[2], PARTS[4]])
+@pytest.mark.parametrize("method", list(ORDERS))
+def test_order_with_a_held_command(method, parts):
+    structure = Structure(2, ("x", "y", "rotation"), ())
+    case = stable_case(5, structure, "transpose")
+    fastest = 2 * math.pi * case.scenario.frequencies_hz[-1]
+    samples = 3
+    period = 4 / fastest
+    given, loop = both(case, parts, samples * period)
+    exact = loop.run(case.options["offset"], period=period, samples=samples, exact=True)[-1]
+    size, errors = np.abs(exact).max(), list[float]()
+    first = math.ceil(4 / FIRST[method])
+    for substeps in (first, 2 * first, 4 * first):
+        made = scenario(
+            case.machine, **given, integrator=method, substeps=substeps, rate=1 / period, duration=samples * period
+        )
+        errors.append(float(np.abs(final(made, samples) - exact).max() / size))
+    check_order(errors, ORDERS[method])
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("control", ["inverse", "transpose"])
+def test_accurate_methods_meet_the_ode_on_random_machines(seed, control):
+    """At their default steps of 0.7 radians of the fastest mode."""
+    structures = [Structure(2, ("y",), ()), Structure(3, ("rotation",), (0,)), Structure(4, ("x", "y"), ()),
+                  Structure(5, ("x", "y", "rotation"), (2,))]  # fmt: skip
+    case = stable_case(20 + seed, structures[seed], control)
+    rate, samples = case.options["rate"], 8
+    given, loop = both(case, {}, samples / rate)
+    exact = loop.run(case.options["offset"], period=1 / rate, samples=samples, exact=True)[-1]
+    for method, bound in (("dop853", 3e-8), ("gauss", 2e-6)):
+        made = scenario(case.machine, **given, integrator=method, rate=rate, duration=samples / rate)
+        error = np.abs(final(made, samples) - exact).max() / np.abs(exact).max()
+        assert error < bound
+
+
+def conservative(seed: int, structure: Structure) -> Scenario:
+    """No dampers, no controller; gravity acts and is not compensated at all."""
+    rng = np.random.default_rng(seed)
+    data = draw_machine(NumpySource(rng), structure, spread=30.0, damping_ratio=0.0, joint_damping=False)
+    n = structure[0] - len(structure[2])
+    return scenario(
+        machine_from_dict(data), posture=0.5 + 0.3 * np.arange(n), offset=0 * np.arange(n), feedback="none",
+        integrator="gauss", gravity=False, rate=50.0, duration=1.0,
+    )  # fmt: skip
+
+
+def canonical(made: Scenario, method: str, h: float) -> tuple[ca.Function, ca.Function]:
+    """The step and its Jacobian in (u, p = M w), p in units that make u and p alike."""
+    structure = replace(made.loop.structure, method=method, substeps=1)
+    loop = replace(made.loop, structure=structure)
+    motion = Motion(structure.motion, {name: ca.SX(value) for name, value in made.parts.items() if np.ndim(value) == 0})
+    n = motion.n
+    u, w, p = (ca.SX.sym(name, n) for name in "uwp")
+    angles = motion.angles(u)
+    along = motion.with_base([(ca.cos(angles[k]), ca.sin(angles[k])) for k in range(angles.shape[0])])
+    plant = build_plant(made.machine)
+    unit = float(np.trace(plant.mass(made.q_design, made.base, plant.parameter_values).full())) / n / h
+    to_rates = ca.Function("to_rates", [u, p], [motion.rates_of_momentum(unit * p, along)])
+    to_momentum = ca.Function("to_momentum", [u, w], [motion.momentum(w, along) / unit])
+    c = made.constants.copy()
+    c[loop.constants.slices["h"]] = h
+    start, here = ca.MX.sym("u", n), ca.MX.sym("p", n)
+    after = loop.step(ca.vertcat(start, to_rates(start, here)), ca.DM.zeros(0), c)[0]
+    end = ca.vertcat(after[:n], to_momentum(after[:n], after[n : 2 * n]))
+    both = ca.vertcat(start, here)
+    at = ca.MX.sym("at", 2 * n)
+    step = ca.Function("canonical", [start, here], [end, ca.jacobian(end, both)])
+    return ca.Function("of", [at], list(step(at[:n], at[n:]))), to_momentum
+
+
+SYMPLECTIC = [Structure(2, ("x", "y", "rotation"), ()), Structure(3, ("x",), (1,)), Structure(3, ("y", "rotation"), ())]
+
+
+@pytest.mark.parametrize("structure", SYMPLECTIC, ids=str)
+def test_gauss_keeps_the_symplectic_form_and_rk4_does_not(structure):
+    made = conservative(3, structure)
+    h = 1.0 / (2 * math.pi * made.frequencies_hz[-1])
+    rng = np.random.default_rng(0)
+    n = len(made.q_design)
+    omega = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+    left = {}
+    for method in ("gauss", "rk4"):
+        step, to_momentum = canonical(made, method, h)
+        w = rng.uniform(-1, 1, n)
+        u = made.start[:n] + 0.05 * rng.uniform(-1, 1, n)
+        at = np.concatenate([u, to_momentum(u, w).full().ravel()])
+        jacobian = step(at)[1].full()
+        # Rounding of the Jacobian's entries, which differ in size by the spread of the inertias.
+        size = np.linalg.norm(jacobian) ** 2
+        left[method] = np.linalg.norm(jacobian.T @ omega @ jacobian - omega) / size
+    assert left["gauss"] < 1e-12
+    assert left["rk4"] > 1e-6
+
+
+@pytest.mark.parametrize("structure", SYMPLECTIC, ids=str)
+def test_gauss_goes_back_the_way_it_came_and_rk4_does_not(structure):
+    """Symmetric method, reversible machine: turn the rates round and the start comes back, rates turned round."""
+    made = conservative(4, structure)
+    h = 1.0 / (2 * math.pi * made.frequencies_hz[-1])
+    rng = np.random.default_rng(1)
+    n = len(made.q_design)
+    x0 = np.concatenate([made.start[:n] + 0.05 * rng.uniform(-1, 1, n), rng.uniform(-1, 1, n)])
+    turned = np.concatenate([np.ones(n), -np.ones(n)])
+    missed = {}
+    for method in ("gauss", "rk4"):
+        loop = replace(made.loop, structure=replace(made.loop.structure, method=method, substeps=1))
+        c = made.constants.copy()
+        c[loop.constants.slices["h"]] = h
+        x = x0
+        for _ in range(2):
+            for _ in range(10):
+                x = loop.step(x, ca.DM.zeros(0), c)[0].full().ravel()
+            x = x * turned
+        missed[method] = np.abs(x - x0).max()
+    assert missed["gauss"] < 1e-11
+    assert missed["rk4"] > 1e-5
+
+
+@pytest.mark.parametrize(("tableau", "order"), [(dormand_prince(), 8), (gauss(), 6), (gauss(2), 4)])
+def test_tableaus_meet_the_conditions_of_their_order(tableau, order):
+    """Quadrature: Σ b c^(k−1) = 1/k for k ≤ p, and not beyond; rows sum to c; exp to order p on the linear equation."""
+    assert tableau.order == order
+    np.testing.assert_allclose(tableau.a.sum(axis=1), tableau.c, atol=1e-15)
+    for k in range(1, order + 1):
+        assert tableau.b @ tableau.c ** (k - 1) == pytest.approx(1 / k, abs=1e-15)
+    power = np.ones(len(tableau.b))
+    for k in range(1, order + 1):
+        assert tableau.b @ power == pytest.approx(1 / math.factorial(k), rel=1e-12)
+        power = tableau.a @ power
+    assert abs(tableau.b @ power - 1 / math.factorial(order + 1)) > 1e-9
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+def test_gauss_is_symplectic_by_its_coefficients(stages):
+    """b_i a_ij + b_j a_ji = b_i b_j (Sanz-Serna 1988), and |R(iω)| = 1."""
+    t = gauss(stages)
+    weighted = t.b[:, None] * t.a
+    np.testing.assert_allclose(weighted + weighted.T, np.outer(t.b, t.b), atol=1e-16)
+    for reach in (0.1, 1.0, 10.0):
+        z = 1j * reach
+        growth = 1 + z * t.b @ np.linalg.solve(np.eye(stages) - z * t.a, np.ones(stages))
+        assert abs(growth) == pytest.approx(1.0, abs=1e-14)
+
+
+def test_iterations_converge_at_the_default_step():
+    """The residual that the implicit method leaves on the excavator, hard driven."""
+    made = scenario(EXCAVATOR, posture=POSTURE_A, integrator="gauss", duration=0.5)
+    x, worst = made.start, 0.0
+    for _ in range(made.samples):
+        x, monitor = made.loop.step(x, ca.DM.zeros(0), made.constants)
+        worst = max(worst, float(monitor[-1]))
+    assert math.sqrt(worst) < 1e-14
