@@ -32,7 +32,7 @@ def validated(
         result = model.model_validate(data)
     except ValidationError as error:
         result = None
-        faults = [_fault(model, data, cast(dict[str, Any], entry)) for entry in error.errors()]
+        faults = model_faults(model, data, error)
     else:
         faults = []
     seen = {fault.field for fault in faults}
@@ -40,6 +40,19 @@ def validated(
     raise_if_any(kind, origin, faults)
     assert result is not None
     return result
+
+
+def model_faults(model: type[FileModel], data: Table, error: ValidationError) -> list[Fault]:
+    """What pydantic found wrong, as sentences; faults of parts that were built by a call of their own keep theirs."""
+    faults: list[Fault] = []
+    for entry in error.errors():
+        inner = cast(dict[str, Any], entry.get("ctx", {})).get("error")
+        if isinstance(inner, InputError) and inner.faults:
+            path = _field_path(data, entry["loc"])
+            faults += [Fault(f"{path}.{fault.field}", fault.sentence, fault.value) for fault in inner.faults]
+        else:
+            faults.append(_fault(model, data, cast(dict[str, Any], entry)))
+    return faults
 
 
 def _fault(model: type[FileModel], data: Table, entry: dict[str, Any]) -> Fault:
@@ -65,6 +78,7 @@ def _fault(model: type[FileModel], data: Table, entry: dict[str, Any]) -> Fault:
         "string_type": "must be text",
         "bool_type": "must be true or false",
         "tuple_type": "must be a list",
+        "dict_type": "must be a table",
         "model_type": "must be a table",
         "model_attributes_type": "must be a table",
         "int_type": "must be a whole number",

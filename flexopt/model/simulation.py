@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, ValidationError
 
-from flexopt.errors import Fault
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.model.faults import model_faults
 from flexopt.model.machine import FileModel, Machine
 from flexopt.model.problem import (
     Control,
@@ -91,7 +92,18 @@ Torques = Annotated[Numbers, checked(_list_of("N m", low=0.0, high=1e12))]
 Angles = Annotated[Numbers, checked(_list_of("rad", low=-ANGLE_MAX, high=ANGLE_MAX))]
 
 
-class Sensor(FileModel):
+class _Option(FileModel):
+    """A table that may also be built by a call, whose faults come in flexopt's own words."""
+
+    def __init__(self, **data: Any) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise_if_any(InputError, type(self).__name__, model_faults(type(self), data, error))
+            raise
+
+
+class Sensor(_Option):
     """How the end-point is measured.
 
     Attributes:
@@ -107,7 +119,7 @@ class Sensor(FileModel):
     delay: Annotated[float, _number("s", low=0.0, high=10.0)] = 0.0
 
 
-class Actuator(FileModel):
+class Actuator(_Option):
     """What the joints' drives make of the torque asked for; a number, or a list with one for each actuated joint.
 
     Attributes:
@@ -123,7 +135,7 @@ class Actuator(FileModel):
     rate_limit: Torques | None = None
 
 
-class Path(FileModel):
+class Path(_Option):
     """Points at times, s, joined by straight lines; held before the first and after the last."""
 
     times: Annotated[Numbers, checked(_list_of("s", low=0.0, high=1e6))]

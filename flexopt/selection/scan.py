@@ -77,7 +77,7 @@ def scan_redundancy(
 
     kept: list[tuple[NDArray[Any], ...]] = []
     reached = False
-    for sign in ELBOW_SIGN.values():
+    for sign in ELBOW_SIGN.values() if bases.size else ():
         postures, reaches = branch(plant, target, bases, joints, sign)
         reached = reached or bool(reaches.any())
         sines = plant.singularity_sine_squared(bases, postures, p).full().ravel()

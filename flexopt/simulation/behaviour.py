@@ -62,28 +62,49 @@ class Behaviour:
         return "grows" if self.grows[member] else "converges"
 
 
-def behaviour(
-    times: Vector, monitors: Vector, end_error: Vector, slowest_hz: float, *, turns: bool, still: Vector | float = 0.0
-) -> Behaviour:
+@dataclass(frozen=True)
+class Grounds:
+    """What a judgement takes into account.
+
+    Attributes:
+        slowest_hz: frequency of the slowest flexible mode.
+        turns: whether the base can turn.
+        still: energy of each mode (m,), J, that is taken for rounding; by default only what is small beside the others.
+        undisturbed_from: time from which nothing is driven any more, s; growth is judged from there.
+        noisy: whether noise keeps the modes moving. Their amplitudes then wander, which a fit takes for growth, so
+            that only an amplitude three times as large as at first counts.
+    """
+
+    slowest_hz: float
+    turns: bool
+    still: Vector | float = 0.0
+    undisturbed_from: float = 0.0
+    noisy: bool = False
+
+
+def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Grounds) -> Behaviour:
     """Judge N runs.
 
     Args:
         times: (windows + 1,) edges of the windows, s.
         monitors: (windows, 2 + m, N) maxima of `Sample.monitor`.
         end_error: |e| at the end, (N,).
-        slowest_hz: frequency of the slowest flexible mode.
-        turns: whether the base can turn.
-        still: energy of each mode (m,), J, that is taken for rounding; by default only what is small beside the others.
+        grounds: of the judgement.
     """
     squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, 2:]
     alive = np.logical_and.accumulate(np.isfinite(squared_error) & np.all(np.isfinite(energy), axis=1), axis=0)
     finite = np.where(np.all(alive, axis=0), times[-1], times[np.sum(alive, axis=0)])
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)
 
-    peaks, centres = _periods(times, np.where(alive[:, None], energy, np.nan), slowest_hz)
-    rate, error, first, last = _growth(peaks, centres, still)
+    begin = int(np.searchsorted(times[:-1], grounds.undisturbed_from - 1e-9 * times[-1]))
+    begin = begin if len(energy) - begin >= FEWEST_WINDOWS else 0
+    judged = np.where(alive[begin:, None], energy[begin:], np.nan)
+    peaks, centres = _periods(times[begin:], judged, grounds.slowest_hz)
+    rate, error, first, last = _growth(peaks, centres, grounds.still)
     with np.errstate(invalid="ignore"):
-        growing = (rate > 2 * error) | (last >= GROWN * first) | ((last >= first) & (rate > -2 * error))
+        growing = last >= GROWN * first
+        if not grounds.noisy:
+            growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
     fastest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)[None]
 
     loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
@@ -98,7 +119,7 @@ def behaviour(
         settling_time=np.where(loud[-1], np.nan, settling),
         peak_error=np.where(diverged, np.inf, peak),
         end_error=np.where(diverged, np.inf, end_error),
-        peak_base_rotation=turn if turns else np.full_like(turn, np.nan),
+        peak_base_rotation=turn if grounds.turns else np.full_like(turn, np.nan),
         residual_oscillation=peaks[-1],
         finite_until=finite,
     )

@@ -243,8 +243,7 @@ def _group(plan: _Plan, rows: slice, runner: Recurrence, shown: Batch, threads: 
     edges = np.concatenate([[0.0], records.k * s.period])
     watched = records.monitor[:, : 2 + len(s.frequencies_hz)]
     end_error = np.sqrt(np.sum(error**2, axis=0))
-    turns = structure.motion.rotation
-    measures = behaviour(edges, watched, end_error, float(s.frequencies_hz[0]), turns=turns, still=s.still)
+    measures = behaviour(edges, watched, end_error, s.grounds)
     samples: dict[str, Vector] = {}
     if plan.keep == "trajectories":
         samples = _samples(shown, np.concatenate([start[None], records.x]), e, end, c, threads)

@@ -120,10 +120,9 @@ def simulate_checked(scenario: Scenario) -> Trajectory:
     x = np.concatenate([s.start[:, None], records.x[:, :, 0].T], axis=1)
     outputs = shown_at(s, shown, x, signals)
     end_error = np.sqrt(np.sum(outputs["error"][:, -1:] ** 2, axis=0))
-    turns = loop.structure.motion.rotation
     # As in a watched loop, what is watched at a sample's start stands for the sample.
     watched = outputs["monitor"][:, :-1].T[:, :, None]
-    verdict = behaviour(s.times, watched, end_error, float(s.frequencies_hz[0]), turns=turns, still=s.still)
+    verdict = behaviour(s.times, watched, end_error, s.grounds)
     check_residual(loop.structure, records.monitor)
     return _trajectory(s, outputs, verdict)
 
@@ -192,7 +191,7 @@ def check_residual(structure: LoopStructure, monitor: Vector) -> None:
 
 
 def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Trajectory:
-    plant = build_plant(s.machine)
+    plant, loop = build_plant(s.machine), s.loop.structure
     sentences = _warnings(s, plant, outputs, of)
     for sentence in sentences:
         python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
@@ -217,7 +216,7 @@ def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Traje
         growth_rate=_finite(of.growth_rate[0]),
         growth_rate_error=_finite(of.growth_rate_error[0]),
         settling_time=_finite(of.settling_time[0]),
-        overshoot=_overshoot(rows["error"]),
+        overshoot=None if loop.moving_base or loop.moving_target else _overshoot(rows["error"]),
         end_error=_finite(of.end_error[0]),
         peak_base_rotation=_finite(of.peak_base_rotation[0]),
         residual_oscillation=of.residual_oscillation[:, 0],
@@ -254,6 +253,11 @@ def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behavio
         )
     if plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
         sentences.append("the arm's self-motion is not damped and may drift; nullspace_damping holds it")
+    if s.loop.structure.noisy:
+        sentences.append(
+            "noise keeps the base moving, so the verdict says whether its oscillation stays bounded; sampled_loop says "
+            "whether the loop is stable"
+        )
     return tuple(sentences)
 
 

@@ -22,19 +22,20 @@ from flexopt.plant import Plant, build_plant, inverse_kinematics
 from flexopt.plant.motion import Motion, constant_values, structure_of
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
-from flexopt.simulation.behaviour import STILL
+from flexopt.simulation.behaviour import STILL, Grounds
 from flexopt.simulation.loop import ClosedLoop, closed_loop
 from flexopt.simulation.robust import robust_law
 from flexopt.simulation.structure import MODEL, N_TASK, LoopStructure
 
 OFFSET = 0.05  # rad
 # Steps of the accurate methods, as shares of the fastest mode's radian.
-ACCURATE_STEP = 0.7
+ACCURATE_STEP = 0.3
 # Where RK4 leaves the imaginary axis: |R(iy)| > 1 beyond √8.
 RK4_LIMIT = math.sqrt(8.0)
 # And where it leaves the negative real axis: |R(−y)| > 1 beyond.
 RK4_REAL_LIMIT = 2.785
 STATIC_TOLERANCE = 1e-8
+SUBSTEPS_MAX = 1000
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,18 @@ class Scenario:
         """Energy of each mode (m,), J, where every coordinate is off by what counts as rounding."""
         projection = np.reshape(self.parts["modes"], (len(self.frequencies_hz), -1), order="F")
         return 0.5 * self.parts["omega_squared"] * (STILL * np.sum(np.abs(projection), axis=1)) ** 2
+
+    @property
+    def grounds(self) -> Grounds:
+        """On which runs of it are judged."""
+        paths = [path for path in (self.options.base_path, self.options.target_path) if path is not None]
+        return Grounds(
+            slowest_hz=float(self.frequencies_hz[0]),
+            turns=self.loop.structure.motion.rotation,
+            still=self.still,
+            undisturbed_from=max((path.times[-1] for path in paths), default=0.0),
+            noisy=self.loop.structure.noisy,
+        )
 
     def signals(self, rng: np.random.Generator | None = None) -> Vector | None:
         """Signals e (samples, n_e) that is not constant, noise drawn from `rng`; None where there is none."""
@@ -303,15 +316,15 @@ def _stepping(options: SimulationOptions, mode: float, servo: float) -> tuple[in
         substeps = 1 if options.integrator == "rk4" else max(1, math.ceil(fastest * period / ACCURATE_STEP))
     reach = fastest * period / substeps
     need = max(math.ceil(mode * period / RK4_LIMIT), math.ceil(servo * period / RK4_REAL_LIMIT))
-    if options.integrator == "rk4" and substeps < need:
+    if options.integrator == "rk4" and substeps < need <= SUBSTEPS_MAX:
         raise InputError(
             f"simulate: rate = {options.rate:g} Hz with {substeps} substeps: RK4 is unstable for the {what} "
             f"(step {period / substeps:g} s); needs substeps of at least {need}, or integrator = 'dop853' or 'gauss'"
         )
-    if reach > 100.0 or substeps > 1000:
+    if substeps > SUBSTEPS_MAX or need > SUBSTEPS_MAX:
         raise InputError(
-            f"simulate: rate = {options.rate:g} Hz is too slow for the {what}: a sample would need more than 1000 "
-            "integration steps"
+            f"simulate: rate = {options.rate:g} Hz is too slow for the {what}: a sample would need more than "
+            f"{SUBSTEPS_MAX} integration steps"
         )
     # Fixed-point iterations shrink the change by a quarter of the step in radians of the fastest mode.
     shrink = min(0.25 * reach, 0.75)

@@ -39,7 +39,8 @@ class Trajectory:
         verdict: `"converges"` or `"grows"`, by the base's oscillation; see `simulation.behaviour`.
         growth_rate, growth_rate_error: of its amplitude and the standard error, 1/s; None where the base never moved.
         settling_time: after which |e| stays below 2 % of its start, s; None where it does not.
-        overshoot: how far the end-point went beyond its target, as a share of the error at the start.
+        overshoot: how far the end-point went beyond its target, as a share of the error at the start; None where base
+            or target move.
         end_error: |e| at the end, m; None where the run left the finite numbers.
         peak_base_rotation: rad; None for a base that cannot turn.
         residual_oscillation: largest energy of each flexible mode in the last period of the slowest, (m,), J.

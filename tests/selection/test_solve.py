@@ -204,6 +204,11 @@ def test_unreachable_targets_say_by_how_much_and_from_where(machine):
     assert 0 < caught.value.miss <= 5.0 - high
 
 
+def test_unreachable_target_of_three_joints(three_links):
+    with pytest.raises(flexopt.UnreachableTarget, match="within reach with the base at"):
+        flexopt.select(three_links, TARGET, base_range=(50.0, 51.0))
+
+
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(x=st.floats(-3.0, 3.0), y=st.floats(-1.5, 3.2), control=st.sampled_from(["inverse", "transpose"]))
 def test_any_reachable_target_gives_verified_candidates_or_one_clear_error(x, y, control):

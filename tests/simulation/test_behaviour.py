@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import linregress
 
-from flexopt.simulation.behaviour import behaviour
+from flexopt.simulation.behaviour import Grounds, behaviour
 from flexopt.simulation.run import _overshoot
 
 STEP, SLOWEST = 0.005, 3.0
@@ -24,9 +24,7 @@ def judged(*energies, error=None, rotation=None, times=TIMES, end=None, still=0.
     error = np.exp(-times[:-1]) if error is None else error
     rotation = np.zeros(n) if rotation is None else rotation
     monitors = np.stack([error**2, rotation**2, *energies], axis=1)[:, :, None]
-    return behaviour(
-        times, monitors, np.array([abs(error[-1]) if end is None else end]), SLOWEST, turns=True, still=still
-    )
+    return behaviour(times, monitors, np.array([abs(error[-1]) if end is None else end]), Grounds(SLOWEST, True, still))
 
 
 def amplitude(rate, frequency=SLOWEST, phase=0.0, wobble=0.0):
@@ -62,7 +60,7 @@ def test_the_fit_is_a_linear_regression():
     times = np.arange(2001) * STEP
     energy = np.repeat(np.exp(2 * logarithms), 50)
     monitors = np.stack([np.exp(-AT), 0 * AT, energy], axis=1)[:, :, None]
-    result = behaviour(times, monitors, np.ones(1), 4.0, turns=True)
+    result = behaviour(times, monitors, np.ones(1), Grounds(4.0, True))
     expected = linregress(0.25 * np.arange(20), logarithms[20:])
     assert result.growth_rate[0] == pytest.approx(expected.slope, rel=1e-10)
     assert result.growth_rate_error[0] == pytest.approx(expected.stderr, rel=1e-10)
@@ -228,7 +226,7 @@ def test_peak_rotation_is_the_largest():
     turn = 0.04 * np.exp(-AT) * np.abs(np.cos(7 * AT))
     assert judged(amplitude(-1.0), rotation=turn).peak_base_rotation[0] == pytest.approx(turn.max())
     monitors = np.ones((10, 3, 1))
-    rigid = behaviour(np.arange(11.0), monitors, np.ones(1), SLOWEST, turns=False)
+    rigid = behaviour(np.arange(11.0), monitors, np.ones(1), Grounds(SLOWEST, False))
     assert np.isnan(rigid.peak_base_rotation[0])
 
 
@@ -239,8 +237,8 @@ def test_windows_and_samples_give_the_same_verdict(rate, window):
     rows = np.stack([error**2, 0 * AT, amplitude(rate, 3.0, 0.4, 0.5), amplitude(-2.0, 13.0)], axis=1)
     starts = np.arange(0, 2000, window)
     edges = np.append(AT[starts], TIMES[-1])
-    fine = behaviour(TIMES, rows[:, :, None], error[-1:], SLOWEST, turns=True)
-    coarse = behaviour(edges, np.maximum.reduceat(rows, starts)[:, :, None], error[-1:], SLOWEST, turns=True)
+    fine = behaviour(TIMES, rows[:, :, None], error[-1:], Grounds(SLOWEST, True))
+    coarse = behaviour(edges, np.maximum.reduceat(rows, starts)[:, :, None], error[-1:], Grounds(SLOWEST, True))
     assert fine.grows[0] == coarse.grows[0] == (rate > 0)
     allowed = 3 * (fine.growth_rate_error[0] + coarse.growth_rate_error[0]) + 2e-3
     assert abs(fine.growth_rate[0] - coarse.growth_rate[0]) <= allowed + 0.02 * abs(rate)
@@ -257,9 +255,9 @@ def test_members_do_not_touch_each_other():
     )
     monitors[300:, :, 4] = np.nan
     monitors[:, 2:, 6] = 0.0
-    together = behaviour(TIMES, monitors, np.ones(9), SLOWEST, turns=True)
+    together = behaviour(TIMES, monitors, np.ones(9), Grounds(SLOWEST, True))
     for i in range(9):
-        alone = behaviour(TIMES, monitors[:, :, i : i + 1], np.ones(1), SLOWEST, turns=True)
+        alone = behaviour(TIMES, monitors[:, :, i : i + 1], np.ones(1), Grounds(SLOWEST, True))
         for name in ("grows", "growth_rate", "growth_rate_error", "settling_time", "finite_until", "peak_error"):
             np.testing.assert_allclose(getattr(together, name)[i], getattr(alone, name)[0], rtol=1e-12)
         np.testing.assert_array_equal(together.residual_oscillation[:, i], alone.residual_oscillation[:, 0])
@@ -270,7 +268,7 @@ def test_short_runs_are_judged_without_complaint(samples):
     times = np.arange(samples + 1) * STEP
     monitors = np.ones((samples, 4, 2))
     monitors[:, 2:, 1] = 0.0
-    result = behaviour(times, monitors, np.ones(2), SLOWEST, turns=True)
+    result = behaviour(times, monitors, np.ones(2), Grounds(SLOWEST, True))
     assert result.grows.shape == (2,)
     assert result.residual_oscillation.shape == (2, 2)
     assert not result.grows[1]
@@ -288,3 +286,28 @@ def test_overshoot_of_the_second_order_response(zeta):
     assert _overshoot(np.zeros((5, 2))) is None
     error[7] = np.nan
     assert _overshoot(error) is None
+
+
+def test_growth_is_judged_after_the_last_push():
+    """A path that ends at 4 s leaves the modes larger than the start did; from there they decay."""
+    energy = np.where(TIMES[:-1] < 4.0, 1e-8, np.exp(-0.2 * TIMES[:-1]))
+    monitors = np.stack([np.full_like(energy, 1e-6), np.zeros_like(energy), energy], axis=1)[:, :, None]
+    pushed = behaviour(TIMES, monitors, np.ones(1), Grounds(SLOWEST, True))
+    after = behaviour(TIMES, monitors, np.ones(1), Grounds(SLOWEST, True, undisturbed_from=4.0))
+    assert pushed.verdict() == "grows"
+    assert after.verdict() == "converges"
+    assert after.growth_rate[0] == pytest.approx(-0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_that_keeps_a_mode_moving_is_no_growth(seed):
+    """An amplitude that wanders slowly has slopes far beyond their standard errors."""
+    rng = np.random.default_rng(seed)
+    wander = np.cumsum(rng.normal(0.0, 0.02, len(TIMES) - 1))
+    energy = np.exp(wander - wander.mean())
+    monitors = np.stack([np.full_like(energy, 1e-6), np.zeros_like(energy), energy], axis=1)[:, :, None]
+    judged = behaviour(TIMES, monitors, np.ones(1), Grounds(SLOWEST, True, noisy=True))
+    assert judged.verdict() == "converges"
+    growing = monitors * np.array([1.0, 1.0, 1.0])[None, :, None]
+    growing[:, 2, 0] *= np.exp(2 * 0.5 * TIMES[:-1])
+    assert behaviour(TIMES, growing, np.ones(1), Grounds(SLOWEST, True, noisy=True)).verdict() == "grows"

@@ -43,7 +43,7 @@ def pushed(made: Scenario, kind: str) -> Scenario:
 
 @pytest.mark.parametrize("posture", [POSTURE_A, POSTURE_B], ids="AB")
 @pytest.mark.parametrize("kind", ["deflected", "swinging"])
-@pytest.mark.parametrize(("method", "substeps"), [("dop853", 3), ("gauss", None)])
+@pytest.mark.parametrize(("method", "substeps"), [("dop853", None), ("gauss", None)])
 def test_the_excavator_keeps_its_energy_over_100_seconds(method, substeps, kind, posture):
     """20,000 samples, 2,200 periods of the fastest mode; with no weight the energy at equilibrium is 0."""
     made = scenario(

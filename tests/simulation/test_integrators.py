@@ -148,7 +148,7 @@ def conservative(seed: int, structure: Structure) -> Scenario:
 
 def canonical(made: Scenario, method: str, h: float) -> tuple[ca.Function, ca.Function]:
     """The step and its Jacobian in (u, p = M w), p in units that make u and p alike."""
-    structure = replace(made.loop.structure, method=method, substeps=1)
+    structure = replace(made.loop.structure, method=method, substeps=1, iterations=30)
     loop = replace(made.loop, structure=structure)
     motion = Motion(structure.motion, {name: ca.SX(value) for name, value in made.parts.items() if np.ndim(value) == 0})
     n = motion.n
@@ -205,7 +205,7 @@ def test_gauss_goes_back_the_way_it_came_and_rk4_does_not(structure):
     turned = np.concatenate([np.ones(n), -np.ones(n)])
     missed = {}
     for method in ("gauss", "rk4"):
-        loop = replace(made.loop, structure=replace(made.loop.structure, method=method, substeps=1))
+        loop = replace(made.loop, structure=replace(made.loop.structure, method=method, substeps=1, iterations=30))
         c = made.constants.copy()
         c[loop.constants.slices["h"]] = h
         x = x0

@@ -11,7 +11,7 @@ from tests.simulation.loops import Case, run, stable_case
 
 STEPS = 2000
 # Angles and displacements, rad and m, of order one; rates, which may be larger, as a share of their largest.
-ABSOLUTE, OF_RATES = 2e-12, 1e-11
+ABSOLUTE, OF_RATES = 1e-12, 1e-11
 
 # Links, where the base gives, passive links: 2 to 5 links with every kind of rigid direction.
 STRUCTURES = [

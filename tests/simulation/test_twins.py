@@ -110,20 +110,21 @@ def test_carried_directions_are_exact_where_they_say_so(options):
     loop, c, n = of.loop, of.constants, len(of.q_design)
     rng = np.random.default_rng(7)
     turns = []
-    for exponent in np.linspace(-2, 2, 400):
+    for speed in [*np.geomspace(1e-2, 1e2, 200), *np.linspace(0.3, 30, 300)]:
         x = of.start.copy()
         x[:n] += 10 ** rng.uniform(-4, -1) * rng.uniform(-1, 1, n)
-        x[n : 2 * n] = 10**exponent * rng.uniform(-1, 1, n)
+        # All bodies alike in every other state: where they whirl together, the rotations are all there is.
+        x[n + 2 : 2 * n] = speed * (rng.uniform(-1, 1, n - 2) if len(turns) % 2 else np.ones(n - 2))
         d = loop.refresh(x, c)
         fast, carried, _, turn = loop.fast(x, d, [], c)
         turns.append(float(turn))
         if turns[-1] <= 1:
             exact = loop.step(x, [], c)[0].full().ravel()
             size = np.abs(exact[n:]).max() + np.abs(exact[:n]).max()
-            np.testing.assert_allclose(fast.full().ravel(), exact, atol=2e-14 * size, rtol=0)
+            np.testing.assert_allclose(fast.full().ravel(), exact, atol=5e-15 * size, rtol=0)
             angles = loop.refresh(exact, c).full()
-            np.testing.assert_allclose(carried.full(), angles, atol=2e-15 * (1 + size * of.period), rtol=0)
-    assert 0.5 < max(turn for turn in turns if turn <= 1)
+            np.testing.assert_allclose(carried.full(), angles, atol=1e-15, rtol=0)
+    assert max(turn for turn in turns if turn <= 1) > 0.5
     assert max(turns) > 1
 
 
