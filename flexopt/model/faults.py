@@ -46,7 +46,7 @@ def model_faults(model: type[FileModel], data: Table, error: ValidationError) ->
     """What pydantic found wrong, as sentences; faults of parts that were built by a call of their own keep theirs."""
     faults: list[Fault] = []
     for entry in error.errors():
-        inner = cast(dict[str, Any], entry.get("ctx", {})).get("error")
+        inner = entry.get("ctx", {}).get("error")
         if isinstance(inner, InputError) and inner.faults:
             path = _field_path(data, entry["loc"])
             faults += [Fault(f"{path}.{fault.field}", fault.sentence, fault.value) for fault in inner.faults]

@@ -96,7 +96,7 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     finite = np.where(np.all(alive, axis=0), times[-1], times[np.sum(alive, axis=0)])
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)
 
-    begin = int(np.searchsorted(times[:-1], grounds.undisturbed_from - 1e-9 * times[-1]))
+    begin = int(np.sum(times[:-1] < grounds.undisturbed_from - 1e-9 * times[-1]))
     begin = begin if len(energy) - begin >= FEWEST_WINDOWS else 0
     judged = np.where(alive[begin:, None], energy[begin:], np.nan)
     peaks, centres = _periods(times[begin:], judged, grounds.slowest_hz)

@@ -21,7 +21,7 @@ class Flow(Part):
 
     def __init__(self, structure: LoopStructure, layouts: Layouts, command: ca.SX, e: ca.SX, c: ca.SX) -> None:
         super().__init__(structure, layouts, e, c)
-        self._held = command
+        self._layouts, self._held = layouts, command
         self._given = [command, e, c]
 
     @property
@@ -67,11 +67,14 @@ class Flow(Part):
         n_z = len(motion.joints) if self.s.lagging else 0
         t, u, w, z = symbol("t"), symbol("u", motion.n), symbol("w", motion.n), symbol("z", n_z)
         pairs = symbol("pairs", 2 * (motion.n - motion.n_translations))
-        result = self._rates(t, State(u, w, z), paired(pairs))
-        names = ["t", "u", "w", "z", "pairs", "command", "e", "c"]
-        return ca.Function(
-            "rates", [t, u, w, z, pairs, *self._given], [result.w, result.z], names, ["w_rate", "z_rate"]
+        command, e, c = (
+            symbol(name, given.shape[0]) for name, given in zip(("command", "e", "c"), self._given, strict=True)
         )
+        twin = Flow(self.s, self._layouts, command, e, c)
+        result = twin._rates(t, State(u, w, z), paired(pairs))
+        names = ["t", "u", "w", "z", "pairs", "command", "e", "c"]
+        inputs = [t, u, w, z, pairs, command, e, c]
+        return ca.Function("rates", inputs, [result.w, result.z], names, ["w_rate", "z_rate"])
 
     def _rates(self, t: ca.SX, state: State, along: Directions) -> State:
         whole = self.motion.with_base(along)

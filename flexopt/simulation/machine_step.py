@@ -1,0 +1,56 @@
+"""One integration step of the machine alone, its joint torques given: for a simulator in the loop with other code.
+
+In: a machine. Out: a Function of coordinates, torques, placement, parameters and step, from the graphs of the closed
+loop.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+
+from flexopt.model import Machine
+from flexopt.plant.motion import Motion, constants, full_structure
+from flexopt.simulation.directions import Computed
+from flexopt.simulation.flow import Flow
+from flexopt.simulation.integrators import State, classical_step
+from flexopt.simulation.loop import closed_loop
+from flexopt.simulation.structure import LoopStructure
+
+
+@lru_cache(maxsize=16)
+def machine_step(machine: Machine, *, gravity: bool = False) -> ca.Function:
+    """M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = [0; τ_a] over one step of classical RK4, τ_a held.
+
+    Args:
+        machine: from `flexopt.load`.
+        gravity: whether the weight acts.
+
+    Returns:
+        Function of q, v (n_q,), torque (n,), N m, base (n_b,), m, p (n_par,) and h, s, with outputs q_next and v_next.
+    """
+    structure = LoopStructure(full_structure(machine), law="none", gravity=gravity)
+    loop = closed_loop(structure)
+    shape = Motion(structure.motion, {})
+    n, m = shape.n, len(shape.joints)
+    q, v, torque = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("torque", m)
+    base, p, h = ca.SX.sym("base", 1), ca.SX.sym("p", len(machine.parameters)), ca.SX.sym("h")
+
+    function = constants(machine)
+    values = dict(zip(function.name_out(), function.call([p]), strict=True))
+    sizes = loop.constants.sizes
+    entries = [values[name] if name in values else h if name == "h" else ca.SX.zeros(sizes[name], 1) for name in sizes]
+    flow = Flow(structure, loop.layouts, torque, ca.SX(0, 1), ca.vertcat(*entries))
+
+    motion = Motion(structure.motion, values)
+    shift = ca.SX(motion.offset)
+    if "x" in structure.motion.translations:
+        shift[0] += base
+    to_q = shape.to_q
+    to_u = ca.inv(to_q)
+    start = State(ca.SX(to_u) @ (q - shift), ca.SX(to_u) @ v, ca.SX(0, 1))
+    after, _ = classical_step(flow, h, ca.SX(0), start, Computed(shape.angles(start.u)))
+    outputs = [ca.densify(ca.SX(to_q) @ after.u + shift), ca.densify(ca.SX(to_q) @ after.w)]
+    names = ["q", "v", "torque", "base", "p", "h"]
+    return ca.Function("machine_step", [q, v, torque, base, p, h], outputs, names, ["q_next", "v_next"], {"cse": True})
