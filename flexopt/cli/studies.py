@@ -84,7 +84,7 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
 @option("--out", metavar="DIR", help="Folder of report.html and report.json (flexopt-reproduce by default).")
 @JSON
 def reproduce_command(as_json: bool, out: str | None) -> None:
-    """The article computed again: Table 2, Figs. 5 to 8, mean frequencies, its claims and contradictions.
+    """The article computed again: Table 2, Figs. 5 to 12, mean frequencies, its claims and contradictions.
 
     Writes one HTML report and one JSON file into a folder, which is made if it is missing.
     """

@@ -27,6 +27,9 @@ PRINTED_EPSILON = {"A": 0.2869, "B": 0.3826}
 # Half a unit of the last digit printed.
 EPSILON_RESOLUTION = 5e-5
 PRINTED_WORKSPACE = {"A": (-0.1733, 1.0870), "B": (1.32687, 1.0870)}
+# The target of both postures, inertial frame, m, and where the undercarriage stands, m.
+TARGET = (0.0, 1.6)
+X_MOBILE = {"A": 0.0, "B": -1.5}
 # Where the measures printed for posture B are found.
 WORKSPACE_B_OF_MEASURES = (1.5575, 1.0870)
 # Where kr is looked for, log10.
@@ -179,9 +182,7 @@ def epsilon_at(machine: Machine, posture: Vector, kr: float) -> float:
 def reproduce_table2() -> ArticleTable:
     """Postures A and B of Table 2 from each input: inertial end-point, printed workspace point, rounded angles."""
     machine = load("excavator")
-    target = (0.0, 1.6)
-    at_a = inverse_kinematics(machine, target, base=0.0, elbow="up")[0]
-    at_b = inverse_kinematics(machine, target, base=-1.5, elbow="up")[0]
+    at_a, at_b = (inverse_kinematics(machine, TARGET, base=base, elbow="up")[0] for base in X_MOBILE.values())
     printed_a = "printed workspace point (-0.1733, 1.0870) m"
     readings: list[tuple[str, str, Vector, float]] = [
         ("A", "inertial end-point (0, 1.6) m, base at 0 m", at_a, 0.0),

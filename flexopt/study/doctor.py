@@ -11,9 +11,9 @@ from typing import Any
 import casadi as ca
 
 from flexopt.errors import FlexoptError
-from flexopt.model import load, load_problem, shipped_names
+from flexopt.model import load, load_experiment, load_problem, shipped_names
 from flexopt.model.documents import package_version, provenance
-from flexopt.model.files import Kind
+from flexopt.model.files import Kind, read_source
 
 COMPILERS = ("cc", "gcc", "clang", "cl")
 
@@ -78,14 +78,22 @@ def _ipopt() -> Check:
 
 
 def _shipped(kind: Kind) -> Check:
-    read = load if kind == "models" else load_problem
     names = shipped_names(kind)
     try:
         for name in names:
-            read(name)
+            _read(kind, name)
     except FlexoptError as error:
         return Check(kind, False, str(error))
     return Check(kind, bool(names), ", ".join(names) or "none found")
+
+
+def _read(kind: Kind, name: str) -> None:
+    if kind == "models":
+        load(name)
+    elif "simulation" in read_source(name, (kind,)).data:
+        load_experiment(name)
+    else:
+        load_problem(name)
 
 
 def _compiler() -> Check:

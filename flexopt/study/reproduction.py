@@ -1,4 +1,4 @@
-"""The article computed again: Table 2, Figs. 5 to 8, mean frequencies, its claims and its contradictions.
+"""The article computed again: Table 2, Figs. 5 to 12, mean frequencies, its claims and its contradictions.
 
 In: nothing but the shipped machine. Out: a `Reproduction`, which writes a report (an HTML file) and its numbers (JSON).
 """
@@ -18,16 +18,19 @@ from flexopt.model.documents import json_ready, provenance
 from flexopt.model.problem import CONTROLS, ELBOWS, Control
 from flexopt.plant import build_plant
 from flexopt.selection import Selection, select
-from flexopt.study import findings
+from flexopt.study import findings, loop_findings
 from flexopt.study.article import (
     PRINTED_WORKSPACE,
+    TARGET,
     WORKSPACE_B_OF_MEASURES,
     ArticleTable,
     reproduce_table2,
     workspace_posture,
 )
+from flexopt.study.closed_loops import ClosedLoops, article_stands, close_loops
 from flexopt.study.curves import Curve, curve
 from flexopt.study.findings import Finding
+from flexopt.study.gains import KV_HELD, RATIOS, GainMap, map_gains
 from flexopt.study.gaps import GapSweep, sweep_gaps
 from flexopt.study.points import Progress, evaluate_points
 from flexopt.study.workspace import map_workspace
@@ -37,10 +40,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PRINTED_FREQUENCIES = (3.0872, 13.1392, 22.4394)
-TARGET = (0.0, 1.6)
 RANDOM_POSTURES = 20_000
 GRID_STEP = 0.05
-STAGES = 7
+STAGES = 9
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,8 @@ class Reproduction:
         claims: claims in words.
         gaps: rigid against full plant.
         selection: local optima of w_1, Jacobian inverse control.
+        loops: closed loops, Figs. 9 to 12.
+        gains: which gains A, B and the optimised posture allow.
         arms: postures A and B of Table 2 as points in the workspace frame, (2, k), m.
         provenance: machine, versions and options.
     """
@@ -87,12 +91,15 @@ class Reproduction:
     claims: tuple[Finding, ...]
     gaps: GapSweep
     selection: Selection = field(repr=False)
+    loops: ClosedLoops = field(repr=False)
+    gains: GainMap = field(repr=False)
     arms: dict[str, Vector] = field(repr=False)
     provenance: dict[str, Any] = field(repr=False)
 
     def figures(self) -> dict[str, Figure]:
         """The article's figures by name."""
         from flexopt.plotting import article as draw  # noqa: PLC0415  (matplotlib is slow to import)
+        from flexopt.plotting import article_loops as draw_loops  # noqa: PLC0415
 
         transpose, inverse = (self.maps[c].dataset for c in ("transpose", "inverse"))
         marks = {"A": PRINTED_WORKSPACE["A"][0], "B, printed point": PRINTED_WORKSPACE["B"][0]}
@@ -102,11 +109,19 @@ class Reproduction:
             "figure6": draw.plot_figure6(transpose, inverse, self.arms),
             "figure7": draw.plot_figure7(transpose, inverse),
             "figure8": draw.plot_figure8(self.curves["transpose", "up"], self.curves["inverse", "up"], marks),
+            "figure9": draw_loops.plot_figure9(self.loops.figure9),
+            "figure10": draw_loops.plot_figure10(self.loops.stopped, self.loops.climb),
+            "figures11and12": draw_loops.plot_figures11and12(self.loops.adjustment),
+            "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS),
             "gaps": draw.plot_gaps(self.gaps),
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary of every number beside the printed one."""
+        """JSON-ready dictionary of every number beside the printed one.
+
+        Keys: `table2`, `mean_frequencies_hz`, `maps`, `contradictions`, `claims`, `gaps`, `provenance`; `closed_loops`
+        (see `ClosedLoops.to_dict`) and `gains` (see `GainMap.to_dict`).
+        """
         table = self.table.to_dict()
         return json_ready(
             {
@@ -119,6 +134,8 @@ class Reproduction:
                 "maps": {control: result.to_dict() for control, result in self.maps.items()},
                 "contradictions": [finding.to_dict() for finding in self.contradictions],
                 "claims": [finding.to_dict() for finding in self.claims],
+                "closed_loops": self.loops.to_dict(),
+                "gains": self.gains.to_dict(),
                 "gaps": self.gaps.to_dict(),
                 "provenance": self.provenance,
             }
@@ -142,6 +159,8 @@ class Reproduction:
         for title, group in (("Contradictions", self.contradictions), ("Claims in words", self.claims)):
             lines += ["", title]
             lines += [f"  {'holds' if f.holds else 'fails'}: “{f.quote}” ({f.where}). {f.sentence}" for f in group]
+        lines += ["", "Closed loops", f"  {self.loops.sentence}", f"  {self.gains.sentence}"]
+        lines += [f"  {row.stand}, {row.held}, {row.integrator}: Kp {row.text}" for row in self.gains.borders]
         return "\n".join([*lines, "", "The gap metric", f"  {self.gaps.sentence}"])
 
 
@@ -190,6 +209,11 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
     optima = {f"optimum {k + 1}": c.evaluation.posture for k, c in enumerate(selection.candidates)}
     gaps = sweep_gaps(machine, named | optima, gain=gain)
     stage()
+    stands = article_stands(machine, selection, gain)
+    loops = close_loops(machine, stands)
+    stage()
+    gain_map = map_gains(machine, stands, loops.stated)
+    stage()
     lines = tuple(curves.values())
     at_b = {name: q for name, q in named.items() if name.startswith("B")}
     contradictions = (
@@ -200,17 +224,26 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
         findings.gain_independent(machine, named, gain),
         findings.concave(lines),
         findings.b_is_optimal(machine, at_b, curves["inverse", "up"]),
+        loop_findings.stable_at_high_margin(gain_map),
+        loop_findings.integration_step(loops, gain_map),
     )
     claims = (
         findings.same_shape(lines),
         findings.many_in_phase(maps["inverse"]),
         findings.passive(selection, rigid),
         findings.features((maps["transpose"], maps["inverse"])),
+        loop_findings.better_convergence(loops),
+        loop_findings.stability_by_moving(loops),
+        loop_findings.motion_excites(loops),
+        loop_findings.higher_gain(loops, gain_map),
+        loop_findings.robust_controller(loops, gain_map),
     )
     stage()
     arms = {name: _arm(machine, workspace_posture(machine, PRINTED_WORKSPACE[name])) for name in ("A", "B")}
     where = provenance(machine, points=points, gain=gain, random_postures=RANDOM_POSTURES, seed=0)
-    return Reproduction(table, frequencies, maps, curves, contradictions, claims, gaps, selection, arms, where)
+    return Reproduction(
+        table, frequencies, maps, curves, contradictions, claims, gaps, selection, loops, gain_map, arms, where
+    )
 
 
 def mean_frequencies(machine: Machine, inverse: WorkspaceMap) -> MeanFrequencies:

@@ -62,9 +62,14 @@ def test_verdicts_are_computed(result):
     verdicts = {f.key: f.holds for f in (*result.contradictions, *result.claims)}
     assert all(type(verdict) is bool for verdict in verdicts.values())
     assert verdicts == dict.fromkeys(
-        ("posture B", "maximum of ε_max", "union", "definiteness", "gain", "concavity", "B as an optimum", "passivity"),
+        ("posture B", "maximum of ε_max", "union", "definiteness", "gain", "concavity", "B as an optimum", "passivity",
+         "stable by configuration", "integration step"),
         False,
-    ) | dict.fromkeys(("same shape", "in phase", "features"), True)
+    ) | dict.fromkeys(
+        ("same shape", "in phase", "features", "better convergence", "base adjustment", "excitation", "higher gain",
+         "robust controller"),
+        True,
+    )  # fmt: skip
     for f in (*result.contradictions, *result.claims):
         assert f.quote
         assert f.where
@@ -169,7 +174,9 @@ def test_progress(result):
 def test_json(result, files):
     document = strict_json(files[1].read_text(encoding="utf-8"))
     assert document == json.loads(json.dumps(result.to_dict(), allow_nan=False))
-    assert {"table2", "mean_frequencies_hz", "maps", "contradictions", "claims", "gaps", "provenance"} == set(document)
+    assert set(document) == {
+        "table2", "mean_frequencies_hz", "maps", "contradictions", "claims", "closed_loops", "gains", "gaps", "provenance",
+    }  # fmt: skip
     for row in document["table2"]["rows"]:
         assert len(row["printed_w"]) == len(row["deviation"]) == 3
         assert row["epsilon_max_deviation"] == pytest.approx(
@@ -183,13 +190,16 @@ def test_page_stands_alone(result, files):
     assert "http" not in page
     assert not re.search(r"<(link|script|iframe|object)\b|@import|url\(", page)
     sources = re.findall(r'src="([^"]{0,30})', page)
-    assert len(sources) == 5
+    assert len(sources) == 9
     assert all(source.startswith("data:image/png;base64,iVBOR") for source in sources)
     text = page.replace("&#x27;", "'").replace("&lt;", "<").replace("&gt;", ">")
     for f in (*result.contradictions, *result.claims):
         assert f.sentence in text
         assert f.quote in text
-    assert result.gaps.sentence in text
+    for sentence in (result.gaps.sentence, result.loops.sentence, result.gains.sentence):
+        assert sentence in text
+    for row in result.gains.borders:
+        assert row.text in text
     for number in ("0.2869", "0.3826", "3.0872", "13.1392", "22.4394"):
         assert number in text
 
@@ -206,5 +216,13 @@ def test_folder_is_kept(result, files, tmp_path):
 
 def test_text(result):
     text = repr(result)
-    for word in ("Table 2", "Mean frequencies", "Contradictions", "Claims in words", "The gap metric", "kr = 4.97"):
+    for word in (
+        "Table 2",
+        "Mean frequencies",
+        "Contradictions",
+        "Claims in words",
+        "Closed loops",
+        "The gap metric",
+        "kr = 4.97",
+    ):
         assert word in text

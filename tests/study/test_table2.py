@@ -48,6 +48,18 @@ def test_doctor_finds_this_installation_healthy():
     report = examine()
     assert report.healthy, report
     assert {"python", "packages", "IPOPT", "models", "problems", "C compiler"} == {c.name for c in report.checks}
+    # Problems and experiments share a folder.
+    problems = next(c for c in report.checks if c.name == "problems")
+    assert {"article", "article-a"} <= set(problems.finding.split(", "))
+
+
+def test_doctor_names_a_broken_experiment(monkeypatch, tmp_path):
+    (tmp_path / "problems").mkdir()
+    (tmp_path / "problems" / "bad.toml").write_text("name = 'bad'\nmachine = 'none'\n[simulation]\nkp = -1.0\n")
+    monkeypatch.setattr("flexopt.model.files.PACKAGE", tmp_path)
+    report = examine()
+    assert not report.healthy
+    assert "simulation.kp" in repr(report)
 
 
 def test_doctor_names_a_broken_shipped_file(monkeypatch, tmp_path):

@@ -1,0 +1,235 @@
+"""Which gains a posture allows: the sampled linear loop over Kp and Kv, borders in Kp, and nonlinear runs as the test.
+
+In: a machine and postures to stand in. Out: a `GainMap`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.model import Machine
+from flexopt.model.arguments import Vector
+from flexopt.robustness import Evaluation
+from flexopt.simulation import StabilityBorder, sampled_loop, simulate_ensemble, stability_border
+from flexopt.simulation.linear import linearised
+from flexopt.simulation.scenario import build_scenario, checked_options
+from flexopt.simulation.structure import N_TASK
+from flexopt.study.closed_loops import ACCURATE, hertz
+
+KP, KV = (1e2, 1e7), (1e1, 1e6)
+# Of the grid on each side; of these every second is run.
+POINTS, EVERY = 31, 2
+# Small enough for the linear loop to hold, long enough for a slow mode to show.
+OFFSET, SECONDS = 0.005, 60.0
+KV_HELD, RATIOS = 2e3, (0.02, 0.1)
+# Just beyond a border: which mode goes.
+BEYOND = 1.01
+
+
+@dataclass(frozen=True)
+class BorderRow:
+    """Gains Kp that one posture allows, Kv or Kv/Kp held.
+
+    Attributes:
+        stand: the posture's name.
+        held: what is held, in words.
+        integrator: of the loop.
+        border: the intervals.
+        frequency_hz: of the pole that becomes unstable just beyond the lowest interval; None without one.
+    """
+
+    stand: str
+    held: str
+    integrator: str
+    border: StabilityBorder
+    frequency_hz: float | None
+
+    @property
+    def text(self) -> str:
+        """The intervals, the ends of the search left out."""
+        low, high = self.border.searched
+        words: list[str] = []
+        for start, end in self.border.intervals:
+            first = "" if start <= low else f"from {start:.4g} "
+            words.append(f"{first}up to {end:.4g}" if end < high else f"{first}without a border")
+        return "; ".join(words) or "none"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary."""
+        return {
+            "posture": self.stand, "held": self.held, "integrator": self.integrator,
+            "intervals": self.border.intervals, "searched": self.border.searched,
+            "frequency_beyond_hz": self.frequency_hz,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """A pair of gains at which the nonlinear run and the eigenvalues say different things."""
+
+    stand: str
+    kp: float
+    kv: float
+    growth_rate: float
+    grows: bool
+
+
+@dataclass(frozen=True)
+class GainMap:
+    """Growth rates of the sampled linear loop over Kp and Kv, and nonlinear verdicts on a coarser grid.
+
+    Attributes:
+        names: of the postures (s,).
+        kp, kv: (k,), (l,).
+        growth_rate: (s, l, k), 1/s; below 0 the loop is stable.
+        tested_kp, tested_kv: (k',), (l',), every second of them.
+        grows: verdicts of the nonlinear runs, (s, l', k').
+        offset, duration: of these, rad and s.
+        borders: in Kp.
+    """
+
+    names: tuple[str, ...]
+    kp: Vector
+    kv: Vector
+    growth_rate: Vector = field(repr=False)
+    tested_kp: Vector = field(repr=False)
+    tested_kv: Vector = field(repr=False)
+    grows: NDArray[np.bool_] = field(repr=False)
+    offset: float
+    duration: float
+    borders: tuple[BorderRow, ...]
+
+    @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """Where the runs contradict the eigenvalues."""
+        rates = self.growth_rate[:, ::EVERY, ::EVERY]
+        at: list[list[int]] = np.argwhere(self.grows != (rates >= 0)).tolist()
+        return tuple(
+            Disagreement(
+                self.names[i], float(self.tested_kp[k]), float(self.tested_kv[j]), float(rates[i, j, k]),
+                bool(self.grows[i, j, k]),
+            )
+            for i, j, k in at
+        )  # fmt: skip
+
+    @property
+    def band(self) -> float:
+        """Largest |growth rate| at which run and eigenvalues disagree, 1/s; 0 where they never do."""
+        return max((abs(d.growth_rate) for d in self.disagreements), default=0.0)
+
+    @property
+    def sentence(self) -> str:
+        """How well the verdicts agree."""
+        found, total = self.disagreements, self.grows.size
+        text = (
+            f"Of {total} nonlinear runs over {self.duration:g} s, {self.offset:g} rad off at the start, "
+            f"{total - len(found)} grow or converge as the eigenvalues of the sampled linear loop say. "
+        )
+        if not found:
+            return text + "None disagrees."
+        inside = int(np.count_nonzero(np.abs(self.growth_rate[:, ::EVERY, ::EVERY]) <= self.band))
+        return text + (
+            f"The {len(found)} others all lie where the linear loop grows or decays by no more than {self.band:.4f}/s, "
+            f"a factor of {np.exp(self.band * self.duration):.2f} in the whole run ({inside} runs lie in that band)."
+        )
+
+    def border(self, stand: str, held: str, integrator: str) -> BorderRow:
+        """One row."""
+        return next(row for row in self.borders if (row.stand, row.held, row.integrator) == (stand, held, integrator))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready but for arrays.
+
+        Keys: `postures`, `kp`, `kv`, `growth_rate` (posture, kv, kp), 1/s; of the nonlinear runs `tested_kp`,
+        `tested_kv`, `grows` (posture, kv, kp), `offset`, rad, `duration`, s; `disagreements`, `band`, 1/s; `borders`;
+        `sentence`.
+        """
+        names = ("kp", "kv", "growth_rate", "tested_kp", "tested_kv", "grows", "offset", "duration", "band", "sentence")
+        document: dict[str, Any] = {"postures": self.names} | {name: getattr(self, name) for name in names}
+        document["disagreements"] = [vars(d) for d in self.disagreements]
+        return document | {"borders": [row.to_dict() for row in self.borders]}
+
+
+def held_words(ratio: float | None) -> str:
+    """What is held along a border, in words."""
+    return f"Kv = {KV_HELD:g}" if ratio is None else f"Kv/Kp = {ratio:g} s"
+
+
+def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mapping[str, Any]) -> GainMap:
+    """Compute the map.
+
+    Args:
+        machine: the machine.
+        stands: name -> posture with its base.
+        stated: control, feedback, rate and integrator of the runs.
+    """
+    given: dict[str, Any] = {name: stated[name] for name in ("control", "feedback", "rate", "integrator")}
+    kp, kv = np.geomspace(*KP, POINTS), np.geomspace(*KV, POINTS)
+    tested_kp, tested_kv = kp[::EVERY], kv[::EVERY]
+    with ThreadPoolExecutor(1) as aside:
+        # Much of this is the compiler's time.
+        tested = aside.submit(_verdicts, machine, stands, given, stated["offset"], tested_kp, tested_kv)
+        rates = [
+            _growth_rates(machine, given | {"base": stand.base, "posture": stand.posture}, kp, kv)
+            for stand in stands.values()
+        ]
+        grows = tested.result()
+    methods = (str(given["integrator"]), ACCURATE)
+    borders = tuple(
+        _border(machine, name, stands[name], given | {"integrator": method}, ratio)
+        for method, ratio, name in product(methods, (None, *RATIOS), stands)
+    )
+    return GainMap(
+        names=tuple(stands),
+        kp=kp,
+        kv=kv,
+        growth_rate=np.array(rates),
+        tested_kp=tested_kp,
+        tested_kv=tested_kv,
+        grows=grows,
+        offset=OFFSET,
+        duration=SECONDS,
+        borders=borders,
+    )
+
+
+def _verdicts(
+    machine: Machine, stands: Mapping[str, Evaluation], given: dict[str, Any], towards: Any, kp: Vector, kv: Vector
+) -> NDArray[np.bool_]:
+    """(s, l', k'): whether the nonlinear runs grow, displaced by `OFFSET` in the signs of `towards`."""
+    pairs = np.meshgrid(kp, kv)
+    vary = {"kp": pairs[0].ravel(), "kv": pairs[1].ravel()}
+    options: dict[str, Any] = given | {"offset": OFFSET * np.sign(towards), "duration": SECONDS}
+    verdicts = [
+        simulate_ensemble(machine, stand.posture, base=stand.base, vary=vary, **options).dataset["grows"].to_numpy()
+        for stand in stands.values()
+    ]
+    return np.array(verdicts).reshape(-1, kv.size, kp.size)
+
+
+def _growth_rates(machine: Machine, options: Mapping[str, Any], kp: Vector, kv: Vector) -> Vector:
+    """(l, k), 1/s. As `sampled_loop` at every pair, the scenario built once."""
+    s = build_scenario(machine, checked_options("map_gains", machine, options))
+    rates = [
+        linearised(replace(s, parts={**s.parts, "kp": np.full(N_TASK, p), "kv": np.full(N_TASK, v)})).growth_rate
+        for v, p in product(kv, kp)
+    ]
+    return np.array(rates).reshape(kv.size, kp.size)
+
+
+def _border(machine: Machine, name: str, stand: Evaluation, given: Mapping[str, Any], ratio: float | None) -> BorderRow:
+    options = {**given, "base": stand.base, "kv": KV_HELD}
+    border = stability_border(machine, stand.posture, ratio=ratio, **options)
+    frequency, largest = None, border.largest
+    if largest is not None and largest < border.searched[1]:
+        kp = BEYOND * largest
+        kv = KV_HELD if ratio is None else ratio * kp
+        frequency = hertz(sampled_loop(machine, stand.posture, **options | {"kp": kp, "kv": kv}))
+    return BorderRow(name, held_words(ratio), str(given["integrator"]), border, frequency)
