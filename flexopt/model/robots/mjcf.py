@@ -1,0 +1,227 @@
+"""MJCF (MuJoCo's XML) in, a `Description` out.
+
+Read: nested bodies and frames, hinges and slides with stiffness, damping, springref, ref and range, inertials, the
+inertia of primitive geoms, sites, defaults, includes, compiler settings. Actuators, contacts, sensors and keyframes are
+left out and noted. What would change the dynamics without having a place here (ball joints, flexible bodies, springs
+that are not linear) is a fault; equality constraints, tendons that pull, gravity compensation are `blockers`, which the
+overlay may ignore by name.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from flexopt.model.robots.description import Description, Frame, Joint, Link, check_inertial
+from flexopt.model.robots.elements import Element, Faults, unique
+from flexopt.model.robots.geometry import Array, Inertial, Pose, tensor
+from flexopt.model.robots.mjcf_geoms import geom_inertial
+from flexopt.model.robots.mjcf_joints import read_joint
+from flexopt.model.robots.mjcf_settings import MAIN, Settings, read_settings, with_includes
+
+SECTIONS = (
+    "compiler", "option", "size", "statistic", "visual", "default", "asset", "custom", "extension", "worldbody",
+    "contact", "tendon", "equality", "actuator", "sensor", "keyframe", "deformable",
+)  # fmt: skip
+LEFT_OUT = ("contact", "actuator", "sensor", "keyframe", "extension")
+IN_A_BODY = ("body", "frame", "inertial", "joint", "freejoint", "geom", "site", "camera", "light")
+PULLS = ("stiffness", "damping", "frictionloss", "armature", "range")
+
+
+def read_mjcf(root: Element, folder: Path, faults: Faults) -> Description:
+    """The robot below <mujoco>; what is wrong is added to `faults`. Included files are looked for from `folder`.
+
+    Raises:
+        ModelError: an included file cannot be read or is no XML.
+    """
+    root = with_includes(root, folder, faults)
+    for section in root.children:
+        if section.tag not in SECTIONS:
+            faults.add(section, "is no section of an MJCF model")
+    reader = _Reader(read_settings(root, faults))
+    for world in root.all("worldbody"):
+        reader.children(world, None, Pose(), world.attributes.get("childclass", MAIN), _Body())
+    if not reader.links:
+        faults.add(root, "has no <body> in a <worldbody>")
+    for key in ("body", "joint", "site"):
+        elements = [e for w in root.all("worldbody") for e in w.walk() if e.tag in (key, f"free{key}")]
+        unique(faults, elements, key, lambda element: element.attributes.get("name", ""))
+    blockers = {word: Faults() for word in ("equality", "tendon", "gravcomp", "gravity")}
+    _constraints(root, reader, blockers)
+    gravity = _gravity(root, faults, blockers["gravity"])
+    kept = Counter(child.tag for section in root.all(*LEFT_OUT) for child in section.children)
+    return Description(
+        name=root.attributes.get("model", ""),
+        links=reader.scaled_links(),
+        sites=reader.sites,
+        gravity=gravity,
+        notes=tuple(f"<{tag}> ({count}) not read" for tag, count in kept.items()),
+        warnings=tuple(faults.warnings),
+        blockers=blockers,
+    )
+
+
+class _Body:
+    """What is gathered about one body while its children are read."""
+
+    def __init__(self) -> None:
+        self.joints: list[Joint] = []
+        self.explicit: Inertial | None = None
+        self.solid = Inertial()
+        self.why = ""
+        self.has_geoms = False
+
+
+class _Reader:
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.faults = settings.faults
+        self.links: list[Link] = []
+        self.sites: dict[str, Frame] = {}
+        self.gravity_compensated: list[Element] = []
+
+    def children(self, element: Element, name: str | None, pose: Pose, child_class: str, body: _Body) -> None:
+        """Read the children of a body, a frame or the world; `pose` is the frame in the body (None: the world)."""
+        for child in element.children:
+            if child.tag not in IN_A_BODY:
+                self.faults.add(child, f"<{child.tag}> is not read in a body: write out what it stands for", of=element)
+            elif child.tag == "frame":
+                inner = child.attributes.get("childclass", child_class)
+                self.children(child, name, pose @ self.settings.pose(child), inner, body)
+            elif child.tag == "body":
+                self._body(child, name, pose, child_class)
+            elif name is not None:
+                self._part(child, element, name, pose, child_class, body)
+
+    def _body(self, element: Element, parent: str | None, frame: Pose, child_class: str) -> None:
+        index = len(self.links)
+        name = element.attributes.get("name") or f"body{index + 1}"
+        link = Link(name, parent, element)
+        self.links.append(link)
+        if self.faults.number(element, "gravcomp"):
+            self.gravity_compensated.append(element)
+        body = _Body()
+        self.children(element, name, Pose(), element.attributes.get("childclass", child_class), body)
+        inertial, why = self._inertial(body)
+        self.links[index] = replace(
+            link,
+            pose=frame @ self.settings.pose(element),
+            joints=tuple(body.joints),
+            inertial=None if why else inertial,
+            why=why,
+        )
+
+    def _part(self, child: Element, of: Element, name: str, pose: Pose, child_class: str, body: _Body) -> None:
+        element = self.settings.resolved(child, child_class)
+        if child.tag == "site":
+            if "name" in child.attributes:
+                self.sites[child.attributes["name"]] = Frame(name, pose @ self.settings.pose(element))
+        elif child.tag == "inertial":
+            body.explicit = self._explicit(child, of).seen_from(pose)
+        elif child.tag == "geom":
+            body.has_geoms = True
+            solid = geom_inertial(self.settings, element, pose, of)
+            if isinstance(solid, str):
+                body.why = solid
+            else:
+                body.solid = body.solid + solid
+        elif child.tag in ("joint", "freejoint"):
+            free = child.tag == "freejoint"
+            title = child.attributes.get("name") or f"{name}.joint{len(body.joints) + 1}"
+            joint = read_joint(self.settings, replace(element, tag="joint"), title, pose, free=free)
+            if joint is not None:
+                body.joints.append(joint)
+
+    def _explicit(self, element: Element, of: Element) -> Inertial:
+        """An <inertial>, its tensor in its own axes or, as fullinertia, in them too."""
+        faults = self.faults
+        for key in ("pos", "mass"):
+            faults.required(element, key, of)
+        given = [key for key in ("diaginertia", "fullinertia") if key in element.attributes]
+        if len(given) != 1:
+            faults.add(element, "needs either diaginertia or fullinertia", of=of)
+        moments = faults.numbers(element, "diaginertia", 3, (0.0, 0.0, 0.0), of)
+        if given == ["fullinertia"]:
+            moments = faults.numbers(element, "fullinertia", 6, (0.0,) * 6, of)
+        own = Inertial(faults.number(element, "mass", 0.0, of), np.zeros(3), tensor(*(float(m) for m in moments)))
+        check_inertial(faults, element, own, of)
+        return own.seen_from(self.settings.pose(element, of))
+
+    def _inertial(self, body: _Body) -> tuple[Inertial, str]:
+        """The body's inertia as the compiler settings have it, or why it cannot be told."""
+        settings = self.settings
+        from_geoms = {"true": body.has_geoms, "false": False, "auto": body.explicit is None}
+        if from_geoms[settings.inertia_from_geoms]:
+            inertial, why = body.solid, body.why
+        else:
+            inertial, why = body.explicit or Inertial(), ""
+        if settings.balance or settings.least_inertia > 0:
+            inertial = replace(inertial, tensor=_adjusted(inertial.tensor, settings))
+        return replace(inertial, mass=max(inertial.mass, settings.least_mass)), why
+
+    def scaled_links(self) -> tuple[Link, ...]:
+        """The links, with `settotalmass` applied."""
+        wanted = self.settings.total_mass
+        known = [link.inertial for link in self.links if link.inertial is not None]
+        total = sum(inertial.mass for inertial in known)
+        if wanted <= 0 or total <= 0:
+            return tuple(self.links)
+        if len(known) < len(self.links):
+            link = next(link for link in self.links if link.inertial is None)
+            self.faults.add(link.element, f"settotalmass needs the mass of every body, but {link.why}")
+        return tuple(
+            link if link.inertial is None else replace(link, inertial=link.inertial.scaled(wanted / total))
+            for link in self.links
+        )
+
+
+def _adjusted(matrix: Array, settings: Settings) -> Array:
+    """Principal moments averaged where no body has them (balanceinertia), and at least boundinertia."""
+    moments, axes = np.linalg.eigh(matrix)
+    if settings.balance and moments[2] > moments[0] + moments[1]:
+        moments = np.full(3, moments.mean())
+    return axes @ np.diag(np.maximum(moments, settings.least_inertia)) @ axes.T
+
+
+def _constraints(root: Element, reader: _Reader, blockers: dict[str, Faults]) -> None:
+    """What couples or drives coordinates beside the tree of joints."""
+    for section in root.all("equality"):
+        for element in section.children:
+            if reader.settings.resolved(element, MAIN).attributes.get("active", "true") == "true":
+                blockers["equality"].add(element, "an equality constraint changes the dynamics and is not read")
+    for section in root.all("tendon"):
+        for element in section.children:
+            resolved = reader.settings.resolved(replace(element, tag="tendon"), MAIN)
+            pulls = [key for key in PULLS if set(resolved.attributes.get(key, "0").split()) - {"0", "0.0"}]
+            if pulls:
+                blockers["tendon"].add(element, f"a tendon with {' and '.join(pulls)} is not read")
+    for element in reader.gravity_compensated:
+        blockers["gravcomp"].add(element, "gravcomp takes weight off the body and is not read")
+    for section in root.all("deformable"):
+        for element in section.all("flex"):
+            reader.faults.add(element, "flexible bodies are not read")
+
+
+def _gravity(root: Element, faults: Faults, blocker: Faults) -> float:
+    """Acceleration along −z, m/s²."""
+    gravity, last = np.array([0.0, 0.0, -9.81]), root
+    for option in root.all("option"):
+        if "gravity" in option.attributes:
+            gravity, last = faults.numbers(option, "gravity", 3, (0.0, 0.0, -9.81)), option
+        for flag in option.all("flag"):
+            for key in ("spring", "damper", "passive"):
+                if flag.attributes.get(key) == "disable":
+                    faults.add(flag, f"{key} is disabled, and with it what makes joints passive", of=option)
+            if flag.attributes.get("gravity") == "disable":
+                gravity = np.zeros(3)
+        for key in ("density", "viscosity", "wind"):
+            if np.any(faults.numbers(option, key, 3 if key == "wind" else 1, (0.0,) * (3 if key == "wind" else 1))):
+                faults.warn(option, f"the medium's {key} is left out")
+    if gravity[0] or gravity[1] or gravity[2] > 0:
+        text = " ".join(f"{float(part):g}" for part in gravity)
+        blocker.add(last, "gravity must point along -z; else say `gravity` in the machine file, in m/s²", value=text)
+        return 0.0
+    return -float(gravity[2]) + 0.0

@@ -1,0 +1,186 @@
+"""What the rest of an MJCF file is read by: included files, compiler settings, classes of defaults, orientations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from flexopt.model.robots.elements import Element, Faults, check_text, parse
+from flexopt.model.robots.geometry import (
+    Array,
+    Pose,
+    about,
+    from_euler,
+    from_quaternion,
+    from_xy_axes,
+    from_z_axis,
+)
+
+ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+MAIN = "main"
+
+Defaults = dict[str, dict[str, dict[str, str]]]
+
+
+def with_includes(root: Element, folder: Path, faults: Faults) -> Element:
+    """The tree with each <include> replaced by the children of the file's root; paths start from `folder`.
+
+    Raises:
+        ModelError: an included file cannot be read or is no XML.
+    """
+    return _spliced(root, folder, faults, {root.file})
+
+
+def _spliced(element: Element, folder: Path, faults: Faults, seen: set[str]) -> Element:
+    children: list[Element] = []
+    for child in element.children:
+        if child.tag != "include":
+            children.append(_spliced(child, folder, faults, seen))
+            continue
+        name = faults.required(child, "file")
+        if not name:
+            continue
+        label = str(Path(child.file).parent / name) if not Path(name).is_absolute() else name
+        if label in seen:
+            faults.add(child, f"file {name!r} is included twice, or includes itself")
+            continue
+        seen.add(label)
+        children += _spliced(parse(folder / name, label), folder, faults, seen).children
+    return replace(element, children=children)
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """Compiler settings and defaults of a whole model."""
+
+    faults: Faults
+    angle: float
+    euler_sequence: str
+    auto_limits: bool
+    inertia_from_geoms: str
+    groups: tuple[float, float]
+    total_mass: float
+    least_mass: float
+    least_inertia: float
+    balance: bool
+    classes: Defaults
+
+    def resolved(self, element: Element, child_class: str) -> Element:
+        """The element with the attributes that its class, or the class of the bodies around it, gives."""
+        name = element.attributes.get("class", child_class)
+        given = self.classes.get(name)
+        if given is None:
+            self.faults.add(element, f"class {name!r} is no <default> of this model")
+            given = self.classes[MAIN]
+        return replace(element, attributes=_over(given.get(element.tag, {}), element.attributes))
+
+    def pose(self, element: Element, of: Element | None = None) -> Pose:
+        """`pos`, and the orientation in whichever way it is written; or the middle of `fromto`, z along it."""
+        if "fromto" in element.attributes:
+            ends = self.faults.numbers(element, "fromto", 6, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), of)
+            if np.linalg.norm(ends[3:] - ends[:3]) > 0:
+                return Pose((ends[:3] + ends[3:]) / 2, from_z_axis(ends[3:] - ends[:3]))
+            self.faults.add(element, "fromto has no length", of=of)
+        return Pose(self.faults.numbers(element, "pos", 3, (0.0, 0.0, 0.0), of), self._rotation(element, of))
+
+    def _rotation(self, element: Element, of: Element | None) -> Array:
+        given = [key for key in ORIENTATIONS if key in element.attributes]
+        if len(given) > 1:
+            self.faults.add(element, f"has {' and '.join(given)}: one orientation is enough", of=of)
+        if not given:
+            return np.eye(3)
+        key = given[0]
+        count, neutral, build = self._ways()[key]
+        values = self.faults.numbers(element, key, count, neutral, of)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rotation = build(values)
+        if not np.isfinite(rotation).all():
+            text = element.attributes[key]
+            sentence = f"{key} tells no orientation: a direction in it is zero, or two are parallel"
+            self.faults.add(element, sentence, of=of, value=text)
+            return np.eye(3)
+        return rotation
+
+    def _ways(self) -> dict[str, tuple[int, tuple[float, ...], Callable[[Array], Array]]]:
+        return {
+            "quat": (4, (1.0, 0.0, 0.0, 0.0), from_quaternion),
+            "axisangle": (
+                4,
+                (0.0, 0.0, 1.0, 0.0),
+                lambda v: about(v[:3] / np.linalg.norm(v[:3]), self.angle * float(v[3])),
+            ),
+            "xyaxes": (6, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0), lambda v: from_xy_axes(v[:3], v[3:])),
+            "zaxis": (3, (0.0, 0.0, 1.0), from_z_axis),
+            "euler": (3, (0.0, 0.0, 0.0), lambda v: from_euler(self.angle * v, self.euler_sequence)),
+        }
+
+
+def read_settings(root: Element, faults: Faults) -> Settings:
+    """Settings from every <compiler> and <default> of the model; a later one overrides an earlier."""
+    merged: dict[str, str] = {}
+    last = root
+    for compiler in root.all("compiler"):
+        merged |= compiler.attributes
+        last = compiler
+    element = replace(last, tag="compiler", attributes=merged, children=[])
+    degrees = check_text(faults, element, "angle", ("degree", "radian"), "degree") == "degree"
+    if merged.get("coordinate", "local") != "local":
+        faults.add(
+            element, "coordinate must be local; newer versions of MuJoCo read no other", value=merged["coordinate"]
+        )
+    sequence = merged.get("eulerseq", "xyz")
+    if len(sequence) != 3 or set(sequence.lower()) - set("xyz"):
+        faults.add(element, "eulerseq must be three letters of x, y, z, X, Y, Z", value=repr(sequence))
+        sequence = "xyz"
+    low, high = faults.numbers(element, "inertiagrouprange", 2, (0.0, 5.0))
+    return Settings(
+        faults=faults,
+        angle=math.pi / 180 if degrees else 1.0,
+        euler_sequence=sequence,
+        auto_limits=check_text(faults, element, "autolimits", ("true", "false"), "true") == "true",
+        inertia_from_geoms=check_text(faults, element, "inertiafromgeom", ("auto", "true", "false"), "auto"),
+        groups=(float(low), float(high)),
+        total_mass=faults.number(element, "settotalmass", -1.0),
+        least_mass=faults.number(element, "boundmass"),
+        least_inertia=faults.number(element, "boundinertia"),
+        balance=check_text(faults, element, "balanceinertia", ("true", "false"), "false") == "true",
+        classes=_classes(root, faults),
+    )
+
+
+def _classes(root: Element, faults: Faults) -> Defaults:
+    classes: Defaults = {MAIN: {}}
+
+    def read(default: Element, name: str, inherited: dict[str, dict[str, str]]) -> None:
+        own = {tag: dict(attributes) for tag, attributes in inherited.items()}
+        for child in default.children:
+            if child.tag != "default":
+                own[child.tag] = _over(own.get(child.tag, {}), child.attributes)
+        classes[name] = own
+        for child in default.all("default"):
+            inner = faults.required(child, "class")
+            if inner in classes:
+                faults.add(child, f"class {inner!r} is defined twice")
+            elif inner:
+                read(child, inner, own)
+
+    for default in root.all("default"):
+        name = default.attributes.get("class", MAIN)
+        read(default, name, classes[MAIN])
+    return classes
+
+
+def _over(inherited: dict[str, str], own: dict[str, str]) -> dict[str, str]:
+    """Own attributes over inherited ones: an orientation replaces any other, a shorter `size` its first numbers."""
+    kept = dict(inherited)
+    if any(key in own for key in ORIENTATIONS):
+        kept = {key: text for key, text in kept.items() if key not in ORIENTATIONS}
+    merged = kept | own
+    if "size" in own and "size" in kept:
+        words = own["size"].split()
+        merged["size"] = " ".join(words + kept["size"].split()[len(words) :])
+    return merged

@@ -1,0 +1,161 @@
+"""A robot file (URDF or MJCF) and its machine file in, a validated `Tree` out.
+
+The machine file is TOML. An arm on an elastic undercarriage:
+
+    schema = 1
+    name = "arm on tracks"
+    robot = "arm.urdf"                # or an MJCF file (.xml); from this file's folder
+    actuated = ["slew", "boom", "stick"]
+    locked = { gripper = 0.02 }       # rad or m: these joints do not move
+    placement = ["x", "y", "yaw"]     # what the operator chooses, of the anchor frame; this is the default
+
+    [base]                            # what the root link stands on; without it the root link is fixed to the ground
+    stiffness = { z = 4e6, roll = 2e6, pitch = 3e6 }     # N/m, N m/rad; a direction left out is rigid
+    damping = { z = 2e4, roll = 9e3 }                    # N s/m, N m s/rad; 0 where left out
+    point = [0.0, 0.0, -0.4]          # where the springs act, in the root link's frame, m
+    # position = [0, 0, 0.4]          # root link at rest in the anchor frame, m; from the robot file where left out
+    # rotation = [0, 0, 0]            # and its roll, pitch, yaw, rad
+
+    [joints.boom]                     # in place of what the robot file says: stiffness, damping, rest, limits
+    limits = [-0.5, 1.2]
+
+    [joints.mast]                     # a spring makes a joint passive
+    stiffness = 5e5
+    damping = 300.0
+
+    [end_point]
+    link = "tool0"                    # a link (body); or  site = "tip",  a site of an MJCF file
+    offset = [0.0, 0.0, 0.12]         # in its axes, m;  rotation = [0, 0, 0] its roll, pitch, yaw, rad
+    rows = ["x", "y", "z"]            # and "roll", "pitch", "yaw", in m by `length`; see `EndPoint`
+
+    [payload]
+    mass = 250.0                      # kg, at the end-point
+
+Further keys: `root` (the link to start from: what carries it, and other machines in the file, are left out),
+`lock_others = true` (every joint that is neither actuated nor has a spring is locked where the file has it: at 0, or
+`ref`), `gravity` (m/s², along −z; the MJCF file's or 9.81 where left out), and `ignore`, which reads an MJCF robot
+without things that change its dynamics: `["armature", "equality", "tendon", "gravcomp"]`. `base.stiffness` and
+`base.damping` also take six numbers (x, y, z, roll, pitch, yaw) or a symmetric 6 × 6 matrix, about `point`, in the axes
+of the anchor frame. A free joint of the root link gives way to [base]; a mimic joint follows a locked joint, and is
+refused where that moves.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
+from flexopt.model.faults import Table, validated
+from flexopt.model.robots.assembly import Assembly
+from flexopt.model.robots.description import Description
+from flexopt.model.robots.elements import Faults, parse
+from flexopt.model.robots.mjcf import read_mjcf
+from flexopt.model.robots.overlay import Overlay
+from flexopt.model.robots.urdf import read_urdf
+from flexopt.model.tree import Tree, tree_from_dict
+
+WARNINGS_SHOWN = 5
+
+
+def load_robot(path: str | os.PathLike[str]) -> Tree:
+    """Read a spatial machine file and the robot file it names.
+
+    Args:
+        path: a TOML file in the layout above.
+
+    Raises:
+        ModelError: a file is missing or has faults; the message lists every one with file, line and element, or key.
+
+    Warns:
+        FlexoptWarning: what is readable but odd: an inertia that no rigid body has, dry friction, a medium.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = error.strerror if isinstance(error, OSError) else f"is not valid TOML: {error}"
+        raise ModelError(f"{path}: {reason}") from None
+    return _read(data, path.parent, str(path))
+
+
+def robot_from_dict(data: Table, *, folder: str | os.PathLike[str], origin: str = "machine") -> Tree:
+    """As `load_robot`, for a dictionary in the layout of a spatial machine file.
+
+    Args:
+        data: its tables and keys.
+        folder: where the path of the robot file starts.
+        origin: what the message calls the source.
+
+    Raises:
+        ModelError: lists every fault.
+    """
+    return _read(data, Path(folder), origin)
+
+
+def _read(data: Table, folder: Path, origin: str) -> Tree:
+    frozen = cast(dict[str, Any], _frozen(data))
+    faults: list[Fault] = []
+    overlay: Overlay | None = None
+    robot: Description | None = None
+    try:
+        overlay = validated(Overlay, frozen, origin, ())
+        faults += overlay.faults()
+    except ModelError as error:
+        faults += error.faults
+    name = frozen.get("robot")
+    if isinstance(name, str) and name:
+        try:
+            robot, found = read_description(folder / name, name)
+            faults += found
+        except ModelError as error:
+            faults += error.faults or [Fault("robot", str(error), repr(name))]
+    raise_if_any(ModelError, origin, faults)
+    assert overlay is not None and robot is not None  # noqa: PT018
+    assembly = Assembly(robot, overlay)
+    raise_if_any(ModelError, origin, assembly.faults)
+    try:
+        tree = tree_from_dict(assembly.tree(), origin=origin)
+    except ModelError as error:
+        located = [assembly.located(fault) for fault in error.faults]
+        raise_if_any(ModelError, origin, located)
+        raise
+    _warn(origin, robot.warnings)
+    return tree
+
+
+def read_description(path: Path, name: str) -> tuple[Description, list[Fault]]:
+    """A URDF or MJCF file, whichever its root element says, and its faults.
+
+    Raises:
+        ModelError: nothing of the file can be read.
+    """
+    root = parse(path, name)
+    faults = Faults()
+    if root.tag == "robot":
+        return read_urdf(root, faults), faults.faults
+    if root.tag == "mujoco":
+        return read_mjcf(root, path.parent, faults), faults.faults
+    hint = "; convert SDF to URDF first" if root.tag == "sdf" else ""
+    raise ModelError(f"{root.place}: its root element is <{root.tag}>, not <robot> (URDF) or <mujoco> (MJCF){hint}")
+
+
+def _warn(origin: str, sentences: tuple[str, ...]) -> None:
+    if not sentences:
+        return
+    more = len(sentences) - WARNINGS_SHOWN
+    listed = [*sentences[:WARNINGS_SHOWN], *([f"and {more} more"] if more > 0 else [])]
+    warnings.warn(f"{origin}: " + "; ".join(listed), FlexoptWarning, stacklevel=4)
+
+
+def _frozen(value: Any) -> Any:
+    """Lists as tuples, all the way down."""
+    if isinstance(value, Mapping):
+        return {key: _frozen(part) for key, part in cast(Mapping[str, Any], value).items()}
+    if isinstance(value, list | tuple):
+        return tuple(_frozen(part) for part in cast(list[Any], value))
+    return value

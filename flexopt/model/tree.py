@@ -1,0 +1,250 @@
+"""A spatial machine as validated data: a tree of rigid bodies, each on one joint of one degree of freedom.
+
+Readers of robot files end here and the spatial plant starts here. Units are SI and angles radians. A body's frame is
+that of its joint at zero: the joint stands at `position`, turned by `rotation`, in the parent's frame, and moves the
+body along or about `axis`. The ground's frame is the anchor frame, which the placement moves over the ground; z is up.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Annotated, Any, Literal, cast
+
+from pydantic import Field
+
+from flexopt.model.faults import Table, validated
+from flexopt.model.machine import FileModel, Parameter, Payload
+from flexopt.model.quantities import Acceleration, Length, MassOrZero, check_schema, checked
+from flexopt.model.tree_faults import tree_faults
+from flexopt.model.tree_quantities import (
+    Axis,
+    InertiaSix,
+    Pair,
+    Point,
+    Rotation,
+    Square,
+    check_damping_value,
+    check_rest_value,
+    check_stiffness_value,
+)
+
+Row = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+Placement = Literal["x", "y", "yaw"]
+POSITION_ROWS: tuple[Row, ...] = ("x", "y", "z")
+ORIENTATION_ROWS: tuple[Row, ...] = ("roll", "pitch", "yaw")
+INERTIA_ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
+UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+class TreeJoint(FileModel):
+    """A hinge or a slide. Passive: spring, damper, rest value; else actuated: limits and friction.
+
+    A passive joint has a `stiffness` unless the tree's `stiffness_matrix` names it. Units follow `kind`: N m/rad,
+    N m s/rad and rad, or N/m, N s/m and m. `axis` (3,) is scaled to length 1.
+    """
+
+    name: str = Field(min_length=1)
+    kind: Literal["hinge", "slide"]
+    axis: Axis
+    passive: bool = False
+    stiffness: Annotated[float, checked(check_stiffness_value)] | None = None
+    damping: Annotated[float, checked(check_damping_value)] = 0.0
+    rest: Annotated[float, checked(check_rest_value)] = 0.0
+    limits: Pair | None = None
+    joint_damping: Annotated[float, checked(check_damping_value)] = 0.0
+
+
+class TreeBody(FileModel):
+    """A rigid body and the joint that carries it on `parent` (None: on the ground).
+
+    `rotation` is a matrix of three rows, or three numbers (roll, pitch, yaw): Rz(yaw) Ry(pitch) Rx(roll). `com` (3,)
+    and `inertia` (xx, yy, zz, xy, xz, yz; about the centre of mass) are in the body's axes. A body may have no mass:
+    a joint of several degrees of freedom is a series of such bodies.
+    """
+
+    name: str = Field(min_length=1)
+    parent: str | None = None
+    joint: TreeJoint
+    position: Point = (0.0, 0.0, 0.0)
+    rotation: Rotation = UNTURNED
+    mass: MassOrZero = 0.0
+    com: Point = (0.0, 0.0, 0.0)
+    inertia: InertiaSix = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def massless(self) -> bool:
+        """Whether the body has neither mass nor inertia."""
+        return self.mass == 0 and not any(self.inertia)
+
+
+class EndPoint(FileModel):
+    """The frame on `body` that does the work, and which of its coordinates are the task.
+
+    Position rows (x, y, z) are in m, inertial axes. Orientation rows (roll, pitch, yaw) are the components of the
+    rotation vector that leads from the frame `reference`, fixed to the inertial axes, to the end-point's, times
+    `length`, so that they are in m too.
+    """
+
+    body: str = Field(min_length=1)
+    position: Point = (0.0, 0.0, 0.0)
+    rotation: Rotation = UNTURNED
+    rows: tuple[Row, ...] = Field(default=("x", "y", "z"))
+    reference: Rotation = UNTURNED
+    length: Length = 1.0
+
+
+class JointMatrix(FileModel):
+    """A symmetric matrix over passive joints, in the order of `joints`: stiffness or damping that couples them."""
+
+    joints: tuple[str, ...]
+    matrix: Square
+
+
+class Tree(FileModel):
+    """A spatial machine: bodies in topological order (each after its parent), compliance, end-point, placement.
+
+    Gravity acts along −z. `stiffness_matrix` and `damping_matrix` stand in for `stiffness` and `damping` of the passive
+    joints that they name. `placement` lists the coordinates of the anchor frame that the operator chooses.
+    """
+
+    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
+    name: str = Field(min_length=1)
+    description: str = ""
+    source: str = ""
+    gravity: Acceleration = 9.81
+    bodies: tuple[TreeBody, ...]
+    end_point: EndPoint
+    stiffness_matrix: JointMatrix | None = None
+    damping_matrix: JointMatrix | None = None
+    placement: tuple[Placement, ...] = ("x", "y", "yaw")
+    payload: Payload = Payload()
+
+    @property
+    def passive_bodies(self) -> tuple[TreeBody, ...]:
+        """Bodies on passive joints, in order."""
+        return tuple(body for body in self.bodies if body.joint.passive)
+
+    @property
+    def actuated_bodies(self) -> tuple[TreeBody, ...]:
+        """Bodies on actuated joints, in order."""
+        return tuple(body for body in self.bodies if not body.joint.passive)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of q: the passive joints, then the actuated ones."""
+        return tuple(body.joint.name for body in (*self.passive_bodies, *self.actuated_bodies))
+
+    @property
+    def coordinate_units(self) -> tuple[str, ...]:
+        """Unit of each entry of q."""
+        return tuple("rad" if b.joint.kind == "hinge" else "m" for b in (*self.passive_bodies, *self.actuated_bodies))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the actuated joints."""
+        return tuple(body.joint.name for body in self.actuated_bodies)
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], ...]:
+        """Limits of the actuated joints, rad or m; infinite where none are given."""
+        unlimited = (-float("inf"), float("inf"))
+        return tuple(body.joint.limits or unlimited for body in self.actuated_bodies)
+
+    @property
+    def base_coordinates(self) -> tuple[str, ...]:
+        """Names of the placement coordinates that the operator chooses."""
+        return self.placement
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameter vector p with this machine's values.
+
+        Directions (axes, rotations) are no parameters, nor are mass and inertia of a body that has none.
+        """
+        listed: list[Parameter] = []
+        for body in self.bodies:
+            listed += _vector(f"{body.name}.position", body.position)
+            if not body.massless:
+                listed.append(Parameter(f"{body.name}.mass", body.mass, "kg"))
+                listed += _vector(f"{body.name}.com", body.com)
+                entries = zip(INERTIA_ENTRIES, body.inertia, strict=True)
+                listed += [Parameter(f"{body.name}.inertia.{entry}", value, "kg m²") for entry, value in entries]
+            listed += self._joint_parameters(body.joint)
+        for word, coupling in (("stiffness", self.stiffness_matrix), ("damping", self.damping_matrix)):
+            listed += self._matrix_parameters(word, coupling)
+        listed += _vector("end_point.position", self.end_point.position)
+        listed += [Parameter("payload.mass", self.payload.mass, "kg"), Parameter("gravity", self.gravity, "m/s²")]
+        return tuple(listed)
+
+    def _joint_parameters(self, joint: TreeJoint) -> list[Parameter]:
+        turn = joint.kind == "hinge"
+        spring, damper, unit = ("N m/rad", "N m s/rad", "rad") if turn else ("N/m", "N s/m", "m")
+        if not joint.passive:
+            return [Parameter(f"{joint.name}.joint_damping", joint.joint_damping, damper)]
+        listed: list[Parameter] = []
+        if joint.stiffness is not None:
+            listed.append(Parameter(f"{joint.name}.stiffness", joint.stiffness, spring))
+        if self.damping_matrix is None or joint.name not in self.damping_matrix.joints:
+            listed.append(Parameter(f"{joint.name}.damping", joint.damping, damper))
+        return [*listed, Parameter(f"{joint.name}.rest", joint.rest, unit)]
+
+    def _matrix_parameters(self, word: str, coupling: JointMatrix | None) -> list[Parameter]:
+        """The upper triangle, row by row."""
+        if coupling is None:
+            return []
+        turns = {body.joint.name for body in self.bodies if body.joint.kind == "hinge"}
+        per = " s" if word == "damping" else ""
+        units = (f"N{per}/m", f"N{per}", f"N m{per}/rad")
+        names = coupling.joints
+        return [
+            Parameter(f"{word}.{a}.{b}", coupling.matrix[i][i + j], units[(a in turns) + (b in turns)])
+            for i, a in enumerate(names)
+            for j, b in enumerate(names[i:])
+        ]
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of the validated content: the same for two descriptions that say the same."""
+        return hashlib.sha256(self.model_dump_json(by_alias=True).encode()).hexdigest()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The tree as a dictionary, keys at their defaults left out: `tree_from_dict` takes it back."""
+        return self.model_dump(by_alias=True, exclude_defaults=True)
+
+    def __hash__(self) -> int:
+        return hash(self.content_hash)
+
+    def __str__(self) -> str:
+        return repr(self)
+
+    def __repr__(self) -> str:
+        passive = ", ".join(body.joint.name for body in self.passive_bodies)
+        return f"Tree({self.name!r}: passive joints: {passive}; actuated joints: {', '.join(self.joints)})"
+
+
+def _vector(name: str, values: tuple[float, float, float]) -> list[Parameter]:
+    return [Parameter(f"{name}.{axis}", value, "m") for axis, value in zip("xyz", values, strict=True)]
+
+
+def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
+    """Validate a dictionary in the layout of `Tree`; lists may stand for tuples.
+
+    Args:
+        data: the fields of `Tree`, nested.
+        origin: what the message calls the source.
+
+    Raises:
+        ModelError: lists every fault.
+    """
+    frozen = cast(dict[str, Any], _with_tuples(data))
+    return validated(Tree, frozen, origin, tree_faults(frozen))
+
+
+def _with_tuples(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _with_tuples(part) for key, part in cast(Mapping[str, Any], value).items()}
+    if isinstance(value, list | tuple):
+        return tuple(_with_tuples(part) for part in cast(list[Any], value))
+    return value

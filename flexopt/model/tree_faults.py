@@ -1,0 +1,186 @@
+"""Faults of a spatial machine that concern several fields at once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.errors import Fault
+from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX
+from flexopt.model.tree_quantities import check_square
+
+Bodies = list[tuple[int, dict[str, Any]]]
+
+
+def tree_faults(data: dict[str, Any]) -> list[Fault]:
+    """Faults that concern several fields at once; looked for even where single fields are faulty."""
+    entries = _tables(data.get("bodies"))
+    bodies = [(index, body) for index, body in enumerate(entries) if body]
+    if not entries:
+        return [Fault("bodies", "at least one body is needed")] if isinstance(data.get("bodies"), tuple) else []
+    if len(bodies) != len(entries):
+        return []
+    faults = _order_faults(bodies) + _name_faults(bodies)
+    coupled: dict[str, tuple[str, ...]] = {}
+    passive = [_joint(body).get("name") for _, body in bodies if _joint(body).get("passive") is True]
+    for word in ("stiffness", "damping"):
+        table = _table(data.get(f"{word}_matrix"))
+        names = cast(tuple[Any, ...], table.get("joints")) if isinstance(table.get("joints"), tuple) else ()
+        coupled[word] = tuple(name for name in names if isinstance(name, str))
+        if table:
+            faults += _matrix_faults(f"{word}_matrix", table, coupled[word], passive, definite=word == "stiffness")
+    for index, body in bodies:
+        faults += _joint_faults(_where(index, body), _joint(body), coupled)
+    faults += _massless_faults(bodies, data)
+    if not passive:
+        faults.append(Fault("bodies", "no passive joint: at least one needs passive = true and a stiffness"))
+    faults += _end_point_faults(_table(data.get("end_point")), bodies, len(bodies) - len(passive))
+    faults += _repeats("placement", data.get("placement"))
+    return faults
+
+
+def _tables(value: Any) -> list[dict[str, Any]]:
+    return [_table(entry) for entry in cast(tuple[Any, ...], value)] if isinstance(value, tuple) else []
+
+
+def _table(value: Any) -> dict[str, Any]:
+    return cast(dict[str, Any], value) if isinstance(value, dict) else {}
+
+
+def _joint(body: dict[str, Any]) -> dict[str, Any]:
+    return _table(body.get("joint"))
+
+
+def _where(index: int, body: dict[str, Any]) -> str:
+    name = body.get("name")
+    return f"bodies[{index}]" + (f" ({name})" if isinstance(name, str) and name else "")
+
+
+def _quoted(value: Any) -> str:
+    return repr(list(cast(tuple[Any, ...], value))) if isinstance(value, tuple) else repr(value)
+
+
+def _order_faults(bodies: Bodies) -> list[Fault]:
+    faults: list[Fault] = []
+    every, seen = {body.get("name") for _, body in bodies}, set[Any]()
+    for index, body in bodies:
+        parent = body.get("parent")
+        if parent is not None and parent not in seen:
+            why = "comes later; a body must follow its parent" if parent in every else "is no body's name"
+            faults.append(Fault(f"{_where(index, body)}.parent", why, _quoted(parent)))
+        seen.add(body.get("name"))
+    return faults
+
+
+def _name_faults(bodies: Bodies) -> list[Fault]:
+    faults: list[Fault] = []
+    for what, names, suffix in (
+        ("body", [body.get("name") for _, body in bodies], ".name"),
+        ("joint", [_joint(body).get("name") for _, body in bodies], ".joint.name"),
+    ):
+        for (index, body), name in zip(bodies, names, strict=True):
+            field = f"{_where(index, body)}{suffix}"
+            if name in names[:index] and isinstance(name, str):
+                faults.append(Fault(field, f"is taken by an earlier {what}; names must differ", _quoted(name)))
+            if name in ("payload", "gravity", "end_point", "stiffness", "damping"):
+                faults.append(Fault(field, "is reserved; choose another", _quoted(name)))
+    return faults
+
+
+def _joint_faults(where: str, joint: dict[str, Any], coupled: dict[str, tuple[str, ...]]) -> list[Fault]:
+    faults: list[Fault] = []
+    name = joint.get("name")
+    if joint.get("passive") is True:
+        if name in coupled["stiffness"]:
+            if joint.get("stiffness") is not None:
+                faults.append(Fault(f"{where}.joint.stiffness", "is given twice: stiffness_matrix names this joint"))
+        elif joint.get("stiffness") is None:
+            faults.append(Fault(f"{where}.joint.stiffness", "a passive joint needs one, in N m/rad or N/m"))
+        if name in coupled["damping"] and joint.get("damping"):
+            faults.append(Fault(f"{where}.joint.damping", "is given twice: damping_matrix names this joint"))
+        wrong = [key for key in ("limits", "joint_damping") if joint.get(key)]
+        reason = "belongs to an actuated joint; a passive one has stiffness, damping and rest"
+    else:
+        wrong = [key for key in ("stiffness", "damping", "rest") if joint.get(key)]
+        reason = "belongs to a passive joint; add passive = true"
+    faults += [Fault(f"{where}.joint.{key}", reason, _quoted(joint[key])) for key in wrong]
+    if joint.get("kind") == "hinge":
+        given = joint.get("limits")
+        ends = list(cast(tuple[Any, ...], given)) if isinstance(given, tuple) else []
+        for key, values in (("rest", [joint.get("rest")]), ("limits", ends)):
+            if any(isinstance(v, int | float) and ANGLE_MAX < abs(v) <= COORDINATE_MAX for v in values):
+                sentence = f"must lie between {-ANGLE_MAX:g} and {ANGLE_MAX:g} rad"
+                faults.append(Fault(f"{where}.joint.{key}", sentence, _quoted(joint[key])))
+    return faults
+
+
+def _matrix_faults(
+    field: str, table: dict[str, Any], names: tuple[str, ...], passive: list[Any], *, definite: bool
+) -> list[Fault]:
+    faults = [
+        Fault(f"{field}.joints", "is no passive joint's name", _quoted(name)) for name in names if name not in passive
+    ]
+    faults += _repeats(f"{field}.joints", table.get("joints"))
+    try:
+        matrix = np.array(check_square(table.get("matrix")))
+    except ValueError:
+        return faults  # reported beside the field
+    if len(matrix) != len(names):
+        sentence = f"must be {len(names)} × {len(names)}, a row for each joint"
+        return [*faults, Fault(f"{field}.matrix", sentence, f"{len(matrix)} × {len(matrix)}")]
+    diagonal = np.diag(matrix)
+    # In units of its diagonal, where metres and radians do not show.
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    least = float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
+    if (definite and least <= 1e-12) or least < -1e-12:
+        word = "positive definite" if definite else "positive semidefinite"
+        faults.append(
+            Fault(f"{field}.matrix", f"must be {word}; its least eigenvalue, scaled by its diagonal, is {least:.3g}")
+        )
+    return faults
+
+
+def _massless_faults(bodies: Bodies, data: dict[str, Any]) -> list[Fault]:
+    """Joints beyond which there is no mass."""
+    carries = {body.get("name"): bool(body.get("mass")) or _any(body.get("inertia")) for _, body in bodies}
+    payload = _table(data.get("payload")).get("mass")
+    if payload:
+        carries[_table(data.get("end_point")).get("body")] = True
+    for _, body in reversed(bodies):
+        if carries.get(body.get("name")) and body.get("parent") in carries:
+            carries[body.get("parent")] = True
+    return [
+        Fault(f"{_where(index, body)}.mass", "the joint moves nothing: neither this body nor one beyond it has mass")
+        for index, body in bodies
+        if not carries.get(body.get("name"))
+    ]
+
+
+def _any(value: Any) -> bool:
+    return isinstance(value, tuple) and any(cast(Iterable[Any], value))
+
+
+def _end_point_faults(end_point: dict[str, Any], bodies: Bodies, actuated: int) -> list[Fault]:
+    faults: list[Fault] = []
+    body = end_point.get("body")
+    if isinstance(body, str) and body and body not in {b.get("name") for _, b in bodies}:
+        faults.append(Fault("end_point.body", "is no body's name", _quoted(body)))
+    rows = end_point.get("rows", ("x", "y", "z"))
+    faults += _repeats("end_point.rows", rows)
+    count = len(cast(tuple[Any, ...], rows)) if isinstance(rows, tuple) else 1
+    if not count:
+        faults.append(Fault("end_point.rows", "must not be empty"))
+    if actuated < count:
+        sentence = f"{count} task rows need at least {count} actuated joints; there are {actuated}"
+        faults.append(Fault("end_point.rows", sentence, _quoted(rows)))
+    return faults
+
+
+def _repeats(field: str, value: Any) -> list[Fault]:
+    if not isinstance(value, tuple):
+        return []
+    counts = Counter(str(entry) for entry in cast(tuple[Any, ...], value))
+    return [Fault(field, "is listed twice", repr(entry)) for entry, count in counts.items() if count > 1]

@@ -1,0 +1,154 @@
+"""Vectors in space, turns about z and a symmetric solve, of graphs by scalars: zeros fold as they are written.
+
+In: SX scalars, alone and in tuples. Out: the same. Whatever is exactly zero drops out term by term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from flexopt.plant.tree_constants import SECOND
+from flexopt.plant.tree_structure import Numbers
+
+Scalar = ca.SX
+Vector = tuple[Scalar, Scalar, Scalar]
+Pair = tuple[Scalar, Scalar]
+Wrench = tuple[Vector, Vector]  # force, moment about the body's origin
+ZERO = ca.SX(0)
+ORIGIN: Vector = (ZERO, ZERO, ZERO)
+
+
+def add(a: Vector, b: Vector) -> Vector:
+    """Sum of two vectors."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def scaled(factor: Scalar, a: Vector) -> Vector:
+    """A vector times a number."""
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+def dot(a: Vector, b: Vector) -> Scalar:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def turned(matrix: Numbers, a: Vector) -> Vector:
+    """Constant matrix times vector."""
+    x, y, z = (_combined(row, a) for row in matrix)
+    return x, y, z
+
+
+def turned_back(matrix: Numbers, a: Vector) -> Vector:
+    """Transposed constant matrix times vector."""
+    return turned((_column(matrix, 0), _column(matrix, 1), _column(matrix, 2)), a)
+
+
+def _column(matrix: Numbers, k: int) -> tuple[float, float, float]:
+    return matrix[0][k], matrix[1][k], matrix[2][k]
+
+
+def _combined(row: Sequence[float], a: Vector) -> Scalar:
+    return sum((entry * part for entry, part in zip(row, a, strict=True) if entry), start=ZERO)
+
+
+def times(rows: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
+    """Rows times vector."""
+    return dot(rows[0], a), dot(rows[1], a), dot(rows[2], a)
+
+
+def reversed_turn(turn: Pair | None) -> Pair | None:
+    """The turn back."""
+    return None if turn is None else (turn[0], -turn[1])
+
+
+def about_z(turn: Pair | None, a: Vector) -> Vector:
+    """A vector turned about z by an angle given as (cos, sin)."""
+    if turn is None:
+        return a
+    c, s = turn
+    return c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]
+
+
+def second_about_z(turn: Pair | None, second: dict[str, Scalar]) -> dict[str, Scalar]:
+    """A second moment turned about z."""
+    if turn is None:
+        return second
+    c, s = turn
+    xx, yy, zz, xy, xz, yz = (second[name] for name in SECOND)
+    # s² (xx − yy) + 2 c s xy leaves xx and enters yy.
+    difference = xx - yy
+    exchanged = s * (s * difference + 2 * c * xy)
+    across = (1 - 2 * s * s) * xy + c * s * difference
+    return {"xx": xx - exchanged, "yy": yy + exchanged, "zz": zz, "xy": across,
+            "xz": c * xz - s * yz, "yz": s * xz + c * yz}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Spin:
+    """How a body's axes turn: rate ω, its square's and its derivative's part in U (rows), all in its axes."""
+
+    omega: Vector
+    alpha: Vector
+
+    @cached_property
+    def u(self) -> tuple[Vector, Vector, Vector]:
+        """[α]× + [ω]×², by rows."""
+        (x, y, z), (ax, ay, az) = self.omega, self.alpha
+        xy, xz, yz = x * y, x * z, y * z
+        xx, yy, zz = x * x, y * y, z * z
+        return (-yy - zz, xy - az, xz + ay), (xy + az, -xx - zz, yz - ax), (xz - ay, yz + ax, -xx - yy)
+
+    def moment(self, second: Mapping[str, Scalar]) -> Vector:
+        """Σ r × U r dm."""
+        (x, y, z), u = self.omega, self.u
+        xx, yy, zz, xy, xz, yz = (second[name] for name in SECOND)
+        return (
+            u[2][1] * yy - u[1][2] * zz + (z * z - y * y) * yz + u[2][0] * xy - u[1][0] * xz,
+            u[0][2] * zz - u[2][0] * xx + (x * x - z * z) * xz + u[0][1] * yz - u[2][1] * xy,
+            u[1][0] * xx - u[0][1] * yy + (y * y - x * x) * xy + u[1][2] * xz - u[0][2] * yz,
+        )
+
+
+def solve_symmetric(
+    entries: Mapping[tuple[int, int], ca.SX], right: list[ca.SX], order: list[int], known: Mapping[int, ca.SX]
+) -> list[ca.SX]:
+    """Solution of a positive definite system, eliminated in `order`; entries that are not there are zero.
+
+    Args:
+        entries: (i, j) for i ≥ j.
+        right: right-hand side.
+        order: of elimination.
+        known: reciprocals of diagonal entries, used where no elimination has changed them.
+    """
+    block = {key: entry for key, entry in entries.items() if not entry.is_zero()}
+    right, left = list(right), list(order)
+    changed: set[int] = set()
+    factors: list[tuple[int, ca.SX, dict[int, ca.SX]]] = []
+    while left:
+        k = left.pop(0)
+        inverse = known[k] if k in known and k not in changed else 1 / block[k, k]
+        column = {j: block[max(j, k), min(j, k)] for j in left if (max(j, k), min(j, k)) in block}
+        factor = {j: entry * inverse for j, entry in column.items()}
+        for j, by in factor.items():
+            right[j] = right[j] - by * right[k]
+            for m, entry in column.items():
+                if m <= j:
+                    block[j, m] = block.get((j, m), ZERO) - by * entry
+            changed.add(j)
+        factors.append((k, inverse, factor))
+    result = [ZERO] * len(right)
+    for k, inverse, factor in reversed(factors):
+        result[k] = right[k] * inverse
+        for j, by in factor.items():
+            result[k] = result[k] - by * result[j]
+    return result

@@ -1,0 +1,181 @@
+"""The constants of a tree's recursions as graphs of its parameters: inertia moved towards the ground.
+
+In: a `Tree`. Out: named constants, of which each recursion needs few. About its frame's origin a body has mass m, first
+moment c and second moment S (the integral of r rᵀ dm, whose shifts and rotations are those of r rᵀ; inertia is
+tr(S) 1 − S). What hangs on a hinge z and looks the same however it is turned (m, c_z, S_zz) belongs to its parent as
+well as to it: it is moved there, body by body, which leaves a body on a hinge without mass (base parameters; Khalil and
+Dombre, Modeling, Identification and Control of Robots, section 9.4). All of S is moved from a body on a slide. A body
+that only ever turns about its own z keeps nothing of S but S_xx + S_yy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from flexopt.model.tree import INERTIA_ENTRIES, Tree
+from flexopt.plant.tree_structure import Matrix, Segment, Skeleton, rounded, segments_and_frames, skeleton
+
+AXES = "xyz"
+SECOND = INERTIA_ENTRIES
+
+
+def own_skeleton(tree: Tree) -> Skeleton:
+    """The structure of a tree, constants left out that its own parameters make zero."""
+    zeros = frozenset(name for name, value in constant_values(tree).items() if value == 0)
+    return replace(skeleton(tree), zeros=zeros)
+
+
+@dataclass
+class _Moments:
+    """Mass, first moment and second moment (3, 3) about a frame's origin."""
+
+    mass: ca.SX
+    first: ca.SX
+    second: ca.SX
+
+    def add(self, mass: ca.SX, first: ca.SX, second: ca.SX, at: ca.SX) -> None:
+        """What has these moments about `at`, in the same axes."""
+        self.mass += mass
+        self.first += first + mass * at
+        self.second += second + at @ first.T + first @ at.T + mass * at @ at.T
+
+
+def constant_graphs(tree: Tree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    """The constants of the recursions by name, from the parameters by name.
+
+    For body i: offset{i}.x … of its joint in the parent's frame, m{i}, c{i}.x …, s{i}.xx …; joints: stiffness{i}.{j},
+    damping{i}.{j}, rest{i}; inverse{i}, the reciprocal of the mass that slide i carries; tip.x … in its body's frame;
+    gravity; task_length.
+    """
+    segments, frames = segments_and_frames(tree)
+    index = {body.name: i for i, body in enumerate(tree.bodies)}
+    result: dict[str, ca.SX] = {}
+    offsets: list[ca.SX] = []
+    moments: list[_Moments] = []
+    for i, (body, segment) in enumerate(zip(tree.bodies, segments, strict=True)):
+        of_parent = np.eye(3) if segment.parent < 0 else frames[segment.parent]
+        offsets.append(_turned(of_parent.T, _vector(value, f"{body.name}.position")))
+        own = _Moments(ca.SX(0), ca.SX.zeros(3, 1), ca.SX.zeros(3, 3))
+        if not body.massless:
+            at = _turned(frames[i].T, _vector(value, f"{body.name}.com"))
+            inertia = [value[f"{body.name}.inertia.{entry}"] for entry in SECOND]
+            zero = ca.SX.zeros(3, 1)
+            own.add(value[f"{body.name}.mass"], zero, _both(frames[i].T, _second_of(inertia)), at)
+        moments.append(own)
+    tip = index[tree.end_point.body]
+    end = _turned(frames[tip].T, _vector(value, "end_point.position"))
+    moments[tip].add(value["payload.mass"], ca.SX.zeros(3, 1), ca.SX.zeros(3, 3), end)
+    carried = _carried(segments, [own.mass for own in moments])
+    _move_inwards(segments, offsets, moments)
+
+    for i, (offset, own) in enumerate(zip(offsets, moments, strict=True)):
+        result |= {f"offset{i}.{axis}": offset[k] for k, axis in enumerate(AXES)}
+        result |= {f"m{i}": own.mass} | {f"c{i}.{axis}": own.first[k] for k, axis in enumerate(AXES)}
+        result |= {f"s{i}.{ab}": own.second[AXES.index(ab[0]), AXES.index(ab[1])] for ab in SECOND}
+    result |= {f"tip.{axis}": end[k] for k, axis in enumerate(AXES)}
+    result |= _joint_constants(tree, value)
+    result |= {f"inverse{i}": 1 / mass for i, mass in enumerate(carried) if segments[i].slide}
+    return result | {"gravity": value["gravity"], "task_length": ca.SX(tree.end_point.length)}
+
+
+def _carried(segments: tuple[Segment, ...], masses: list[ca.SX]) -> list[ca.SX]:
+    """Mass of each body and all beyond it."""
+    carried = list(masses)
+    for i in reversed(range(len(segments))):
+        if segments[i].parent >= 0:
+            carried[segments[i].parent] += carried[i]
+    return carried
+
+
+def _move_inwards(segments: tuple[Segment, ...], offsets: list[ca.SX], moments: list[_Moments]) -> None:
+    for segment, offset, own in zip(reversed(segments), reversed(offsets), reversed(moments), strict=True):
+        turn = np.array(segment.turn)
+        if segment.slide:
+            moved = (ca.SX(0), ca.SX.zeros(3, 1), own.second)
+            own.second = ca.SX.zeros(3, 3)
+        else:
+            along = ca.SX(turn[:, 2])
+            moved = (own.mass, along * own.first[2], along @ along.T * own.second[2, 2])
+            own.mass, own.first[2], own.second[2, 2] = ca.SX(0), ca.SX(0), ca.SX(0)
+        if segment.parent >= 0:
+            moments[segment.parent].add(*moved, offset)
+    for own, segment in zip(moments, segments, strict=True):
+        if segment.parallel:
+            about = own.second[0, 0] + own.second[1, 1]
+            own.second = ca.SX.zeros(3, 3)
+            own.second[0, 0] = about
+
+
+def _joint_constants(tree: Tree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    at = {body.joint.name: i for i, body in enumerate(tree.bodies)}
+    result: dict[str, ca.SX] = {}
+    for i, body in enumerate(tree.bodies):
+        name = body.joint.name
+        for word, key in (("stiffness", "stiffness"), ("damping", "damping"), ("damping", "joint_damping")):
+            if f"{name}.{key}" in value:
+                result[f"{word}{i}.{i}"] = value[f"{name}.{key}"]
+        if body.joint.passive:
+            result[f"rest{i}"] = value[f"{name}.rest"]
+    for word, coupling in (("stiffness", tree.stiffness_matrix), ("damping", tree.damping_matrix)):
+        names = coupling.joints if coupling is not None else ()
+        for k, a in enumerate(names):
+            for b in names[k:]:
+                i, j = sorted((at[a], at[b]))
+                result[f"{word}{i}.{j}"] = value[f"{word}.{a}.{b}"]
+    return result
+
+
+def _vector(value: Mapping[str, ca.SX], name: str) -> ca.SX:
+    return ca.vertcat(*(value[f"{name}.{axis}"] for axis in AXES))
+
+
+def _turned(matrix: Matrix, vector: ca.SX) -> ca.SX:
+    """Matrix · vector, zeros and ones of the matrix folded."""
+    return ca.vertcat(*(_sum(entry * vector[k] for k, entry in enumerate(row) if entry) for row in rounded(matrix)))
+
+
+def _both(matrix: Matrix, square: ca.SX) -> ca.SX:
+    """Matrix · square · matrixᵀ."""
+    left = ca.horzcat(*(_turned(matrix, square[:, k]) for k in range(3)))
+    return ca.horzcat(*(_turned(matrix, left[k, :].T) for k in range(3))).T
+
+
+def _second_of(inertia: list[ca.SX]) -> ca.SX:
+    """Second moment ½ tr(I) 1 − I."""
+    xx, yy, zz, xy, xz, yz = inertia
+    diagonal = [0.5 * (yy + zz - xx), 0.5 * (xx + zz - yy), 0.5 * (xx + yy - zz)]
+    return ca.vertcat(
+        ca.horzcat(diagonal[0], -xy, -xz), ca.horzcat(-xy, diagonal[1], -yz), ca.horzcat(-xz, -yz, diagonal[2])
+    )
+
+
+def _sum(terms: Iterable[ca.SX]) -> ca.SX:
+    return sum(terms, start=ca.SX(0))
+
+
+@lru_cache(maxsize=64)
+def constants(tree: Tree) -> ca.Function:
+    """The constants from the parameters: input p (n_par,), output constants in the order of `constant_names`."""
+    names = [parameter.name for parameter in tree.parameters]
+    p = ca.SX.sym("p", len(names))
+    graphs = constant_graphs(tree, {name: p[i] for i, name in enumerate(names)})
+    return ca.Function("constants", [p], [ca.vertcat(*graphs.values())], ["p"], ["constants"], {"cse": True})
+
+
+@lru_cache(maxsize=64)
+def constant_names(tree: Tree) -> tuple[str, ...]:
+    """Names of the constants, in order."""
+    values: dict[str, Any] = {parameter.name: ca.SX(0) for parameter in tree.parameters}
+    return tuple(constant_graphs(tree, values))
+
+
+def constant_values(tree: Tree) -> dict[str, float]:
+    """The constants at the machine's own parameters."""
+    column = constants(tree)(ca.DM([parameter.value for parameter in tree.parameters]))
+    return dict(zip(constant_names(tree), map(float, ca.densify(column).nonzeros()), strict=True))

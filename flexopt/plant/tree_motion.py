@@ -1,0 +1,229 @@
+"""A tree's equations of motion as a simulator wants them: few operations, no trigonometry of their own.
+
+Coordinates u (n_q,): displacements of the slides, then angles of the hinges, each in the order of the bodies. Every
+cosine and sine comes in from outside as `Directions` of the hinges; the interface is that of `motion.Motion`. The mass
+matrix is factored body by body (no zero of a branched tree is filled in), or, where the base slides, beginning with
+its translations, whose pivots are constants; gravity is then left to a slide that is vertical.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from flexopt.plant.motion import Directions
+from flexopt.plant.tree_algebra import ORIGIN, ZERO, solve_symmetric
+from flexopt.plant.tree_recursion import Recursion
+from flexopt.plant.tree_structure import Skeleton
+from flexopt.plant.tree_task import task
+
+
+@dataclass(frozen=True)
+class TreeMotion:
+    """Graph builders of the equations of motion. All take and return SX; `value` holds the constants.
+
+    Attributes:
+        structure: which parts exist.
+        value: the constants by name, symbols or numbers; those in `structure.zeros` are ignored.
+    """
+
+    structure: Skeleton
+    value: Mapping[str, ca.SX]
+
+    @cached_property
+    def bodies(self) -> list[int]:
+        """Body of each entry of u."""
+        slides = [i for i, segment in enumerate(self.structure.segments) if segment.slide]
+        return slides + [i for i, segment in enumerate(self.structure.segments) if not segment.slide]
+
+    @property
+    def n(self) -> int:
+        """n_q, entries of u."""
+        return len(self.structure.segments)
+
+    @property
+    def n_translations(self) -> int:
+        """Slides, the first entries of u."""
+        return sum(segment.slide for segment in self.structure.segments)
+
+    @cached_property
+    def to_q(self) -> ca.DM:
+        """A (n_q, n_q) of q = A u: passive coordinates first."""
+        rows = ca.DM.zeros(self.n, self.n)
+        for row, body in enumerate(self.structure.order):
+            rows[row, self.bodies.index(body)] = 1
+        return rows
+
+    @property
+    def offset(self) -> ca.SX:
+        """The constant part of q = A u + `offset`: none."""
+        return ca.SX.zeros(self.n, 1)
+
+    def with_base(self, directions: Directions) -> Directions:
+        """Directions of all hinges: nothing to add."""
+        return directions
+
+    def angles(self, u: ca.SX) -> ca.SX:
+        """Angles of the hinges."""
+        return u[self.n_translations :]
+
+    def end_point(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
+        """The task r (p,), m."""
+        return task(self._at(u, along), base)
+
+    def end_point_rate(self, u: ca.SX, w: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
+        """ṙ = J v (p,), m/s, the placement standing still."""
+        return self._task_jacobian(u, along, base) @ w
+
+    def rigid_jacobian(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
+        """Jv (p, n): columns of the actuated joints."""
+        columns = [self.bodies.index(body) for body in self.structure.actuated]
+        return self._task_jacobian(u, along, base)[:, columns]
+
+    def holding_torque(self, u: ca.SX, along: Directions) -> ca.SX:
+        """g_a (n,): what the actuated joints must give to carry the weight."""
+        weight = self._at(u, along).forces([ZERO] * self.n, self._gravity)
+        return ca.vertcat(*(weight[i] for i in self.structure.actuated))
+
+    def potential(self, u: ca.SX, along: Directions) -> ca.SX:
+        """Gravity's potential, J."""
+        at, total = self._at(u, along), ZERO
+        for i in range(self.n):
+            mass, first = at.of(f"m{i}"), at.vector(f"c{i}")
+            total += mass * at.point(i, ORIGIN)[2] + at.to_ground(i, first)[2]
+        return self._gravity * total
+
+    def spring_energy(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """½ (q − q_rest)ᵀ K (q − q_rest), J."""
+        stretch = self._stretch(u, base)
+        pulls = self._coupled("stiffness", stretch)
+        return 0.5 * sum((stretch[i] * pull for i, pull in pulls.items()), start=ZERO)
+
+    def kinetic_energy(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
+        """½ vᵀ M v, J."""
+        return 0.5 * ca.dot(w, self.momentum(u, w, along))
+
+    def momentum(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
+        """M_u w (n_q,), conjugate to u."""
+        rates, momentum = self._by_body(w), [ZERO] * self.n
+        for (i, j), entry in self._at(u, along).mass.items():
+            momentum[i] += entry * rates[j]
+            if i != j:
+                momentum[j] += entry * rates[i]
+        return self._stacked(momentum)
+
+    def rates_of_momentum(self, u: ca.SX, momentum: ca.SX, along: Directions) -> ca.SX:
+        """Rates M_u⁻¹ p (n_q,)."""
+        return self._stacked(self._solved(self._at(u, along), self._by_body(momentum)))
+
+    def force(
+        self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
+    ) -> ca.SX:
+        """Generalised forces on u but those of inertia, (n_q,): springs, dampers, torques, weight."""
+        forces = self._joint_forces(u, w, torque, base, base_rate)
+        if gravity:
+            weight = self._at(u, along).forces([ZERO] * self.n, self._gravity)
+            forces = [force - part for force, part in zip(forces, weight, strict=True)]
+        return self._stacked(forces)
+
+    def acceleration(
+        self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
+    ) -> ca.SX:
+        """Second derivatives of u (n_q,).
+
+        Args:
+            u, w: coordinates and their rates.
+            along: (cos, sin) of every hinge.
+            torque: of the actuated joints, (n,), N m or N.
+            base, base_rate: the placement and its rate, (n_b,); what no slide absorbs moves the ground itself, whose
+                own acceleration is left out.
+            gravity: whether it acts.
+        """
+        at = self._at(u, along)
+        vertical = [i for i in self.structure.leading_slides if abs(self.structure.segments[i].axis[2]) == 1]
+        borne = gravity and bool(vertical)
+        pull = self._gravity if gravity and not borne else ZERO
+        inertia = at.forces(self._by_body(w), pull)
+        right = [
+            force - part for force, part in zip(self._joint_forces(u, w, torque, base, base_rate), inertia, strict=True)
+        ]
+        result = self._solved(at, right)
+        if borne:  # all fall alike
+            result[vertical[0]] -= self.structure.segments[vertical[0]].axis[2] * self._gravity
+        return self._stacked(result)
+
+    @property
+    def _gravity(self) -> ca.SX:
+        return ZERO if "gravity" in self.structure.zeros else self.value["gravity"]
+
+    def _by_body(self, column: ca.SX) -> list[ca.SX]:
+        result = [ZERO] * self.n
+        for row, body in enumerate(self.bodies):
+            result[body] = column[row]
+        return result
+
+    def _stacked(self, by_body: list[ca.SX]) -> ca.SX:
+        return ca.vertcat(*(by_body[body] for body in self.bodies))
+
+    def _at(self, u: ca.SX, along: Directions) -> Recursion:
+        pairs = [(ca.SX(1), ZERO)] * self.n
+        for body, pair in zip(self.bodies[self.n_translations :], along, strict=True):
+            pairs[body] = pair
+        return Recursion(self.structure, self.value, pairs, self._by_body(u))
+
+    def _task_jacobian(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
+        """∂r/∂u, by the chain rule through cosines and sines."""
+        n_slides = self.n_translations
+        at, pairs = ca.SX.sym("u", self.n), ca.SX.sym("pairs", 2 * len(along))
+        known = [(pairs[2 * k], pairs[2 * k + 1]) for k in range(len(along))]
+        r = self.end_point(at, known, base)
+        by_pair = ca.jacobian(r, pairs)
+        columns = [ca.jacobian(r, at[:n_slides])]
+        columns += [known[k][0] * by_pair[:, 2 * k + 1] - known[k][1] * by_pair[:, 2 * k] for k in range(len(along))]
+        given = ca.vertcat(*(entry for pair in along for entry in pair))
+        return ca.substitute(ca.horzcat(*columns), ca.vertcat(at, pairs), ca.vertcat(u, given))
+
+    def _stretch(self, u: ca.SX, base: ca.SX, *, rates: bool = False) -> list[ca.SX]:
+        """Of each joint, its displacement from rest; with `rates`, of rates from those of the anchor."""
+        stretch = self._by_body(u)
+        if not rates:
+            at = Recursion(self.structure, self.value, [], [])
+            stretch = [part - at.of(f"rest{i}") for i, part in enumerate(stretch)]
+        for name, (i, sign) in self.structure.absorbed.items():
+            stretch[i] -= sign * base[self.structure.placement.index(name)]
+        return stretch
+
+    def _coupled(self, word: str, stretch: list[ca.SX]) -> dict[int, ca.SX]:
+        """K or D times a displacement or a rate."""
+        at = Recursion(self.structure, self.value, [], [])
+        pairs = self.structure.coupled_springs if word == "stiffness" else self.structure.coupled_dampers
+        result: dict[int, ca.SX] = {}
+        for i, j in pairs:
+            entry = at.of(f"{word}{i}.{j}")
+            result[i] = result.get(i, ZERO) + entry * stretch[j]
+            if i != j:
+                result[j] = result.get(j, ZERO) + entry * stretch[i]
+        return result
+
+    def _joint_forces(self, u: ca.SX, w: ca.SX, torque: ca.SX, base: ca.SX, base_rate: ca.SX) -> list[ca.SX]:
+        forces = [ZERO] * self.n
+        for k, i in enumerate(self.structure.actuated):
+            forces[i] = torque[k]
+        for pulls in (
+            self._coupled("stiffness", self._stretch(u, base)),
+            self._coupled("damping", self._stretch(w, base_rate, rates=True)),
+        ):
+            for i, pull in pulls.items():
+                forces[i] = forces[i] - pull
+        return forces
+
+    def _solved(self, at: Recursion, right: list[ca.SX]) -> list[ca.SX]:
+        leading = self.structure.leading_slides
+        known = {i: at.of(f"inverse{i}") for i in leading}
+        outwards = leading + [i for i in range(self.n) if i not in leading]
+        parents = [segment.parent for segment in self.structure.segments]
+        chain = parents == list(range(-1, self.n - 1))
+        return solve_symmetric(at.mass, right, outwards if chain else outwards[::-1], known if chain else {})

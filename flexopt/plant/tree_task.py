@@ -1,0 +1,60 @@
+"""The end-point's task, its frame and the points to draw, as graphs.
+
+In: a `Recursion`. Out: the task rows r, m, in the inertial frame, where the placement has put the anchor frame.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from flexopt.plant.orientation import rotation_vector
+from flexopt.plant.tree_algebra import ORIGIN, ZERO, Vector, turned, turned_back
+from flexopt.plant.tree_recursion import Recursion
+
+POSITION = ("x", "y", "z")
+ORIENTATION = ("roll", "pitch", "yaw")
+
+
+def task(at: Recursion, base: ca.SX) -> ca.SX:
+    """The rows r (p,), m: positions, and components of the rotation vector from the reference times a length."""
+    rows: dict[str, ca.SX] = {}
+    wanted = at.skeleton.rows
+    if any(row in POSITION for row in wanted):
+        rows |= dict(zip(POSITION, placed(at, at.point(at.skeleton.tip, at.vector("tip")), base), strict=True))
+    if any(row in ORIENTATION for row in wanted):
+        columns = [turned_back(at.skeleton.reference, column) for column in end_axes(at, base)]
+        turn = rotation_vector(ca.horzcat(*(ca.vertcat(*column) for column in columns)))
+        rows |= {row: at.of("task_length") * turn[k] for k, row in enumerate(ORIENTATION)}
+    return ca.vertcat(*(rows[row] for row in wanted))
+
+
+def end_axes(at: Recursion, base: ca.SX) -> list[Vector]:
+    """Axes x, y, z of the end-point's frame in inertial axes."""
+    axes: list[Vector] = []
+    for k in range(3):
+        axis = [ZERO] * 3
+        axis[k] = ca.SX(1)
+        of_body = turned(at.skeleton.tip_rotation, (axis[0], axis[1], axis[2]))
+        axes.append(_yawed(at, at.to_ground(at.skeleton.tip, of_body), base))
+    return axes
+
+
+def placed(at: Recursion, point: Vector, base: ca.SX) -> Vector:
+    """A point of the anchor frame in the inertial one."""
+    x, y, z = _yawed(at, point, base)
+    moved = {name: base[k] for k, name in enumerate(at.skeleton.placement) if name not in at.skeleton.absorbed}
+    return x + moved.get("x", ZERO), y + moved.get("y", ZERO), z
+
+
+def points(at: Recursion, base: ca.SX) -> ca.SX:
+    """Origins of the anchor frame and of every body's frame, then the end-point: (3, n + 2), m, inertial frame."""
+    every = [ORIGIN, *(at.point(i, ORIGIN) for i in range(at.n)), at.point(at.skeleton.tip, at.vector("tip"))]
+    return ca.horzcat(*(ca.vertcat(*placed(at, point, base)) for point in every))
+
+
+def _yawed(at: Recursion, a: Vector, base: ca.SX) -> Vector:
+    if "yaw" not in at.skeleton.placement:
+        return a
+    yaw = base[at.skeleton.placement.index("yaw")]
+    c, s = ca.cos(yaw), ca.sin(yaw)
+    return c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]
