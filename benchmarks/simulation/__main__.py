@@ -32,7 +32,7 @@ from benchmarks.simulation.peers import (
 from benchmarks.timing import table
 
 STEPS, SHORT = 2000, 200
-MEMBERS = 256  # a whole number of vectors for every row
+MEMBERS = 1024  # a whole number of vectors for every row
 ROUNDS = 20
 SECONDS = 0.02  # of each row in each round, or one run
 
