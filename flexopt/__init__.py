@@ -1,5 +1,6 @@
 """flexopt: configurations of machines on a compliant base in which end-point feedback does not excite the base."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from flexopt.coprime import RobustMargin as RobustMargin
@@ -9,6 +10,7 @@ from flexopt.coprime import ncf_margin as ncf_margin
 from flexopt.coprime import nu_gap as nu_gap
 from flexopt.coprime import optimal_controller as optimal_controller
 from flexopt.coprime import robust_margin as robust_margin
+from flexopt.errors import ExportError as ExportError
 from flexopt.errors import FlexoptError as FlexoptError
 from flexopt.errors import FlexoptWarning as FlexoptWarning
 from flexopt.errors import InputError as InputError
@@ -53,20 +55,34 @@ from flexopt.simulation import simulate_ensemble as simulate_ensemble
 from flexopt.simulation import stability_border as stability_border
 
 if TYPE_CHECKING:
+    from flexopt.export import ExportReport as ExportReport
+    from flexopt.export import Verification as Verification
+    from flexopt.export import export_c as export_c
+    from flexopt.export import verify_bundle as verify_bundle
+    from flexopt.export.fmu import FmuReport as FmuReport
+    from flexopt.export.fmu import export_fmu as export_fmu
     from flexopt.study import WorkspaceMap as WorkspaceMap
     from flexopt.study import map_workspace as map_workspace
 
-_STUDY = ("WorkspaceMap", "map_workspace")
+# What is imported when first asked for, and from where.
+_LATER: dict[str, str] = {
+    "ExportReport": "export",
+    "FmuReport": "export.fmu",
+    "Verification": "export",
+    "WorkspaceMap": "study",
+    "export_c": "export",
+    "export_fmu": "export.fmu",
+    "map_workspace": "study",
+    "verify_bundle": "export",
+}
 
 
 def __getattr__(name: str) -> object:
-    """What comes from `flexopt.study`, which is imported when first asked for."""
-    if name not in _STUDY:
+    """What comes from the rooms that are imported when first asked for."""
+    if name not in _LATER:
         raise AttributeError(f"module 'flexopt' has no attribute {name!r}")
-    from flexopt import study  # noqa: PLC0415  (that is the point)
-
-    return getattr(study, name)
+    return getattr(import_module(f"flexopt.{_LATER[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_STUDY])
+    return sorted([*globals(), *_LATER])

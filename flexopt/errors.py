@@ -123,6 +123,10 @@ class NoSolutionFound(FlexoptError):
         return super().to_dict() | {"violations": self.violations, "iterate": self.iterate}
 
 
+class ExportError(FlexoptError):
+    """A graph has no equivalent in C."""
+
+
 class FlexoptWarning(UserWarning):
     """A result is right but needs care: repeated frequencies, a feature that is missing."""
 

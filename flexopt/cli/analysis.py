@@ -85,7 +85,7 @@ def _posture(machine: Machine, options: dict[str, Any], base: Any, gravity: bool
     arguments = Arguments("evaluate")
     elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS)
     arguments.point(end_point, "end-point")
-    arguments.base(base)
+    arguments.base(machine, base)
     arguments.control(options["control"] or "inverse")
     arguments.done()
     return inverse_kinematics(machine, end_point, base=base, gravity=gravity, elbow=elbow)[0]

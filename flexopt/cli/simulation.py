@@ -62,7 +62,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     for name, suffixes in (("out", (".nc", ".csv")), ("plot", PICTURES), ("animate", FILMS)):
         check_output(f"--{name}", options[name], suffixes)
     loaded = load_simulated(machine)
-    given = _given(options)
+    given = simulate_arguments(options)
     with option_names(options), warnings_to_stderr(as_json):
         if isinstance(loaded, Experiment):
             result = run_experiment(loaded, **given)
@@ -85,7 +85,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
         click.echo("\n".join([repr(result), *(f"{what}: {path}" for what, path in files.items())]))
 
 
-def _given(options: dict[str, Any]) -> dict[str, Any]:
+def simulate_arguments(options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `flexopt.simulate` from the options that were given."""
     lists = {name: numbers(options[name]) for name in ("posture", "end_point", "offset", "kp", "kv", "ki")}
     single = {name: None if options[name] is None else number(options[name]) for name in ("gain", "duration", "rate")}

@@ -1,0 +1,93 @@
+"""`flexopt export` and `flexopt verify`."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from flexopt.cli.common import (
+    CONTROL,
+    FAILED,
+    GAIN,
+    JSON,
+    check_folder,
+    number,
+    option,
+    option_names,
+    print_json,
+    progress_bar,
+    warnings_to_stderr,
+    whole,
+)
+from flexopt.errors import InputError
+from flexopt.model import load
+
+
+@click.command("export")
+@click.argument("machine")
+@option("--out", metavar="DIR", help="Folder to write; one that exists is replaced if it is an unchanged bundle.")
+@option("--parts", metavar="A,B,…", help="Some of kinematics, controller, measures, nullspace, margin; all by default.")
+@option("--real", metavar="double|float", help="Precision of every computation (double by default).")
+@CONTROL
+@GAIN
+@option("--baked", is_flag=True, help="The machine's parameters as constants.")
+@option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (1 by default).")
+@option("--prefix", metavar="NAME", help="Of every C name (from the machine's name by default).")
+@option("--overwrite", is_flag=True, help="Replace a bundle of which files were changed by hand, too.")
+@JSON
+def export_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+    """C for the controller of MACHINE (a name or a file): a folder that compiles and explains itself."""
+    from flexopt.export import export_c  # noqa: PLC0415  (only this command needs it)
+
+    loaded = load(machine)
+    if out is None:
+        raise InputError("export: --out DIR is missing: where shall the folder be written?")
+    check_folder("--out", out)
+    margin = options["singularity_margin_deg"]
+    given: dict[str, Any] = {
+        "parts": None if options["parts"] is None else [part.strip() for part in options["parts"].split(",")],
+        "real": options["real"],
+        "control": options["control"],
+        "gain": None if options["gain"] is None else number(options["gain"]),
+        "singularity_margin_deg": None if margin is None else number(margin),
+        "prefix": options["prefix"],
+    }
+    settings = {name: value for name, value in given.items() if value is not None}
+    with option_names(options | {"folder": out}), warnings_to_stderr(as_json):
+        report = export_c(loaded, out, baked=bool(options["baked"]), overwrite=bool(options["overwrite"]), **settings)
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        click.echo(repr(report))
+
+
+@click.command("verify")
+@click.argument("folder", metavar="DIR")
+@option("--target", metavar="host|cortex-m4f|cortex-m7", help="One target (all by default).")
+@option("--inputs", metavar="N", help="Random inputs for each function (1000 by default).")
+@option("--fuzz-calls", metavar="N", help="Faulty calls for each function (10000 by default).")
+@JSON
+def verify_command(as_json: bool, folder: str, **options: Any) -> None:
+    """Examine the bundle in DIR: compilers, Python's numbers, sanitizers, emulated processors, objects, MISRA.
+
+    Writes verification/report.html and report.json inside it. Missing tools are named. Exit code 3 where a check
+    failed, or where the target asked for could not be verified.
+    """
+    from flexopt.export import verify_bundle  # noqa: PLC0415  (only this command needs it)
+
+    given: dict[str, Any] = {
+        "target": options["target"],
+        "inputs": whole(options["inputs"]),
+        "fuzz_calls": whole(options["fuzz_calls"]),
+    }
+    settings = {name: value for name, value in given.items() if value is not None}
+    with option_names(options), warnings_to_stderr(as_json), progress_bar("targets") as progress:
+        result = verify_bundle(folder, progress=progress, **settings)
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        click.echo(f"{result!r}\n\nreport: {result.page}")
+    if not result.passed or (options["target"] is not None and not result.complete):
+        sys.exit(FAILED)

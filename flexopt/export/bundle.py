@@ -1,0 +1,335 @@
+"""Write a bundle of C for a machine's controller.
+
+In: a machine and which parts are wanted. Out: a folder that compiles and explains itself, and an `ExportReport`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from flexopt.errors import ExportError, Fault, InputError, raise_if_any
+from flexopt.export.context import build_context
+from flexopt.export.extras import TOLERANCES, Extras
+from flexopt.export.kernels import Real, Unsupported
+from flexopt.export.naming import identifier
+from flexopt.export.operations import Field
+from flexopt.export.parts import PARTS
+from flexopt.export.sources import STATUSES, Library
+from flexopt.model import Machine, machine_from_dict
+from flexopt.model.arguments import Arguments
+from flexopt.model.documents import json_ready, package_version, provenance
+from flexopt.model.problem import Control, check_gain, check_margin_deg
+
+FORMAT = "flexopt C bundle"
+MANIFEST = "manifest.json"
+VERIFICATION = "verification"
+REALS: tuple[Real, ...] = ("double", "float")
+SINGULARITY_MARGIN_DEG = 1.0
+COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
+# What `make` and CMake leave behind when the README is followed.
+_PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What was written.
+
+    Attributes:
+        folder: where.
+        prefix: of every public C name.
+        parts: exported parts, with the C functions of each.
+        files: paths inside the folder.
+        bundle_sha256: identifies the generated code; in the header, too.
+        manifest: what manifest.json says.
+    """
+
+    folder: Path
+    prefix: str
+    parts: dict[str, tuple[str, ...]]
+    files: tuple[str, ...]
+    bundle_sha256: str
+    manifest: dict[str, Any] = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary (keys as in the command line's `--json`)."""
+        document = {
+            "folder": str(self.folder),
+            "prefix": self.prefix,
+            "parts": self.parts,
+            "files": self.files,
+            "bundle_sha256": self.bundle_sha256,
+            "provenance": self.manifest["provenance"],
+        }
+        return cast(dict[str, Any], json_ready(document))
+
+    def __repr__(self) -> str:
+        lines = [f"C for {self.manifest['machine']['name']} ({self.manifest['options']['real']}) in {self.folder}"]
+        lines += [f"  {part}: {', '.join(names)}" for part, names in self.parts.items()]
+        return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
+
+
+def export_c(
+    machine: Machine,
+    folder: str | Path,
+    *,
+    parts: Sequence[str] | None = None,
+    real: Real = "double",
+    control: Control = "inverse",
+    gain: float = 5e5,
+    baked: bool = False,
+    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
+    prefix: str | None = None,
+    overwrite: bool = False,
+) -> ExportReport:
+    """C for the controller of a machine: kinematics, control step, measures w_i, nullspace step, ε_max.
+
+    The generated code is that of the CasADi Functions which `evaluate` and `select` use, wrapped in functions that
+    check their inputs. Every number of the machine is a run-time parameter unless `baked`.
+
+    Args:
+        machine: from `flexopt.load`.
+        folder: where to write; made if missing. One that exists is replaced if it is an unchanged bundle.
+        parts: names from `flexopt.export.PARTS`; all by default.
+        real: `"double"`, or `"float"` for single precision throughout.
+        control: `"inverse"` or `"transpose"`: of the measures, the nullspace step and ε_max. The controller has both.
+        gain: servo gain k_r about which ε_max is tested; the C function takes it as an input.
+        baked: whether the machine's parameters become constants: smaller and faster.
+        singularity_margin_deg: how far the arm must be from singular postures, degrees.
+        prefix: of every C name; from the machine's name by default.
+        overwrite: replace a bundle of which files were changed by hand, too.
+
+    Raises:
+        InputError: an argument is not usable, or the folder holds something else.
+        ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
+    """
+    arguments = Arguments("export_c")
+    machine = arguments.machine(machine)
+    wanted = _checked_parts(arguments, parts)
+    real = arguments.choice("real", real, REALS)
+    control = arguments.control(control)
+    gain = arguments.checked("gain", gain, check_gain, 5e5)
+    baked = arguments.flag("baked", baked)
+    margin = arguments.checked(
+        "singularity_margin_deg", singularity_margin_deg, check_margin_deg, SINGULARITY_MARGIN_DEG
+    )
+    overwrite = arguments.flag("overwrite", overwrite)
+    prefix = arguments.checked("prefix", identifier(machine.name) if prefix is None else prefix, _check_prefix, "x")
+    arguments.done()
+    target = Path(folder)
+    check_replaceable(target, overwrite)
+    texts, manifest = render_bundle(
+        machine,
+        wanted,
+        real=real,
+        control=control,
+        gain=gain,
+        baked=baked,
+        singularity_margin_deg=margin,
+        prefix=prefix,
+    )
+    _write(target, texts)
+    return ExportReport(
+        folder=target,
+        prefix=prefix,
+        parts={part: tuple(o["c_name"] for o in entry["operations"]) for part, entry in manifest["parts"].items()},
+        files=tuple(sorted(texts)),
+        bundle_sha256=manifest["bundle_sha256"],
+        manifest=manifest,
+    )
+
+
+def build_library(
+    machine: Machine,
+    parts: Sequence[str],
+    *,
+    real: Real,
+    control: Control,
+    gain: float,
+    baked: bool,
+    singularity_margin_deg: float,
+    prefix: str,
+) -> Library:
+    """The C library of checked options."""
+    context = build_context(
+        machine,
+        control=control,
+        gain=gain,
+        single=real == "float",
+        baked=baked,
+        singularity_margin_deg=singularity_margin_deg,
+    )
+    try:
+        operations = {part: PARTS[part].build(context) for part in PARTS if part in parts}
+        library = Library(context, prefix, real, operations)
+        _ = library.kernels
+    except Unsupported as error:
+        raise ExportError(f"export_c: {error}") from error
+    return library
+
+
+def render_bundle(machine: Machine, parts: Sequence[str], **options: Any) -> tuple[dict[str, str], dict[str, Any]]:
+    """Path -> text of every file, manifest.json among them, and the manifest; options as of `build_library`."""
+    library = build_library(machine, parts, **options)
+    bundle_hash = hashlib.sha256(library.kernel_digest_text().encode()).hexdigest()
+    texts = library.files(bundle_hash) | Extras(library, bundle_hash).files()
+    manifest = _manifest(library, bundle_hash, texts, {"parts": list(library.operations)} | options)
+    texts[MANIFEST] = json.dumps(manifest, indent=1, allow_nan=False) + "\n"
+    return texts, manifest
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a bundle.
+
+    Raises:
+        InputError: the folder is no bundle.
+    """
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        manifest = None
+    if not isinstance(manifest, dict) or cast(dict[str, Any], manifest).get("format") != FORMAT:
+        sentence = "is no bundle written by flexopt export: it has no manifest.json of one"
+        raise_if_any(InputError, "verify", [Fault("folder", sentence, repr(str(folder)))])
+    return cast(dict[str, Any], manifest)
+
+
+def library_of(manifest: dict[str, Any]) -> Library:
+    """The library that a manifest describes, built again from the machine inside it."""
+    options = dict(manifest["options"])
+    parts = options.pop("parts")
+    return build_library(machine_from_dict(manifest["machine"]), parts, **options)
+
+
+def changed_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
+    """Files of the bundle that are missing or not as they were written."""
+    changed: list[str] = []
+    for name, digest in manifest["files"].items():
+        path = folder / name
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            changed.append(name)
+    return changed
+
+
+def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options: dict[str, Any]) -> dict[str, Any]:
+    machine, parameters = library.context.machine, library.context.parameters
+
+    def described(f: Field, *, is_input: bool) -> dict[str, Any]:
+        about: dict[str, Any] = {"name": f.name, "shape": list(f.shape), "unit": f.unit, "text": f.text}
+        return about | ({"low": list(f.low), "high": list(f.high)} if is_input else {"scale": f.scale})
+
+    parts = {
+        part: {
+            "title": PARTS[part].title,
+            "source": f"src/{library.prefix}_{part}.c",
+            "operations": [
+                {
+                    "name": o.name,
+                    "c_name": f"{library.prefix}_{o.name}",
+                    "text": o.text,
+                    "inputs": [described(f, is_input=True) for f in o.inputs],
+                    "outputs": [described(f, is_input=False) for f in o.outputs],
+                    "guards": [vars(g) for g in o.guards],
+                    "workspace_reals": library.workspace(o),
+                }
+                for o in group
+            ],
+        }
+        for part, group in library.operations.items()
+    }
+    listed = [] if library.baked else list(
+        zip(parameters.names, parameters.units, parameters.values, parameters.low, parameters.high, strict=True)
+    )  # fmt: skip
+    return {
+        "format": FORMAT,
+        "format_version": 1,
+        "prefix": library.prefix,
+        "bundle_sha256": bundle_hash,
+        "machine_sha256": machine.content_hash,
+        "machine": machine.to_dict(),
+        "options": options,
+        "tolerance": TOLERANCES[library.real],
+        "sizes": library.sizes,
+        "statuses": {name: k for k, name in enumerate(STATUSES)},
+        "parts": parts,
+        "parameters": [dict(zip(("name", "unit", "value", "low", "high"), row, strict=True)) for row in listed],
+        "compile_flags": list(COMPILE_FLAGS),
+        "libraries": ["m"],
+        "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in sorted(texts.items())},
+        "provenance": provenance(machine, **options) | {"flexopt": package_version("flexopt")},
+    }
+
+
+def check_replaceable(folder: Path, overwrite: bool) -> None:
+    """Raise unless the folder is missing, empty, or a bundle nothing in which would be lost."""
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    sentence = ""
+    if not folder.is_dir():
+        sentence = "is a file"
+    elif not (folder / MANIFEST).is_file():
+        sentence = "holds something else than a bundle of flexopt; choose another folder"
+    else:
+        manifest = read_manifest(folder)
+        present = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir()}
+        foreign = sorted(p for p in present - set(manifest["files"]) - {MANIFEST} if not _PRODUCTS.fullmatch(p))
+        changed = [name for name in changed_files(folder, manifest) if (folder / name).exists()]
+        if foreign:
+            sentence = f"holds files that are not the bundle's: {_some(foreign)}; move them, or choose another folder"
+        elif changed and not overwrite:
+            sentence = f"is a bundle with files changed by hand: {_some(changed)}; overwrite=True replaces them"
+    raise_if_any(InputError, "export_c", [Fault("folder", sentence, repr(str(folder)))] if sentence else [])
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def _write(folder: Path, texts: dict[str, str]) -> None:
+    """Write beside the folder and swap, so that nobody sees half a bundle."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except OSError as error:
+        sentence = f"cannot be written ({error.strerror})"
+        raise InputError(f"export_c: folder = {str(folder)!r}: {sentence}") from None
+    try:
+        for name, text in texts.items():
+            path = fresh / "new" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(text.encode())
+        if folder.exists():
+            folder.rename(fresh / "old")
+        (fresh / "new").rename(folder)
+    except OSError as error:
+        if (fresh / "old").exists() and not folder.exists():
+            (fresh / "old").rename(folder)
+        raise InputError(f"export_c: folder = {str(folder)!r}: cannot be written ({error.strerror})") from None
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _checked_parts(arguments: Arguments, parts: Any) -> tuple[str, ...]:
+    if parts is None:
+        return tuple(PARTS)
+    given = cast(Sequence[Any], [parts] if not isinstance(parts, list | tuple) else parts)
+    valid = ", ".join(PARTS)
+    for part in given:
+        if not isinstance(part, str) or part not in PARTS:
+            arguments.faults.append(Fault("parts", f"must be some of {valid}", repr(part)))
+    if not given:
+        arguments.faults.append(Fault("parts", f"must be at least one of {valid}", "[]"))
+    return tuple(part for part in PARTS if part in given)
+
+
+def _check_prefix(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", value):
+        raise ValueError("must be a C name in lower case: a letter, then up to 30 letters, digits or underscores")
+    return value

@@ -1,0 +1,118 @@
+"""Kinematics and the task-space controller as operations.
+
+In: a `Context`. Out: operations whose graphs are the plant's own.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from flexopt.algebra import apply_pseudo_inverse
+from flexopt.export.context import Context, sine_squared
+from flexopt.export.operations import Field, Operation
+from flexopt.model.problem import Control
+from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX
+from flexopt.plant import Plant
+
+RATE_MAX = 1e4
+GAIN_MAX = 1e12
+
+
+def task_space_torque(plant: Plant, control: Control) -> ca.Function:
+    """τ_a = Jvᵀ f (transpose) or Jv⁺ f (inverse) with f = Kp (r_target − r) + Kv (ṙ_target − ṙ); article, section 3.2.
+
+    Jv at the measured joints, passive coordinates at rest: the controller knows the arm on rigid ground alone. Inputs
+    base, posture, r, r_rate, target, target_rate (n_task,), kp, kv, p; outputs torque (n,) and torque_size, an upper
+    bound of its terms.
+    """
+    g, r = plant.graph, plant.n_task
+    point, rate, target, target_rate = (ca.SX.sym(n, r) for n in ("r", "r_rate", "target", "target_rate"))
+    kp, kv = ca.SX.sym("kp"), ca.SX.sym("kv")
+    jv = plant.rigid_jacobian(plant.rest(g.base, g.posture, g.p), g.base, g.p)
+    error, error_rate = target - point, target_rate - rate
+    force = kp * error + kv * error_rate
+    if control == "transpose":
+        torque, spread = jv.T @ force, jv
+    else:
+        torque, spread = apply_pseudo_inverse(jv, force), apply_pseudo_inverse(jv, ca.SX.eye(r))
+    size = ca.norm_fro(spread) * (kp * ca.norm_2(error) + kv * ca.norm_2(error_rate))
+    inputs = [g.base, g.posture, point, rate, target, target_rate, kp, kv, g.p]
+    names = ["base", "posture", "r", "r_rate", "target", "target_rate", "kp", "kv", "p"]
+    return ca.Function(f"torque_{control}", inputs, [torque, size], names, ["torque", "torque_size"])
+
+
+def kinematics(at: Context) -> tuple[Operation, ...]:
+    """End-point and Jacobians."""
+    plant, g, field = at.plant, at.plant.graph, at.sizes.field
+    m = plant.n_passive
+    arguments = (g.q, g.base, g.p)
+    end_point, jacobian, rigid = (f(*arguments) for f in (plant.end_point, plant.jacobian, plant.rigid_jacobian))
+    skeleton = plant.skeleton(*arguments)
+    size = ca.norm_2(skeleton[:, 0]) + sum(ca.norm_2(s) for s in ca.horzsplit(ca.diff(skeleton, 1, 1)))
+    units = plant.graph.coordinate_units
+    limit = tuple(COORDINATE_MAX if unit == "m" else ANGLE_MAX for unit in units)
+    rest = plant.rest(0, at.joint_angles.sample[0] if at.joint_angles.sample else 0, plant.parameter_values)
+    middle = [float(rest[k]) for k in range(m)]
+    near = [tuple(x + side * 0.1 for x in middle) for side in (-1, 1)]
+    assert at.joint_angles.sample is not None
+    sample = (near[0] + at.joint_angles.sample[0], near[1] + at.joint_angles.sample[1])
+    low = (*(-x for x in limit[:m]), *at.joint_angles.low)
+    high = (*limit[:m], *at.joint_angles.high)
+    text = "coordinates q = [passive; actuated]: displacements in m, inertial frame, relative angles in rad"
+    inputs = [(field("coordinates", "COORDINATES", "m, rad", text, low=low, high=high, sample=sample), g.q)]
+    if ca.depends_on(ca.veccat(end_point, jacobian), g.base):
+        inputs.append((at.placement, g.base))
+    outputs = [
+        (field("end_point", "TASK", "m", "end-point r(q), inertial frame", scale="|ground point| + the bodies' "
+               "lengths"), end_point, size),
+        (field("jacobian", "TASK COORDINATES", "m/m, m/rad", "J = dr/dq", scale="Frobenius norm"), jacobian,
+         ca.norm_fro(jacobian)),
+        (field("rigid_jacobian", "TASK JOINTS", "m/rad", "Jv = dr/dq_a, the arm on rigid ground",
+               scale="Frobenius norm"), rigid, ca.norm_fro(rigid)),
+    ]  # fmt: skip
+    return (at.operation("kinematics", "End-point and its Jacobians at any configuration.", inputs, outputs, []),)
+
+
+def controller(at: Context) -> tuple[Operation, ...]:
+    """The control step, Jacobian transpose and inverse."""
+    return (_torque(at, "transpose"), _torque(at, "inverse"))
+
+
+def _torque(at: Context, control: Control) -> Operation:
+    plant, g, field = at.plant, at.plant.graph, at.sizes.field
+    law = task_space_torque(plant, control)
+    names = ("r", "r_rate", "target", "target_rate", "kp", "kv")
+    symbol = {name: ca.SX.sym(name, law.size1_in(name)) for name in names}
+    result = law(base=at.base, posture=g.posture, p=g.p, **symbol)
+    torque, size = result["torque"], result["torque_size"]
+
+    def position(name: str, text: str) -> Field:
+        limit = COORDINATE_MAX
+        return field(name, "TASK", "m", f"{text}, inertial frame", low=-limit, high=limit, sample=(-3.0, 3.0))
+
+    def speed(name: str, text: str) -> Field:
+        return field(name, "TASK", "m/s", f"{text}, inertial frame", low=-RATE_MAX, high=RATE_MAX, sample=(-1.0, 1.0))
+
+    units = ("N/m", "N s/m") if control == "transpose" else ("N m", "N m s")
+    kp = field("proportional_gain", "", units[0], "Kp", high=GAIN_MAX, sample=(1e3, 1e6))
+    kv = field("derivative_gain", "", units[1], "Kv", high=GAIN_MAX, sample=(1e2, 1e5))
+    inputs = [
+        (at.joint_angles, g.posture),
+        (position("measured_point", "end-point r, measured"), symbol["r"]),
+        (speed("measured_rate", "its rate, measured"), symbol["r_rate"]),
+        (position("target_point", "where the end-point shall be"), symbol["target"]),
+        (speed("target_rate", "its rate"), symbol["target_rate"]),
+        (kp, symbol["kp"]),
+        (kv, symbol["kv"]),
+    ]
+    matrix = "Jv^T" if control == "transpose" else "Jv^+"
+    output = field("torque", "JOINTS", "N m", f"torques of the actuated joints, {matrix} f", scale=f"|{matrix}| times "
+                   "(Kp |error| + Kv |error rate|)")  # fmt: skip
+    guards = [] if control == "transpose" else [(at.regular(), sine_squared(at))]
+    text = (
+        f"Task-space controller, Jacobian {control}: torque = {matrix} f with f = Kp (target_point - measured_point) + "
+        "Kv (target_rate - measured_rate). Jv at the measured joints, passive coordinates at rest."
+    )
+    if control == "inverse":
+        text += " f is in N m^2: Jv^+ is in rad/m (Moore-Penrose where the arm is redundant)."
+    return at.operation(f"torque_{control}", text, inputs, [(output, torque, size)], guards)

@@ -1,0 +1,266 @@
+"""Write an FMU of a machine's closed loop: `export_fmu`."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import platform
+import tempfile
+import uuid
+import warnings
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+from xml.etree import ElementTree as ET
+
+from flexopt.compiled.accelerated import level_for
+from flexopt.compiled.compilers import CompilationFailed, find_compiler, library_suffix
+from flexopt.errors import CompilerNotFound, ExportError, Fault, InputError, raise_if_any
+from flexopt.export.fmu.description import build_description, describe
+from flexopt.export.fmu.documents import page, reference_table
+from flexopt.export.fmu.interface import KINDS, Kind
+from flexopt.export.fmu.model import FmuModel
+from flexopt.export.fmu.source import VERSIONS, Version, body, source
+from flexopt.export.kernels import Unsupported
+from flexopt.export.naming import identifier
+from flexopt.model import Machine
+from flexopt.model.arguments import Arguments, shown
+from flexopt.model.documents import json_ready, package_version, provenance
+from flexopt.model.simulation import Sensor, SimulationOptions
+from flexopt.simulation.run import simulate_checked
+from flexopt.simulation.scenario import build_scenario, checked_options
+from flexopt.simulation.trajectory import Trajectory
+
+TOOL = "flexopt"
+# What a master would have to draw, or what has no meaning in an FMU.
+_NOT_TAKEN = ("seed", "baked")
+_SYSTEMS_2 = {"Linux": "linux", "Darwin": "darwin", "Windows": "win"}
+_SYSTEMS_3 = {"Linux": "linux", "Darwin": "darwin", "Windows": "windows"}
+_PROCESSORS = {"x86_64": "x86_64", "AMD64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models have equal bytes
+
+
+@dataclass(frozen=True)
+class FmuReport:
+    """What was written.
+
+    Attributes:
+        path: the FMU.
+        reference: the trajectory of `flexopt.simulate` that it reproduces, CSV; inside the FMU, too.
+        version, kind: of FMI.
+        token: guid (FMI 2) or instantiation token (FMI 3), from the content.
+        platforms: for which a library is inside; empty without a compiler.
+        period: of a sample, s; co-simulation advances by whole samples.
+        parameters, inputs, outputs: names of variables.
+        files: inside the FMU.
+        provenance: machine, versions, options.
+    """
+
+    path: Path
+    reference: Path
+    version: Version
+    kind: Kind
+    token: str
+    platforms: tuple[str, ...]
+    period: float
+    parameters: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    files: tuple[str, ...]
+    provenance: dict[str, Any]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary."""
+        paths = {"path": str(self.path), "reference": str(self.reference)}
+        return cast(dict[str, Any], json_ready(vars(self) | paths))
+
+    def __repr__(self) -> str:
+        where = ", ".join(self.platforms) or "sources only"
+        lines = [f"FMU {self.version} for {self.kind} of {self.provenance['machine']} in {self.path} ({where})"]
+        lines.append(f"  {len(self.parameters)} parameters; inputs: {', '.join(self.inputs)}")
+        lines.append(f"  outputs: {', '.join(self.outputs)}")
+        return "\n".join([*lines, f"  reference trajectory: {self.reference}"])
+
+
+def export_fmu(
+    machine: Machine,
+    path: str | Path,
+    posture: Any = None,
+    *,
+    version: Version = "2.0",
+    kind: Kind = "co-simulation",
+    **options: Any,
+) -> FmuReport:
+    """An FMU of the closed loop that `flexopt.simulate` runs, with its parameters exposed.
+
+    Parameters are those of the machine, the posture, the displacement at the start, gains, and what sensors and
+    actuators have; inputs are target and placement with their rates (and the measurement's errors, where the sensor has
+    noise). The controller that attains ε_max (`feedback="robust"`) stays the one designed for this machine and posture.
+
+    Co-simulation takes whole samples: a communication step shows the last sample that ends within it, and inputs move
+    on at their rates through a step. Model exchange gives the derivatives of the continuous loop (`hold=False`).
+
+    Args:
+        machine: from `flexopt.load`.
+        path: of the FMU, ending in `.fmu`. A file there is replaced if flexopt wrote it. The reference trajectory goes
+            beside it as `NAME_reference.csv`.
+        posture, options: as `flexopt.simulate` takes them, but seed and baked; a `base_path` and `target_path` shape
+            the reference alone, in which the sensor has no noise.
+        version: of FMI, `"2.0"` or `"3.0"`.
+        kind: `"co-simulation"` or `"model-exchange"`.
+
+    Raises:
+        InputError: arguments are not usable, or the path holds something else.
+        ExportError: the sources do not compile, or a graph cannot be generated.
+        SingularPosture, UnreachableTarget, NotStabilizable, NoSolutionFound: as `flexopt.simulate`.
+
+    Warns:
+        CompilerNotFound: there is no C compiler, so the FMU holds sources alone.
+    """
+    arguments = Arguments("export_fmu")
+    machine = arguments.machine(machine)
+    version = arguments.choice("version", version, VERSIONS)
+    kind = arguments.choice("kind", kind, KINDS)
+    target = _checked_path(arguments, path)
+    for name in _NOT_TAKEN:
+        if options.get(name) is not None:
+            arguments.faults.append(Fault(name, "belongs to flexopt.simulate alone", shown(options[name])))
+    if kind == "model-exchange" and options.get("hold"):
+        sentence = "a sampled controller cannot be integrated from outside; take kind = 'co-simulation' or hold = False"
+        arguments.faults.append(Fault("hold", sentence, "True"))
+    arguments.done()
+    if kind == "model-exchange":
+        options |= {"hold": False, "integrator": options.get("integrator") or "dop853"}
+    checked = checked_options("export_fmu", machine, {"posture": posture} | options)
+    reference = target.with_name(f"{target.stem}_reference.csv")
+    _check_replaceable(target, reference)
+    model = FmuModel(build_scenario(machine, checked), kind, _quiet(machine, checked))
+    try:
+        content = body(model)
+    except Unsupported as error:
+        raise ExportError(f"export_fmu: {error}") from error
+    name = identifier(machine.name)
+    table = reference_table(model)
+    files, token = _files(model, version, name, content, table)
+    library = _compiled(files["sources/fmu.c"])
+    place = _platform(version)
+    if library is not None and place is not None:
+        files[f"binaries/{place}/{name}{library_suffix()}"] = library
+    _write(target, _zipped(files))
+    _write(reference, table.encode())
+    return FmuReport(
+        path=target,
+        reference=reference,
+        version=version,
+        kind=kind,
+        token=token,
+        platforms=(place,) if library is not None and place is not None else (),
+        period=model.scenario.period,
+        parameters=tuple(variable.name for variable in model.parameters),
+        inputs=tuple(variable.name for variable in model.inputs),
+        outputs=tuple(variable.name for variable in model.outputs),
+        files=tuple(files),
+        provenance=provenance(machine, version=version, kind=kind, **checked.model_dump(exclude_defaults=True)),
+    )
+
+
+def _checked_path(arguments: Arguments, path: Any) -> Path:
+    if not isinstance(path, str | Path) or Path(path).suffix != ".fmu":
+        arguments.faults.append(Fault("path", "must be the name of a file that ends in .fmu", shown(path)))
+        return Path("model.fmu")
+    if not Path(path).parent.is_dir():
+        sentence = f"there is no folder {str(Path(path).parent)!r} to write a file into"
+        arguments.faults.append(Fault("path", sentence, repr(str(path))))
+    return Path(path)
+
+
+def _check_replaceable(path: Path, reference: Path) -> None:
+    """Raise where something else than an FMU of ours would be lost."""
+    sentence = ""
+    if path.exists():
+        try:
+            with zipfile.ZipFile(path) as archive:
+                tool = ET.fromstring(archive.read("modelDescription.xml")).get("generationTool", "")
+        except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
+            tool = ""
+        sentence = "" if tool.startswith(TOOL) else "is no FMU that flexopt wrote; choose another name"
+    elif reference.exists():
+        sentence = f"would replace {str(reference)!r}, which belongs to no FMU; choose another name"
+    raise_if_any(InputError, "export_fmu", [Fault("path", sentence, repr(str(path)))] if sentence else [])
+
+
+def _quiet(machine: Machine, options: SimulationOptions) -> Trajectory:
+    """The run that the FMU reproduces: without the noise, which a master gives."""
+    sensor = Sensor(**options.sensor.model_dump(exclude={"noise", "rate_noise"}))
+    quiet = options.model_copy(update={"sensor": sensor})
+    return simulate_checked(build_scenario(machine, quiet))
+
+
+def _files(model: FmuModel, version: Version, name: str, content: str, table: str) -> tuple[dict[str, Any], str]:
+    """Path -> content of everything but the library, and the token."""
+    tool = f"{TOOL} {package_version('flexopt')}"
+    title = f"{model.scenario.machine.name}: closed loop, FMI {version}, {model.kind}. Written by {tool}."
+    # The identity covers everything that either side reads; both are made with none first.
+    plain = source(version, title, content, "", 0) + describe(model, version, name, "", tool)
+    digest = hashlib.sha256(plain.encode()).digest()
+    token = f"{{{uuid.UUID(bytes=digest[:16])}}}"
+    key = int.from_bytes(digest[16:24], "big")
+    files: dict[str, Any] = {
+        "modelDescription.xml": describe(model, version, name, token, tool),
+        "documentation/index.html": page(model, version, tool),
+        "resources/reference.csv": table,
+        "sources/fmu.c": source(version, title, content, token, key),
+    }
+    if version == "3.0":
+        files["sources/buildDescription.xml"] = build_description(name)
+    return files, token
+
+
+def _compiled(text: str) -> bytes | None:
+    """The library, for any processor of this kind; None where there is no compiler."""
+    compiler = find_compiler()
+    if compiler is None or _platform("3.0") is None:
+        sentence = "export_fmu: no C compiler for a library; the FMU holds sources alone, which importers may compile"
+        warnings.warn(sentence, CompilerNotFound, stacklevel=3)
+        return None
+    with tempfile.TemporaryDirectory(prefix="flexopt-", ignore_cleanup_errors=True) as folder:
+        library = Path(folder) / f"library{library_suffix()}"
+        try:
+            replace(compiler, target=()).build(text, library, language="c", level=level_for(text) or ("-O1",))
+        except CompilationFailed as error:
+            raise ExportError(f"export_fmu: the sources could not be compiled ({error})") from error
+        return library.read_bytes()
+
+
+def _platform(version: Version) -> str | None:
+    """Folder of this system's libraries."""
+    system, processor = platform.system(), _PROCESSORS.get(platform.machine())
+    if system not in _SYSTEMS_3 or processor is None:
+        return None
+    if version == "2.0" and processor == "x86_64":
+        return f"{_SYSTEMS_2[system]}64"
+    return f"{processor}-{_SYSTEMS_3[system]}"
+
+
+def _zipped(files: Mapping[str, str | bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            info = zipfile.ZipInfo(name, _EPOCH)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, content)
+    return buffer.getvalue()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write beside the file and swap."""
+    fresh = path.with_name(f".{path.name}.new")
+    try:
+        fresh.write_bytes(content)
+        fresh.replace(path)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise InputError(f"export_fmu: path = {str(path)!r}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,416 @@
+/* FMI 2.0: its types, and its functions around the model. */
+
+#ifndef FMI2_FUNCTION_PREFIX
+#define FMI2_FUNCTION_PREFIX
+#endif
+#define PASTED(a, b) a##b
+#define NAMED(a, b) PASTED(a, b)
+#define F(name) NAMED(FMI2_FUNCTION_PREFIX, fmi2##name)
+
+typedef void *fmi2Component;
+typedef void *fmi2ComponentEnvironment;
+typedef void *fmi2FMUstate;
+typedef unsigned int fmi2ValueReference;
+typedef double fmi2Real;
+typedef int fmi2Integer;
+typedef int fmi2Boolean;
+typedef char fmi2Char;
+typedef const fmi2Char *fmi2String;
+typedef char fmi2Byte;
+typedef enum { fmi2OK, fmi2Warning, fmi2Discard, fmi2Error, fmi2Fatal, fmi2Pending } fmi2Status;
+typedef enum { fmi2ModelExchange, fmi2CoSimulation } fmi2Type;
+typedef enum { fmi2DoStepStatus, fmi2PendingStatus, fmi2LastSuccessfulTime, fmi2Terminated } fmi2StatusKind;
+
+typedef struct {
+  void (*logger)(fmi2ComponentEnvironment, fmi2String, fmi2Status, fmi2String, fmi2String, ...);
+  void *(*allocateMemory)(size_t, size_t);
+  void (*freeMemory)(void *);
+  void (*stepFinished)(fmi2ComponentEnvironment, fmi2Status);
+  fmi2ComponentEnvironment componentEnvironment;
+} fmi2CallbackFunctions;
+
+typedef struct {
+  fmi2Boolean newDiscreteStatesNeeded;
+  fmi2Boolean terminateSimulation;
+  fmi2Boolean nominalsOfContinuousStatesChanged;
+  fmi2Boolean valuesOfContinuousStatesChanged;
+  fmi2Boolean nextEventTimeDefined;
+  fmi2Real nextEventTime;
+} fmi2EventInfo;
+
+typedef const fmi2CallbackFunctions *Logger;
+
+$common
+static void emit(Instance *m, int status, const char *category, const char *text) {
+  if (m->logger->logger != NULL) {
+    m->logger->logger(m->logger->componentEnvironment, m->name, (fmi2Status)status, category, "%s", text);
+  }
+}
+
+static fmi2Status no_variables(fmi2Component c, size_t n, const char *call) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, READABLE, call)) {
+    return fmi2Error;
+  }
+  return n == 0 ? fmi2OK : (fmi2Status)report(m, ERROR, "%s: the model has variables of type Real alone", call);
+}
+
+static fmi2Status unsupported(fmi2Component c, const char *call) {
+  Instance *m = (Instance *)c;
+  return permitted(m, READABLE, call) ? (fmi2Status)report(m, ERROR, "%s: is not offered", call) : fmi2Error;
+}
+
+static Saved *new_saved(Instance *m) {
+  Saved *saved = (Saved *)m->logger->allocateMemory(1, sizeof(Saved));
+  if (saved == NULL) {
+    (void)report(m, ERROR, "no memory");
+  } else {
+    saved->key = MODEL_KEY;
+  }
+  return saved;
+}
+
+EXPORT const char *F(GetTypesPlatform)(void) { return "default"; }
+
+EXPORT const char *F(GetVersion)(void) { return "2.0"; }
+
+EXPORT fmi2Status F(SetDebugLogging)(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
+  Instance *m = (Instance *)c;
+  (void)n, (void)categories;
+  if (!permitted(m, READABLE, "fmi2SetDebugLogging")) {
+    return fmi2Error;
+  }
+  m->logging = on;
+  return fmi2OK;
+}
+
+EXPORT fmi2Component F(Instantiate)(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                                    const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
+  Instance *m;
+  const char *fault;
+  (void)resources, (void)visible;
+  if (functions == NULL || functions->allocateMemory == NULL || functions->freeMemory == NULL) {
+    return NULL;
+  }
+  fault = identity_fault(name, guid);
+  if (fault == NULL && type != (MODEL_EXCHANGE ? fmi2ModelExchange : fmi2CoSimulation)) {
+    fault = MODEL_EXCHANGE ? "instantiate: the model is for model exchange" : "instantiate: the model is for co-simulation";
+  }
+  if (fault != NULL) {
+    if (functions->logger != NULL) {
+      functions->logger(functions->componentEnvironment, name == NULL ? "" : name, fmi2Error, "logStatusError", "%s", fault);
+    }
+    return NULL;
+  }
+  m = (Instance *)functions->allocateMemory(1, sizeof(Instance));
+  if (m == NULL) {
+    return NULL;
+  }
+  memset(m, 0, sizeof *m);
+  m->logger = functions;
+  m->logging = logging;
+  christen(m, name);
+  return m;
+}
+
+EXPORT void F(FreeInstance)(fmi2Component c) {
+  Instance *m = (Instance *)c;
+  if (m != NULL) {
+    m->logger->freeMemory(m);
+  }
+}
+
+EXPORT fmi2Status F(SetupExperiment)(fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start,
+                                     fmi2Boolean stop_defined, fmi2Real stop) {
+  Instance *m = (Instance *)c;
+  (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
+  return permitted(m, INSTANTIATED, "fmi2SetupExperiment") ? (fmi2Status)set_start(m, start) : fmi2Error;
+}
+
+EXPORT fmi2Status F(EnterInitializationMode)(fmi2Component c) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, INSTANTIATED, "fmi2EnterInitializationMode")) {
+    return fmi2Error;
+  }
+  m->core.mode = INITIALIZATION;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(ExitInitializationMode)(fmi2Component c) {
+  Instance *m = (Instance *)c;
+  return permitted(m, INITIALIZATION, "fmi2ExitInitializationMode") ? (fmi2Status)begin(m) : fmi2Error;
+}
+
+EXPORT fmi2Status F(Terminate)(fmi2Component c) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, RUNNING, "fmi2Terminate")) {
+    return fmi2Error;
+  }
+  m->core.mode = TERMINATED;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(Reset)(fmi2Component c) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, READABLE, "fmi2Reset")) {
+    return fmi2Error;
+  }
+  restart(&m->core);
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(GetReal)(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
+  Instance *m = (Instance *)c;
+  return permitted(m, READABLE, "fmi2GetReal") ? (fmi2Status)get_reals(m, vr, n, value) : fmi2Error;
+}
+
+EXPORT fmi2Status F(SetReal)(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
+  Instance *m = (Instance *)c;
+  return permitted(m, READABLE & ~TERMINATED, "fmi2SetReal") ? (fmi2Status)set_reals(m, vr, n, value) : fmi2Error;
+}
+
+#define NO_VARIABLES(type)                                                                                     \
+  EXPORT fmi2Status F(Get##type)(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##type value[]) { \
+    (void)vr, (void)value;                                                                                     \
+    return no_variables(c, n, "fmi2Get" #type);                                                                \
+  }                                                                                                            \
+  EXPORT fmi2Status F(Set##type)(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2##type value[]) { \
+    (void)vr, (void)value;                                                                                     \
+    return no_variables(c, n, "fmi2Set" #type);                                                                \
+  }
+
+NO_VARIABLES(Integer)
+NO_VARIABLES(Boolean)
+NO_VARIABLES(String)
+
+EXPORT fmi2Status F(GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, READABLE, "fmi2GetFMUstate")) {
+    return fmi2Error;
+  }
+  if (state == NULL) {
+    return (fmi2Status)report(m, ERROR, "fmi2GetFMUstate: a pointer is NULL");
+  }
+  if (*state == NULL) {
+    *state = new_saved(m);
+    if (*state == NULL) {
+      return fmi2Error;
+    }
+  }
+  ((Saved *)*state)->core = m->core;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(SetFMUstate)(fmi2Component c, fmi2FMUstate state) {
+  Instance *m = (Instance *)c;
+  return permitted(m, READABLE, "fmi2SetFMUstate") ? (fmi2Status)restore(m, (const Saved *)state) : fmi2Error;
+}
+
+EXPORT fmi2Status F(FreeFMUstate)(fmi2Component c, fmi2FMUstate *state) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, READABLE, "fmi2FreeFMUstate")) {
+    return fmi2Error;
+  }
+  if (state != NULL && *state != NULL) {
+    m->logger->freeMemory(*state);
+    *state = NULL;
+  }
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, size_t *size) {
+  Instance *m = (Instance *)c;
+  (void)state;
+  if (!permitted(m, READABLE, "fmi2SerializedFMUstateSize")) {
+    return fmi2Error;
+  }
+  if (size == NULL) {
+    return (fmi2Status)report(m, ERROR, "fmi2SerializedFMUstateSize: a pointer is NULL");
+  }
+  *size = sizeof(Saved);
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(SerializeFMUstate)(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, READABLE, "fmi2SerializeFMUstate")) {
+    return fmi2Error;
+  }
+  return (fmi2Status)serialize(m, (const Saved *)state, (unsigned char *)bytes, size);
+}
+
+EXPORT fmi2Status F(DeSerializeFMUstate)(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
+  Instance *m = (Instance *)c;
+  Saved saved;
+  int status;
+  if (!permitted(m, READABLE, "fmi2DeSerializeFMUstate")) {
+    return fmi2Error;
+  }
+  if (state == NULL) {
+    return (fmi2Status)report(m, ERROR, "fmi2DeSerializeFMUstate: a pointer is NULL");
+  }
+  status = deserialize(m, (const unsigned char *)bytes, size, &saved);
+  if (status != OK) {
+    return (fmi2Status)status;
+  }
+  if (*state == NULL) {
+    *state = new_saved(m);
+    if (*state == NULL) {
+      return fmi2Error;
+    }
+  }
+  *(Saved *)*state = saved;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(GetDirectionalDerivative)(fmi2Component c, const fmi2ValueReference unknown[], size_t n_unknown,
+                                              const fmi2ValueReference known[], size_t n_known, const fmi2Real seed[],
+                                              fmi2Real sensitivity[]) {
+  (void)unknown, (void)n_unknown, (void)known, (void)n_known, (void)seed, (void)sensitivity;
+  return unsupported(c, "fmi2GetDirectionalDerivative");
+}
+
+#if MODEL_EXCHANGE
+EXPORT fmi2Status F(EnterEventMode)(fmi2Component c) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, CONTINUOUS | EVENT, "fmi2EnterEventMode")) {
+    return fmi2Error;
+  }
+  m->core.mode = EVENT;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, EVENT, "fmi2NewDiscreteStates")) {
+    return fmi2Error;
+  }
+  if (info == NULL) {
+    return (fmi2Status)report(m, ERROR, "fmi2NewDiscreteStates: a pointer is NULL");
+  }
+  memset(info, 0, sizeof *info);
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(EnterContinuousTimeMode)(fmi2Component c) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, EVENT, "fmi2EnterContinuousTimeMode")) {
+    return fmi2Error;
+  }
+  m->core.mode = CONTINUOUS;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(CompletedIntegratorStep)(fmi2Component c, fmi2Boolean final, fmi2Boolean *enter_event_mode,
+                                             fmi2Boolean *terminate) {
+  Instance *m = (Instance *)c;
+  (void)final;
+  if (!permitted(m, CONTINUOUS, "fmi2CompletedIntegratorStep")) {
+    return fmi2Error;
+  }
+  if (enter_event_mode == NULL || terminate == NULL) {
+    return (fmi2Status)report(m, ERROR, "fmi2CompletedIntegratorStep: a pointer is NULL");
+  }
+  *enter_event_mode = 0;
+  *terminate = 0;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(SetTime)(fmi2Component c, fmi2Real time) {
+  Instance *m = (Instance *)c;
+  return permitted(m, CONTINUOUS | EVENT, "fmi2SetTime") ? (fmi2Status)set_time(m, time) : fmi2Error;
+}
+
+EXPORT fmi2Status F(SetContinuousStates)(fmi2Component c, const fmi2Real x[], size_t n) {
+  Instance *m = (Instance *)c;
+  return permitted(m, CONTINUOUS | EVENT, "fmi2SetContinuousStates") ? (fmi2Status)set_states(m, x, n) : fmi2Error;
+}
+
+EXPORT fmi2Status F(GetDerivatives)(fmi2Component c, fmi2Real rates[], size_t n) {
+  Instance *m = (Instance *)c;
+  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetDerivatives") ? (fmi2Status)get_derivatives(m, rates, n) : fmi2Error;
+}
+
+EXPORT fmi2Status F(GetEventIndicators)(fmi2Component c, fmi2Real indicators[], size_t n) {
+  Instance *m = (Instance *)c;
+  (void)indicators;
+  if (!permitted(m, READABLE & ~INSTANTIATED, "fmi2GetEventIndicators")) {
+    return fmi2Error;
+  }
+  return n == 0 ? fmi2OK : (fmi2Status)report(m, ERROR, "fmi2GetEventIndicators: there are none");
+}
+
+EXPORT fmi2Status F(GetContinuousStates)(fmi2Component c, fmi2Real x[], size_t n) {
+  Instance *m = (Instance *)c;
+  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetContinuousStates") ? (fmi2Status)get_states(m, x, n) : fmi2Error;
+}
+
+EXPORT fmi2Status F(GetNominalsOfContinuousStates)(fmi2Component c, fmi2Real nominals[], size_t n) {
+  Instance *m = (Instance *)c;
+  if (!permitted(m, READABLE & ~INSTANTIATED, "fmi2GetNominalsOfContinuousStates")) {
+    return fmi2Error;
+  }
+  return (fmi2Status)get_nominals(m, nominals, n);
+}
+#else
+EXPORT fmi2Status F(SetRealInputDerivatives)(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                             const fmi2Integer order[], const fmi2Real value[]) {
+  (void)vr, (void)n, (void)order, (void)value;
+  return unsupported(c, "fmi2SetRealInputDerivatives");
+}
+
+EXPORT fmi2Status F(GetRealOutputDerivatives)(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                              const fmi2Integer order[], fmi2Real value[]) {
+  (void)vr, (void)n, (void)order, (void)value;
+  return unsupported(c, "fmi2GetRealOutputDerivatives");
+}
+
+EXPORT fmi2Status F(DoStep)(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean final) {
+  Instance *m = (Instance *)c;
+  (void)final;
+  return permitted(m, STEP, "fmi2DoStep") ? (fmi2Status)do_step(m, time, size) : fmi2Error;
+}
+
+EXPORT fmi2Status F(CancelStep)(fmi2Component c) {
+  return unsupported(c, "fmi2CancelStep");
+}
+
+EXPORT fmi2Status F(GetStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
+  (void)kind, (void)value;
+  return unsupported(c, "fmi2GetStatus");
+}
+
+EXPORT fmi2Status F(GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
+  Instance *m = (Instance *)c;
+  if (kind != fmi2LastSuccessfulTime || value == NULL) {
+    return unsupported(c, "fmi2GetRealStatus");
+  }
+  if (!permitted(m, STEP | TERMINATED, "fmi2GetRealStatus")) {
+    return fmi2Error;
+  }
+  *value = m->core.time;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(GetIntegerStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
+  (void)kind, (void)value;
+  return unsupported(c, "fmi2GetIntegerStatus");
+}
+
+EXPORT fmi2Status F(GetBooleanStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+  Instance *m = (Instance *)c;
+  if (kind != fmi2Terminated || value == NULL) {
+    return unsupported(c, "fmi2GetBooleanStatus");
+  }
+  if (!permitted(m, STEP | TERMINATED, "fmi2GetBooleanStatus")) {
+    return fmi2Error;
+  }
+  *value = 0;
+  return fmi2OK;
+}
+
+EXPORT fmi2Status F(GetStringStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
+  (void)kind, (void)value;
+  return unsupported(c, "fmi2GetStringStatus");
+}
+#endif

@@ -1,0 +1,75 @@
+"""Names, numbers and comments as C has them."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+import unicodedata
+from collections.abc import Sequence
+from importlib.resources import files
+from string import Template
+
+from flexopt.export.kernels import Real, single_constant
+
+WIDTH = 118
+
+
+def identifier(name: str) -> str:
+    """A name in lower case that C takes."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    word = re.sub(r"[^a-z0-9]+", "_", plain.lower()).strip("_")
+    return word if word[:1].isalpha() else f"machine_{word}".rstrip("_")
+
+
+def constants(names: Sequence[str]) -> list[str]:
+    """Different names in upper case; what would coincide is numbered."""
+    found: list[str] = []
+    for name in names:
+        word, count = re.sub(r"[^A-Z0-9]+", "_", identifier(name).upper()), 2
+        unique = word
+        while unique in found:
+            unique, count = f"{word}_{count}", count + 1
+        found.append(unique)
+    return found
+
+
+def text_of(name: str) -> str:
+    """Text that may stand inside a C string or comment."""
+    plain = "".join(c if c.isprintable() and c not in '"\\' else " " for c in name)
+    return plain.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+
+
+def number(value: float, real: Real) -> str:
+    """A constant of the bundle's precision."""
+    digits = repr(float(value))
+    digits = digits if any(c in digits for c in ".en") else digits + "."
+    if real == "double":
+        return digits
+    return f"-{single_constant(digits[1:])}" if value < 0 else single_constant(digits)
+
+
+def listed(values: Sequence[float], real: Real, indent: str = "  ") -> str:
+    """Constants between braces, as many on a line as fit."""
+    body = ", ".join(number(v, real) for v in values)
+    return f"{{\n{wrapped(body, indent + '  ')}\n{indent}}}"
+
+
+def wrapped(text: str, indent: str = "") -> str:
+    """Text broken into lines."""
+    return textwrap.fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False)
+
+
+def comment(text: str, indent: str = "") -> str:
+    """A block comment."""
+    plain = text_of(text)
+    single = f"{indent}/* {plain} */"
+    if len(single) <= WIDTH:
+        return single
+    body = textwrap.fill(plain, WIDTH - 3, initial_indent=f"{indent}/* ", subsequent_indent=f"{indent} * ")
+    return f"{body} */" if len(body.splitlines()[-1]) <= WIDTH - 3 else f"{body}\n{indent} */"
+
+
+def template(file: str, /, **values: object) -> str:
+    """A template of this package, filled in."""
+    source = files("flexopt.export").joinpath("templates").joinpath(file).read_text(encoding="utf-8")
+    return Template(source).substitute({key: str(value) for key, value in values.items()})

@@ -1,0 +1,77 @@
+/* Closes the loop: the exported controller (Jacobian inverse) moves the end-point of a simulated arm to a target.
+ *
+ * The arm here is a stand-in that keeps the example short: joints of equal inertia on rigid ground, measured without error.
+ * On the machine the measurements come from sensors and the torques go to the drives; nothing else changes. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "${prefix}_control.h"
+
+#define RATE_HZ 200
+#define DURATION_S 6
+#define INERTIA $inertia /* kg m^2, of each joint of the stand-in: the mean of the machine's in the start posture */
+
+static ${prefix}_real workspace[${PREFIX}_WORKSPACE];
+
+static void stop_on(${prefix}_status status)
+{
+  if (status != ${PREFIX}_OK) {
+    printf("refused: %s\n", ${prefix}_status_text(status));
+    exit(EXIT_FAILURE);
+  }
+}
+
+int main(void)
+{
+  static ${prefix}_torque_inverse_in controller;
+  static const ${prefix}_real start[${PREFIX}_JOINTS] = $start;
+  const ${prefix}_real step = (${prefix}_real)1 / RATE_HZ;
+  const ${prefix}_real bandwidth = 3; /* rad/s of the closed loop */
+$parameters_declaration  ${prefix}_kinematics_in configuration = {$rest_initialiser};
+  ${prefix}_kinematics_out arm;
+  ${prefix}_torque_inverse_out command;
+  ${prefix}_real rate[${PREFIX}_JOINTS] = {0};
+  double error = 0.0;
+  int k, i, j;
+
+  printf("%s: machine %s\n", ${prefix}_build_info()->bundle_sha256, ${prefix}_build_info()->machine);
+  controller.proportional_gain = INERTIA * bandwidth * bandwidth;
+  controller.derivative_gain = 2 * INERTIA * bandwidth;
+  for (i = 0; i < ${PREFIX}_JOINTS; ++i) {
+    configuration.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + i] = start[i];
+  }
+  for (k = 0; k <= DURATION_S * RATE_HZ; ++k) {
+    stop_on(${prefix}_kinematics(&configuration, ${pass}&arm, workspace, ${PREFIX}_WORKSPACE));
+    for (i = 0; i < ${PREFIX}_TASK; ++i) {
+      controller.measured_point[i] = arm.end_point[i];
+      controller.measured_rate[i] = 0;
+      for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
+        controller.measured_rate[i] += arm.rigid_jacobian[i][j] * rate[j];
+      }
+      if (k == 0) {
+        controller.target_point[i] = arm.end_point[i] + (${prefix}_real)$distance;
+      }
+    }
+    for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
+      controller.joint_angles[j] = configuration.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + j];
+    }
+    stop_on(${prefix}_torque_inverse(&controller, ${pass}&command, workspace, ${PREFIX}_WORKSPACE));
+    error = 0.0;
+    for (i = 0; i < ${PREFIX}_TASK; ++i) {
+      const double e = (double)(controller.target_point[i] - controller.measured_point[i]);
+      error += e * e;
+    }
+    error = sqrt(error);
+    if (k % RATE_HZ == 0) {
+      printf("t = %d s: end-point %.6f m from its target, torque of the first joint %.6g N m\n", k / RATE_HZ, error,
+             (double)command.torque[0]);
+    }
+    for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
+      rate[j] += step * command.torque[j] / INERTIA;
+      configuration.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + j] += step * rate[j];
+    }
+  }
+  printf(error < 1e-3 ? "on target\n" : "NOT on target\n");
+  return error < 1e-3 ? EXIT_SUCCESS : EXIT_FAILURE;
+}

@@ -1,0 +1,166 @@
+// A ROS 2 node around the exported controller: joint states and a target in, joint torques out.
+//
+// The controller itself (class Controller) needs no ROS; compiled without ROS 2 the file becomes a program that runs it
+// once. With ROS 2 (C++17, package rclcpp, sensor_msgs, geometry_msgs, std_msgs) it is a node:
+//
+//   subscribes  joint_states     sensor_msgs/JointState         the actuated joints by name, rad and rad/s
+//               end_point        geometry_msgs/PointStamped     measured, inertial frame, m
+//               target           geometry_msgs/PointStamped     wanted, inertial frame, m
+//   publishes   joint_torques    std_msgs/Float64MultiArray     N m, in the order of the machine's joints
+//
+// Nothing is published while an input is missing, older than the time-out, or refused by the library.
+#include <array>
+#include <cstddef>
+#include <cstdio>
+#include <string>
+
+#include "${prefix}_control.h"
+
+class Controller {
+ public:
+  static constexpr std::size_t kJoints = ${PREFIX}_JOINTS;
+  static constexpr std::size_t kTask = ${PREFIX}_TASK;
+  static const std::array<std::string, kJoints>& joint_names() {
+    static const std::array<std::string, kJoints> names = {{$joint_names}};
+    return names;
+  }
+
+  Controller(double proportional_gain, double derivative_gain) {
+    input_.proportional_gain = static_cast<${prefix}_real>(proportional_gain);
+    input_.derivative_gain = static_cast<${prefix}_real>(derivative_gain);
+$load_parameters  }
+
+  void set_joint(std::size_t joint, double angle) { input_.joint_angles[joint] = static_cast<${prefix}_real>(angle); }
+  void set_target(std::size_t axis, double value) { input_.target_point[axis] = static_cast<${prefix}_real>(value); }
+
+  // The rate comes from two measurements, `elapsed` seconds apart.
+  void set_measured(const std::array<double, kTask>& point, double elapsed) {
+    for (std::size_t i = 0; i < kTask; ++i) {
+      const double before = static_cast<double>(input_.measured_point[i]);
+      input_.measured_rate[i] = static_cast<${prefix}_real>(elapsed > 0.0 ? (point[i] - before) / elapsed : 0.0);
+      input_.measured_point[i] = static_cast<${prefix}_real>(point[i]);
+    }
+  }
+
+  ${prefix}_status step(std::array<double, kJoints>& torque) {
+    ${prefix}_torque_inverse_out command;
+    const ${prefix}_status status =
+        ${prefix}_torque_inverse(&input_, ${pass_member}&command, workspace_.data(), workspace_.size());
+    if (status == ${PREFIX}_OK) {
+      for (std::size_t j = 0; j < kJoints; ++j) torque[j] = static_cast<double>(command.torque[j]);
+    }
+    return status;
+  }
+
+ private:
+  ${prefix}_torque_inverse_in input_{};
+$parameters_member  std::array<${prefix}_real, ${PREFIX}_TORQUE_INVERSE_WORKSPACE> workspace_{};
+};
+
+#if defined(__has_include)
+#if __has_include(<rclcpp/rclcpp.hpp>)
+#define WITH_ROS2 1
+#endif
+#endif
+
+#ifdef WITH_ROS2
+
+#include <algorithm>
+#include <chrono>
+#include <geometry_msgs/msg/point_stamped.hpp>
+#include <memory>
+#include <rclcpp/rclcpp.hpp>
+#include <sensor_msgs/msg/joint_state.hpp>
+#include <std_msgs/msg/float64_multi_array.hpp>
+
+class ControllerNode : public rclcpp::Node {
+ public:
+  ControllerNode()
+      : Node("${prefix}_controller"),
+        controller_(declare_parameter("proportional_gain", $kp), declare_parameter("derivative_gain", $kv)),
+        timeout_(rclcpp::Duration::from_seconds(declare_parameter("timeout", 0.05))) {
+    torques_ = create_publisher<std_msgs::msg::Float64MultiArray>("joint_torques", 1);
+    joints_ = create_subscription<sensor_msgs::msg::JointState>(
+        "joint_states", rclcpp::SensorDataQoS(), [this](const sensor_msgs::msg::JointState& m) { on_joints(m); });
+    measured_ = create_subscription<geometry_msgs::msg::PointStamped>(
+        "end_point", rclcpp::SensorDataQoS(), [this](const geometry_msgs::msg::PointStamped& m) { on_measured(m); });
+    target_ = create_subscription<geometry_msgs::msg::PointStamped>(
+        "target", 1, [this](const geometry_msgs::msg::PointStamped& m) { on_target(m); });
+  }
+
+ private:
+  static double coordinate(const geometry_msgs::msg::PointStamped& m, std::size_t axis) {
+    return axis == 0 ? m.point.x : axis == 1 ? m.point.y : m.point.z;
+  }
+
+  void on_joints(const sensor_msgs::msg::JointState& m) {
+    const auto& names = Controller::joint_names();
+    for (std::size_t j = 0; j < Controller::kJoints; ++j) {
+      const auto found = std::find(m.name.begin(), m.name.end(), names[j]);
+      const auto index = static_cast<std::size_t>(found - m.name.begin());
+      if (found == m.name.end() || index >= m.position.size()) return;
+      controller_.set_joint(j, m.position[index]);
+    }
+    joints_time_ = m.header.stamp;
+    have_joints_ = true;
+  }
+
+  void on_target(const geometry_msgs::msg::PointStamped& m) {
+    for (std::size_t i = 0; i < Controller::kTask; ++i) controller_.set_target(i, coordinate(m, i));
+    have_target_ = true;
+  }
+
+  void on_measured(const geometry_msgs::msg::PointStamped& m) {
+    const rclcpp::Time now(m.header.stamp);
+    std::array<double, Controller::kTask> point{};
+    for (std::size_t i = 0; i < Controller::kTask; ++i) point[i] = coordinate(m, i);
+    controller_.set_measured(point, have_measured_ ? (now - measured_time_).seconds() : 0.0);
+    measured_time_ = now;
+    have_measured_ = true;
+    if (!have_joints_ || !have_target_ || now - joints_time_ > timeout_) return;
+    std::array<double, Controller::kJoints> torque{};
+    const ${prefix}_status status = controller_.step(torque);
+    if (status != ${PREFIX}_OK) {
+      RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "refused: %s", ${prefix}_status_text(status));
+      return;
+    }
+    std_msgs::msg::Float64MultiArray message;
+    message.data.assign(torque.begin(), torque.end());
+    torques_->publish(message);
+  }
+
+  Controller controller_;
+  rclcpp::Duration timeout_;
+  rclcpp::Time joints_time_{0, 0, RCL_ROS_TIME}, measured_time_{0, 0, RCL_ROS_TIME};
+  bool have_joints_ = false, have_measured_ = false, have_target_ = false;
+  rclcpp::Publisher<std_msgs::msg::Float64MultiArray>::SharedPtr torques_;
+  rclcpp::Subscription<sensor_msgs::msg::JointState>::SharedPtr joints_;
+  rclcpp::Subscription<geometry_msgs::msg::PointStamped>::SharedPtr measured_, target_;
+};
+
+int main(int argc, char** argv) {
+  rclcpp::init(argc, argv);
+  rclcpp::spin(std::make_shared<ControllerNode>());
+  rclcpp::shutdown();
+  return 0;
+}
+
+#else
+
+int main() {
+  Controller controller($kp, $kv);
+  const std::array<double, Controller::kJoints> start = {{$start_list}};
+  for (std::size_t j = 0; j < Controller::kJoints; ++j) controller.set_joint(j, start[j]);
+  std::array<double, Controller::kTask> origin{};
+  controller.set_measured(origin, 0.0);
+  for (std::size_t i = 0; i < Controller::kTask; ++i) controller.set_target(i, 0.01);
+  std::array<double, Controller::kJoints> torque{};
+  const ${prefix}_status status = controller.step(torque);
+  std::printf("without ROS 2: %s\n", ${prefix}_status_text(status));
+  for (std::size_t j = 0; j < Controller::kJoints; ++j) {
+    std::printf("  %s %.6g N m\n", Controller::joint_names()[j].c_str(), torque[j]);
+  }
+  return status == ${PREFIX}_OK ? 0 : 1;
+}
+
+#endif

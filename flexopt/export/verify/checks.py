@@ -1,0 +1,87 @@
+"""What a verification found: one `Check` each, passed, failed, or not verified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from flexopt.export.verify.tools import StepFailed, ToolMissing
+
+Target = Literal["host", "cortex-m4f", "cortex-m7"]
+TARGETS: tuple[Target, ...] = ("host", "cortex-m4f", "cortex-m7")
+State = Literal["passed", "failed", "not verified"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers behind a finding: a heading, names of columns, and rows of text or numbers."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready: rows as dictionaries."""
+        return {"title": self.title, "rows": [dict(zip(self.header, row, strict=True)) for row in self.rows]}
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding.
+
+    Attributes:
+        name: what was checked.
+        target: where.
+        state: `"not verified"` where a tool is missing.
+        finding: a sentence.
+        tables: the numbers.
+        missing: programs that were not there.
+    """
+
+    name: str
+    target: Target
+    state: State
+    finding: str
+    tables: tuple[Table, ...] = ()
+    missing: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary."""
+        return {
+            "name": self.name,
+            "target": self.target,
+            "state": self.state,
+            "finding": self.finding,
+            "tables": [table.to_dict() for table in self.tables],
+            "missing": list(self.missing),
+        }
+
+
+@dataclass
+class Finding:
+    """What a check's function gives back.
+
+    Attributes:
+        sentence: what was found.
+        faults: what is wrong; none where the check passed.
+        tables: numbers.
+    """
+
+    sentence: str
+    faults: Sequence[str] = ()
+    tables: Sequence[Table] = field(default_factory=tuple[Table, ...])
+
+
+def attempt(name: str, target: Target, look: Callable[[], Finding]) -> Check:
+    """Run one check; a missing tool makes it not verified, a program that fails makes it fail."""
+    try:
+        found = look()
+    except ToolMissing as error:
+        return Check(name, target, "not verified", str(error), missing=error.names)
+    except StepFailed as error:
+        return Check(name, target, "failed", str(error))
+    if found.faults:
+        more = f" and {len(found.faults) - 8} more" if len(found.faults) > 8 else ""
+        return Check(name, target, "failed", "; ".join(found.faults[:8]) + more, tuple(found.tables))
+    return Check(name, target, "passed", found.sentence, tuple(found.tables))

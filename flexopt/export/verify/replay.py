@@ -1,0 +1,148 @@
+"""Calls recorded for the driver, what it answered, and the comparison with Python.
+
+In: an operation with samples. Out: the driver's input file; from its output file, statuses, ticks and outputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.export.operations import Array, Operation, Samples
+from flexopt.export.sources import STATUSES
+from flexopt.export.verify.tools import StepFailed
+
+CODES = {name: k for k, name in enumerate(STATUSES)}
+NAMES = tuple(STATUSES)
+# Bits of the faults that the driver makes.
+NULL_IN, NULL_PARAMETERS, NULL_OUT, NULL_WORKSPACE, MISALIGNED, SHORT = (1 << k for k in range(6))
+CALIBRATION = 4_000_000  # instructions
+
+Words = NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Calls of one function.
+
+    Attributes:
+        index: of the function in the bundle's table.
+        operation: the function.
+        rows: inputs and parameters, (calls, n).
+        repeats: how often each call is made, for the clock.
+        faults: bits for each call.
+    """
+
+    index: int
+    operation: Operation
+    rows: Array
+    repeats: int
+    faults: Words
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What the driver answered to one block.
+
+    Attributes:
+        status: (calls,).
+        ticks: of all repeats, (calls,).
+        untouched: whether the output is as before, (calls,).
+        outputs: (calls, n_out).
+        stack: bytes of one call; 0 on the host.
+    """
+
+    status: Words
+    ticks: Words
+    untouched: NDArray[np.bool_]
+    outputs: Array
+    stack: int
+
+
+def block(index: int, operation: Operation, rows: Array, *, repeats: int = 1, faults: Words | None = None) -> Block:
+    """Calls without faults, unless they are given."""
+    made = np.zeros(len(rows), np.uint32) if faults is None else faults
+    return Block(index, operation, rows, repeats, made)
+
+
+def write_calls(path: Path, blocks: Sequence[Block], *, single: bool) -> None:
+    """The driver's input file."""
+    real = np.float32 if single else np.float64
+    with path.open("wb") as file:
+        for b in blocks:
+            file.write(np.array([b.index, len(b.rows), b.repeats, 0], np.uint32).tobytes())
+            kind = np.dtype([("fault", np.uint32), ("row", real, (b.rows.shape[1],))])
+            records = np.zeros(len(b.rows), kind)
+            records["fault"] = b.faults
+            with np.errstate(over="ignore", under="ignore"):
+                records["row"] = b.rows
+            file.write(records.tobytes())
+
+
+def read_answers(path: Path, blocks: Sequence[Block], *, single: bool) -> tuple[int, list[Answers]]:
+    """The ticks of `CALIBRATION` instructions, and the answers to each block."""
+    data = path.read_bytes()
+    real = np.float32 if single else np.float64
+    calibration, offset = int(np.frombuffer(data, np.uint32, 1)[0]), 4
+    answers: list[Answers] = []
+    for b in blocks:
+        n_out = sum(field.length for field in b.operation.outputs)
+        kind = np.dtype([("words", np.uint32, (3,)), ("out", real, (n_out,))])
+        if len(data) < offset + len(b.rows) * kind.itemsize + 4:
+            raise StepFailed("the driver's output file is too short")
+        records = np.frombuffer(data, kind, len(b.rows), offset)
+        offset += records.nbytes
+        stack = int(np.frombuffer(data, np.uint32, 1, offset)[0])
+        offset += 4
+        words = records["words"]
+        outputs = records["out"].astype(np.float64)
+        answers.append(Answers(words[:, 0], words[:, 1], words[:, 2] != 0, outputs, stack))
+    return calibration, answers
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """C against Python for one function.
+
+    Attributes:
+        rows: (output, largest error as a share of its scale, its scale in words), one for each output.
+        computed, refused: how many calls succeeded, and how many ended as not accurate.
+        faults: what is wrong, in sentences.
+    """
+
+    rows: tuple[tuple[str, float, str], ...]
+    computed: int
+    refused: int
+    faults: tuple[str, ...]
+
+
+def compare(operation: Operation, samples: Samples, answers: Answers, tolerance: float) -> Agreement:
+    """Errors of each output against the samples', where C did not say NOT_ACCURATE."""
+    name, faults = operation.name, list[str]()
+    good = answers.status == CODES["OK"]
+    refused = answers.status == CODES["NOT_ACCURATE"]
+    for code in {int(code) for code in answers.status[~good & ~refused]}:
+        count = int((answers.status == code).sum())
+        said = NAMES[code] if code < len(NAMES) else f"status {code}"
+        faults.append(f"{name}: {count} of {len(good)} calls that Python accepts gave {said}")
+    # Single precision may refuse what it cannot compute well; most it must compute.
+    if refused.sum() > len(good) // 4 or not good.any():
+        faults.append(f"{name}: {int(refused.sum())} of {len(good)} calls would not be accurate")
+    with np.errstate(all="ignore"):
+        share = np.abs(answers.outputs - samples.outputs)[good] / samples.scales[good]
+    # Outputs that are exactly equal agree even where the scale is 0.
+    share[(answers.outputs == samples.outputs)[good]] = 0.0
+    rows: list[tuple[str, float, str]] = []
+    offset = 0
+    for field in operation.outputs:
+        part = share[:, offset : offset + field.length]
+        worst = float(part.max()) if part.size else 0.0
+        rows.append((field.name, worst, field.scale))
+        if not worst <= tolerance:
+            faults.append(f"{name}.{field.name}: off by {worst:.2g} of {field.scale}, allowed {tolerance:g}")
+        offset += field.length
+    return Agreement(tuple(rows), int(good.sum()), int(refused.sum()), tuple(faults))

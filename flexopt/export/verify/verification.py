@@ -1,0 +1,211 @@
+"""Examine a bundle of C, and say what was found.
+
+In: the folder of a bundle. Out: a `Verification`; `report.html` and `report.json` inside the folder.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from flexopt.errors import InputError
+from flexopt.export.bundle import MANIFEST, VERIFICATION, changed_files, library_of, read_manifest, render_bundle
+from flexopt.export.verify.bench import Bench
+from flexopt.export.verify.checks import TARGETS, Check, Finding, Target, attempt
+from flexopt.export.verify.host import check_host
+from flexopt.export.verify.misra import check_misra
+from flexopt.export.verify.objects import check_objects
+from flexopt.export.verify.report import report_html
+from flexopt.export.verify.target import check_target
+from flexopt.export.verify.tools import PACKAGES, version
+from flexopt.model import machine_from_dict
+from flexopt.model.arguments import Arguments
+from flexopt.model.documents import json_ready, package_version
+
+INPUTS, FUZZ_CALLS = 1000, 10_000
+COUNT_MAX = 1_000_000
+# Position-independent code would put constants with pointers where only the linker writes.
+HOST_OBJECT_FLAGS = ("-std=c99", "-O2", "-fno-pic")
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was found.
+
+    Attributes:
+        folder: the bundle.
+        machine, real, bundle_sha256: what it is.
+        targets: what was asked for.
+        checks: each finding.
+        tools: versions of the programs used.
+        manifest: the bundle's.
+    """
+
+    folder: Path
+    machine: str
+    real: str
+    bundle_sha256: str
+    targets: tuple[Target, ...]
+    checks: tuple[Check, ...]
+    tools: dict[str, str]
+    inputs: int
+    fuzz_calls: int
+    manifest: dict[str, Any] = field(repr=False)
+
+    @property
+    def failed(self) -> tuple[Check, ...]:
+        """Checks that failed."""
+        return tuple(check for check in self.checks if check.state == "failed")
+
+    @property
+    def not_verified(self) -> tuple[str, ...]:
+        """What was not looked at, and which tools are missing."""
+        left_out = [f"{target} (not asked for)" for target in TARGETS if target not in self.targets]
+        missing = [f"{c.target}: {c.name} ({c.finding})" for c in self.checks if c.state == "not verified"]
+        return (*missing, *left_out)
+
+    @property
+    def passed(self) -> bool:
+        """Whether something was verified and nothing failed."""
+        return not self.failed and any(check.state == "passed" for check in self.checks)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every check of the targets asked for could be made."""
+        return all(check.state != "not verified" for check in self.checks)
+
+    @property
+    def page(self) -> Path:
+        """Where the report is, or will be."""
+        return self.folder / VERIFICATION / "report.html"
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        counts = {state: sum(c.state == state for c in self.checks) for state in ("passed", "failed", "not verified")}
+        return ", ".join(f"{count} checks {state}" for state, count in counts.items() if count)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary (keys as in the command line's `--json`)."""
+        document = {
+            "passed": self.passed,
+            "complete": self.complete,
+            "folder": str(self.folder),
+            "machine": self.machine,
+            "real": self.real,
+            "bundle_sha256": self.bundle_sha256,
+            "targets": list(self.targets),
+            "inputs": self.inputs,
+            "fuzz_calls": self.fuzz_calls,
+            "checks": [check.to_dict() for check in self.checks],
+            "not_verified": list(self.not_verified),
+            "tools": self.tools,
+            "provenance": self.manifest["provenance"],
+        }
+        return cast(dict[str, Any], json_ready(document))
+
+    def __repr__(self) -> str:
+        marks = {"passed": "ok", "failed": "FAILED", "not verified": "none"}
+        lines = [f"{marks[c.state]:>7}  {c.target:10}  {c.name}: {c.finding}" for c in self.checks]
+        left = [f"not verified: {line}" for line in self.not_verified]
+        return "\n".join([*lines, *left, self.sentence])
+
+    def write(self) -> None:
+        """Write `report.html` and `report.json` into the bundle's folder `verification`."""
+        self.page.parent.mkdir(exist_ok=True)
+        text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
+        self.page.with_suffix(".json").write_text(text, encoding="utf-8")
+        self.page.write_text(report_html(self), encoding="utf-8")
+
+
+def verify_bundle(
+    folder: str | Path,
+    *,
+    target: Target | None = None,
+    inputs: int = INPUTS,
+    fuzz_calls: int = FUZZ_CALLS,
+    progress: Progress | None = None,
+) -> Verification:
+    """Examine a bundle on this computer and on emulated processors, and write its report.
+
+    Args:
+        folder: of a bundle from `export_c`.
+        target: `"host"`, `"cortex-m4f"` or `"cortex-m7"`; all of them by default.
+        inputs: random inputs for each function, compared with Python.
+        fuzz_calls: faulty calls for each function.
+        progress: called with the number of stages done and of all stages.
+
+    Raises:
+        InputError: the folder is no bundle, or an argument is not usable.
+    """
+    arguments = Arguments("verify")
+    chosen = None if target is None else arguments.choice("target", target, TARGETS)
+    inputs = arguments.checked("inputs", inputs, _check_count, INPUTS)
+    fuzz_calls = arguments.checked("fuzz_calls", fuzz_calls, _check_count, FUZZ_CALLS)
+    arguments.done()
+    path = Path(folder).resolve()
+    if not path.is_dir():
+        raise InputError(f"verify: there is no folder {str(folder)!r}")
+    manifest = read_manifest(path)
+    targets = TARGETS if chosen is None else (chosen,)
+    with tempfile.TemporaryDirectory(prefix="flexopt-verify-") as scratch:
+        bench = Bench(path, Path(scratch), manifest, library_of(manifest), inputs, fuzz_calls)
+        checks: list[Check] = [attempt("files as they were exported", targets[0], lambda: _files(bench))]
+        for done, one in enumerate(targets):
+            checks += _stage(bench, one)
+            if progress is not None:
+                progress(done + 1, len(targets))
+    result = Verification(
+        folder=path,
+        machine=manifest["machine"]["name"],
+        real=manifest["options"]["real"],
+        bundle_sha256=manifest["bundle_sha256"],
+        targets=targets,
+        checks=tuple(checks),
+        tools={name: version(name) for name in PACKAGES if shutil.which(name)},
+        inputs=inputs,
+        fuzz_calls=fuzz_calls,
+        manifest=manifest,
+    )
+    result.write()
+    return result
+
+
+def _stage(bench: Bench, target: Target) -> list[Check]:
+    if target == "host":
+        return [*check_host(bench), check_objects(bench, "host", "gcc", HOST_OBJECT_FLAGS), check_misra(bench)]
+    return check_target(bench, target)
+
+
+def _files(bench: Bench) -> Finding:
+    """Files unchanged, and the same that this flexopt would write."""
+    changed = [
+        f"{name} was changed after the export, or is missing" for name in changed_files(bench.folder, bench.manifest)
+    ]
+    options = dict(bench.manifest["options"])
+    texts, _ = render_bundle(machine_from_dict(bench.manifest["machine"]), options.pop("parts"), **options)
+    here = {name: package_version(name) for name in ("flexopt", "casadi")}
+    there = {name: bench.manifest["provenance"][name] for name in here}
+    sentence = f"{len(bench.manifest['files'])} files unchanged"
+    if here != there:
+        return Finding(f"{sentence}; exported by {there}, compared with {here}", changed)
+    different = [name for name, text in texts.items() if name != MANIFEST and _differs(bench.folder / name, text)]
+    faults = [*changed, *(f"{name} is not what this flexopt writes" for name in different if not changed)]
+    return Finding(f"{sentence}, and identical to a fresh export", faults)
+
+
+def _differs(path: Path, text: str) -> bool:
+    return not path.is_file() or path.read_bytes() != text.encode()
+
+
+def _check_count(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= COUNT_MAX:
+        raise ValueError(f"must be a whole number between 1 and {COUNT_MAX}")
+    return value

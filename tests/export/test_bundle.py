@@ -1,0 +1,124 @@
+"""What is written, what is refused, and that an existing folder is never lost."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.errors import ExportError, InputError
+from flexopt.export import PARTS, export_c
+from tests.oracles.machines import Structure, random_machine
+
+SMALL = ["kinematics", "controller"]
+
+
+@pytest.fixture
+def machine() -> flexopt.Machine:
+    return flexopt.load("excavator")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_the_folder_names_its_origin(machine: flexopt.Machine, tmp_path: Path) -> None:
+    report = export_c(machine, tmp_path / "bundle")
+    manifest = json.loads((report.folder / "manifest.json").read_text())
+    header = (report.folder / "include" / "excavator_control.h").read_text()
+    assert set(manifest["parts"]) == set(PARTS) == set(report.parts)
+    assert manifest["machine_sha256"] == machine.content_hash
+    assert machine.content_hash in header
+    assert report.bundle_sha256 == manifest["bundle_sha256"]
+    assert report.bundle_sha256 in header
+    assert set(contents(report.folder)) == set(report.files)
+    for name in [o for group in report.parts.values() for o in group]:
+        assert re.search(rf"\b{name}\(", header)
+        assert name in (report.folder / "README.md").read_text()
+
+
+def test_the_same_machine_gives_the_same_bytes(machine: flexopt.Machine, tmp_path: Path) -> None:
+    first, second = (export_c(machine, tmp_path / name).folder for name in ("a", "b"))
+    assert contents(first) == contents(second)
+
+
+def test_an_option_changes_the_hash(machine: flexopt.Machine, tmp_path: Path) -> None:
+    hashes = {
+        export_c(machine, tmp_path / str(k), parts=SMALL, **options).bundle_sha256
+        for k, options in enumerate([{}, {"real": "float"}, {"baked": True}, {"singularity_margin_deg": 2.0}])
+    }
+    assert len(hashes) == 4
+
+
+def test_a_bundle_is_replaced_with_what_make_left(machine: flexopt.Machine, tmp_path: Path) -> None:
+    folder = export_c(machine, tmp_path / "b", parts=SMALL).folder
+    (folder / "selftest").write_text("built")
+    (folder / "src" / "excavator_common.o").write_text("built")
+    export_c(machine, folder, parts=["kinematics"])
+    assert not (folder / "src" / "excavator_controller.c").exists()
+    assert not (folder / "selftest").exists()
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda f: (f / "notes.txt").write_text("mine"), "notes.txt"),
+        (lambda f: (f / "README.md").write_text("mine"), r"README\.md.*overwrite=True"),
+        (lambda f: (f / "manifest.json").unlink(), "something else"),
+        (lambda f: (f / "manifest.json").write_text("{}"), "no bundle"),
+    ],
+)
+def test_nothing_of_the_users_is_lost(machine: flexopt.Machine, tmp_path: Path, spoil, sentence: str) -> None:
+    folder = export_c(machine, tmp_path / "b", parts=SMALL).folder
+    spoil(folder)
+    before = contents(folder)
+    with pytest.raises(InputError, match=sentence):
+        export_c(machine, folder, parts=SMALL)
+    assert contents(folder) == before
+
+
+def test_overwrite_replaces_edited_files_but_no_foreign_ones(machine: flexopt.Machine, tmp_path: Path) -> None:
+    folder = export_c(machine, tmp_path / "b", parts=SMALL).folder
+    fresh = contents(folder)
+    (folder / "README.md").write_text("mine")
+    export_c(machine, folder, parts=SMALL, overwrite=True)
+    assert contents(folder) == fresh
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"notes\.txt"):
+        export_c(machine, folder, parts=SMALL, overwrite=True)
+
+
+def test_every_fault_is_named_at_once(machine: flexopt.Machine, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        export_c(
+            machine, tmp_path / "b", parts=["kinematics", "telepathy"], real="half", control="magic", gain=-1.0,
+            baked="yes", singularity_margin_deg=0.0, prefix="9 lives",
+        )  # fmt: skip
+    named = {fault.field for fault in caught.value.faults}
+    assert named == {"parts", "real", "control", "gain", "baked", "singularity_margin_deg", "prefix"}
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_file_in_the_way_is_named(machine: flexopt.Machine, tmp_path: Path) -> None:
+    (tmp_path / "b").write_text("mine")
+    with pytest.raises(InputError, match="is a file"):
+        export_c(machine, tmp_path / "b", parts=SMALL)
+    assert (tmp_path / "b").read_text() == "mine"
+
+
+def test_a_part_that_would_refuse_everything_is_not_written(tmp_path: Path) -> None:
+    # A redundant arm with friction in some joints: a rate stays that neither decays nor is reached.
+    rng = np.random.default_rng(1)
+    data, _ = random_machine(rng, Structure(4, ("rotation",), ()))
+    for index, link in enumerate(data["links"]):
+        link["joint_damping"] = 10.0 if index == 0 else 0.0
+    machine = flexopt.machine_from_dict(data)
+    with pytest.raises(ExportError, match=r"robust_margin.*leave its part out"):
+        export_c(machine, tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+    export_c(machine, tmp_path / "b", parts=[part for part in PARTS if part != "margin"])

@@ -1,0 +1,159 @@
+"""Ten thousand calls with broken inputs under the address and undefined-behaviour sanitizers."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.export.optimiser import build_optimiser
+from tests.export.optimiser_library import INCLUDES, WARNINGS
+from tests.oracles.machines import random_machine
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+
+SANITIZERS = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+DRIVER = """
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <float.h>
+
+static uint32_t state = 12345u;
+static uint32_t draw(uint32_t below)
+{
+    state ^= state << 13;
+    state ^= state >> 17;
+    state ^= state << 5;
+    return state % below;
+}
+static double uniform(double low, double high) { return low + (high - low) * (double)draw(1000001u) / 1000000.0; }
+
+static double broken(double was)
+{
+    static const double zero = 0.0;
+    switch (draw(12u)) {
+    case 0: return zero / zero;
+    case 1: return 1.0 / zero;
+    case 2: return -1.0 / zero;
+    case 3: return DBL_MAX;
+    case 4: return -DBL_MAX;
+    case 5: return DBL_MIN / 1024.0;
+    case 6: return 0.0;
+    case 7: return -was;
+    case 8: return was * 1e6;
+    case 9: return was * 1e-6;
+    case 10: return 1e6;
+    default: return uniform(-10.0, 10.0);
+    }
+}
+
+static int countdown;
+static int expired(void *context) { (void)context; return countdown-- <= 0; }
+
+static int finite_result(const case_optimiser_result *r)
+{
+    int ok = r->value - r->value == 0.0 && r->scale > 0.0;
+    for (int i = 0; i < CASE_OPTIMISER_N_Z; i++) { ok = ok && (r->z[i] - r->z[i] == 0.0); }
+    return ok;
+}
+
+int main(void)
+{
+    long counts[32] = {0};
+    unsigned char *bytes = malloc(CASE_OPTIMISER_WORKSPACE_SIZE + 64);
+    for (int call = 0; call < CALLS; call++) {
+        case_optimiser_problem problem;
+        case_optimiser_options options;
+        case_optimiser_result result, before;
+        double start[CASE_OPTIMISER_N_Z];
+        void *workspace = bytes;
+        case_optimiser_status status;
+        const int faults = (int)draw(4u);
+        int null = -1;
+        (void)case_optimiser_default_problem(&problem);
+        (void)case_optimiser_default_options(&options);
+        problem.target[0] = uniform(-3.0, 3.0);
+        problem.target[1] = uniform(-2.0, 3.0);
+        for (int i = 0; i < CASE_OPTIMISER_N_Z; i++) { start[i] = uniform(-4.0, 4.0); }
+        options.budget = (int)draw(60u) + 1;
+        options.starts = (int)draw(3u);
+        countdown = (int)draw(60u);
+        if (draw(4u) == 0u) { options.expired = expired; }
+        if (draw(3u) == 0u) { problem.lower[0] = uniform(-3.0, 0.0); problem.upper[0] = uniform(0.0, 3.0); }
+        for (int f = 0; f < faults; f++) {
+            double *numbers = (double *)&problem;
+            size_t at = draw((uint32_t)(sizeof problem / sizeof(double)));
+            switch (draw(8u)) {
+            case 0: null = (int)draw(5u); break;
+            case 1: workspace = bytes + 1 + draw(7u); break;
+            case 2: options.budget = (int)draw(2000u) - 1000; break;
+            case 3: options.tolerance = broken(options.tolerance); break;
+            case 4: at = draw(CASE_OPTIMISER_N_Z); start[at] = broken(start[at]); break;
+            default: numbers[at] = broken(numbers[at]); break;
+            }
+        }
+        options.budget = options.budget > 60 ? 60 : options.budget;
+        memset(&result, 0xA5, sizeof result);
+        memcpy(&before, &result, sizeof result);
+        status = case_optimiser_solve(null == 0 ? NULL : &problem, null == 1 ? NULL : start, null == 2 ? NULL : &options,
+                                      null == 3 ? NULL : (case_optimiser_workspace *)workspace,
+                                      null == 4 ? NULL : &result);
+        if ((int)status < 0 || (int)status > 31) { puts("unknown status"); return 1; }
+        counts[(int)status]++;
+        if ((int)status >= 16) {
+            if (memcmp(&before, &result, sizeof result) != 0) { puts("result changed by a failure"); return 1; }
+        } else {
+            double size = 10.0;
+            if (!finite_result(&result)) { puts("success that is not finite"); return 1; }
+            for (int i = 0; i < CASE_OPTIMISER_N_Z; i++) {
+                size += result.z[i] < 0 ? -result.z[i] : result.z[i];
+                if (result.z[i] < problem.lower[i] || result.z[i] > problem.upper[i]) {
+                    puts("success outside the bounds");
+                    return 1;
+                }
+            }
+            for (int k = 0; k < CASE_OPTIMISER_N_TASK; k++) {
+                size += problem.target[k] < 0 ? -problem.target[k] : problem.target[k];
+            }
+            if (!(result.target_error <= 1e-12 * size) && problem.parameters[0] < 1e3) {
+                printf("success off the target by %g\\n", result.target_error);
+                return 1;
+            }
+        }
+    }
+    for (int s = 0; s < 32; s++) { printf("%ld ", counts[s]); }
+    free(bytes);
+    return 0;
+}
+"""
+
+
+def fuzzed(machine: flexopt.Machine, folder, calls: int) -> list[int]:
+    """How often each status came; fails where the program did."""
+    sources = build_optimiser(machine, prefix="case")
+    headers = "#include <stdint.h>\n"
+    (folder / "fuzz.c").write_text(f"{INCLUDES}{headers}{sources.header}\n{sources.source}\n{DRIVER}")
+    flags = [flag for flag in WARNINGS if flag not in {"-Wconversion", "-Wshadow"}]
+    build = ["gcc", *flags, *SANITIZERS, f"-DCALLS={calls}", "fuzz.c", "-o", "fuzz", "-lm"]
+    done = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[:3000]
+    run = subprocess.run(["./fuzz"], cwd=folder, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout[-1000:] + run.stderr[:3000]
+    return [int(word) for word in run.stdout.split()]
+
+
+def test_excavator(tmp_path):
+    counts = fuzzed(flexopt.load("excavator"), tmp_path, 10_000)
+    statuses = build_optimiser(flexopt.load("excavator"), prefix="case").statuses
+    never = {name for name, value in statuses.items() if counts[value] == 0}
+    assert never <= {"STALLED"}, "a fuzzer that does not reach every status proves little"
+
+
+def test_a_random_machine(tmp_path):
+    machine = random_machine(np.random.default_rng(5))[1]
+    assert sum(fuzzed(machine, tmp_path, 2_000)) == 2_000

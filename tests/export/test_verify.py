@@ -1,0 +1,182 @@
+"""Bundles examined: on this computer, on emulated processors, and what an examination notices."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import flexopt
+from flexopt.cli import main
+from flexopt.errors import InputError
+from flexopt.export import PARTS, export_c, verify_bundle
+from flexopt.export.verify import objects, tools
+from flexopt.export.verify.checks import Check
+from flexopt.export.verify.misra import in_pieces
+
+pytestmark = pytest.mark.usefixtures("tools")
+
+
+def exported(folder: Path, **options) -> Path:
+    return export_c(flexopt.load("excavator"), folder, **options).folder
+
+
+def named(checks: tuple[Check, ...], name: str) -> Check:
+    return next(check for check in checks if check.name.startswith(name))
+
+
+def rows(check: Check, title: str) -> list[dict]:
+    return next(t.to_dict()["rows"] for t in check.tables if t.title.startswith(title))
+
+
+@pytest.mark.parametrize(
+    ("real", "parts", "functions", "outputs"),
+    [("double", list(PARTS), 6, 12), ("float", ["kinematics", "controller"], 3, 5)],
+)
+def test_everything_holds_on_the_host(real: str, parts, functions: int, outputs: int, tmp_path: Path) -> None:
+    folder = exported(tmp_path / "b", real=real, parts=parts)
+    result = verify_bundle(folder, target="host", inputs=1000, fuzz_calls=10_000)
+    assert result.passed and result.complete, repr(result)  # noqa: PT018
+    for compiler in ("gcc", "clang"):
+        found = rows(named(result.checks, f"equal to Python, {compiler}"), "Against Python")
+        assert len(found) == outputs
+        assert all(row["calls compared"] == 1000 for row in found)
+        assert all(row["largest error / scale"] <= (1e-12 if real == "double" else 1e-4) for row in found)
+    fuzzed = rows(named(result.checks, "faulty calls"), "Faulty calls")
+    assert len(fuzzed) == functions
+    for row in fuzzed:
+        assert row["calls"] == 10_000
+        assert 500 < row["succeeded"] < 9_000
+        for status in ("NULL_POINTER", "BAD_WORKSPACE", "NOT_FINITE", "OUT_OF_RANGE"):
+            assert row[status] > 100
+    written = json.loads((folder / "verification" / "report.json").read_text())
+    assert [c["name"] for c in written["checks"]] == [c.name for c in result.checks]
+    page = (folder / "verification" / "report.html").read_text()
+    assert "cortex-m7 (not asked for)" in page
+
+
+@pytest.mark.parametrize(("real", "target"), [("float", "cortex-m4f"), ("double", "cortex-m7")])
+def test_everything_holds_on_emulated_processors(real: str, target, tmp_path: Path) -> None:
+    folder = exported(tmp_path / "b", real=real)
+    result = verify_bundle(folder, target=target, inputs=200)
+    assert result.passed and result.complete, repr(result)  # noqa: PT018
+    check = named(result.checks, "equal to Python")
+    counted = {row["function"]: row for row in rows(check, "One call")}
+    assert 100 < counted["torque_inverse"]["instructions, most"] < 1_500
+    assert counted["robust_margin"]["instructions, most"] < 2_000_000
+    assert all(0 < row["stack of a call, bytes (painted)"] < 8_192 for row in counted.values())
+    memory = rows(named(result.checks, "flash and RAM"), "Memory")
+    assert all(row["static RAM, bytes"] == 0 < row["flash, bytes"] for row in memory)
+    if real == "float":
+        plain, kernel, *_ = rows(named(result.checks, "against the plain"), "Controller step")
+        assert plain["instructions"] >= 10 * kernel["instructions"] > 0
+
+
+def test_software_double_on_a_processor_without_it(tmp_path: Path) -> None:
+    folder = exported(tmp_path / "b", parts=["kinematics", "controller", "measures"], baked=True)
+    result = verify_bundle(folder, target="cortex-m4f", inputs=200)
+    assert result.passed and result.complete, repr(result)  # noqa: PT018
+
+
+def test_a_wrong_constant_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = exported(tmp_path / "b", parts=["controller"])
+    source = folder / "src" / "excavator_controller.c"
+    text = source.read_text()
+    assert "a02 = (a00*a02);" in text
+    source.write_text(text.replace("a02 = (a00*a02);", "a02 = (a00*a02)*1.000000001;", 1))
+    with pytest.raises(SystemExit) as left:
+        main(["verify", str(folder), "--target", "host", "--inputs", "50", "--fuzz-calls", "100", "--json"])
+    assert left.value.code == 3
+    document = json.loads(capsys.readouterr().out)
+    states = {check["name"]: check["state"] for check in document["checks"]}
+    assert states["files as they were exported"] == "failed"
+    assert states["equal to Python, gcc"] == "failed"
+    assert states["README followed, gcc"] == "failed"
+    assert not document["passed"]
+
+
+def test_missing_tools_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = exported(tmp_path / "b", parts=["kinematics"])
+    which = tools.shutil.which
+    monkeypatch.setattr(tools.shutil, "which", lambda name: None if name.startswith(("qemu", "arm-")) else which(name))
+    result = verify_bundle(folder, target="cortex-m7", inputs=10)
+    assert not result.complete
+    assert not result.failed
+    assert any("qemu-system-arm" in line for line in result.not_verified)
+    assert any("apt-get install" in line for line in result.not_verified)
+
+
+def test_a_folder_that_is_no_bundle_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no manifest\.json"):
+        verify_bundle(tmp_path)
+    with pytest.raises(InputError, match="no folder"):
+        verify_bundle(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="target") as caught:
+        verify_bundle(tmp_path, target="toaster", inputs=0)  # type: ignore[arg-type]
+    assert {fault.field for fault in caught.value.faults} == {"target", "inputs"}
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [
+        "while (x > 0) { x = x - 1; }",
+        "for (i = 0; i < n; ++i) { --i; }",
+        "for (i = 0; i < n; ++i) { n = n + 1; }",
+        "for (;;) { break; }",
+        "for (i = 0; x > eps; ++i) { x = x / 2; }",
+        "again: goto again;",
+    ],
+)
+def test_unbounded_loops_are_noticed(loop: str) -> None:
+    assert objects.unbounded_loops(f"int f(int n) {{\n  {loop}\n}}")[1]
+
+
+def test_bounded_loops_are_counted() -> None:
+    text = "for (i = 0; i < 3; ++i) {\n  y[i] = 2;\n}\nfor (i=0, rr=w; i<10; ++i) *rr++ = *cs++;\n/* while */\n"
+    assert objects.unbounded_loops(text) == (2, [])
+
+
+def test_recursion_and_stack_are_read_from_the_call_graph() -> None:
+    graph = objects.CallGraph({"a": {"b"}, "b": {"c"}}, {"a": 8, "b": 16, "c": 4}, set())
+    assert graph.cycle() == []
+    assert graph.stack_from("a") == 28
+    graph.calls["c"] = {"a"}
+    assert set(graph.cycle()) == {"a", "b", "c"}
+
+
+@pytest.mark.parametrize(
+    ("addition", "sentence"),
+    [
+        ("static int calls; int excavator_more(void); int excavator_more(void) { return ++calls; }", "state in calls"),
+        ("#include <stdlib.h>\nvoid *excavator_more(void); void *excavator_more(void) { return malloc(3); }", "malloc"),
+        ("float excavator_more(float x); float excavator_more(float x) { return (float)(x * 0.1); }", "doubles"),
+        (
+            "int excavator_more(int n); int excavator_more(int n) { return n < 2 ? 1 : n * excavator_more(n / 3); }",
+            "recursion: excavator_more",
+        ),
+    ],
+)
+@pytest.mark.parametrize("target", ["host", "cortex-m4f"])
+def test_objects_show_what_may_not_be(addition: str, sentence: str, target, tmp_path: Path) -> None:
+    from flexopt.export.bundle import library_of, read_manifest  # noqa: PLC0415
+    from flexopt.export.verify.bench import Bench  # noqa: PLC0415
+
+    folder = exported(tmp_path / "b", parts=["kinematics"], real="float")
+    with (folder / "src" / "excavator_kinematics.c").open("a") as file:
+        file.write(f"\n{addition}\n")
+    manifest = read_manifest(folder)
+    (tmp_path / "scratch").mkdir()
+    bench = Bench(folder, tmp_path / "scratch", manifest, library_of(manifest), 10, 10)
+    compiler, flags = ("gcc", ["-fno-pic"]) if target == "host" else ("arm-none-eabi-gcc", ["-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"])  # fmt: skip
+    check = objects.check_objects(bench, target, compiler, ["-O1", *flags])
+    assert check.state == "failed"
+    assert sentence in check.finding
+
+
+def test_kernels_are_cut_without_losing_a_statement() -> None:
+    statements = [f"  a{k} = (a{k}+a{k});" for k in range(450)]
+    text = "static int kernel_x(const r **arg) {\n  m_real a0, a1;\n" + "\n".join(statements) + "\n  return 0;\n}\n"
+    cut = in_pieces(text)
+    assert cut.count("static int") == 3
+    assert [line for line in cut.splitlines() if "=" in line] == statements
