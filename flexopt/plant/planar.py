@@ -151,7 +151,8 @@ def moments(value: dict[str, ca.SX], bodies: list[str]) -> Moments:
     left = [[j.left if k == j.body else ca.SX(0) for k in range(n)] for j in masses]
 
     def total_of(term: Callable[[int], ca.SX]) -> ca.SX:
-        return _sum(j.mass * term(i) for i, j in enumerate(masses))
+        terms = ((j.mass, term(i)) for i, j in enumerate(masses))
+        return _sum(mass * factor for mass, factor in terms if not factor.is_zero())
 
     s = [
         [total_of(lambda i, k=k, m=m: along[i][k] * along[i][m] + left[i][k] * left[i][m]) for m in range(k + 1)]

@@ -5,11 +5,11 @@ In: signals and constants of a loop, and the command that is held. Out: the grap
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import lru_cache
 
 import casadi as ca
 
-from flexopt.plant.motion import Directions
+from flexopt.plant.motion import Directions, Motion
 from flexopt.simulation.directions import paired, stacked
 from flexopt.simulation.integrators import State
 from flexopt.simulation.sample import Layouts, Part
@@ -32,9 +32,11 @@ class Flow(Part):
     def rates(self, t: ca.SX, state: State, along: Directions) -> State:
         """See `Field`."""
         if not self.s.sampled:
-            return self._rates(t, state, along)
+            return self.rates_of(t, state, along)
         # A called Function is inlined many times faster than the graph is built anew.
-        accelerations, z_rate = self._held_rates(t, state.u, state.w, state.z, stacked(along), *self._given)
+        accelerations, z_rate = _held_rates(self.s, self._layouts)(
+            t, state.u, state.w, state.z, stacked(along), *self._given
+        )
         return State(state.w, accelerations, z_rate)
 
     def momentum(self, w: ca.SX, along: Directions) -> ca.SX:
@@ -61,22 +63,8 @@ class Flow(Part):
         force += ca.vertcat(ca.SX.zeros(self.n_translations, 1), *turning)
         return State(state.w, force, self._z_rate(t, state, whole, command))
 
-    @cached_property
-    def _held_rates(self) -> ca.Function:
-        motion, symbol = self.motion, ca.SX.sym
-        n_z = len(motion.joints) if self.s.lagging else 0
-        t, u, w, z = symbol("t"), symbol("u", motion.n), symbol("w", motion.n), symbol("z", n_z)
-        pairs = symbol("pairs", 2 * (motion.n - motion.n_translations))
-        command, e, c = (
-            symbol(name, given.shape[0]) for name, given in zip(("command", "e", "c"), self._given, strict=True)
-        )
-        twin = Flow(self.s, self._layouts, command, e, c)
-        result = twin._rates(t, State(u, w, z), paired(pairs))
-        names = ["t", "u", "w", "z", "pairs", "command", "e", "c"]
-        inputs = [t, u, w, z, pairs, command, e, c]
-        return ca.Function("rates", inputs, [result.w, result.z], names, ["w_rate", "z_rate"])
-
-    def _rates(self, t: ca.SX, state: State, along: Directions) -> State:
+    def rates_of(self, t: ca.SX, state: State, along: Directions) -> State:
+        """Rates from the graph itself."""
         whole = self.motion.with_base(along)
         base, base_rate = self.base_at(t)
         command = self._command(t, state, whole)
@@ -110,3 +98,18 @@ class Flow(Part):
         force = self.law.force(e, e_rate, state.z[n:], self.of)
         known = self.known_directions(whole)
         return self.through_dead_band(self.torque_for(force, state.w, known))
+
+
+@lru_cache(maxsize=64)
+def _held_rates(structure: LoopStructure, layouts: Layouts) -> ca.Function:
+    """Accelerations and rates of z while the command is held; the same for computed and carried directions."""
+    shape, symbol = Motion(structure.motion, {}), ca.SX.sym
+    joints = len(shape.joints)
+    t, u, w = symbol("t"), symbol("u", shape.n), symbol("w", shape.n)
+    z = symbol("z", joints if structure.lagging else 0)
+    pairs = symbol("pairs", 2 * (shape.n - shape.n_translations))
+    command, e, c = symbol("command", joints), symbol("e", layouts.signals.total), symbol("c", layouts.constants.total)
+    flow = Flow(structure, layouts, command, e, c)
+    result = flow.rates_of(t, State(u, w, z), paired(pairs))
+    inputs, names = [t, u, w, z, pairs, command, e, c], ["t", "u", "w", "z", "pairs", "command", "e", "c"]
+    return ca.Function("rates", inputs, [result.w, result.z], names, ["w_rate", "z_rate"])

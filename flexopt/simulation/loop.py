@@ -145,7 +145,7 @@ class ClosedLoop:
         monitor = at.monitor() if self.structure.watched else ca.SX.zeros(0, 1)
         outputs = [ca.densify(value) for value in (command, law, queue, monitor, turn)]
         names = ["command", "law", "queue", "monitor", "turn"]
-        return ca.Function("sampling", [x, d, e, c], outputs, ["x", "d", "e", "c"], names, {"cse": True})
+        return ca.Function("sampling", [x, d, e, c], outputs, ["x", "d", "e", "c"], names, {"cse": not self._short})
 
     def _substep(self, *, carried: bool) -> ca.Function:
         """One integration step by an explicit method. Inputs s = [u, w, z], d, command, t, e, c."""
@@ -162,7 +162,7 @@ class ClosedLoop:
         outputs = [ca.vertcat(after.u, after.w, after.z), turned, turn]
         names = ["s", "d", "command", "t", "e", "c"]
         return ca.Function(
-            "substep", [s, d, command, t, e, c], outputs, names, ["s_next", "d_next", "turn"], {"cse": True}
+            "substep", [s, d, command, t, e, c], outputs, names, ["s_next", "d_next", "turn"], {"cse": not self._short}
         )
 
     def _gauss(self) -> tuple[ca.Function, ca.Function, ca.Function]:
@@ -194,6 +194,11 @@ class ClosedLoop:
     def _state(self, s: ca.SX) -> State:
         n = self._shape.n
         return State(s[:n], s[n : 2 * n], s[2 * n :])
+
+    @property
+    def _short(self) -> bool:
+        """Whether a sample becomes one graph, whose common parts are then found at once."""
+        return self.structure.substeps == 1 and self.structure.method == "rk4"
 
     def _stepped(self, name: str, *, carried: bool) -> ca.Function:
         """Sampling and integration together: calls in a row, made one SX graph where that is short."""
@@ -227,8 +232,7 @@ class ClosedLoop:
         if carried:
             outputs, results = [x_next, turned, monitor, turn], ["x_next", "d_next", "monitor", "turn"]
         whole = ca.Function(name, inputs, outputs, names, results)
-        short = s.substeps == 1 and s.method == "rk4"
-        return whole.expand(name, {"cse": True}) if short else whole
+        return whole.expand(name, {"cse": True}) if self._short else whole
 
 
 @lru_cache(maxsize=64)
