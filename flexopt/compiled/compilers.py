@@ -36,6 +36,7 @@ _FLAGS = (
 )  # fmt: skip
 # Tuned for no processor in particular gcc keeps more of a long straight-line graph in registers: 5 to 10 % faster.
 _TARGETS = (("-march=native", "-mtune=generic"), ("-march=native",), ("-mcpu=native",), ())
+_WAYS = json.dumps([_FLAGS, _TARGETS])
 _TINY = 'extern "C" __attribute__((visibility("default"))) int flexopt_answer() { return 42; }'
 
 
@@ -134,7 +135,7 @@ def _examined(command: tuple[str, ...]) -> tuple[Compiler | None, str]:
     identity = _identity(command)
     if identity is None:
         return None, "not found"
-    known = recall("compiler-" + identity)
+    known = recall(f"compiler-{digest(identity, _WAYS)}")
     if known is not None:
         return Compiler(command, identity, tuple(json.loads(known))), ""
     reason = ""
@@ -142,7 +143,7 @@ def _examined(command: tuple[str, ...]) -> tuple[Compiler | None, str]:
         compiler = Compiler(command, identity, target)
         reason = _trial(compiler)
         if not reason:
-            remember("compiler-" + identity, json.dumps(target))
+            remember(f"compiler-{digest(identity, _WAYS)}", json.dumps(target))
             return compiler, ""
     return None, reason
 
