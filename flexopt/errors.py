@@ -78,7 +78,7 @@ class SingularPosture(InputError):
 
     Attributes:
         joint: the joint that would lead out of the singularity fastest.
-        angle: its angle, rad.
+        angle: its value, rad (of a slide m).
     """
 
     def __init__(self, message: str, *, joint: str, angle: float) -> None:

@@ -30,7 +30,7 @@ from flexopt.cli.common import (
     write_file,
 )
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model import Machine, Problem, load, load_any
+from flexopt.model import AnyMachine, Machine, Problem, load, load_any
 from flexopt.model.arguments import Arguments
 from flexopt.model.problem import ELBOWS
 from flexopt.plant import inverse_kinematics
@@ -40,7 +40,7 @@ from flexopt.selection import Selection, select
 
 @click.command("evaluate")
 @click.argument("machine")
-@option("--posture", metavar="A,B,…", help="Angles of the actuated joints, rad.")
+@option("--posture", metavar="A,B,…", help="Actuated joints, rad (slides: m).")
 @END_POINT
 @ELBOW
 @BASE
@@ -51,8 +51,9 @@ from flexopt.selection import Selection, select
 @JSON
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
-    loaded = load(machine)
-    base = 0.0 if options["base"] is None else placement(options["base"])
+    with warnings_to_stderr(True):
+        loaded = load(machine)
+    base = placement(options["base"])
     control = options["control"] or "inverse"
     gravity = bool(options["gravity"])
     gain = number(options["gain"]) if options["gain"] is not None else 5e5
@@ -67,7 +68,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
         click.echo(repr(result))
 
 
-def _posture(machine: Machine, options: dict[str, Any], base: Any, gravity: bool) -> Any:
+def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: bool) -> Any:
     """The posture given, or the one that reaches the end-point given."""
     posture, end_point = numbers(options["posture"]), numbers(options["end_point"])
     faults: list[Fault] = []
@@ -76,7 +77,9 @@ def _posture(machine: Machine, options: dict[str, Any], base: Any, gravity: bool
     if posture is not None and options["elbow"] is not None:
         faults.append(Fault("--elbow", "goes with --end-point only", options["elbow"]))
     joints = machine.joints
-    if end_point is not None and len(joints) > 2:
+    if end_point is not None and not isinstance(machine, Machine):
+        faults.append(Fault("--end-point", "is for planar machines; give --posture", options["end_point"]))
+    elif end_point is not None and len(joints) > 2:
         sentence = f"does not name one posture of {len(joints)} actuated joints; use select, or --posture"
         faults.append(Fault("--end-point", sentence, options["end_point"]))
     raise_if_any(InputError, "evaluate", faults)
@@ -85,6 +88,7 @@ def _posture(machine: Machine, options: dict[str, Any], base: Any, gravity: bool
     arguments = Arguments("evaluate")
     elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS)
     arguments.point(end_point, "end-point")
+    base = 0.0 if base is None else base
     arguments.base(machine, base)
     arguments.control(options["control"] or "inverse")
     arguments.done()

@@ -21,14 +21,16 @@ from flexopt.cli.common import (
     warnings_to_stderr,
     whole,
 )
-from flexopt.errors import InputError
+from flexopt.cli.fmu import fmu_options, write_fmu
+from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import load
+from flexopt.model.arguments import Arguments
 
 
 @click.command("export")
 @click.argument("machine")
 @option("--out", metavar="DIR", help="Folder to write; one that exists is replaced if it is an unchanged bundle.")
-@option("--parts", metavar="A,B,…", help="Some of kinematics, controller, measures, nullspace, margin; all by default.")
+@option("--parts", metavar="A,B,…", help="Some of those named above; by default all that the machine allows.")
 @option("--real", metavar="double|float", help="Precision of every computation (double by default).")
 @CONTROL
 @GAIN
@@ -36,12 +38,22 @@ from flexopt.model import load
 @option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (1 by default).")
 @option("--prefix", metavar="NAME", help="Of every C name (from the machine's name by default).")
 @option("--overwrite", is_flag=True, help="Replace a bundle of which files were changed by hand, too.")
+@fmu_options
 @JSON
 def export_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
-    """C for the controller of MACHINE (a name or a file): a folder that compiles and explains itself."""
+    """C for the controller of MACHINE (a name or a file): a folder that compiles and explains itself.
+
+    Parts: kinematics (end-point, Jacobians), controller (control step), measures (w_i, V, gradient), nullspace (step of
+    base and joints), margin (ε_max), optimiser (placement and posture), simulator (one step of the machine, for
+    hardware in the loop). With --fmu, an FMU of the closed loop instead.
+    """
+    _check_kind(options | {"out": out})
+    if options["fmu"] is not None:
+        write_fmu(machine, options, as_json)
+        return
     from flexopt.export import export_c  # noqa: PLC0415  (only this command needs it)
 
-    loaded = load(machine)
+    loaded = Arguments("export").planar(load(machine))
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)
@@ -61,6 +73,20 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
         print_json(report.to_dict())
     else:
         click.echo(repr(report))
+
+
+def _check_kind(options: dict[str, Any]) -> None:
+    """No option of the bundle with --fmu, none of the FMU without it."""
+    of_bundle = ("out", "parts", "real", "baked", "singularity_margin_deg", "prefix", "overwrite")
+    fmu = options["fmu"] is not None
+    other = of_bundle if fmu else set(options) - {*of_bundle, "fmu", "control", "gain"}
+    sentence = "does not go with --fmu" if fmu else "goes with --fmu only"
+    faults = [
+        Fault(f"--{name.replace('_', '-')}", sentence, "given" if value is True else repr(value))
+        for name, value in options.items()
+        if name in other and value not in (None, False)
+    ]
+    raise_if_any(InputError, "export", faults)
 
 
 @click.command("verify")

@@ -31,7 +31,7 @@ JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document."
 CONTROL = option("--control", metavar="|".join(CONTROLS), help="Jacobian inverse (default) or transpose control.")
 GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
 GAIN = option("--gain", metavar="KR", help="Servo gain of the margin ε_max (5e5 by default).")
-BASE = option("--base", metavar="X", help="Placement of the base, m; for select, where it stands now.")
+BASE = option("--base", metavar="X[,Y,YAW]", help="Placement of the base, m and rad; for select, where it stands now.")
 END_POINT = option("--end-point", metavar="X,Y", help="Target of the end-point, inertial frame, m.")
 ELBOW = option("--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch (up by default).")
 

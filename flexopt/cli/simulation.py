@@ -28,6 +28,7 @@ from flexopt.cli.common import (
 )
 from flexopt.errors import InputError
 from flexopt.model import Experiment, load_simulated
+from flexopt.model.arguments import Arguments
 from flexopt.simulation import run_experiment, simulate
 
 FILMS = (".gif", ".html")
@@ -69,7 +70,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
         else:
             if "posture" not in given and "end_point" not in given:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")
-            result = simulate(loaded, **given)
+            result = simulate(Arguments("simulate").planar(loaded), **given)
     out, plot, film = options["out"], options["plot"], options["animate"]
     if out is not None:
         save = result.to_netcdf if Path(out).suffix.lower() == ".nc" else result.to_csv

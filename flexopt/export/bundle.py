@@ -49,6 +49,7 @@ class ExportReport:
         files: paths inside the folder.
         bundle_sha256: identifies the generated code; in the header, too.
         manifest: what manifest.json says.
+        left_out: parts that the machine does not allow and nobody asked for, with the reason.
     """
 
     folder: Path
@@ -57,6 +58,7 @@ class ExportReport:
     files: tuple[str, ...]
     bundle_sha256: str
     manifest: dict[str, Any] = field(repr=False)
+    left_out: dict[str, str] = field(default_factory=dict[str, str])
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary (keys as in the command line's `--json`)."""
@@ -64,6 +66,7 @@ class ExportReport:
             "folder": str(self.folder),
             "prefix": self.prefix,
             "parts": self.parts,
+            "left_out": self.left_out,
             "files": self.files,
             "bundle_sha256": self.bundle_sha256,
             "provenance": self.manifest["provenance"],
@@ -73,6 +76,7 @@ class ExportReport:
     def __repr__(self) -> str:
         lines = [f"C for {self.manifest['machine']['name']} ({self.manifest['options']['real']}) in {self.folder}"]
         lines += [f"  {part}: {', '.join(names)}" for part, names in self.parts.items()]
+        lines += [f"  without {part}: {sentence}" for part, sentence in self.left_out.items()]
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
 
@@ -89,7 +93,9 @@ def export_c(
     prefix: str | None = None,
     overwrite: bool = False,
 ) -> ExportReport:
-    """C for the controller of a machine: kinematics, control step, measures w_i, nullspace step, ε_max.
+    """C for the controller of a machine: a folder with one file for each part.
+
+    Parts: kinematics, control step, measures w_i, nullspace step, ε_max, the posture optimiser, the machine's own step.
 
     The generated code is that of the CasADi Functions which `evaluate` and `select` use, wrapped in functions that
     check their inputs. Every number of the machine is a run-time parameter unless `baked`.
@@ -97,7 +103,8 @@ def export_c(
     Args:
         machine: from `flexopt.load`.
         folder: where to write; made if missing. One that exists is replaced if it is an unchanged bundle.
-        parts: names from `flexopt.export.PARTS`; all by default.
+        parts: names from `flexopt.export.PARTS`; by default all that the machine allows. The optimiser brings the
+            kinematics.
         real: `"double"`, or `"float"` for single precision throughout.
         control: `"inverse"` or `"transpose"`: of the measures, the nullspace step and ε_max. The controller has both.
         gain: servo gain k_r about which ε_max is tested; the C function takes it as an input.
@@ -111,7 +118,7 @@ def export_c(
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
     """
     arguments = Arguments("export_c")
-    machine = arguments.machine(machine)
+    machine = arguments.planar(machine)
     wanted = _checked_parts(arguments, parts)
     real = arguments.choice("real", real, REALS)
     control = arguments.control(control)
@@ -122,7 +129,15 @@ def export_c(
     )
     overwrite = arguments.flag("overwrite", overwrite)
     prefix = arguments.checked("prefix", identifier(machine.name) if prefix is None else prefix, _check_prefix, "x")
+    refused = {part: PARTS[part].refusal(machine) for part in wanted} if not arguments.faults else {}
+    left_out = {part: sentence for part, sentence in refused.items() if sentence}
+    if parts is not None:
+        arguments.faults += [
+            Fault("parts", f"{sentence}; {machine.name} does not allow it", repr(part))
+            for part, sentence in left_out.items()
+        ]
     arguments.done()
+    wanted = tuple(part for part in wanted if part not in left_out)
     target = Path(folder)
     check_replaceable(target, overwrite)
     texts, manifest = render_bundle(
@@ -139,10 +154,14 @@ def export_c(
     return ExportReport(
         folder=target,
         prefix=prefix,
-        parts={part: tuple(o["c_name"] for o in entry["operations"]) for part, entry in manifest["parts"].items()},
+        parts={
+            part: tuple(entry.get("functions", [o["c_name"] for o in entry["operations"]]))
+            for part, entry in manifest["parts"].items()
+        },
         files=tuple(sorted(texts)),
         bundle_sha256=manifest["bundle_sha256"],
         manifest=manifest,
+        left_out=left_out,
     )
 
 
@@ -168,7 +187,10 @@ def build_library(
     )
     try:
         operations = {part: PARTS[part].build(context) for part in PARTS if part in parts}
-        library = Library(context, prefix, real, operations)
+        made = {part: PARTS[part].foreign for part in parts}
+        foreign = {part: make(context, prefix, real) for part, make in made.items() if make is not None}
+        operations = {part: group for part, group in operations.items() if part not in foreign}
+        library = Library(context, prefix, real, operations, foreign)
         _ = library.kernels
     except Unsupported as error:
         raise ExportError(f"export_c: {error}") from error
@@ -180,7 +202,7 @@ def render_bundle(machine: Machine, parts: Sequence[str], **options: Any) -> tup
     library = build_library(machine, parts, **options)
     bundle_hash = hashlib.sha256(library.kernel_digest_text().encode()).hexdigest()
     texts = library.files(bundle_hash) | Extras(library, bundle_hash).files()
-    manifest = _manifest(library, bundle_hash, texts, {"parts": list(library.operations)} | options)
+    manifest = _manifest(library, bundle_hash, texts, {"parts": list(library.parts)} | options)
     texts[MANIFEST] = json.dumps(manifest, indent=1, allow_nan=False) + "\n"
     return texts, manifest
 
@@ -244,6 +266,10 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         }
         for part, group in library.operations.items()
     }
+    for part, foreign in library.foreign.items():
+        source = f"src/{library.prefix}_{part}.c"
+        parts[part] = {"title": PARTS[part].title, "source": source, "operations": []} | foreign.manifest()
+    parts = {part: parts[part] for part in library.parts}
     listed = [] if library.baked else list(
         zip(parameters.names, parameters.units, parameters.values, parameters.low, parameters.high, strict=True)
     )  # fmt: skip
@@ -326,6 +352,8 @@ def _checked_parts(arguments: Arguments, parts: Any) -> tuple[str, ...]:
             arguments.faults.append(Fault("parts", f"must be some of {valid}", repr(part)))
     if not given:
         arguments.faults.append(Fault("parts", f"must be at least one of {valid}", "[]"))
+    if given and all(isinstance(part, str) and part in PARTS and PARTS[part].foreign for part in given):
+        given = ["kinematics", *given]
     return tuple(part for part in PARTS if part in given)
 
 

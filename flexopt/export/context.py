@@ -12,7 +12,7 @@ from functools import cached_property
 import casadi as ca
 
 from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes
-from flexopt.model import Machine
+from flexopt.model import AnyMachine, Machine
 from flexopt.model.machine import Parameter
 from flexopt.model.problem import Control
 from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX
@@ -53,7 +53,7 @@ class Context:
     singularity_margin: float
 
     @property
-    def machine(self) -> Machine:
+    def machine(self) -> AnyMachine:
         """The machine."""
         return self.plant.machine
 

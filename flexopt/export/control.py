@@ -13,6 +13,7 @@ from flexopt.export.operations import Field, Operation
 from flexopt.model.problem import Control
 from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX
 from flexopt.plant import Plant
+from flexopt.simulation.feedback import joint_torque
 
 RATE_MAX = 1e4
 GAIN_MAX = 1e12
@@ -31,10 +32,8 @@ def task_space_torque(plant: Plant, control: Control) -> ca.Function:
     jv = plant.rigid_jacobian(plant.rest(g.base, g.posture, g.p), g.base, g.p)
     error, error_rate = target - point, target_rate - rate
     force = kp * error + kv * error_rate
-    if control == "transpose":
-        torque, spread = jv.T @ force, jv
-    else:
-        torque, spread = apply_pseudo_inverse(jv, force), apply_pseudo_inverse(jv, ca.SX.eye(r))
+    torque = joint_torque(jv, force, control)
+    spread = jv if control == "transpose" else apply_pseudo_inverse(jv, ca.SX.eye(r))
     size = ca.norm_fro(spread) * (kp * ca.norm_2(error) + kv * ca.norm_2(error_rate))
     inputs = [g.base, g.posture, point, rate, target, target_rate, kp, kv, g.p]
     names = ["base", "posture", "r", "r_rate", "target", "target_rate", "kp", "kv", "p"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from flexopt.export.closing import DURATION_S, RATE_HZ, Start, settling_start
 from flexopt.export.naming import listed, number, template, text_of
 from flexopt.export.operations import Array, Field, Operation, Samples
 from flexopt.export.parts import PARTS
@@ -47,11 +48,13 @@ class Extras:
         }
         if "controller" in self.library.operations:
             files["examples/ros2_node.cpp"] = self._ros2_node()
+        for foreign in self.library.foreign.values():
+            files |= foreign.test_files
         return files
 
     @property
     def _sources(self) -> list[str]:
-        return [f"src/{self.prefix}_common.c", *(f"src/{self.prefix}_{part}.c" for part in self.library.operations)]
+        return [f"src/{self.prefix}_common.c", *(f"src/{self.prefix}_{part}.c" for part in self.library.parts)]
 
     def _template(self, file: str, /, **values: object) -> str:
         return template(file, prefix=self.prefix, PREFIX=self.upper, **values)
@@ -112,7 +115,14 @@ class Extras:
 
     def _selftest(self) -> str:
         huge = number(1e300 if self.library.real == "double" else 1e30, self.library.real)
-        return self._template("selftest.c", huge=huge, bar=f"{TOLERANCES[self.library.real]:g}")
+        parts = list(self.library.foreign)
+        return self._template(
+            "selftest.c",
+            huge=huge,
+            bar=f"{TOLERANCES[self.library.real]:g}",
+            foreign_includes="".join(f'#include "{part}_selftest.h"\n' for part in parts),
+            foreign_calls="".join(f"  failures += {part}_failures();\n" for part in parts),
+        )
 
     def _cpp_check(self) -> str:
         operation = self.library.all_operations[0]
@@ -159,6 +169,9 @@ class Extras:
     def _example(self) -> str:
         if not {"kinematics", "controller"} <= set(self.library.operations):
             return self._example_calls()
+        settling = settling_start(self.library.context) if "simulator" in self.library.operations else None
+        if settling is not None:
+            return self._example_machine(settling)
         posture, inertia, length = self._start()
         context, real = self.library.context, self.library.real
         rest = context.plant.rest(0, posture, context.plant.parameter_values).full().ravel()
@@ -172,8 +185,31 @@ class Extras:
             distance=number(STEP * length, real),
             rest_initialiser=", ".join(members),
             parameters_declaration=self._parameters_declaration(),
+            foreign_includes=self._foreign_includes(),
+            foreign_calls=self._foreign_calls(),
             **{"pass": "" if self.library.baked else "&parameters, "},
         )
+
+    def _example_machine(self, settling: Start) -> str:
+        real = self.library.real
+        return self._template(
+            "example_machine.c",
+            rate=RATE_HZ,
+            duration=DURATION_S,
+            substeps=settling.substeps,
+            start=listed([*settling.rest, *settling.posture], real),
+            kp=number(settling.kp, real),
+            kv=number(settling.kv, real),
+            distance=number(float(f"{settling.distance:.6g}"), real),
+            settled=f"{settling.settled:.4g}",
+            foreign_includes=self._foreign_includes(),
+            foreign_calls=self._foreign_calls(),
+            parameters_declaration=self._parameters_declaration(),
+            **{"pass": "" if self.library.baked else "&parameters, "},
+        )
+
+    def _foreign_calls(self) -> str:
+        return "\n".join(each.example_call() for each in self.library.foreign.values())
 
     def _example_calls(self) -> str:
         passed = "" if self.library.baked else "&parameters, "
@@ -196,8 +232,14 @@ class Extras:
             ]
             calls.append("  {\n" + "\n".join(f"    {line}" for line in lines) + "\n  }")
         return self._template(
-            "example_calls.c", calls="\n".join(calls), parameters_declaration=self._parameters_declaration()
+            "example_calls.c",
+            calls="\n".join([*calls, self._foreign_calls()]),
+            foreign_includes=self._foreign_includes(),
+            parameters_declaration=self._parameters_declaration(),
         )
+
+    def _foreign_includes(self) -> str:
+        return "".join(f'#include "{self.prefix}_{part}.h"\n' for part in self.library.foreign)
 
     def _ros2_node(self) -> str:
         posture, inertia, _ = self._start()
@@ -236,6 +278,11 @@ class Extras:
             for part, group in library.operations.items()
             for o in group
         ]
+        operations += [
+            f"| `{name}` | `src/{self.prefix}_{part}.c` | {PARTS[part].title}, see below | of its own |"
+            for part, foreign in library.foreign.items()
+            for name in foreign.functions
+        ]
         loop = {"kinematics", "controller"} <= set(library.operations)
         first = library.all_operations[0]
         passed = "" if baked else "&parameters, "
@@ -248,7 +295,7 @@ class Extras:
         ]
         return self._template(
             "README.md",
-            title=f"{text_of(machine.name)}: {', '.join(PARTS[part].title for part in library.operations)}",
+            title=f"{text_of(machine.name)}: {', '.join(PARTS[part].title for part in library.parts)}",
             machine_plain=text_of(machine.name),
             machine_hash=machine.content_hash,
             bundle_hash=self.bundle_hash,
@@ -263,6 +310,9 @@ class Extras:
             functions="\n".join(operations),
             pass_words="" if baked else "the machine's parameters,",
             call_example="\n".join(call),
+            foreign="".join(foreign.readme() for foreign in library.foreign.values()),
+            bounded_words="the number of steps does not depend on the numbers"
+            + ("; that of the optimiser does, up to its budget" if library.foreign else ""),
             statuses="\n".join(f"| `{self.upper}_{name}` | {text} |" for name, text in STATUSES.items()),
             ros_words=", and `ros2_node.cpp`, a ROS 2 node (compiles without ROS 2, too)"
             if "controller" in library.operations

@@ -99,7 +99,7 @@ def build_optimiser(
         InputError: an argument is of the wrong kind or out of range, all in one message.
     """
     arguments = Arguments("build_optimiser")
-    machine = arguments.machine(machine)
+    machine = arguments.planar(machine)
     control = arguments.control(control)
     arguments.flag("gravity", gravity)
     arguments.flag("baked", baked)

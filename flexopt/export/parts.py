@@ -1,6 +1,6 @@
 """The parts of a bundle. A part is one entry of `PARTS` and becomes one C file.
 
-In: nothing. Out: for each part its title and what builds its operations from a `Context`.
+In: nothing. Out: for each part its title and what builds its operations, or its own sources, from a `Context`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,20 @@ from dataclasses import dataclass
 
 from flexopt.export.context import Context
 from flexopt.export.control import controller, kinematics
+from flexopt.export.foreign import Foreign, optimiser, optimiser_refusal
+from flexopt.export.kernels import Real
 from flexopt.export.modal import margin, measures, nullspace
 from flexopt.export.operations import Operation
+from flexopt.export.simulator import simulator
+from flexopt.model import Machine
+
+
+def _nothing(_: Context) -> tuple[Operation, ...]:
+    return ()
+
+
+def _takes_all(_: Machine) -> str:
+    return ""
 
 
 @dataclass(frozen=True)
@@ -21,10 +33,14 @@ class Part:
     Attributes:
         title: what it is for.
         build: its operations.
+        foreign: its own sources, of a part that is not made of operations: (context, prefix, precision) -> sources.
+        refusal: why a machine cannot have it, in a sentence; empty where it can.
     """
 
     title: str
-    build: Callable[[Context], tuple[Operation, ...]]
+    build: Callable[[Context], tuple[Operation, ...]] = _nothing
+    foreign: Callable[[Context, str, Real], Foreign] | None = None
+    refusal: Callable[[Machine], str] = _takes_all
 
 
 PARTS: dict[str, Part] = {
@@ -33,4 +49,6 @@ PARTS: dict[str, Part] = {
     "measures": Part("measures w_i, V and its gradient", measures),
     "nullspace": Part("nullspace update of base and joints", nullspace),
     "margin": Part("robust stability margin", margin),
+    "optimiser": Part("posture optimiser", foreign=optimiser, refusal=optimiser_refusal),
+    "simulator": Part("one step of the machine, for hardware in the loop", simulator),
 }

@@ -12,6 +12,7 @@ from functools import cached_property
 import casadi as ca
 
 from flexopt.export.context import Context
+from flexopt.export.foreign import Foreign
 from flexopt.export.kernels import Kernel, KernelText, Real, kernel_text
 from flexopt.export.naming import comment, constants, listed, number, template, text_of
 from flexopt.export.operations import Field, Guard, Operation
@@ -49,12 +50,19 @@ class Library:
         prefix: of every public name.
         real: precision.
         operations: by part, in the order of `PARTS`.
+        foreign: parts that bring their own sources.
     """
 
     context: Context
     prefix: str
     real: Real
     operations: dict[str, tuple[Operation, ...]]
+    foreign: dict[str, Foreign]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of all parts, in the order of `PARTS`."""
+        return tuple(part for part in PARTS if part in self.operations or part in self.foreign)
 
     @property
     def upper(self) -> str:
@@ -107,6 +115,7 @@ class Library:
     def kernel_digest_text(self) -> str:
         """What decides the bundle's content, to be hashed: kernels, documentation, ranges."""
         parts = [text.text for text in self._kernel_texts.values()]
+        parts += [text for foreign in self.foreign.values() for text in foreign.library_files.values()]
         return "\n".join([*parts, self.header(bundle_hash="")])
 
     def files(self, bundle_hash: str) -> dict[str, str]:
@@ -116,7 +125,10 @@ class Library:
             f"src/{self.prefix}_internal.h": self._template("internal.h", REAL_MAX=self._real_max),
             f"src/{self.prefix}_common.c": self._common(),
         }
-        return texts | {f"src/{self.prefix}_{part}.c": self._part(part) for part in self.operations}
+        texts |= {f"src/{self.prefix}_{part}.c": self._part(part) for part in self.operations}
+        for foreign in self.foreign.values():
+            texts |= foreign.library_files
+        return texts
 
     @property
     def _real_max(self) -> str:
@@ -134,20 +146,25 @@ class Library:
         statuses = [f"  {self.upper}_{name} = {k}, {comment(text)}" for k, (name, text) in enumerate(STATUSES.items())]
         return self._template(
             "header.h",
-            title=text_of(f"Controller functions of the machine {machine.name}: {', '.join(self.operations)}."),
+            title=text_of(f"Controller functions of the machine {machine.name}: {', '.join(self.parts)}."),
             flexopt=package_version("flexopt"),
             machine=text_of(machine.name),
             machine_hash=machine.content_hash,
             bundle_hash=bundle_hash,
             real="double" if self.real == "double" else "float",
-            part_macros="\n".join(f"#define {self.upper}_HAS_{part.upper()} 1" for part in self.operations),
+            part_macros="\n".join(f"#define {self.upper}_HAS_{part.upper()} 1" for part in self.parts),
             sizes=_without_last_comma(sizes),
             statuses=_without_last_comma(statuses),
             enums=self._enums(),
             parameters=self._parameters(),
             workspace=max(self.workspace(operation) for operation in self.all_operations),
             operations="\n".join(self._declaration(operation) for operation in self.all_operations),
+            others="".join(f"{self._mention(part)}\n\n" for part in self.foreign),
         )
+
+    def _mention(self, part: str) -> str:
+        functions = " and ".join(f"{name}()" for name in self.foreign[part].functions)
+        return comment(f"{self.prefix}_{part}.h declares the {PARTS[part].title}: {functions}.")
 
     def _enums(self) -> str:
         plant = self.context.plant
@@ -239,7 +256,7 @@ class Library:
             common_title="" if self.baked else ", default parameters",
             status_cases="\n".join(cases),
             real=self.real,
-            parts=", ".join(self.operations),
+            parts=", ".join(self.parts),
             default_parameters=default,
         )
 

@@ -1,10 +1,11 @@
 """Machines, problems and experiments as validated data.
 
-In: TOML files or dictionaries. Out: frozen `Machine`, `Problem` and `Experiment` objects, or one `ModelError` that
-lists every fault. Nothing symbolic.
+In: TOML files or dictionaries. Out: frozen `Machine`, `Tree`, `Problem` and `Experiment` objects, or one `ModelError`
+that lists every fault. Nothing symbolic.
 """
 
 from flexopt.model.files import shipped_names as shipped_names
+from flexopt.model.machine import AnyMachine as AnyMachine
 from flexopt.model.machine import Machine as Machine
 from flexopt.model.machine import Parameter as Parameter
 from flexopt.model.problem import Problem as Problem
@@ -17,3 +18,5 @@ from flexopt.model.reading import load_simulated as load_simulated
 from flexopt.model.reading import machine_from_dict as machine_from_dict
 from flexopt.model.simulation import Experiment as Experiment
 from flexopt.model.simulation import SimulationOptions as SimulationOptions
+from flexopt.model.tree import Tree as Tree
+from flexopt.model.tree import tree_from_dict as tree_from_dict

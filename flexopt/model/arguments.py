@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.machine import Machine
-from flexopt.model.problem import CONTROLS, check_base, check_point
-from flexopt.model.quantities import ANGLE_MAX, check_number
+from flexopt.model.machine import AnyMachine, Machine
+from flexopt.model.problem import CONTROLS, check_placement, check_point
+from flexopt.model.quantities import check_number, coordinate_max
 
 Vector = NDArray[np.float64]
 T = TypeVar("T")
@@ -47,29 +47,34 @@ class Arguments:
         """True or False."""
         return self.choice(field, value, (False, True))
 
-    def posture(self, machine: Machine, value: Any, field: str = "posture") -> Vector:
-        """Angles of the actuated joints (n,), rad, finite and inside their limits."""
-        names = machine.joints
+    def posture(self, machine: AnyMachine, value: Any, field: str = "posture") -> Vector:
+        """Actuated joints (n,), rad or m, finite and inside their limits."""
+        names, units = machine.joints, machine.joint_units
         plain = _plain(value)
         parts = list(cast(Sequence[Any], plain)) if isinstance(plain, list | tuple) else [plain]
         if len(parts) != len(names):
-            wanted = (
-                f"needs {len(names)} angles in rad, one for each actuated joint ({', '.join(names)}), not {len(parts)}"
-            )
+            angles = all(unit == "rad" for unit in units)
+            what = "angles in rad" if angles else "numbers"
+            listed = ", ".join(names if angles else (f"{n} in {u}" for n, u in zip(names, units, strict=True)))
+            wanted = f"needs {len(names)} {what}, one for each actuated joint ({listed}), not {len(parts)}"
             self.faults.append(Fault(field, wanted, shown(value)))
             return np.zeros(len(names))
         checked: list[float] = []
-        for name, part, limits in zip(names, parts, machine.limits, strict=True):
-            low, high = max(limits[0], -ANGLE_MAX), min(limits[1], ANGLE_MAX)
+        for name, unit, part, limits in zip(names, units, parts, machine.limits, strict=True):
+            low, high = max(limits[0], -coordinate_max(unit)), min(limits[1], coordinate_max(unit))
             sentence = f"{field} ({name})"
             checked.append(
-                self.checked(sentence, part, lambda v, lo=low, hi=high: check_number(v, "rad", low=lo, high=hi), 0.0)
+                self.checked(
+                    sentence, part, lambda v, u=unit, lo=low, hi=high: check_number(v, u, low=lo, high=hi), 0.0
+                )
             )
         return np.array(checked)
 
-    def base(self, value: Any, field: str = "base") -> Vector:
-        """Placement (n_b,), m."""
-        return np.array(self.checked(field, value, check_base, (0.0,)))
+    def base(self, machine: AnyMachine, value: Any, field: str = "base") -> Vector:
+        """Placement (n_b,), m or rad."""
+        names, units = machine.base_coordinates, machine.base_units
+        stand_in = (0.0,) * len(names)
+        return np.array(self.checked(field, value, lambda v: check_placement(v, names, units), stand_in))
 
     def point(self, value: Any, field: str) -> Vector:
         """End-point (2,), m, inertial frame."""
@@ -79,12 +84,22 @@ class Arguments:
         """`"inverse"` or `"transpose"`."""
         return self.choice("control", value, CONTROLS)
 
-    def machine(self, value: Any) -> Machine:
-        """A `Machine`; anything else cannot be checked further and raises at once."""
-        if not isinstance(value, Machine):
+    def machine(self, value: Any) -> AnyMachine:
+        """A machine, planar or spatial; anything else cannot be checked further and raises at once."""
+        if not isinstance(value, AnyMachine):
             sentence = 'must be a Machine, from flexopt.load("excavator") for example'
             raise_if_any(InputError, self.call, [Fault("machine", sentence, shown(value))])
         return value
+
+    def planar(self, value: Any) -> Machine:
+        """A planar machine; anything else raises at once."""
+        machine = self.machine(value)
+        if not isinstance(machine, Machine):
+            sentence = f"is a spatial machine, and {self.call} takes planar machines only so far"
+            raise InputError(
+                f"{self.call}: machine {machine.name!r} {sentence}", [Fault("machine", sentence)], self.call
+            )
+        return machine
 
     def done(self) -> None:
         """Raise every fault noted so far."""

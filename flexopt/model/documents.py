@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from flexopt.model.machine import Machine
+from flexopt.model.machine import AnyMachine
 
 
 @cache
@@ -21,7 +21,7 @@ def package_version(name: str) -> str:
         return "unknown"
 
 
-def provenance(machine: Machine | None = None, **options: Any) -> dict[str, Any]:
+def provenance(machine: AnyMachine | None = None, **options: Any) -> dict[str, Any]:
     """Machine name and content hash (None where none is concerned), versions, and the options of the call."""
     return {
         "machine": machine and machine.name,

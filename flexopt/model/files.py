@@ -16,6 +16,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 FILE_SIZE_MAX = 4_000_000
 # Longer words are no file names to any system.
 NAME_MAX = 200
+# Robot files: a machine file names them.
+ROBOT_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 
 Kind = Literal["models", "problems"]
 WORDS: dict[Kind, str] = {"models": "machine", "problems": "problem"}
@@ -66,12 +68,15 @@ def read_source(name_or_path: Any, kinds: tuple[Kind, ...]) -> Source:
     if not text or "\0" in text:
         raise ModelError(f"an empty or unusable name was given where a machine or problem is wanted: {text!r}")
     try:
-        if text.endswith(".toml") or os.sep in text or "/" in text or (len(text) <= NAME_MAX and Path(text).is_file()):
+        looks = text.endswith((".toml", *ROBOT_SUFFIXES)) or os.sep in text or "/" in text
+        if looks or (len(text) <= NAME_MAX and Path(text).is_file()):
             path, named_kind = Path(text), None
             if path.is_dir():
                 raise ModelError(f"{text}: is a folder; give the TOML file itself")
             if not path.exists():
                 raise ModelError(f"{text}: no such file")
+            if path.suffix.lower() in ROBOT_SUFFIXES:
+                raise _robot_file(path)
         else:
             found: list[Kind] = [kind for kind in kinds if text in shipped_names(kind)]
             named_kind = found[0] if found else None
@@ -88,6 +93,14 @@ def read_source(name_or_path: Any, kinds: tuple[Kind, ...]) -> Source:
     shipped = PACKAGE in path.resolve().parents or PACKAGE.parent in path.resolve().parents
     name = f"{path.parent.name}/{path.name}" if named_kind or (shipped and not path.is_absolute()) else str(path)
     return Source(data, told, path.parent, name)
+
+
+def _robot_file(path: Path) -> ModelError:
+    return ModelError(
+        f"{_cut(str(path))}: is a robot file; give a machine file, a TOML file with name, robot = {path.name!r}, "
+        'actuated = ["…"] (its driven joints), [base] stiffness = { z = …, roll = …, pitch = … } (what gives) and '
+        '[end_point] link = "…"'
+    )
 
 
 def _unknown_name(text: str, kinds: tuple[Kind, ...]) -> ModelError:

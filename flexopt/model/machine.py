@@ -1,8 +1,9 @@
-"""A planar machine as validated data: bodies, joints, compliance, payload, and the list of its parameters."""
+"""What every machine has, and the planar machine as validated data: bodies, joints, compliance, payload, parameters."""
 
 from __future__ import annotations
 
 import hashlib
+from abc import abstractmethod
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -95,21 +96,82 @@ class Parameter(NamedTuple):
     unit: str
 
 
-class Machine(FileModel):
-    """A planar chain on a compliant base (`flexopt.load` reads one from a file).
-
-    Units are SI and angles radians. Bodies are rigid; each joint has one degree of freedom and is passive (spring,
-    damper, rest value) or actuated. The placement coordinate is the position x of the undercarriage.
-    """
+class AnyMachine(FileModel):
+    """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more."""
 
     schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
     name: str = Field(min_length=1)
     description: str = ""
     source: str = ""
     gravity: Acceleration = 9.81
+
+    @property
+    @abstractmethod
+    def joints(self) -> tuple[str, ...]:
+        """Names of the actuated joints."""
+
+    @property
+    @abstractmethod
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each actuated joint, rad or m."""
+
+    @property
+    @abstractmethod
+    def limits(self) -> tuple[tuple[float, float], ...]:
+        """Limits of the actuated joints, rad or m; infinite where none are given."""
+
+    @property
+    @abstractmethod
+    def damped_joints(self) -> bool:
+        """Whether any actuated joint has friction."""
+
+    @property
+    @abstractmethod
+    def base_coordinates(self) -> tuple[str, ...]:
+        """Names of the placement coordinates that the operator chooses."""
+
+    @property
+    @abstractmethod
+    def base_units(self) -> tuple[str, ...]:
+        """Unit of each placement coordinate, m or rad."""
+
+    @abstractmethod
+    def list_parameters(self) -> list[Parameter]:
+        """See `parameters`."""
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameter vector p with this machine's values: geometry, inertia, springs, dampers, payload, gravity."""
+        return tuple(self.list_parameters())
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of the validated content: the same for two descriptions that say the same."""
+        return hashlib.sha256(self.model_dump_json(by_alias=True).encode()).hexdigest()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The machine as a dictionary, keys at their defaults left out: what it was validated from takes it back."""
+        return self.model_dump(by_alias=True, exclude_defaults=True)
+
+    def __hash__(self) -> int:
+        return hash(self.content_hash)
+
+    def __str__(self) -> str:
+        return repr(self)
+
+
+class Machine(AnyMachine):
+    """A planar chain on a compliant base (`flexopt.load` reads one from a file).
+
+    Units are SI and angles radians. Bodies are rigid; each joint has one degree of freedom and is passive (spring,
+    damper, rest value) or actuated. The placement coordinate is the position x of the undercarriage.
+    """
+
     base: Base
     links: tuple[Link, ...] = Field(min_length=1)
     payload: Payload = Payload()
+
+    __hash__ = AnyMachine.__hash__
 
     @property
     def free_base_directions(self) -> tuple[Literal["x", "y", "rotation"], ...]:
@@ -122,6 +184,16 @@ class Machine(FileModel):
         return tuple(link.name for link in self.links if not link.passive)
 
     @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each actuated joint: rad."""
+        return ("rad",) * len(self.joints)
+
+    @property
+    def damped_joints(self) -> bool:
+        """Whether any actuated joint has friction."""
+        return any(link.joint_damping > 0 for link in self.links if not link.passive)
+
+    @property
     def limits(self) -> tuple[tuple[float, float], ...]:
         """Limits of the actuated joints, rad; infinite where none are given."""
         unlimited = (-float("inf"), float("inf"))
@@ -132,9 +204,13 @@ class Machine(FileModel):
         """Names of the placement coordinates that the operator chooses."""
         return ("x",)
 
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The parameter vector p with this machine's values: geometry, inertia, springs, dampers, payload, gravity."""
+    @property
+    def base_units(self) -> tuple[str, ...]:
+        """Unit of each placement coordinate."""
+        return ("m",)
+
+    def list_parameters(self) -> list[Parameter]:
+        """See `parameters`."""
         base = self.base
         listed = [
             Parameter("base.length", base.length, "m"),
@@ -167,22 +243,7 @@ class Machine(FileModel):
             else:
                 listed.append(Parameter(f"{link.name}.joint_damping", link.joint_damping, "N m s/rad"))
         listed += [Parameter("payload.mass", self.payload.mass, "kg"), Parameter("gravity", self.gravity, "m/s²")]
-        return tuple(listed)
-
-    @cached_property
-    def content_hash(self) -> str:
-        """SHA-256 of the validated content: the same for two files that say the same."""
-        return hashlib.sha256(self.model_dump_json(by_alias=True).encode()).hexdigest()
-
-    def to_dict(self) -> dict[str, Any]:
-        """The machine in the layout of its file, keys at their defaults left out: `machine_from_dict` takes it back."""
-        return self.model_dump(by_alias=True, exclude_defaults=True)
-
-    def __hash__(self) -> int:
-        return hash(self.content_hash)
-
-    def __str__(self) -> str:
-        return repr(self)
+        return listed
 
     def __repr__(self) -> str:
         gives = ", ".join(self.free_base_directions) or "nothing"

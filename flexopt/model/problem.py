@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, PrivateAttr
 
-from flexopt.model.machine import FileModel, Machine
-from flexopt.model.quantities import COORDINATE_MAX, BaseRange, check_number, check_numbers, check_schema, checked
+from flexopt.model.machine import AnyMachine, FileModel
+from flexopt.model.quantities import (
+    COORDINATE_MAX,
+    BaseRange,
+    check_number,
+    check_numbers,
+    check_schema,
+    checked,
+    coordinate_max,
+)
 
 Control = Literal["inverse", "transpose"]
 Elbow = Literal["up", "down"]
@@ -74,11 +83,27 @@ def check_seed(value: Any) -> int:
 
 
 def check_base(value: Any) -> tuple[float, ...]:
-    """A placement of the base: one number x in m (alone or in a list)."""
+    """A placement of a planar machine: one number x in m (alone or in a list)."""
+    return check_placement(value, ("x",), ("m",))
+
+
+def check_placement(value: Any, names: Sequence[str], units: Sequence[str]) -> tuple[float, ...]:
+    """A number for each placement coordinate; one alone needs no list."""
     parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
-    if len(parts) != 1:
-        raise ValueError("must be one number: a planar machine is placed by x, in m")
-    return check_numbers(parts, ["x"], "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
+    if len(parts) != len(names):
+        count = "one number" if len(names) == 1 else f"{len(names)} numbers"
+        listed = ", ".join(f"{name}, in {unit}" for name, unit in zip(names, units, strict=True))
+        raise ValueError(f"must be {count}: the machine is placed by {listed or 'nothing'}")
+    numbers: list[float] = []
+    sentences: list[str] = []
+    for part, name, unit in zip(parts, names, units, strict=True):
+        try:
+            numbers.append(check_number(part, unit, low=-coordinate_max(unit), high=coordinate_max(unit)))
+        except ValueError as error:
+            sentences.append(f"{name} {error}" if len(names) > 1 else str(error))
+    if sentences:
+        raise ValueError("; ".join(sentences))
+    return tuple(numbers)
 
 
 class Target(FileModel):
@@ -114,16 +139,16 @@ class Problem(FileModel):
     target: Target
     selection: SelectionOptions = SelectionOptions()
 
-    _loaded: Machine | None = PrivateAttr(default=None)
+    _loaded: AnyMachine | None = PrivateAttr(default=None)
 
-    def with_machine(self, machine: Machine) -> Problem:
+    def with_machine(self, machine: AnyMachine) -> Problem:
         """The same problem, holding its machine."""
         twin = self.model_copy()
         twin._loaded = machine
         return twin
 
     @property
-    def loaded_machine(self) -> Machine:
+    def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
         assert self._loaded is not None
         return self._loaded

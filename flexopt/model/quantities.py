@@ -73,6 +73,11 @@ COORDINATE_MAX = 1e6
 Coordinate = Annotated[float, _quantity("m", low=-COORDINATE_MAX, high=COORDINATE_MAX)]
 
 
+def coordinate_max(unit: str) -> float:
+    """How far a coordinate in m or rad may be from zero."""
+    return ANGLE_MAX if unit == "rad" else COORDINATE_MAX
+
+
 def check_numbers(values: list[Any], names: list[str], unit: str, *, low: float, high: float) -> tuple[float, ...]:
     """Numbers in one range; the sentence names every one that is not."""
     checked_values: list[float] = []

@@ -11,20 +11,22 @@ from flexopt.model.faults import Table, machine_faults, problem_faults, validate
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.machine import Machine
 from flexopt.model.problem import Problem
+from flexopt.model.robots import robot_from_dict
 from flexopt.model.simulation import Experiment
+from flexopt.model.tree import Tree
 
 
-def load(name_or_path: str | os.PathLike[str]) -> Machine:
-    """Read and validate a machine.
+def load(name_or_path: str | os.PathLike[str]) -> Machine | Tree:
+    """Read and validate a machine: a planar one, or a spatial one where the file names a robot file (key `robot`).
 
     Args:
         name_or_path: a name (`"excavator"` finds the shipped `models/excavator.toml`) or the path of a TOML file.
+            The path of a robot file starts from the machine file's folder; see `flexopt.model.robots.reading`.
 
     Raises:
-        ModelError: the file is missing, is no TOML, or has faults; the message lists every one.
+        ModelError: a file is missing, cannot be read, or has faults; the message lists every one.
     """
-    source = read_source(name_or_path, ("models",))
-    return machine_from_dict(source.data, origin=source.name)
+    return _machine(read_source(name_or_path, ("models",)))
 
 
 def load_problem(name_or_path: str | os.PathLike[str]) -> Problem:
@@ -53,24 +55,24 @@ def load_experiment(name_or_path: str | os.PathLike[str]) -> Experiment:
     return _experiment(read_source(name_or_path, ("problems",)))
 
 
-def load_simulated(name_or_path: str | os.PathLike[str]) -> Machine | Experiment:
+def load_simulated(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Experiment:
     """A machine or an experiment, whichever the name or file is.
 
     Raises:
         ModelError: as for `load` and `load_experiment`.
     """
     source = read_source(name_or_path, KINDS)
-    return _experiment(source) if source.kind == "problems" else machine_from_dict(source.data, origin=source.name)
+    return _experiment(source) if source.kind == "problems" else _machine(source)
 
 
-def load_any(name_or_path: str | os.PathLike[str]) -> Machine | Problem:
+def load_any(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Problem:
     """A machine or a problem, whichever the name or file is.
 
     Raises:
         ModelError: as for `load` and `load_problem`.
     """
     source = read_source(name_or_path, KINDS)
-    return _problem(source) if source.kind == "problems" else machine_from_dict(source.data, origin=source.name)
+    return _problem(source) if source.kind == "problems" else _machine(source)
 
 
 def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
@@ -89,11 +91,20 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     return validated(Machine, named, origin, machine_faults(named))
 
 
+def _machine(source: Source) -> Machine | Tree:
+    if "robot" in source.data:
+        return robot_from_dict(source.data, folder=source.folder, origin=source.name)
+    return machine_from_dict(source.data, origin=source.name)
+
+
 def _experiment(source: Source) -> Experiment:
     if "simulation" not in source.data:
         raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
     experiment = validated(Experiment, source.data, source.name, ())
     machine = _machine_of(source, experiment.machine)
+    if not isinstance(machine, Machine):
+        sentence = "is a spatial machine, and experiments take planar machines only so far"
+        raise ModelError(f"{source.name}: machine = {experiment.machine!r}: {sentence}", [Fault("machine", sentence)])
     faults = [Fault(f"simulation.{f.field}", f.sentence, f.value) for f in experiment.simulation.faults(machine)]
     raise_if_any(ModelError, source.name, faults)
     return experiment.with_machine(machine)
@@ -106,7 +117,7 @@ def _problem(source: Source) -> Problem:
     return problem.with_machine(_machine_of(source, problem.machine))
 
 
-def _machine_of(source: Source, name: str) -> Machine:
+def _machine_of(source: Source, name: str) -> Machine | Tree:
     """The machine that a file names, beside it or among the shipped."""
     beside = source.folder / name
     return load(beside if name.endswith(".toml") and beside.exists() else name)

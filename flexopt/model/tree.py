@@ -7,16 +7,14 @@ body along or about `axis`. The ground's frame is the anchor frame, which the pl
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field
 
 from flexopt.model.faults import Table, validated
-from flexopt.model.machine import FileModel, Parameter, Payload
-from flexopt.model.quantities import Acceleration, Length, MassOrZero, check_schema, checked
+from flexopt.model.machine import AnyMachine, FileModel, Parameter, Payload
+from flexopt.model.quantities import Length, MassOrZero, checked
 from flexopt.model.tree_faults import tree_faults
 from flexopt.model.tree_quantities import (
     Axis,
@@ -102,24 +100,21 @@ class JointMatrix(FileModel):
     matrix: Square
 
 
-class Tree(FileModel):
+class Tree(AnyMachine):
     """A spatial machine: bodies in topological order (each after its parent), compliance, end-point, placement.
 
     Gravity acts along −z. `stiffness_matrix` and `damping_matrix` stand in for `stiffness` and `damping` of the passive
     joints that they name. `placement` lists the coordinates of the anchor frame that the operator chooses.
     """
 
-    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
-    name: str = Field(min_length=1)
-    description: str = ""
-    source: str = ""
-    gravity: Acceleration = 9.81
     bodies: tuple[TreeBody, ...]
     end_point: EndPoint
     stiffness_matrix: JointMatrix | None = None
     damping_matrix: JointMatrix | None = None
     placement: tuple[Placement, ...] = ("x", "y", "yaw")
     payload: Payload = Payload()
+
+    __hash__ = AnyMachine.__hash__
 
     @property
     def passive_bodies(self) -> tuple[TreeBody, ...]:
@@ -139,12 +134,22 @@ class Tree(FileModel):
     @property
     def coordinate_units(self) -> tuple[str, ...]:
         """Unit of each entry of q."""
-        return tuple("rad" if b.joint.kind == "hinge" else "m" for b in (*self.passive_bodies, *self.actuated_bodies))
+        return (*_units(self.passive_bodies), *self.joint_units)
 
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the actuated joints."""
         return tuple(body.joint.name for body in self.actuated_bodies)
+
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each actuated joint, rad or m."""
+        return _units(self.actuated_bodies)
+
+    @property
+    def damped_joints(self) -> bool:
+        """Whether any actuated joint has friction."""
+        return any(body.joint.joint_damping > 0 for body in self.actuated_bodies)
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
@@ -157,9 +162,13 @@ class Tree(FileModel):
         """Names of the placement coordinates that the operator chooses."""
         return self.placement
 
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The parameter vector p with this machine's values.
+    @property
+    def base_units(self) -> tuple[str, ...]:
+        """Unit of each placement coordinate, m or rad."""
+        return tuple("rad" if name == "yaw" else "m" for name in self.placement)
+
+    def list_parameters(self) -> list[Parameter]:
+        """See `parameters`.
 
         Directions (axes, rotations) are no parameters, nor are mass and inertia of a body that has none.
         """
@@ -175,8 +184,7 @@ class Tree(FileModel):
         for word, coupling in (("stiffness", self.stiffness_matrix), ("damping", self.damping_matrix)):
             listed += self._matrix_parameters(word, coupling)
         listed += _vector("end_point.position", self.end_point.position)
-        listed += [Parameter("payload.mass", self.payload.mass, "kg"), Parameter("gravity", self.gravity, "m/s²")]
-        return tuple(listed)
+        return [*listed, Parameter("payload.mass", self.payload.mass, "kg"), Parameter("gravity", self.gravity, "m/s²")]
 
     def _joint_parameters(self, joint: TreeJoint) -> list[Parameter]:
         turn = joint.kind == "hinge"
@@ -204,24 +212,13 @@ class Tree(FileModel):
             for j, b in enumerate(names[i:])
         ]
 
-    @cached_property
-    def content_hash(self) -> str:
-        """SHA-256 of the validated content: the same for two descriptions that say the same."""
-        return hashlib.sha256(self.model_dump_json(by_alias=True).encode()).hexdigest()
-
-    def to_dict(self) -> dict[str, Any]:
-        """The tree as a dictionary, keys at their defaults left out: `tree_from_dict` takes it back."""
-        return self.model_dump(by_alias=True, exclude_defaults=True)
-
-    def __hash__(self) -> int:
-        return hash(self.content_hash)
-
-    def __str__(self) -> str:
-        return repr(self)
-
     def __repr__(self) -> str:
         passive = ", ".join(body.joint.name for body in self.passive_bodies)
         return f"Tree({self.name!r}: passive joints: {passive}; actuated joints: {', '.join(self.joints)})"
+
+
+def _units(bodies: tuple[TreeBody, ...]) -> tuple[str, ...]:
+    return tuple("rad" if body.joint.kind == "hinge" else "m" for body in bodies)
 
 
 def _vector(name: str, values: tuple[float, float, float]) -> list[Parameter]:

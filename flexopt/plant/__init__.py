@@ -1,6 +1,7 @@
 """From a machine to CasADi graphs: kinematics and its inverse, dynamics, rest and static deflection, linearisation.
 
-In: a validated `Machine`. Out: a `Plant` of SX graphs and named Functions; everything downstream reads only that.
+In: a validated `Machine` or `Tree`. Out: a `Plant` of SX graphs and named Functions; everything downstream reads
+only that.
 """
 
 from flexopt.plant.inverse_kinematics import inverse_kinematics as inverse_kinematics

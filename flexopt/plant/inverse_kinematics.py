@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.problem import ELBOWS, Elbow, check_seed
 from flexopt.plant.plant import Plant, build_plant
@@ -22,7 +22,7 @@ EDGE = 1e-12
 
 
 def inverse_kinematics(
-    machine: Machine,
+    machine: AnyMachine,
     target: Any,
     *,
     base: Any = 0.0,
@@ -36,7 +36,7 @@ def inverse_kinematics(
     distinct postures, both branches of the last two joints over a low-discrepancy sample of the redundancy.
 
     Args:
-        machine: from `flexopt.load`.
+        machine: planar, from `flexopt.load`.
         target: end-point (2,), m, inertial frame.
         base: placement x, m.
         gravity: the end-point under static deflection, instead of at rest.
@@ -48,8 +48,8 @@ def inverse_kinematics(
         UnreachableTarget: by how many metres, and from which placements it would be reachable.
     """
     arguments = Arguments("inverse_kinematics")
-    machine = arguments.machine(machine)
-    point, placement = arguments.point(target, "target"), arguments.base(base)
+    machine = arguments.planar(machine)
+    point, placement = arguments.point(target, "target"), arguments.base(machine, base)
     arguments.flag("gravity", gravity)
     arguments.choice("elbow", elbow, (None, *ELBOWS))
     arguments.checked("seed", seed, check_seed, 0)
@@ -93,7 +93,7 @@ def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: floa
     return _into_limits(plant.machine, postures), np.abs(cosine) <= 1 + EDGE
 
 
-def _into_limits(machine: Machine, postures: Vector) -> Vector:
+def _into_limits(machine: AnyMachine, postures: Vector) -> Vector:
     """The same postures (n, N), turned by multiples of 2π into the joint limits where that is possible."""
     turned = postures.copy()
     for row, (low, high) in enumerate(machine.limits):
@@ -103,7 +103,7 @@ def _into_limits(machine: Machine, postures: Vector) -> Vector:
     return turned
 
 
-def inside_limits(machine: Machine, postures: Vector) -> Any:
+def inside_limits(machine: AnyMachine, postures: Vector) -> Any:
     """Mask (N,) of the postures (n, N) that keep every joint limit."""
     low, high = np.array(machine.limits).T[:, :, None]
     return np.all((postures >= low - EDGE) & (postures <= high + EDGE), axis=0)

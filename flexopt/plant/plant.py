@@ -8,9 +8,11 @@ from functools import cached_property, lru_cache
 import casadi as ca
 
 from flexopt.algebra import apply_pseudo_inverse, solve_spd
-from flexopt.model import Machine
+from flexopt.errors import Fault, InputError
+from flexopt.model import AnyMachine, Machine, Tree
 from flexopt.model.problem import Control
 from flexopt.plant.planar import ChainGraph, ReachingGraph, build_chain, build_reaching
+from flexopt.plant.spatial import build_spatial
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
@@ -35,7 +37,7 @@ class Plant:
     """The equations of one machine: M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = τ (article, section 2).
 
     Coordinates q (n_q,) list the passive ones first, then the actuated ones, relative angles in rad and
-    displacements in m, inertial frame; v (n_q,) is their rate. `base` (n_b,) is the placement, which moves the springs'
+    displacements in m; v (n_q,) is their rate. `base` (n_b,) is the placement, which moves the springs'
     anchor and the rest configuration; p (n_par,) are the machine's parameters. Every Function takes its inputs by
     name; `base` defaults to 0, and one that is forgotten gives NaN; `parameter_values` holds the machine's own p.
 
@@ -44,7 +46,7 @@ class Plant:
         graph: the SX graphs themselves, with their symbols q, v, base, posture, p.
     """
 
-    machine: Machine
+    machine: AnyMachine
     graph: ChainGraph
 
     @property
@@ -94,7 +96,10 @@ class Plant:
 
     @cached_property
     def skeleton(self) -> ca.Function:
-        """Ground point, every joint and the end-point in order, (n_task, n_bodies + 1), m. Inputs q, base, p."""
+        """Ground point, every joint and the end-point in order, a column each, m: (2, n_bodies + 1) in the plane.
+
+        In space (3, n_bodies + 2): anchor frame, bodies' frames, end-point. Inputs q, base, p.
+        """
         return self._of_configuration("skeleton", self.graph.skeleton, "points")
 
     @cached_property
@@ -168,7 +173,14 @@ class Plant:
 
     @cached_property
     def reaching(self) -> ReachingGraph:
-        """Closed-form inverse kinematics."""
+        """Closed-form inverse kinematics, of planar machines only.
+
+        Raises:
+            InputError: the machine is spatial.
+        """
+        if not isinstance(self.machine, Machine):
+            sentence = "is a spatial machine; its postures have no closed form, and only planar arms have a known reach"
+            raise InputError(f"machine {self.machine.name!r} {sentence}", [Fault("machine", sentence)])
         return build_reaching(self.machine, self.graph)
 
     @cached_property
@@ -298,10 +310,16 @@ class Plant:
 
 
 @lru_cache(maxsize=32)
-def build_plant(machine: Machine) -> Plant:
+def build_plant(machine: AnyMachine) -> Plant:
     """The plant of a machine (built once for each machine and kept).
 
     Args:
         machine: from `flexopt.load`.
+
+    Raises:
+        ModelError: the joints of a spatial machine are not independent.
     """
+    if isinstance(machine, Tree):
+        return Plant(machine, build_spatial(machine))
+    assert isinstance(machine, Machine)
     return Plant(machine, build_chain(machine))

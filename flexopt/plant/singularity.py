@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import casadi as ca
 import numpy as np
 
 from flexopt.errors import SingularPosture
@@ -16,9 +17,22 @@ PROBE = 1e-3
 
 
 def condition_number(plant: Plant, q: Vector, base: Vector) -> float:
-    """Cond Jv(q), the ratio of its extreme singular values; infinite where the smallest is zero."""
+    """Cond Jv(q), the ratio of its extreme singular values; infinite where the smallest is zero.
+
+    A single row has one singular value alone: it is compared with that of the end-point's position, if larger.
+    """
     values = np.linalg.svd(plant.rigid_jacobian(q, base, plant.parameter_values).full(), compute_uv=False)
-    return float(values[0] / values[-1]) if values[-1] > 0 else math.inf
+    largest = values[0]
+    if plant.n_task == 1:
+        largest = max(largest, np.linalg.norm(_position_jacobian(plant, q, base), 2))
+    return float(largest / values[-1]) if values[-1] > 0 else math.inf
+
+
+def _position_jacobian(plant: Plant, q: Vector, base: Vector) -> Vector:
+    """Of the end-point's position by the actuated joints, whatever the task."""
+    g = plant.graph
+    jacobian = ca.jacobian(g.skeleton[:, -1], g.q)[:, plant.n_passive :]
+    return ca.Function("position_jacobian", [g.q, g.base, g.p], [jacobian])(q, base, plant.parameter_values).full()
 
 
 def check_regular(plant: Plant, q: Vector, base: Vector) -> float:
@@ -35,10 +49,13 @@ def check_regular(plant: Plant, q: Vector, base: Vector) -> float:
     escape = [_smallest_singular_value(plant, q, base, i) for i in range(plant.n_passive, plant.n_coordinates)]
     index = int(np.argmax(escape))
     joint, angle = plant.machine.joints[index], float(q[plant.n_passive + index])
+    hinge, rows = plant.machine.joint_units[index] == "rad", plant.n_task
+    value = f"{angle:.6g} rad ({math.degrees(angle):.4g}°)" if hinge else f"{angle:.6g} m"
+    sentences = {1: "the joints do not move the task row", 2: "the end-point can only move along one line"}
+    stuck = sentences.get(rows, f"the joints do not move all {rows} task rows")
     raise SingularPosture(
-        f"posture (joint {joint}) = {angle:.6g} rad ({math.degrees(angle):.4g}°) is singular: the "
-        f"end-point can only move along one line (cond Jv = {condition:.3g}, allowed up to {CONDITION_MAX:.0e}); "
-        f"bend {joint}",
+        f"posture (joint {joint}) = {value} is singular: {stuck} "
+        f"(cond Jv = {condition:.3g}, allowed up to {CONDITION_MAX:.0e}); {'bend' if hinge else 'move'} {joint}",
         joint=joint,
         angle=angle,
     )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from flexopt.algebra import apply_pseudo_inverse_transposed
 from flexopt.errors import InputError
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
@@ -48,7 +48,7 @@ class DampedModes:
 
 
 def damped_modes(
-    machine: Machine, base: Vector, posture: Vector, control: Control, gravity: bool, lowest_frequency: float
+    machine: AnyMachine, base: Vector, posture: Vector, control: Control, gravity: bool, lowest_frequency: float
 ) -> DampedModes:
     """Poles, numerators, measures and gradients of the damped plant; `lowest_frequency` is ω_1 undamped, rad/s.
 
@@ -117,7 +117,7 @@ class _Graphs:
 
 
 @lru_cache(maxsize=32)
-def _build(machine: Machine, control: Control, gravity: bool) -> _Graphs:
+def _build(machine: AnyMachine, control: Control, gravity: bool) -> _Graphs:
     plant = build_plant(machine)
     g, n, m = plant.graph, plant.n_coordinates, plant.n_passive
     deflection = ca.SX.sym("deflection", m)

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.documents import json_ready, provenance
 from flexopt.model.problem import Control, check_gain
@@ -29,7 +29,7 @@ class Gradient:
 
     Attributes:
         variables: placement coordinates, then actuated joints.
-        w: ∂w_i/∂variables, (m, n_b + n), per m or rad.
+        w: ∂w_i/∂variables, (m, n_b + n), per m or rad, as `base_units` and `joint_units` say.
         epsilon_max: ∂ε_max/∂variables, (n_b + n,).
         parameters: names of the machine's parameters p.
         w_parameters: ∂w_i/∂p, (m, n_par).
@@ -68,9 +68,9 @@ class Evaluation:
     Attributes:
         machine: the machine's name.
         control: `"inverse"` or `"transpose"`.
-        base, base_coordinates: placement (n_b,) and its names.
-        posture, joints: actuated joints (n,), rad, and their names.
-        end_point: (r,), m, inertial frame.
+        base, base_coordinates, base_units: placement (n_b,), its names and units, m or rad.
+        posture, joints, joint_units: actuated joints (n,), their names and units, rad or m.
+        end_point: the task (r,), m, inertial frame.
         frequencies_hz, damping_ratios: (m,). Undamped frequencies and φᵀDφ/(2ω); with `damped` those of the poles.
         w: w_i = λmin(R_i + R_iᵀ), (m,), article eq. (7); with `damped` λmin(N0 + N0ᵀ).
         scale: |a_i||b_i|, (m,), the size of R_i = a_i b_iᵀ, to compare w_i with.
@@ -79,7 +79,7 @@ class Evaluation:
         rigid_residue: R_0 (r, r);  residues: R_i (m, r, r), summed over the cluster where frequencies repeat.
         gradient: exact derivatives of w.
         clusters: groups of modes with equal frequencies, for which w is that of the cluster's sum.
-        condition: cond Jv.
+        condition: cond Jv; of one task row, the end-point's mobility over that along the row, where that is larger.
         static_deflection: passive coordinates minus their rest values, (m,); zero without gravity.
         self_motion_unstabilised: whether the arm has more joints than task rows, so that a motion exists that the
             end-point neither sees nor controls.
@@ -89,7 +89,7 @@ class Evaluation:
         gain: servo gain kr.
         damped: numerators N0, N1 and poles with damping, where asked for.
         damped_difference: largest |w_damped − w_undamped| / (|a||b|), where damping was asked for.
-        skeleton: ground point, joints and end-point, (r, n_bodies + 1), m, inertial frame.
+        skeleton: points to draw, a column each, m, inertial frame, as in `Plant.skeleton`.
         warnings: sentences about repeated frequencies and the like.
     """
 
@@ -97,8 +97,10 @@ class Evaluation:
     control: Control
     base: Vector
     base_coordinates: tuple[str, ...]
+    base_units: tuple[str, ...]
     posture: Vector
     joints: tuple[str, ...]
+    joint_units: tuple[str, ...]
     end_point: Vector
     frequencies_hz: Vector
     damping_ratios: Vector
@@ -136,8 +138,10 @@ class Evaluation:
             "control": self.control,
             "base": self.base,
             "base_coordinates": self.base_coordinates,
+            "base_units": self.base_units,
             "posture": self.posture,
             "joints": self.joints,
+            "joint_units": self.joint_units,
             "end_point": self.end_point,
             "frequencies_hz": self.frequencies_hz,
             "damping_ratios": self.damping_ratios,
@@ -171,11 +175,11 @@ class Evaluation:
         return cast(dict[str, Any], json_ready(document))
 
     def __repr__(self) -> str:
-        angles = ", ".join(f"{j} {a:.4f}" for j, a in zip(self.joints, self.posture, strict=True))
-        placed = ", ".join(f"{c} {b:.4f}" for c, b in zip(self.base_coordinates, self.base, strict=True))
+        angles = _listed(self.joints, self.posture, self.joint_units)
+        placed = _listed(self.base_coordinates, self.base, self.base_units) or "fixed"
         point = ", ".join(f"{x:.4f}" for x in self.end_point)
         lines = [
-            f"{self.machine}, Jacobian {self.control} control: base {placed} m; {angles} rad; end-point ({point}) m",
+            f"{self.machine}, Jacobian {self.control} control: base {placed}; {angles}; end-point ({point}) m",
             "  mode   frequency    damping             w      w/|a||b|   in phase",
         ]
         for i, w in enumerate(self.w):
@@ -195,11 +199,20 @@ class Evaluation:
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
+def _listed(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> str:
+    """Names and values, each unit after the last of those that share it."""
+    parts: list[str] = []
+    for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True)):
+        shared = k + 1 < len(units) and units[k + 1] == unit
+        parts.append(f"{name} {value:.4f}" + ("" if shared else f" {unit}"))
+    return ", ".join(parts)
+
+
 def evaluate(
-    machine: Machine,
+    machine: AnyMachine,
     posture: Any,
     *,
-    base: Any = 0.0,
+    base: Any = None,
     control: Control = "inverse",
     gain: float = 5e5,
     damped: bool = False,
@@ -211,8 +224,8 @@ def evaluate(
 
     Args:
         machine: from `flexopt.load`.
-        posture: actuated joints (n,), rad.
-        base: placement x, m.
+        posture: actuated joints (n,), rad or m.
+        base: placement (n_b,), m or rad: of a planar machine x alone; the origin by default.
         control: Jacobian `"inverse"` (the Moore–Penrose inverse for a redundant arm) or `"transpose"`.
         gain: servo gain kr of the margin ε_max.
         damped: measures from the numerators N0 of the damped plant instead of R_i.
@@ -229,7 +242,8 @@ def evaluate(
     """
     arguments = Arguments("evaluate")
     machine = arguments.machine(machine)
-    angles, placement = arguments.posture(machine, posture), arguments.base(base)
+    angles = arguments.posture(machine, posture)
+    placement = np.zeros(len(machine.base_coordinates)) if base is None else arguments.base(machine, base)
     control = arguments.control(control)
     kr = arguments.checked("gain", gain, check_gain, 1.0)
     arguments.flag("damped", damped)
@@ -239,7 +253,7 @@ def evaluate(
 
 
 def evaluate_checked(
-    machine: Machine, posture: Vector, base: Vector, *, control: Control, gain: float, damped: bool, gravity: bool
+    machine: AnyMachine, posture: Vector, base: Vector, *, control: Control, gain: float, damped: bool, gravity: bool
 ) -> Evaluation:
     """`evaluate` for arguments that are known to be good."""
     measures = build_measures(machine, control, gravity)
@@ -281,8 +295,10 @@ def evaluate_checked(
         control=control,
         base=base,
         base_coordinates=machine.base_coordinates,
+        base_units=machine.base_units,
         posture=posture,
         joints=machine.joints,
+        joint_units=machine.joint_units,
         end_point=v["end_point"].ravel(),
         frequencies_hz=frequencies,
         damping_ratios=ratios,

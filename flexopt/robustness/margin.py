@@ -24,7 +24,7 @@ from flexopt.algebra.riccati import DOUBLINGS, lyapunov, riccati_pair, top_eigen
 from flexopt.compiled import Batch, batch
 from flexopt.coprime import robust_margin
 from flexopt.errors import FlexoptError, FlexoptWarning, NotStabilizable
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.plant.plant import OperatingPoint, Plant, build_plant
@@ -264,7 +264,7 @@ class Margin:
 
 @lru_cache(maxsize=64)
 def build_margin(
-    machine: Machine,
+    machine: AnyMachine,
     control: Control = "inverse",
     gravity: bool = False,
     doublings: int = DOUBLINGS,
@@ -273,8 +273,7 @@ def build_margin(
     """The margin of a machine (built once for each machine and set of options, and kept)."""
     plant = build_plant(machine)
     redundant = plant.n_actuated > plant.n_task
-    damped = any(link.joint_damping > 0 for link in machine.links if not link.passive)
-    return Margin(plant, control, gravity, redundant and damped, doublings, compact)
+    return Margin(plant, control, gravity, redundant and machine.damped_joints, doublings, compact)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import casadi as ca
 
 from flexopt.algebra import turned_vectors
 from flexopt.compiled import Batch, batch
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
 from flexopt.robustness.modes import continue_modes, reduced_pencil, solve_modes, solve_modes_quickly
@@ -231,6 +231,6 @@ class Measures:
 
 
 @lru_cache(maxsize=64)
-def build_measures(machine: Machine, control: Control = "inverse", gravity: bool = False) -> Measures:
+def build_measures(machine: AnyMachine, control: Control = "inverse", gravity: bool = False) -> Measures:
     """The measures of a machine (built once for each machine, controller and gravity option, and kept)."""
     return Measures(build_plant(machine), control, gravity)

@@ -14,7 +14,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from flexopt.errors import Fault, NoSolutionFound
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector, shown
 from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_gain, check_margin_deg
@@ -36,7 +36,7 @@ ROUNDING = 1e-12
 
 
 def nullspace_trajectory(
-    machine: Machine,
+    machine: AnyMachine,
     posture: Any,
     *,
     base: Any = 0.0,
@@ -95,8 +95,8 @@ def nullspace_trajectory(
     Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, section 4.
     """
     arguments = Arguments("nullspace_trajectory")
-    machine = arguments.machine(machine)
-    angles, placement = arguments.posture(machine, posture), arguments.base(base)
+    machine = arguments.planar(machine)
+    angles, placement = arguments.posture(machine, posture), arguments.base(machine, base)
     control = arguments.control(control)
     arguments.flag("gravity", gravity)
     kr = arguments.checked("gain", gain, check_gain, 1.0)

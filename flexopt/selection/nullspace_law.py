@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.compiled import accelerate
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.plant.inverse_kinematics import inside_limits
@@ -79,7 +79,7 @@ class NullspaceLaw:
         return self.functions.measures.plant
 
     @property
-    def _key(self) -> tuple[Machine, Control, bool]:
+    def _key(self) -> tuple[AnyMachine, Control, bool]:
         measures = self.functions.measures
         return measures.plant.machine, measures.control, measures.gravity
 
@@ -210,7 +210,7 @@ def _shortest(matrix: Vector, right: Vector) -> Vector:
 
 
 @lru_cache(maxsize=32)
-def _functions(machine: Machine, control: Control, gravity: bool) -> tuple[ca.Function, ca.Function]:
+def _functions(machine: AnyMachine, control: Control, gravity: bool) -> tuple[ca.Function, ca.Function]:
     """(base, posture, p) -> w, ∂w/∂z, r, ∂r/∂z, sine_squared in one Function; and r, ∂r/∂z in another."""
     measures = build_measures(machine, control, gravity)
     plant = measures.plant
@@ -227,7 +227,7 @@ def _functions(machine: Machine, control: Control, gravity: bool) -> tuple[ca.Fu
 
 
 @lru_cache(maxsize=32)
-def _margin_gradients(machine: Machine, control: Control, gravity: bool) -> ca.Function:
+def _margin_gradients(machine: AnyMachine, control: Control, gravity: bool) -> ca.Function:
     """(base, posture, p, kr) -> epsilon, ∂epsilon/∂z, compiled where that can be."""
     gradients = build_margin(machine, control, gravity).gradients
     symbols = gradients.mx_in()

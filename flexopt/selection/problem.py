@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import UnreachableTarget
-from flexopt.model import Machine
+from flexopt.model import AnyMachine, Machine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.problem import (
     ELBOWS,
@@ -207,7 +207,7 @@ class SelectionProblem:
 
 
 def build_selection(
-    machine: Machine,
+    machine: AnyMachine,
     target: Any,
     *,
     objective: str = "w1",
@@ -246,13 +246,13 @@ def build_selection(
         UnreachableTarget: no placement in the range reaches the target inside limits and margin.
     """
     arguments = Arguments("select")
-    machine = arguments.machine(machine)
+    machine = arguments.planar(machine)
     point = arguments.point(target, "target")
     control = arguments.control(control)
     arguments.choice("elbow", elbow, ELBOWS)
     arguments.flag("gravity", gravity)
     kr = arguments.checked("gain", gain, check_gain, 1.0)
-    present = None if base is None else arguments.base(base)
+    present = None if base is None else arguments.base(machine, base)
     if base_range is not None:
         base_range = arguments.checked(
             "base_range",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.errors import FlexoptError, NoSolutionFound
-from flexopt.model import Machine, Problem
+from flexopt.model import AnyMachine, Problem
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, Elbow
@@ -37,7 +37,7 @@ Found = tuple[Vector, Proof, int]
 
 
 def select(
-    machine: Machine,
+    machine: AnyMachine,
     target: Any,
     *,
     objective: str = "w1",

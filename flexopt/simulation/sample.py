@@ -12,7 +12,7 @@ import casadi as ca
 from flexopt.algebra import apply_pseudo_inverse
 from flexopt.plant.motion import Directions, Motion, Pair
 from flexopt.simulation.directions import Frame
-from flexopt.simulation.feedback import FeedbackLaw
+from flexopt.simulation.feedback import FeedbackLaw, joint_torque
 from flexopt.simulation.structure import MODEL, N_TASK, Layout, LoopStructure
 
 
@@ -69,17 +69,7 @@ class Part:
         """Joint torques of a force at the end-point, with what gravity compensation and nullspace damper add."""
         jacobian = self.model.rigid_jacobian(known)
         n = jacobian.shape[1]
-        if self.s.law == "none":
-            torque = ca.SX.zeros(n, 1)
-        elif self.s.control == "transpose":
-            torque = jacobian.T @ force
-        elif n == N_TASK:
-            a, b, c, d = jacobian[0, 0], jacobian[0, 1], jacobian[1, 0], jacobian[1, 1]
-            twice = 2 / (a * d - b * c)  # CasADi would turn a product with 1/det back into two divisions
-            half = 0.5 * force
-            torque = twice * ca.vertcat(d * half[0] - b * half[1], a * half[1] - c * half[0])
-        else:
-            torque = apply_pseudo_inverse(jacobian, force)
+        torque = ca.SX.zeros(n, 1) if self.s.law == "none" else joint_torque(jacobian, force, self.s.control)
         if self.s.compensated:
             torque += self.model.holding_torque(known)
         if self.s.nullspace_damped and n > N_TASK:

@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.errors import InputError, NoSolutionFound, raise_if_any
 from flexopt.model import Machine
-from flexopt.model.arguments import Vector
+from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.faults import validated
 from flexopt.model.simulation import Path, SimulationOptions
 from flexopt.plant import Plant, build_plant, inverse_kinematics
@@ -131,8 +131,7 @@ def _place(base: Vector) -> Vector:
 def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
     """Options of a call, or one error with every fault."""
     plain = {name: _plain(value) for name, value in given.items() if value is not None}
-    if not isinstance(machine, Machine):
-        raise InputError(f'{call}: machine must be a Machine, from flexopt.load("excavator") for example')
+    machine = Arguments(call).planar(machine)
     options = validated(SimulationOptions, plain, call, (), InputError)
     raise_if_any(InputError, call, options.faults(machine))
     return options

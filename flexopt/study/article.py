@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.model import Machine, load
-from flexopt.model.arguments import Vector
+from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.documents import json_ready, provenance
 from flexopt.model.problem import Elbow
 from flexopt.plant import inverse_kinematics
@@ -113,7 +113,7 @@ class ArticleTable:
                 "rows": rows,
                 "inferred_gain": vars(self.inferred),
                 "note": self.note,
-                "provenance": provenance(load("excavator")),
+                "provenance": provenance(article_machine()),
             }
         )
 
@@ -138,6 +138,11 @@ class ArticleTable:
             off = row.epsilon_inferred - row.printed_epsilon
             lines.append(f"  ε_max {row.epsilon_inferred:11.6f} {row.printed_epsilon:13.4f} {off:+11.2e}")
         return "\n".join([*lines, "", self.note])
+
+
+def article_machine() -> Machine:
+    """The article's excavator."""
+    return Arguments("reproduce").planar(load("excavator"))
 
 
 def workspace_origin(machine: Machine) -> Vector:
@@ -181,7 +186,7 @@ def epsilon_at(machine: Machine, posture: Vector, kr: float) -> float:
 
 def reproduce_table2() -> ArticleTable:
     """Postures A and B of Table 2 from each input: inertial end-point, printed workspace point, rounded angles."""
-    machine = load("excavator")
+    machine = article_machine()
     at_a, at_b = (inverse_kinematics(machine, TARGET, base=base, elbow="up")[0] for base in X_MOBILE.values())
     printed_a = "printed workspace point (-0.1733, 1.0870) m"
     readings: list[tuple[str, str, Vector, float]] = [

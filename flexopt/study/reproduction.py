@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flexopt.model import Machine, load
+from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready, provenance
 from flexopt.model.problem import CONTROLS, ELBOWS, Control
@@ -24,6 +24,7 @@ from flexopt.study.article import (
     TARGET,
     WORKSPACE_B_OF_MEASURES,
     ArticleTable,
+    article_machine,
     reproduce_table2,
     workspace_posture,
 )
@@ -183,7 +184,7 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
         if progress is not None:
             progress(done, STAGES)
 
-    machine = load("excavator")
+    machine = article_machine()
     table = reproduce_table2()
     gain = table.inferred.kr
     stage()

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import Fault
-from flexopt.model import Machine
+from flexopt.model import AnyMachine, Machine
 from flexopt.model.arguments import Arguments, Vector, shown
 from flexopt.model.documents import provenance
 from flexopt.model.problem import ELBOWS, Control, Elbow, check_gain
@@ -26,7 +26,7 @@ THREADS_MAX = 1024
 
 
 def map_workspace(
-    machine: Machine,
+    machine: AnyMachine,
     *,
     control: Control = "inverse",
     gain: float = 5e5,
@@ -68,7 +68,7 @@ def map_workspace(
         InputError: every unusable argument, in one message.
     """
     arguments = Arguments("map_workspace")
-    machine = arguments.machine(machine)
+    machine = arguments.planar(machine)
     control = arguments.control(control)
     kr = arguments.checked("gain", gain, check_gain, 1.0)
     for name, flag in (("gravity", gravity), ("measures", measures), ("epsilon_max", epsilon_max)):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +111,48 @@ def test_a_file_in_the_way_is_named(machine: flexopt.Machine, tmp_path: Path) ->
     with pytest.raises(InputError, match="is a file"):
         export_c(machine, tmp_path / "b", parts=SMALL)
     assert (tmp_path / "b").read_text() == "mine"
+
+
+def test_the_optimiser_is_a_part_with_a_header_of_its_own(machine: flexopt.Machine, tmp_path: Path) -> None:
+    report = export_c(machine, tmp_path / "b", parts=["optimiser"], baked=True)
+    assert list(report.parts) == ["kinematics", "optimiser"]
+    header = (report.folder / "include" / "excavator_optimiser.h").read_text()
+    assert '#include "excavator_control.h"' in header
+    assert "excavator_real target" in header
+    assert all(re.search(rf"\b{name}\(", header) for name in report.parts["optimiser"])
+    entry = report.manifest["parts"]["optimiser"]
+    assert {field["name"] for field in entry["inputs"]} >= {"target", "lower", "upper", "weights", "start"}
+    for name, value in entry["statuses"].items():
+        assert re.search(rf"EXCAVATOR_OPTIMISER_{name} = {value}\b", header)
+        assert f"`EXCAVATOR_OPTIMISER_{name}`" in (report.folder / "README.md").read_text()
+
+
+@pytest.mark.usefixtures("tools")
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_example_closes_the_loop_around_the_machine(machine: flexopt.Machine, tmp_path: Path, real: str) -> None:
+    parts = ["kinematics", "controller", "simulator"]
+    folder = export_c(machine, tmp_path / "b", real=real, parts=parts).folder
+    said = subprocess.run(["make", "-s", "-C", str(folder), "test"], capture_output=True, text=True, check=True).stdout
+    errors = [float(error) for error in re.findall(r"end-point ([\d.]+) m from its target", said)]
+    assert errors[0] > 0.05
+    assert max(errors[-4:]) < 1e-3
+    assert "on target" in said
+    assert "NOT" not in said
+
+
+def test_what_a_machine_does_not_allow_is_left_out(
+    machine: flexopt.Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for part in set(PARTS) - {"kinematics"}:
+        monkeypatch.setitem(PARTS, part, replace(PARTS[part], refusal=lambda machine: f"{machine.name} is too small"))
+    with pytest.raises(InputError, match="excavator is too small") as caught:
+        export_c(machine, tmp_path / "b", parts=["kinematics", "optimiser"])
+    assert [fault.value for fault in caught.value.faults] == ["'optimiser'"]
+    assert not (tmp_path / "b").exists()
+    report = export_c(machine, tmp_path / "b")
+    assert list(report.parts) == ["kinematics"]
+    assert report.left_out == report.to_dict()["left_out"]
+    assert report.left_out["optimiser"] in repr(report)
 
 
 def test_a_part_that_would_refuse_everything_is_not_written(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import click
 import fmpy
 import numpy as np
 import pytest
@@ -39,8 +38,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import flexopt
-from flexopt.cli.common import CONTROL, GAIN
-from flexopt.cli.fmu import fmu_options, write_fmu
+from flexopt.cli.bundles import export_command
 from flexopt.compiled import compilers
 from flexopt.errors import CompilerNotFound, InputError, NoSolutionFound, SingularPosture
 from flexopt.export.fmu import FmuReport
@@ -802,15 +800,6 @@ def test_any_name_of_a_link_will_do(tmp_path: Path) -> None:
         assert worst(run(made, stop_time=0.1), reference(made), ["energy", "q.Löffel 2"]) < TOLERANCE
 
 
-@click.command()
-@click.argument("machine")
-@CONTROL
-@GAIN
-@fmu_options
-def export_command(machine: str, **options: Any) -> None:
-    write_fmu(machine, options, as_json=True)
-
-
 def test_the_command_line(tmp_path: Path) -> None:
     path = str(tmp_path / "model.fmu")
     arguments = [
@@ -825,6 +814,7 @@ def test_the_command_line(tmp_path: Path) -> None:
         "9e4",
         "--duration",
         "1",
+        "--json",
     ]
     done = CliRunner().invoke(export_command, arguments)
     assert done.exit_code == 0, done.output
@@ -838,3 +828,8 @@ def test_the_command_line(tmp_path: Path) -> None:
         assert words in str(refused.exception)
     refused = CliRunner().invoke(export_command, ["excavator", "--fmu", path])
     assert "needs --posture" in str(refused.exception)
+    for mixed in (["--fmu", path, "--out", "b", "--baked"], ["--out", "b", "--kp", "3"]):
+        refused = CliRunner().invoke(export_command, ["excavator", *mixed])
+        assert isinstance(refused.exception, InputError)
+        assert all(name in str(refused.exception) for name in mixed[2::2])
+        assert not Path("b").exists()

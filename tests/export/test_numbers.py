@@ -17,6 +17,7 @@ from tests.oracles.machines import Structure, arm_at_rest, random_machine
 
 pytestmark = pytest.mark.usefixtures("tools")
 
+PARTS_TESTED = ["kinematics", "controller", "measures", "nullspace", "margin"]
 REDUNDANT = Structure(4, ("x", "rotation"), (1,))
 
 
@@ -40,7 +41,9 @@ def rigid_jacobian(machine: flexopt.Machine, posture: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 def test_c_agrees_with_formulas_and_with_evaluate(make, control: str, tmp_path: Path) -> None:
     machine = make()
-    library = BundleLibrary(export_c(machine, tmp_path / "b", control=control, prefix="m"), tmp_path)
+    library = BundleLibrary(
+        export_c(machine, tmp_path / "b", control=control, prefix="m", parts=PARTS_TESTED), tmp_path
+    )
     rng = np.random.default_rng(3)
     plant = flexopt.build_plant(machine)
     n, m, tested = plant.n_actuated, plant.n_passive, 0
@@ -149,3 +152,20 @@ def test_baked_equals_run_time_parameters(tmp_path: Path) -> None:
         (one, a), (other, b) = (library("torque_transpose", **inputs) for library in pair)
         assert one == other == "OK"
         np.testing.assert_allclose(a["torque"], b["torque"], rtol=1e-12, atol=1e-9)
+
+
+def test_the_machines_step_is_the_simulation(tmp_path: Path) -> None:
+    machine, posture = excavator(), [0.0448, -2.0499]
+    library = BundleLibrary(export_c(machine, tmp_path / "b", parts=["simulator"]), tmp_path)
+    run = flexopt.simulate(machine, posture, base=2.5, duration=1.0)
+    q, v = run.q[0], run.v[0]
+    for torque in run.torque[:-1]:
+        inputs = {"coordinates": q, "rates": v, "torque": torque, "placement": [2.5], "step": 0.005}
+        status, out = library("machine_step", **inputs)
+        assert status == "OK"
+        q, v = out["next_coordinates"], out["next_rates"]
+    np.testing.assert_allclose(q, run.q[-1], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(v, run.v[-1], rtol=0, atol=1e-10)
+    assert library("machine_step", **(inputs | {"step": 0.2}))[0] == "OUT_OF_RANGE"
+    assert library("machine_step", **(inputs | {"step": 0.0}))[0] == "OUT_OF_RANGE"
+    assert library("machine_step", **(inputs | {"rates": v * np.nan}))[0] == "NOT_FINITE"

@@ -11,7 +11,9 @@ import flexopt
 from flexopt.cli import main
 from flexopt.errors import InputError
 from flexopt.export import PARTS, export_c, verify_bundle
-from flexopt.export.verify import objects, tools
+from flexopt.export.bundle import library_of, read_manifest
+from flexopt.export.verify import objects, optimiser, tools
+from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Check
 from flexopt.export.verify.misra import in_pieces
 
@@ -32,7 +34,7 @@ def rows(check: Check, title: str) -> list[dict]:
 
 @pytest.mark.parametrize(
     ("real", "parts", "functions", "outputs"),
-    [("double", list(PARTS), 6, 12), ("float", ["kinematics", "controller"], 3, 5)],
+    [("double", list(PARTS), 7, 14), ("float", ["kinematics", "controller"], 3, 5)],
 )
 def test_everything_holds_on_the_host(real: str, parts, functions: int, outputs: int, tmp_path: Path) -> None:
     folder = exported(tmp_path / "b", real=real, parts=parts)
@@ -50,6 +52,10 @@ def test_everything_holds_on_the_host(real: str, parts, functions: int, outputs:
         assert 500 < row["succeeded"] < 9_000
         for status in ("NULL_POINTER", "BAD_WORKSPACE", "NOT_FINITE", "OUT_OF_RANGE"):
             assert row[status] > 100
+    if "optimiser" in parts:
+        statuses = rows(named(result.checks, "optimiser's faulty"), "Faulty calls")
+        assert sum(row["calls"] for row in statuses) == 1_000
+        assert {row["status"] for row in statuses if row["calls"] == 0} <= {"STALLED"}
     written = json.loads((folder / "verification" / "report.json").read_text())
     assert [c["name"] for c in written["checks"]] == [c.name for c in result.checks]
     page = (folder / "verification" / "report.html").read_text()
@@ -66,6 +72,10 @@ def test_everything_holds_on_emulated_processors(real: str, target, tmp_path: Pa
     assert 100 < counted["torque_inverse"]["instructions, most"] < 1_500
     assert counted["robust_margin"]["instructions, most"] < 2_000_000
     assert all(0 < row["stack of a call, bytes (painted)"] < 8_192 for row in counted.values())
+    solved = {row["what"]: row["number"] for row in rows(named(result.checks, "optimiser"), "Posture optimiser")}
+    assert solved["the same V as IPOPT's best, or a better one"] == solved["problems"] == 24
+    assert 100_000 < solved["instructions, most"] <= 5_000_000
+    assert 0 < solved["stack of a call, bytes (painted)"] < 32_768
     memory = rows(named(result.checks, "flash and RAM"), "Memory")
     assert all(row["static RAM, bytes"] == 0 < row["flash, bytes"] for row in memory)
     if real == "float":
@@ -94,6 +104,32 @@ def test_a_wrong_constant_is_found(tmp_path: Path, capsys: pytest.CaptureFixture
     assert states["equal to Python, gcc"] == "failed"
     assert states["README followed, gcc"] == "failed"
     assert not document["passed"]
+
+
+def examined(folder: Path, scratch: Path, inputs: int = 10, fuzz_calls: int = 10) -> Bench:
+    manifest = read_manifest(folder)
+    scratch.mkdir()
+    return Bench(folder, scratch, manifest, library_of(manifest), inputs, fuzz_calls)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "sentence"),
+    [
+        ("(step < CLIMB_STEPS)", "(step < 1)", "answers are worse than IPOPT's"),
+        ("if (inputs_finite(problem, start, options) == 0) {", "if (options->budget == 0) {", "NaN"),
+    ],
+)
+def test_a_worse_optimiser_is_found(tmp_path: Path, right: str, wrong: str, sentence: str) -> None:
+    folder = exported(tmp_path / "b", parts=["optimiser"])
+    source = folder / "src" / "excavator_optimiser.c"
+    text = source.read_text()
+    assert text.count(right) == 1
+    source.write_text(text.replace(right, wrong))
+    bench = examined(folder, tmp_path / "scratch", 24, 10_000)
+    objects_of = bench.objects("plain", "gcc", ["-std=c99", "-O1"])
+    runner = optimiser.host_runner(bench, "gcc", list(objects_of.values()))
+    found = optimiser.agreement(bench, runner) if "IPOPT" in sentence else optimiser.faulty_calls(bench, runner)
+    assert any(sentence in fault for fault in found.faults)
 
 
 def test_missing_tools_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,10 +162,25 @@ def test_a_folder_that_is_no_bundle_is_refused(tmp_path: Path) -> None:
         "for (;;) { break; }",
         "for (i = 0; x > eps; ++i) { x = x / 2; }",
         "again: goto again;",
+        "for (int i = 0; x[i] > 0; i++) { x[i] = 1; }",
+        "for (int i = 0; i < n || x > 0; i++) { x = 1; }",
+        "for (int i = n; i < n; i--) { x = 1; }",
+        "for (int i = 0; i < s->n; i++) { s->n++; }",
     ],
 )
 def test_unbounded_loops_are_noticed(loop: str) -> None:
     assert objects.unbounded_loops(f"int f(int n) {{\n  {loop}\n}}")[1]
+
+
+def test_loops_of_the_optimiser_are_counted() -> None:
+    text = """for (int k = NT - 1; k >= 0; k--) { y[k] = 2; }
+    for (int turn = 0; (turn < (4 * ROWS)) && (done == 0); turn++) {
+      for (int j = 0;
+           (j < s->n) && (f(j) != 0);
+           j += 2) { g(s); }
+    }"""
+    assert objects.unbounded_loops(text) == (3, [])
+    assert objects.bounds_in_memory(text) == 1
 
 
 def test_bounded_loops_are_counted() -> None:
@@ -159,15 +210,10 @@ def test_recursion_and_stack_are_read_from_the_call_graph() -> None:
 )
 @pytest.mark.parametrize("target", ["host", "cortex-m4f"])
 def test_objects_show_what_may_not_be(addition: str, sentence: str, target, tmp_path: Path) -> None:
-    from flexopt.export.bundle import library_of, read_manifest  # noqa: PLC0415
-    from flexopt.export.verify.bench import Bench  # noqa: PLC0415
-
     folder = exported(tmp_path / "b", parts=["kinematics"], real="float")
     with (folder / "src" / "excavator_kinematics.c").open("a") as file:
         file.write(f"\n{addition}\n")
-    manifest = read_manifest(folder)
-    (tmp_path / "scratch").mkdir()
-    bench = Bench(folder, tmp_path / "scratch", manifest, library_of(manifest), 10, 10)
+    bench = examined(folder, tmp_path / "scratch")
     compiler, flags = ("gcc", ["-fno-pic"]) if target == "host" else ("arm-none-eabi-gcc", ["-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"])  # fmt: skip
     check = objects.check_objects(bench, target, compiler, ["-O1", *flags])
     assert check.state == "failed"

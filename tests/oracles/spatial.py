@@ -43,12 +43,14 @@ def matrix_of(entries: list[float]) -> np.ndarray:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def random_tree(seed: int, *, rows: tuple[str, ...] = ("x", "y", "z")) -> Data:
-    """2 to 10 joints, hinges and slides, branched or not, axes aligned or not, some bodies without mass."""
+def random_tree(seed: int, *, rows: tuple[str, ...] = ("x", "y", "z"), counts: tuple[int, int] | None = None) -> Data:
+    """2 to 10 joints (or `counts`, passive and actuated ones), hinges and slides, branched or not, axes aligned or not."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 11))
     aligned, branched = rng.random() < 0.5, rng.random() < 0.5
     n_passive = int(rng.integers(1, n))
+    if counts is not None:
+        n_passive, n = counts[0], sum(counts)
     passive = rng.permutation([True] * n_passive + [False] * (n - n_passive))
     bodies = []
     for i in range(n):

@@ -120,7 +120,7 @@ def export_fmu(
         CompilerNotFound: there is no C compiler, so the FMU holds sources alone.
     """
     arguments = Arguments("export_fmu")
-    machine = arguments.machine(machine)
+    machine = arguments.planar(machine)
     version = arguments.choice("version", version, VERSIONS)
     kind = arguments.choice("kind", kind, KINDS)
     target = _checked_path(arguments, path)

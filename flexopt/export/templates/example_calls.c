@@ -3,7 +3,7 @@
 #include <stdlib.h>
 
 #include "${prefix}_control.h"
-
+$foreign_includes
 static ${prefix}_real workspace[${PREFIX}_WORKSPACE];
 
 int main(void)

@@ -59,7 +59,7 @@ $parameters
 #define ${PREFIX}_WORKSPACE ${workspace}U
 
 $operations
-#ifdef __cplusplus
+$others#ifdef __cplusplus
 }
 #endif
 

@@ -39,14 +39,14 @@ static int all_finite(int n, const @real@ *x)
   return ok;
 }
 
-static @real@ clamped(@real@ x, @real@ low, @real@ high) { return x < low ? low : (x > high ? high : x); }
+static @real@ clamped(@real@ x, @real@ low, @real@ high) { return (x < low) ? low : ((x > high) ? high : x); }
 
 static int may_spend(const @p@_options *options, workspace_t *s, int cost)
 {
   if (s->stop != 0) {
     return 0;
   }
-  if (s->cost + cost > options->budget) {
+  if ((s->cost + cost) > options->budget) {
     s->stop = (int)@P@_BUDGET_SPENT;
     return 0;
   }
@@ -808,9 +808,9 @@ static void keep(workspace_t *s, int most, const point *x, int grid)
     }
     s->n_starts--;
   }
-  at = s->n_starts;
-  while ((at > 0) && (x->value > s->starts[at - 1].value)) {
-    at--;
+  at = 0;
+  for (int k = 0; k < s->n_starts; k++) {
+    at += (x->value > s->starts[k].value) ? 0 : 1;
   }
   if (at < most) {
     s->n_starts += (s->n_starts < most) ? 1 : 0;

@@ -26,7 +26,7 @@ typedef enum {
   @P@_DEADLINE = 2,     /* the same, ended by expired() */
   @P@_STALLED = 3,      /* feasible, not stationary, and no step raises V in this precision */
   /* From here on: no answer; result is as it was. */
-  @P@_NULL_POINTER = 16,
+  @P@_NULL_POINTER = 16,  /* a pointer is NULL; start alone may be */
   @P@_BAD_WORKSPACE = 17, /* the workspace is not aligned as its type asks */
   @P@_NOT_FINITE = 18,    /* an input is NaN or infinite */
   @P@_OUT_OF_RANGE = 19,  /* bounds reversed, margin or tolerance outside (0, 1), weights negative or all 0, budget,

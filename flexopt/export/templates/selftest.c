@@ -7,7 +7,7 @@
 
 #include "${prefix}_table.h"
 #include "${prefix}_vectors.h"
-
+$foreign_includes
 static ${prefix}_real in[LARGEST_IN], parameters[N_PARAMETERS + 1], out[LARGEST_OUT], before[LARGEST_OUT];
 static ${prefix}_real workspace[${PREFIX}_WORKSPACE + 1U];
 
@@ -79,6 +79,6 @@ int main(void)
            failed ? "FAILED" : "passed", f->name, VECTOR_COUNT, refused, worst);
     failures += failed;
   }
-  printf(failures ? "%d FAILED\n" : "all passed\n", failures);
+$foreign_calls  printf(failures ? "%d FAILED\n" : "all passed\n", failures);
   return failures ? EXIT_FAILURE : EXIT_SUCCESS;
 }

@@ -54,7 +54,7 @@ class Bench:
     def sources(self) -> list[Path]:
         """The library's C files."""
         names = [f"{self.library.prefix}_common.c"]
-        names += [f"{self.library.prefix}_{part}.c" for part in self.library.operations]
+        names += [f"{self.library.prefix}_{part}.c" for part in self.library.parts]
         return [self.folder / "src" / name for name in names]
 
     @cached_property

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.export.operations import Array, Operation
-from flexopt.export.verify import replay
+from flexopt.export.verify import optimiser, replay
 from flexopt.export.verify.bench import STRICT, Bench, warnings_in
 from flexopt.export.verify.checks import Check, Finding, Table, attempt
 from flexopt.export.verify.tools import StepFailed, need, run
@@ -31,7 +31,19 @@ def check_host(bench: Bench) -> list[Check]:
     checks = [attempt(f"README followed, {c}", "host", lambda c=c: _readme(bench, c)) for c, _ in COMPILERS]
     checks += [attempt(f"no warning, {c}", "host", lambda c=c, p=p: _warnings(bench, c, p)) for c, p in COMPILERS]
     checks += [attempt(f"equal to Python, {c}", "host", lambda c=c: _agreement(bench, c)) for c, _ in COMPILERS]
-    return [*checks, attempt("faulty calls under ASan and UBSan", "host", lambda: _fuzz(bench))]
+    checks.append(attempt("faulty calls under ASan and UBSan", "host", lambda: _fuzz(bench)))
+    if optimiser.PART in bench.library.foreign:
+        checks += [
+            attempt(f"optimiser beside IPOPT, {c}", "host", lambda c=c: _optimiser(bench, c)) for c, _ in COMPILERS
+        ]
+        name = "optimiser's faulty calls and the self-test under ASan and UBSan"
+        checks.append(attempt(name, "host", lambda: optimiser.sanitized(bench, SANITIZERS)))
+    return checks
+
+
+def _optimiser(bench: Bench, compiler: str) -> Finding:
+    objects = _strict_objects(bench, compiler, STANDARDS[0])
+    return optimiser.agreement(bench, optimiser.host_runner(bench, compiler, objects))
 
 
 def _readme(bench: Bench, compiler: str) -> Finding:

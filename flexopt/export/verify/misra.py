@@ -55,8 +55,8 @@ def _examined(bench: Bench) -> Finding:
 def in_pieces(text: str) -> str:
     """The source with every straight kernel of more than `PIECE` statements cut into several functions.
 
-    The pieces declare the kernel's variables again. What runs through a whole kernel, such as variables that are read
-    before they are set, is left to the compilers' warnings.
+    The pieces declare those of the kernel's variables again that they use. What runs through a whole kernel, such as
+    variables that are read before they are set, is left to the compilers' warnings.
     """
 
     def cut(match: re.Match[str]) -> str:
@@ -68,10 +68,22 @@ def in_pieces(text: str) -> str:
             return match[0]
         parts: list[str] = []
         for start in range(0, len(statements), PIECE):
-            inside = [*declarations, *statements[start : start + PIECE], "  return 0;"]
+            piece = statements[start : start + PIECE]
+            inside = [*_needed(declarations, piece), *piece, "  return 0;"]
             # The last piece has the kernel's own name.
             label = name if start + PIECE >= len(statements) else f"{name}_{start}"
             parts.append("\n".join([f"{head}{label}{rest}", *inside, "}"]))
         return "\n\n".join(parts) + "\n"
 
     return re.sub(r"(?ms)^(static int )(kernel_\w+)(\([^)]*\) \{)\n(.*?)^\}\n", cut, text)
+
+
+def _needed(declarations: list[str], piece: list[str]) -> list[str]:
+    """Declarations of the variables that a piece uses."""
+    used = set(re.findall(r"\b[a-z]\w*", "\n".join(piece)))
+    lines: list[str] = []
+    for line in declarations:
+        kind, _, names = line.strip().removesuffix(";").partition(" ")
+        kept = [name for name in names.split(", ") if name.partition("=")[0].strip() in used]
+        lines += [f"  {kind} {', '.join(kept)};"] if kept else []
+    return lines

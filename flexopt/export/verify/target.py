@@ -16,7 +16,7 @@ import numpy as np
 
 from flexopt.export.naming import listed, template
 from flexopt.export.operations import Operation
-from flexopt.export.verify import objects, replay
+from flexopt.export.verify import objects, optimiser, replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Check, Finding, Table, Target, attempt
 from flexopt.export.verify.host import agreement
@@ -55,6 +55,9 @@ def check_target(bench: Bench, target: Target) -> list[Check]:
         attempt("flash and RAM by part", target, lambda: _memory(bench, target, flags)),
         objects.check_objects(bench, target, COMPILER, flags),
     ]
+    if optimiser.PART in bench.library.foreign:
+        name = "optimiser beside IPOPT; instructions, stack"
+        checks.append(attempt(name, target, lambda: _optimiser(bench, board, target, flags)))
     if bench.single and target == "cortex-m4f" and "controller" in bench.library.operations:
         checks.append(attempt("against the plain CasADi export", target, lambda: _against_plain(bench, board)))
     return checks
@@ -86,6 +89,20 @@ def _agreement(bench: Bench, board: Board, target: Target, flags: Sequence[str])
     return Finding(found.sentence, found.faults, [*found.tables, table])
 
 
+def _optimiser(bench: Bench, board: Board, target: Target, flags: Sequence[str]) -> Finding:
+    need(COMPILER, EMULATOR)
+    built = objects.accounted(bench, target, COMPILER, flags)
+    source = bench.folder / "test" / "optimiser_driver.c"
+    program = _program(bench, board, f"optimiser-{target}", [source, *built.values()])
+
+    def launch(_: Path, calls: str, answers: str) -> None:
+        _emulate(bench, board, program, [calls, answers])
+
+    found = optimiser.agreement(bench, launch, counts=True)
+    # Doubles in software cost what they cost; the bar is for processors that have the precision.
+    return optimiser.within_bar(found) if bench.single or target == "cortex-m7" else found
+
+
 def _repeats(operation: Operation) -> int:
     """So many that the clock's tick of some 40 instructions does not show."""
     return max(1, 4000 // max(1, operation.kernel.n_instructions())) if operation.kernel.is_a("SXFunction") else 1
@@ -101,12 +118,26 @@ def _memory(bench: Bench, target: Target, flags: Sequence[str]) -> Finding:
         sizes = objects.section_sizes("arm-none-eabi-objdump", path)
         names = [f"{bench.library.prefix}_{o.name}" for o in bench.library.operations.get(part, ())]
         stack = max((graph.stack_from(name) for name in names), default=0)
-        space = max((bench.library.workspace(o) for o in bench.library.operations.get(part, ())), default=0)
-        rows.append((part, sizes["flash"], sizes["ram"], space * real, stack))
+        space = max((bench.library.workspace(o) for o in bench.library.operations.get(part, ())), default=0) * real
+        if part in bench.library.foreign:
+            names = list(bench.library.foreign[part].functions)
+            stack = max(graph.stack_from(name) for name in names)
+            space = _workspace_bytes(bench, part, flags)
+        rows.append((part, sizes["flash"], sizes["ram"], space, stack))
     header = ("part", "flash, bytes", "static RAM, bytes", "workspace, bytes", "stack of its own functions, bytes")
     total = sum(int(row[1]) for row in rows)  # type: ignore[call-overload]
     table = Table("Memory by part (-O2; the mathematical library not counted)", header, tuple(rows))
     return Finding(f"{total} bytes of flash for all parts, no static RAM", [], [table])
+
+
+def _workspace_bytes(bench: Bench, part: str, flags: Sequence[str]) -> int:
+    """Size of a workspace that is a structure: that of an array as large."""
+    name = f"{bench.library.prefix}_{part}"
+    probe = bench.scratch / f"{name}_workspace.c"
+    probe.write_text(f'#include "{name}.h"\nchar probe[{name.upper()}_WORKSPACE_SIZE];\n', encoding="utf-8")
+    target = probe.with_suffix(".o")
+    run([COMPILER, *flags, *bench.includes(), "-c", probe, "-o", target], folder=bench.scratch)
+    return objects.section_sizes("arm-none-eabi-objdump", target)["ram"]
 
 
 def _against_plain(bench: Bench, board: Board) -> Finding:

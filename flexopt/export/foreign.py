@@ -1,0 +1,303 @@
+"""A part of a bundle whose sources are written elsewhere than `sources.py`: the posture optimiser.
+
+In: a `Context`, the bundle's prefix and precision. Out: a `Foreign`, which brings its own header, source, tests, texts.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from flexopt.errors import ExportError, FlexoptError, FlexoptWarning
+from flexopt.export.context import Context
+from flexopt.export.kernels import Real
+from flexopt.export.naming import listed, number, template
+from flexopt.export.operations import Array
+from flexopt.export.optimiser import BUDGET, BUDGET_MAX, STARTS, OptimiserSources, build_optimiser
+from flexopt.model import Machine
+from flexopt.model.documents import package_version
+from flexopt.model.problem import Control
+from flexopt.model.quantities import COORDINATE_MAX
+from flexopt.plant import build_plant
+from flexopt.plant.reach import reach
+from flexopt.selection import select
+
+# Share of the scale that V may lose against IPOPT's, and what still counts as on the target, m for each m of reach.
+LOSS = {"double": 1e-8, "float": 1e-5}
+ON_TARGET = {"double": 1e-9, "float": 5e-5}
+VECTOR_COUNT, VECTOR_SEED = 4, 2
+# IPOPT's starts for each vector: redundant arms have optima without end.
+SELECT_STARTS = 8
+DRAWS_MAX = 20
+# The next best optimum is so much worse that z must be the best one's; how close, m and rad, as V is flat at its top.
+CLEARLY, Z_TOLERANCE = 1e-3, 1e-3
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A problem, a start, and the best of the local optima that IPOPT found and flexopt verified.
+
+    Attributes:
+        target, weights, start: what is asked.
+        value, scale: V there, and what it is measured against.
+        z: the optimum.
+        unique: whether every other optimum found is clearly worse.
+    """
+
+    target: Array
+    weights: Array
+    start: Array
+    value: float
+    scale: float
+    z: Array
+    unique: bool
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """The posture optimiser as a part.
+
+    Attributes:
+        at: what the bundle is built from.
+        prefix, real: of the bundle.
+        sources: the optimiser's texts.
+    """
+
+    at: Context
+    prefix: str
+    real: Real
+    sources: OptimiserSources
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Public names in C."""
+        return tuple(f"{self.prefix}_optimiser_{name}" for name in ("default_problem", "default_options", "solve"))
+
+    def _template(self, file: str, /, **values: object) -> str:
+        return template(file, prefix=self.prefix, PREFIX=self.prefix.upper(), **values)
+
+    @cached_property
+    def header(self) -> str:
+        """The public header."""
+        return self._template("optimiser_header.h", declarations=self.sources.header.strip())
+
+    @cached_property
+    def library_files(self) -> dict[str, str]:
+        """Path -> text of header and source."""
+        source = self._template("optimiser_part.c", casadi=package_version("casadi"), body=self.sources.source.strip())
+        return {
+            f"include/{self.prefix}_optimiser.h": self.header,
+            f"src/{self.prefix}_optimiser.c": source,
+        }
+
+    @cached_property
+    def test_files(self) -> dict[str, str]:
+        """Path -> text of the self-test and of the driver for `flexopt verify`."""
+        vectors = self.vectors(VECTOR_COUNT, VECTOR_SEED)
+        rows = [
+            np.concatenate([v.target, v.weights, v.start, [v.value, v.scale, float(v.unique)], v.z]) for v in vectors
+        ]
+        selftest = self._template(
+            "optimiser_selftest.h",
+            count=len(vectors),
+            length=len(rows[0]),
+            values=listed(np.concatenate(rows).tolist(), self.real, ""),
+            loss=number(LOSS[self.real], self.real),
+            on_target=number(self.on_target, self.real),
+            z_tolerance=number(Z_TOLERANCE, self.real),
+            compare_z=int(self.real == "double"),
+            n_base=self.at.plant.n_base,
+            nan_target=f"({self.prefix}_real)NAN",
+            far=number(1e5, self.real),
+        )
+        return {"test/optimiser_selftest.h": selftest, "test/optimiser_driver.c": self._template("optimiser_driver.c")}
+
+    @property
+    def on_target(self) -> float:
+        """How far from the target still counts as on it, m."""
+        return ON_TARGET[self.real] * max(1.0, reach(self.at.plant).outer)
+
+    def vectors(self, count: int, seed: int) -> tuple[Vector, ...]:
+        """Random problems and starts with their verified optima."""
+        return _vectors(self.at.machine, self.at.control, self.margin_deg, count, seed)
+
+    @property
+    def margin_deg(self) -> float:
+        """The distance from singular postures that the problems keep, degrees."""
+        return float(f"{math.degrees(math.asin(self.at.singularity_margin)):.12g}")
+
+    @cached_property
+    def statuses(self) -> dict[str, tuple[int, str]]:
+        """Name -> value and meaning, read from the header."""
+        pattern = rf"{self.prefix.upper()}_OPTIMISER_(\w+) = (\d+),?\s*/\*(.*?)\*/"
+        found = re.findall(pattern, self.sources.header, flags=re.DOTALL)
+        texts = {name: (int(value), re.sub(r"[\s*]+", " ", text).strip()) for name, value, text in found}
+        assert {name: value for name, (value, _) in texts.items()} == dict(self.sources.statuses)
+        return texts
+
+    def example(self, workspace: str = "static ") -> list[str]:
+        """C statements that solve one problem and leave `found` (a status) and `answer`."""
+        name, vector = f"{self.prefix}_optimiser", self.vectors(VECTOR_COUNT, VECTOR_SEED)[0]
+        targets = [f"problem.target[{k}] = {number(x, self.real)};" for k, x in enumerate(vector.target)]
+        return [
+            f"{workspace}{name}_workspace memory;",
+            f"{name}_problem problem;",
+            f"{name}_options options;",
+            f"{name}_result answer;",
+            f"{name}_status found;",
+            f"(void){name}_default_problem(&problem);",
+            f"(void){name}_default_options(&options);",
+            *targets,
+            f"found = {name}_solve(&problem, NULL, &options, &memory, &answer);",
+        ]
+
+    def example_call(self) -> str:
+        """The same as a block of an example's main()."""
+        lines = [
+            *self.example(),
+            'printf("optimiser: status %d", (int)found);',
+            f"if (found < {self.prefix.upper()}_OPTIMISER_NULL_POINTER) {{",
+            '  printf("; V %.9g at z[0] %.9g ...", (double)answer.value, (double)answer.z[0]);',
+            "} else {",
+            "  ++failures;",
+            "}",
+            'printf("\\n");',
+        ]
+        return "  {\n" + "\n".join(f"    {line}" for line in lines) + "\n  }"
+
+    def readme(self) -> str:
+        """A section of the README."""
+        rows = [f"| {value} | `{self.prefix.upper()}_OPTIMISER_{name}` | {text} |" for name, (value, text) in
+                self.statuses.items()]  # fmt: skip
+        return self._template(
+            "optimiser_readme.md",
+            budget=BUDGET,
+            model_cost=self.sources.model_cost,
+            control=self.at.control,
+            call="\n".join(self.example()),
+            statuses="\n".join(rows),
+        )
+
+    def manifest(self) -> dict[str, Any]:
+        """What manifest.json says of the part beside title and source."""
+        plant = self.at.plant
+        variables = [*(f"base.{c}" for c in plant.machine.base_coordinates), *plant.machine.joints]
+        n_z = len(variables)
+
+        def field(name: str, shape: Sequence[int], unit: str, text: str) -> dict[str, Any]:
+            return {"name": name, "shape": list(shape), "unit": unit, "text": text}
+
+        inputs = [
+            field("target", [plant.n_task], "m", "end-point, inertial frame"),
+            field("lower", [n_z], "m, rad", "lower bounds of z"),
+            field("upper", [n_z], "m, rad", "upper bounds of z"),
+            field("sine_squared_min", [], "", "squared sine of the margin from singular postures"),
+            field("weights", [plant.n_passive], "", "alpha_i >= 0"),
+            field("start", [n_z], "m, rad", "where the search begins; may be NULL"),
+        ]
+        if not self.at.baked:
+            inputs.insert(5, field("parameters", [len(self.at.parameters.names)], "", "machine parameters"))
+        outputs = [
+            field("z", [n_z], "m, rad", "the configuration"),
+            field("value", [], "", "V(z)"),
+            field("scale", [], "", "what V is measured against"),
+            field("target_error", [], "m", "largest |r - target|"),
+            field("bound_violation", [], "m, rad", "how far outside its bounds a variable is"),
+            field("margin_slack", [], "", "squared sine minus its minimum"),
+            field("stationarity", [], "", "projected gradient of V/scale"),
+            field("cost", [], "", "of the budget"),
+            field("iterations", [], "", "climbing steps"),
+            field("starts", [], "", "starts climbed from"),
+        ]
+        return {
+            "header": f"include/{self.prefix}_optimiser.h",
+            "functions": list(self.functions),
+            "variables": variables,
+            "inputs": inputs,
+            "outputs": outputs,
+            "statuses": dict(self.sources.statuses),
+            "workspace": self.sources.workspace_size,
+            "budget": {"unit": "evaluations of V", "default": BUDGET, "most": BUDGET_MAX,
+                       "derivatives_cost": self.sources.model_cost},
+            "limits": {"starts": STARTS, "unbounded": COORDINATE_MAX, "loss": LOSS[self.real],
+                       "target_error": self.on_target},
+        }  # fmt: skip
+
+
+def optimiser_refusal(machine: Machine) -> str:
+    """Why a machine can have no optimiser; empty where it can."""
+    plant = build_plant(machine)
+    if len(machine.joints) < 2:
+        return "the optimiser needs two actuated joints or more"
+    if (plant.n_base, plant.n_task) != (1, 2):
+        return "the optimiser takes planar machines: its own starts need their inverse kinematics in closed form"
+    return ""
+
+
+def optimiser(at: Context, prefix: str, real: Real) -> Foreign:
+    """The posture optimiser of a bundle."""
+    margin_deg = math.degrees(math.asin(at.singularity_margin))
+    sources = _sources(at.machine, at.control, at.baked, margin_deg, prefix, real)
+    return Foreign(at, prefix, real, sources)
+
+
+@lru_cache(maxsize=8)
+def _sources(
+    machine: Machine, control: Control, baked: bool, margin_deg: float, prefix: str, real: Real
+) -> OptimiserSources:
+    return build_optimiser(
+        machine,
+        control=control,
+        baked=baked,
+        singularity_margin_deg=margin_deg,
+        prefix=prefix,
+        real=real,
+        real_type=f"{prefix}_real",
+    )
+
+
+@lru_cache(maxsize=16)
+def _vectors(machine: Machine, control: Control, margin_deg: float, count: int, seed: int) -> tuple[Vector, ...]:
+    rng = np.random.default_rng(seed)
+    plant = build_plant(machine)
+    annulus, made = reach(plant), list[Vector]()
+
+    def rounded(values: Array) -> Array:
+        # Few digits, the same in both precisions.
+        return (values * 1024).round() / 1024
+
+    for _ in range(DRAWS_MAX * count):
+        if len(made) == count:
+            return tuple(made)
+        height = annulus.center[1] + annulus.outer * rng.uniform(-0.9, 0.9)
+        target = rounded(np.array([rng.uniform(-1, 1), height]))
+        weights = rounded(np.eye(plant.n_passive)[0] if rng.random() < 0.5 else rng.uniform(0.1, 1, plant.n_passive))
+        away = rng.uniform(-0.3, 0.3, plant.n_base + plant.n_actuated)
+        try:
+            with warnings.catch_warnings():
+                # Only V matters here, not what an optimum's other measures are worth.
+                warnings.simplefilter("ignore", FlexoptWarning)
+                found = select(
+                    machine, target.tolist(), objective="V", control=control, weights=weights.tolist(),
+                    singularity_margin_deg=margin_deg, starts=SELECT_STARTS, seed=int(rng.integers(1000)),
+                )  # fmt: skip
+        except FlexoptError:
+            continue
+        best, *others = found.candidates
+        scale = float(f"{found.problem.objective_scale:.6g}")
+        z = np.array([*np.atleast_1d(best.evaluation.base), *best.evaluation.posture])
+        unique = all(best.objective - other.objective > CLEARLY * scale for other in others)
+        # V to nine digits of its scale, so that every computer exports the same.
+        value = round(best.objective / scale, 9) * scale + 0.0
+        made.append(Vector(target, weights, rounded(z + away), value, scale, z.round(6), unique))
+    raise ExportError(
+        f"optimiser: only {len(made)} of {DRAWS_MAX * count} random targets have a verified optimum under a "
+        f"singularity margin of {margin_deg:g} degrees, so it would be of no use; leave the part out"
+    )

@@ -1,0 +1,90 @@
+/* Closes the loop: the exported controller (Jacobian inverse) moves the end-point of the exported model of the machine, which
+ * gives way at its flexible coordinates, to a target. Hardware in the loop looks like this, with the controller on the
+ * other side of a wire: measurements go out, torques come back. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "${prefix}_control.h"
+$foreign_includes
+#define RATE_HZ $rate
+#define DURATION_S $duration
+#define STEPS $substeps /* of the machine in a sample of the controller: RK4 wants angular frequency times step below 2.8 */
+
+static ${prefix}_real workspace[${PREFIX}_WORKSPACE];
+
+static void stop_on(${prefix}_status status)
+{
+  if (status != ${PREFIX}_OK) {
+    printf("refused: %s\n", ${prefix}_status_text(status));
+    exit(EXIT_FAILURE);
+  }
+}
+
+int main(void)
+{
+  static ${prefix}_torque_inverse_in controller;
+  static ${prefix}_kinematics_in configuration;
+  static ${prefix}_machine_step_in machine;
+  static const ${prefix}_real start[${PREFIX}_COORDINATES] = $start;
+$parameters_declaration  ${prefix}_kinematics_out arm;
+  ${prefix}_torque_inverse_out command;
+  ${prefix}_machine_step_out moved;
+  double error = 0.0;
+  int failures = 0, k, i, j;
+
+  printf("%s: machine %s\n", ${prefix}_build_info()->bundle_sha256, ${prefix}_build_info()->machine);
+  controller.proportional_gain = $kp;
+  controller.derivative_gain = $kv;
+  machine.step = (${prefix}_real)1 / RATE_HZ / STEPS;
+  for (i = 0; i < ${PREFIX}_COORDINATES; ++i) {
+    machine.coordinates[i] = start[i];
+  }
+  for (k = 0; k <= DURATION_S * RATE_HZ; ++k) {
+    /* What sensors measure: end-point, its rate, joint angles. */
+    for (i = 0; i < ${PREFIX}_COORDINATES; ++i) {
+      configuration.coordinates[i] = machine.coordinates[i];
+    }
+    stop_on(${prefix}_kinematics(&configuration, ${pass}&arm, workspace, ${PREFIX}_WORKSPACE));
+    for (i = 0; i < ${PREFIX}_TASK; ++i) {
+      controller.measured_point[i] = arm.end_point[i];
+      controller.measured_rate[i] = 0;
+      for (j = 0; j < ${PREFIX}_COORDINATES; ++j) {
+        controller.measured_rate[i] += arm.jacobian[i][j] * machine.rates[j];
+      }
+      if (k == 0) {
+        controller.target_point[i] = arm.end_point[i] + $distance;
+      }
+    }
+    for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
+      controller.joint_angles[j] = machine.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + j];
+    }
+    /* What the controller asks for. */
+    stop_on(${prefix}_torque_inverse(&controller, ${pass}&command, workspace, ${PREFIX}_WORKSPACE));
+    error = 0.0;
+    for (i = 0; i < ${PREFIX}_TASK; ++i) {
+      const double e = (double)(controller.target_point[i] - controller.measured_point[i]);
+      error += e * e;
+    }
+    error = sqrt(error);
+    if (k % RATE_HZ == 0) {
+      printf("t = %2d s: end-point %.6f m from its target, torque of the first joint %.6g N m\n", k / RATE_HZ, error,
+             (double)command.torque[0]);
+    }
+    /* What the machine does until the next sample. */
+    for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
+      machine.torque[j] = command.torque[j];
+    }
+    for (i = 0; i < STEPS; ++i) {
+      stop_on(${prefix}_machine_step(&machine, ${pass}&moved, workspace, ${PREFIX}_WORKSPACE));
+      for (j = 0; j < ${PREFIX}_COORDINATES; ++j) {
+        machine.coordinates[j] = moved.next_coordinates[j];
+        machine.rates[j] = moved.next_rates[j];
+      }
+    }
+  }
+  failures += (error < $settled) ? 0 : 1;
+  printf((error < $settled) ? "on target\n" : "NOT on target\n");
+$foreign_calls
+  return failures ? EXIT_FAILURE : EXIT_SUCCESS;
+}

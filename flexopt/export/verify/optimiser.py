@@ -1,0 +1,316 @@
+"""The posture optimiser of a bundle: its answers beside IPOPT's, faulty calls, instructions on emulated processors.
+
+In: a `Bench`. Out: findings. Calls and answers go through files to the bundle's own driver.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from flexopt.export.foreign import LOSS, Foreign, Vector
+from flexopt.export.operations import Array
+from flexopt.export.optimiser import BUDGET, STARTS, TOLERANCES
+from flexopt.export.verify import replay
+from flexopt.export.verify.bench import Bench
+from flexopt.export.verify.checks import Finding, Table
+from flexopt.export.verify.tools import StepFailed, need, run
+from flexopt.model.quantities import COORDINATE_MAX
+from flexopt.plant.reach import reach
+
+PART = "optimiser"
+PROBLEMS, SEED, FUZZ_SEED = 24, 40, 41
+# Each call costs thousands of times what another function's does, and more so under sanitizers.
+FUZZ_SHARE, FUZZ_BUDGET = 10, 60
+INSTRUCTIONS = 5_000_000
+SHARE = 0.99
+FEASIBLE = 16  # statuses below come with an answer
+NULL_PROBLEM, NULL_START, NULL_OPTIONS, NULL_WORKSPACE, NULL_RESULT, MISALIGNED = (1 << k for k in range(6))
+
+# Runs the driver: (sources, name of its input, name of its output).
+Runner = Callable[[Path, str, str], None]
+
+
+@dataclass(frozen=True)
+class Calls:
+    """Calls, one row each.
+
+    Attributes:
+        words: faults, budget, own starts, evaluations until the deadline (0: none).
+        tolerance, target, lower, upper, margin, weights, parameters, start: as the C structures have them.
+    """
+
+    words: np.ndarray
+    tolerance: Array
+    target: Array
+    lower: Array
+    upper: Array
+    margin: Array
+    weights: Array
+    parameters: Array
+    start: Array
+
+    def reals(self) -> Array:
+        """What the driver reads after the words."""
+        parts = (self.tolerance, self.target, self.lower, self.upper, self.margin, self.weights, self.parameters)
+        return np.hstack([*parts, self.start])
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What the driver answered.
+
+    Attributes:
+        calibration, workspace: ticks of a known number of instructions; bytes.
+        status, ticks, untouched, cost, iterations, stack: one for each call.
+        z, value, target_error: of each result.
+    """
+
+    calibration: int
+    workspace: int
+    status: np.ndarray
+    ticks: np.ndarray
+    untouched: np.ndarray
+    cost: np.ndarray
+    iterations: np.ndarray
+    stack: np.ndarray
+    z: Array
+    value: Array
+    target_error: Array
+
+
+def of(bench: Bench) -> Foreign:
+    """The part."""
+    return bench.library.foreign[PART]
+
+
+def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
+    """Random problems and starts; with `counts` instructions and stack, too."""
+    part = of(bench)
+    count = min(PROBLEMS, bench.inputs)
+    vectors = part.vectors(count, SEED)
+    solved = _solve(bench, _problems(part, vectors), runner)
+    names = {value: name for name, value in part.sources.statuses.items()}
+    faults, lost, good = list[str](), list[float](), 0
+    for k, vector in enumerate(vectors):
+        if solved.status[k] >= FEASIBLE:
+            lost.append(math.inf)
+            continue
+        value, error, sine = _exact(part, vector.weights, solved.z[k], vector.target)
+        lost.append((vector.value - value) / vector.scale)
+        good += lost[-1] <= LOSS[part.real]
+        if error > part.on_target or sine < part.at.singularity_margin**2 - _rounding(bench):
+            faults.append(f"problem {k}: {names[int(solved.status[k])]}, but {error:.2g} m off the target")
+    if good < SHARE * count:
+        worst = int(np.argmax(lost))
+        faults.append(f"{count - good} of {count} answers are worse than IPOPT's, number {worst} by {lost[worst]:.2g}")
+    converged = int((solved.status == part.sources.statuses["CONVERGED"]).sum())
+    rows: list[tuple[object, ...]] = [
+        ("problems", count),
+        ("the same V as IPOPT's best, or a better one", good),
+        ("largest loss of V / scale", float(max(0.0, *lost))),
+        ("converged within the default budget", converged),
+        ("cost, most (evaluations of V)", int(solved.cost.max())),
+        ("climbing steps, most", int(solved.iterations.max())),
+        ("workspace, bytes", solved.workspace),
+    ]
+    sentence = f"{good} of {count} answers as good as IPOPT's best or better, none off its target"
+    if counts:
+        instructions = solved.ticks * (replay.CALIBRATION / solved.calibration)
+        rows += [
+            ("instructions, most", int(instructions.max())),
+            ("instructions, median", int(np.median(instructions))),
+            ("stack of a call, bytes (painted)", int(solved.stack.max())),
+        ]
+        sentence += f"; {int(instructions.max()):,} instructions at most"
+    return Finding(sentence, faults, [Table("Posture optimiser", ("what", "number"), tuple(rows))])
+
+
+def within_bar(found: Finding) -> Finding:
+    """The finding, with a fault where a call took more instructions than allowed."""
+    rows: dict[str, int] = dict(found.tables[0].rows)
+    if rows["instructions, most"] <= INSTRUCTIONS:
+        return found
+    excess = f"{rows['instructions, most']:,} instructions, allowed {INSTRUCTIONS:,}"
+    return Finding(found.sentence, [*found.faults, excess], found.tables)
+
+
+def host_runner(bench: Bench, compiler: str, objects: list[Path]) -> Runner:
+    """The driver on this computer."""
+
+    def launch(folder: Path, calls: str, answers: str) -> None:
+        source = bench.folder / "test" / "optimiser_driver.c"
+        driver = bench.program(f"optimiser-driver-{compiler}", compiler, [source, *objects], ["-std=c99", "-O2"])
+        run([driver, folder / calls, folder / answers], folder=folder)
+
+    return launch
+
+
+def sanitized(bench: Bench, flags: tuple[str, ...]) -> Finding:
+    """The self-test of the whole bundle and faulty calls of the optimiser, with sanitizers."""
+    compiler = "clang" if shutil.which("clang") else "gcc"
+    need(compiler)
+    # One object for both programs: the kernels take the compiler long.
+    objects = list(bench.objects("sanitized", compiler, ["-std=c99", *flags]).values())
+    tests = bench.folder / "test"
+    selftest = bench.program("selftest-sanitized", compiler, [tests / "selftest.c", *objects], ["-std=c99", *flags])
+    said = run([selftest], folder=bench.scratch)
+    faults = [] if "all passed" in said.out else ["the self-test does not say that all passed"]
+
+    def launch(folder: Path, calls: str, answers: str) -> None:
+        driver = tests / "optimiser_driver.c"
+        program = bench.program("optimiser-sanitized", compiler, [driver, *objects], ["-std=c99", *flags])
+        run([program, folder / calls, folder / answers], folder=folder)
+
+    found = faulty_calls(bench, launch)
+    sentence = f"self-test and {found.sentence} with {compiler}: no sanitizer complained"
+    return Finding(sentence, [*faults, *found.faults], found.tables)
+
+
+def faulty_calls(bench: Bench, runner: Runner) -> Finding:
+    """Calls with bad pointers and absurd numbers: no silent success, no result written on failure."""
+    part = of(bench)
+    calls = _faulty(bench, max(1, bench.fuzz_calls // FUZZ_SHARE))
+    solved = _solve(bench, calls, runner)
+    names = sorted(part.sources.statuses.items(), key=lambda item: item[1])
+    rows = tuple((name, int((solved.status == value).sum())) for name, value in names)
+    sentence = f"{len(calls.words)} faulty calls, no silent success, refused results untouched"
+    table = Table("Faulty calls, by the status they got", ("status", "calls"), rows)
+    return Finding(sentence, _judged(bench, calls, solved), [table])
+
+
+def _problems(part: Foreign, vectors: tuple[Vector, ...]) -> Calls:
+    calls = _default_calls(part, len(vectors))
+    calls.target[:] = [vector.target for vector in vectors]
+    calls.weights[:] = [vector.weights for vector in vectors]
+    calls.start[:] = [vector.start for vector in vectors]
+    return calls
+
+
+def _default_calls(part: Foreign, count: int) -> Calls:
+    """The machine's own problem, target and start 0."""
+    plant = part.at.plant
+    own = part.at.machine
+    limits = [(-COORDINATE_MAX, COORDINATE_MAX)] * plant.n_base
+    limits += [(max(low, -COORDINATE_MAX), min(high, COORDINATE_MAX)) for low, high in own.limits]
+    n_z = len(limits)
+    parameters = () if part.at.baked else part.at.parameters.values
+
+    def rows(values: object) -> Array:
+        return np.tile(np.asarray(values, float), (count, 1))
+
+    return Calls(
+        words=np.tile(np.array([0, BUDGET, STARTS, 0], np.int32), (count, 1)),
+        tolerance=rows([TOLERANCES[part.real][0]]),
+        target=rows([0.0] * plant.n_task),
+        lower=rows([low for low, _ in limits]),
+        upper=rows([high for _, high in limits]),
+        margin=rows([part.at.singularity_margin**2]),
+        weights=rows([1.0] * plant.n_passive),
+        parameters=rows(parameters),
+        start=rows([0.0] * n_z),
+    )
+
+
+def _solve(bench: Bench, calls: Calls, runner: Runner) -> Solved:
+    real = np.float32 if bench.single else np.float64
+    reals = calls.reals()
+    kind = np.dtype([("words", np.int32, (4,)), ("reals", real, (reals.shape[1],))])
+    records = np.zeros(len(reals), kind)
+    records["words"] = calls.words
+    with np.errstate(over="ignore", under="ignore"):
+        records["reals"] = reals
+    (bench.scratch / "problems.bin").write_bytes(records.tobytes())
+    runner(bench.scratch, "problems.bin", "solved.bin")
+    data, n_z = (bench.scratch / "solved.bin").read_bytes(), calls.start.shape[1]
+    kind = np.dtype([("words", np.uint32, (6,)), ("reals", real, (n_z + 6,))])
+    if len(data) != 8 + len(reals) * kind.itemsize:
+        raise StepFailed("the optimiser's driver did not answer every call")
+    head, answers = np.frombuffer(data, np.uint32, 2), np.frombuffer(data, kind, offset=8)
+    words, out = answers["words"], answers["reals"].astype(np.float64)
+    return Solved(
+        int(head[0]), int(head[1]), words[:, 0], words[:, 1], words[:, 2] != 0, words[:, 3], words[:, 4], words[:, 5],
+        out[:, :n_z], out[:, n_z], out[:, n_z + 2],
+    )  # fmt: skip
+
+
+def _exact(part: Foreign, weights: Array, z: Array, target: Array) -> tuple[float, float, float]:
+    """V, |r − target| and the squared sine at z, by flexopt's own Functions."""
+    plant = part.at.plant
+    at = [ca.DM(z[: plant.n_base].tolist()), ca.DM(z[plant.n_base :].tolist()), plant.parameter_values]
+    w, _, r = part.at.measures.w.call(at)
+    sine = plant.singularity_sine_squared.call(at)[0]
+    error = float(np.abs(r.full().ravel() - target).max())
+    return float(weights @ w.full().ravel()), error, float(sine)
+
+
+def _rounding(bench: Bench) -> float:
+    return 1e-4 if bench.single else 1e-10
+
+
+def _faulty(bench: Bench, count: int) -> Calls:
+    """Calls of which most have a bad pointer or some absurd numbers; small budgets, some deadlines."""
+    part, rng = of(bench), np.random.default_rng(FUZZ_SEED)
+    calls = _default_calls(part, count)
+    calls.target[:] = rng.uniform(-1.2, 1.2, calls.target.shape) * reach(part.at.plant).outer
+    calls.start[:] = rng.uniform(-4, 4, calls.start.shape)
+    calls.words[:, 1] = rng.integers(1, FUZZ_BUDGET, count)
+    calls.words[:, 2] = rng.integers(0, 3, count)
+    calls.words[:, 3] = np.where(rng.random(count) < 0.25, rng.integers(1, FUZZ_BUDGET, count), 0)
+    narrow = rng.random(count) < 0.3
+    calls.lower[narrow, 0], calls.upper[narrow, 0] = rng.uniform(-3, 0, narrow.sum()), rng.uniform(0, 3, narrow.sum())
+    pointers = rng.random(count) < 0.15
+    calls.words[pointers, 0] = 1 << rng.integers(0, 6, pointers.sum())
+    wild = rng.random(count) < 0.05
+    calls.words[wild, 1] = rng.choice([-1, 0, -(2**31), 2**31 - 1], wild.sum())
+    absurd = [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e6, 2e6, 1e30, *(
+        [1e-45, -3.4e38] if bench.single else [5e-324, -1.7e308])]  # fmt: skip
+    for table in (calls.tolerance, calls.target, calls.lower, calls.upper, calls.margin, calls.weights,
+                  calls.parameters, calls.start):  # fmt: skip
+        if table.shape[1]:
+            some = np.flatnonzero(rng.random(count) < 0.08)
+            table[some, rng.integers(0, table.shape[1], some.size)] = rng.choice(absurd, some.size)
+    return calls
+
+
+def _judged(bench: Bench, calls: Calls, solved: Solved) -> list[str]:
+    """What is wrong with the answers to faulty calls."""
+    part = of(bench)
+    status, ok, faults = part.sources.statuses, solved.status < FEASIBLE, list[str]()
+    single = np.float32 if bench.single else np.float64
+
+    def note(which: np.ndarray, sentence: str) -> None:
+        if which.any():
+            faults.append(f"{int(which.sum())} calls {sentence}, such as number {int(which.argmax())}")
+
+    with np.errstate(all="ignore"):
+        given = calls.reals().astype(single).astype(float)
+        lower, upper = (side.astype(single).astype(float) for side in (calls.lower, calls.upper))
+    pointer = calls.words[:, 0]
+    finite = np.isfinite(given[:, : given.shape[1] - calls.start.shape[1]]).all(axis=1)
+    finite &= np.isfinite(given).all(axis=1) | (pointer == NULL_START)
+    note(~np.isin(solved.status, list(status.values())), "gave a status that is none")
+    note(~ok & ~solved.untouched, "that were refused wrote a result")
+    note(ok & ~np.isfinite(np.column_stack([solved.z, solved.value])).all(axis=1), "succeeded with what is not finite")
+    note(ok & ~np.isin(pointer, [0, NULL_START]), "with a bad pointer succeeded")
+    bad = np.isin(pointer, [NULL_PROBLEM, NULL_OPTIONS, NULL_WORKSPACE, NULL_RESULT])
+    note(bad & (solved.status != status["NULL_POINTER"]), "with a NULL pointer were not refused as such")
+    note((pointer == MISALIGNED) & (solved.status != status["BAD_WORKSPACE"]), "with a bad workspace went through")
+    note(ok & ~finite, "with a NaN or an infinite input succeeded")
+    with np.errstate(invalid="ignore"):
+        note(ok & ((solved.z < lower) | (solved.z > upper)).any(axis=1), "left the bounds")
+    own = np.asarray(() if part.at.baked else part.at.parameters.values)
+    sound = ok & (calls.parameters == own).all(axis=1)
+    for k in np.flatnonzero(sound):
+        size = 1.0 + float(np.abs(calls.target[k]).max() + np.abs(solved.z[k]).max())
+        _, error, sine = _exact(part, calls.weights[k], solved.z[k], calls.target[k])
+        allowed = part.on_target * size
+        if error > allowed or sine < calls.margin[k, 0] - _rounding(bench):
+            faults.append(f"call {k} succeeded {error:.2g} m off its target, or inside its margin")
+    return faults
