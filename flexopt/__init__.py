@@ -43,16 +43,6 @@ from flexopt.selection import nullspace_trajectory as nullspace_trajectory
 from flexopt.selection import select as select
 from flexopt.selection import solve_problem as solve_problem
 from flexopt.selection import solve_selection as solve_selection
-from flexopt.simulation import Actuator as Actuator
-from flexopt.simulation import Ensemble as Ensemble
-from flexopt.simulation import Path as Path
-from flexopt.simulation import Sensor as Sensor
-from flexopt.simulation import Trajectory as Trajectory
-from flexopt.simulation import run_experiment as run_experiment
-from flexopt.simulation import sampled_loop as sampled_loop
-from flexopt.simulation import simulate as simulate
-from flexopt.simulation import simulate_ensemble as simulate_ensemble
-from flexopt.simulation import stability_border as stability_border
 
 if TYPE_CHECKING:
     from flexopt.export import ExportReport as ExportReport
@@ -61,18 +51,38 @@ if TYPE_CHECKING:
     from flexopt.export import verify_bundle as verify_bundle
     from flexopt.export.fmu import FmuReport as FmuReport
     from flexopt.export.fmu import export_fmu as export_fmu
+    from flexopt.simulation import Actuator as Actuator
+    from flexopt.simulation import Ensemble as Ensemble
+    from flexopt.simulation import Path as Path
+    from flexopt.simulation import Sensor as Sensor
+    from flexopt.simulation import Trajectory as Trajectory
+    from flexopt.simulation import run_experiment as run_experiment
+    from flexopt.simulation import sampled_loop as sampled_loop
+    from flexopt.simulation import simulate as simulate
+    from flexopt.simulation import simulate_ensemble as simulate_ensemble
+    from flexopt.simulation import stability_border as stability_border
     from flexopt.study import WorkspaceMap as WorkspaceMap
     from flexopt.study import map_workspace as map_workspace
 
 # What is imported when first asked for, and from where.
 _LATER: dict[str, str] = {
+    "Actuator": "simulation",
+    "Ensemble": "simulation",
     "ExportReport": "export",
     "FmuReport": "export.fmu",
+    "Path": "simulation",
+    "Sensor": "simulation",
+    "Trajectory": "simulation",
     "Verification": "export",
     "WorkspaceMap": "study",
     "export_c": "export",
     "export_fmu": "export.fmu",
     "map_workspace": "study",
+    "run_experiment": "simulation",
+    "sampled_loop": "simulation",
+    "simulate": "simulation",
+    "simulate_ensemble": "simulation",
+    "stability_border": "simulation",
     "verify_bundle": "export",
 }
 

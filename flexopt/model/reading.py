@@ -11,7 +11,6 @@ from flexopt.model.faults import Table, machine_faults, problem_faults, validate
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.machine import Machine
 from flexopt.model.problem import Problem
-from flexopt.model.robots import robot_from_dict
 from flexopt.model.simulation import Experiment
 from flexopt.model.tree import Tree
 
@@ -93,6 +92,8 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
 
 def _machine(source: Source) -> Machine | Tree:
     if "robot" in source.data:
+        from flexopt.model.robots import robot_from_dict  # noqa: PLC0415  (readers that few machines need)
+
         return robot_from_dict(source.data, folder=source.folder, origin=source.name)
     return machine_from_dict(source.data, origin=source.name)
 
