@@ -16,7 +16,7 @@ from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import provenance
 from flexopt.model.problem import Control, Elbow
-from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor, SimulationOptions
+from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
 from flexopt.simulation.loop import baked, closed_loop
@@ -273,9 +273,3 @@ def _closest_to_singular(s: Scenario, plant: Plant, joints: Vector) -> tuple[flo
 @lru_cache(maxsize=16)
 def _singularity(machine: Machine) -> Batch:
     return batch(build_plant(machine).singularity_sine_squared)
-
-
-def simulate_options(machine: Machine, options: SimulationOptions) -> Trajectory:
-    """`simulate` for validated options, as an experiment file holds them."""
-    given = {name: getattr(options, name) for name in options.model_fields_set}
-    return simulate_checked(build_scenario(machine, checked_options("simulate", machine, given)))
