@@ -95,10 +95,11 @@ FIRST_CALL = """
 import time
 import flexopt
 machine = flexopt.load("excavator")
+from flexopt import simulate
 from flexopt.compiled import find_compiler
 find_compiler()
 begin = time.perf_counter()
-flexopt.simulate(machine, {posture})
+simulate(machine, {posture})
 print(time.perf_counter() - begin)
 """
 ENSEMBLE = """
@@ -113,7 +114,7 @@ print(time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_SELF).ru_m
 
 
 def first_use() -> tuple[float, float]:
-    """Seconds of the first `simulate` in a fresh process: with an empty cache of compiled code, and from it."""
+    """Seconds of a fresh process's first `simulate`, imports done: with an empty cache of compiled code, and from it."""
     with tempfile.TemporaryDirectory() as folder:
         empty = float(_process(FIRST_CALL.format(posture=POSTURE_B), folder))
         return empty, min(float(_process(FIRST_CALL.format(posture=POSTURE_B), folder)) for _ in range(5))
