@@ -114,7 +114,7 @@ print(time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_SELF).ru_m
 
 
 def first_use() -> tuple[float, float]:
-    """Seconds of a fresh process's first `simulate`, imports done: with an empty cache of compiled code, and from it."""
+    """Seconds of a process' first `simulate`, imports done: with nothing compiled yet, and with code in the cache."""
     with tempfile.TemporaryDirectory() as folder:
         empty = float(_process(FIRST_CALL.format(posture=POSTURE_B), folder))
         return empty, min(float(_process(FIRST_CALL.format(posture=POSTURE_B), folder)) for _ in range(5))
