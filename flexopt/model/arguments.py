@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model.machine import AnyMachine, Machine
-from flexopt.model.problem import CONTROLS, check_placement, check_point
+from flexopt.model.problem import Control, check_control, check_placement, check_task
 from flexopt.model.quantities import check_number, coordinate_max
 
 Vector = NDArray[np.float64]
@@ -62,13 +62,40 @@ class Arguments:
         checked: list[float] = []
         for name, unit, part, limits in zip(names, units, parts, machine.limits, strict=True):
             low, high = max(limits[0], -coordinate_max(unit)), min(limits[1], coordinate_max(unit))
-            sentence = f"{field} ({name})"
+            known = len(self.faults)
             checked.append(
                 self.checked(
-                    sentence, part, lambda v, u=unit, lo=low, hi=high: check_number(v, u, low=lo, high=hi), 0.0
+                    f"{field} ({name})",
+                    part,
+                    lambda v, u=unit, lo=low, hi=high: check_number(v, u, low=lo, high=hi),
+                    0.0,
                 )
             )
+            for fault in self.faults[known:]:
+                longer = f"{fault.sentence}{machine.beyond_stroke(name, _plain(part))}"
+                self.faults[known] = Fault(fault.field, longer, fault.value)
         return np.array(checked)
+
+    def displacement(self, machine: AnyMachine, value: Any, field: str) -> Vector:
+        """Differences of the actuated joints (n,), rad or m."""
+        names, units = machine.joints, machine.joint_units
+        what = "angles in rad" if set(units) == {"rad"} else "numbers in " + ", ".join(units)
+        if not isinstance(value, list | tuple) or len(cast(Sequence[Any], value)) != len(names):
+            wanted = f"needs {len(names)} {what}, one for each actuated joint ({', '.join(names)})"
+            self.faults.append(Fault(field, wanted, shown(value)))
+            return np.zeros(len(names))
+        parts = zip(names, units, cast(Sequence[Any], value), strict=True)
+        return np.array(
+            [
+                self.checked(
+                    f"{field} ({name})",
+                    part,
+                    lambda v, u=unit: check_number(v, u, low=-coordinate_max(u), high=coordinate_max(u)),
+                    0.0,
+                )
+                for name, unit, part in parts
+            ]
+        )
 
     def base(self, machine: AnyMachine, value: Any, field: str = "base") -> Vector:
         """Placement (n_b,), m or rad."""
@@ -76,13 +103,14 @@ class Arguments:
         stand_in = (0.0,) * len(names)
         return np.array(self.checked(field, value, lambda v: check_placement(v, names, units), stand_in))
 
-    def point(self, value: Any, field: str) -> Vector:
-        """End-point (2,), m, inertial frame."""
-        return np.array(self.checked(field, value, check_point, (0.0, 0.0)))
+    def point(self, value: Any, field: str, machine: AnyMachine | None = None) -> Vector:
+        """The machine's task (n_task,), m, inertial frame; without a machine a point (2,) of the plane."""
+        rows = ("x", "y") if machine is None else machine.task_rows
+        return np.array(self.checked(field, value, lambda v: check_task(v, rows), (0.0,) * len(rows)))
 
-    def control(self, value: Any) -> Any:
-        """`"inverse"` or `"transpose"`."""
-        return self.choice("control", value, CONTROLS)
+    def control(self, value: Any) -> Control:
+        """`"inverse"`, `"transpose"` or `"damped:LAMBDA"`."""
+        return self.checked("control", value, check_control, "inverse")
 
     def machine(self, value: Any) -> AnyMachine:
         """A machine, planar or spatial; anything else cannot be checked further and raises at once."""

@@ -10,6 +10,7 @@ from typing import Any, TypeVar, cast
 from pydantic import ValidationError
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.model.cylinder_faults import cylinder_faults
 from flexopt.model.machine import BASE_DIRECTIONS, FileModel
 
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
@@ -155,10 +156,17 @@ def machine_faults(data: Table) -> list[Fault]:
     links = [cast(dict[str, Any], link) for link in entries if isinstance(link, dict)]
     if links and len(links) == len(entries):
         faults += _link_faults(links)
+        faults += capsule_faults(data, ["base", *(link.get("name") for link in links)], 2)
         passive = [link for link in links if link.get("passive") is True]
+        hinges = {str(link.get("name")): "hinge" for link in links if link not in passive}
+        faults += cylinder_faults(data, hinges, [link.get("name") for link in passive], 2)
         count = len(links) - len(passive)
         if count < 2:
-            faults.append(Fault("links (actuated joints)", "an end-point in the plane needs at least two", str(count)))
+            sentence = (
+                "an end-point in the plane, with two task rows x and y, needs at least two; add a link or make a "
+                "passive one actuated, or describe a tree whose end_point.rows are fewer"
+            )
+            faults.append(Fault("links (actuated joints)", sentence, str(count)))
         gives = any(stiffness.get(direction) is not None for direction in BASE_DIRECTIONS)
         if base and not passive and not gives:
             faults.append(
@@ -182,12 +190,30 @@ def _link_faults(links: list[dict[str, Any]]) -> list[Fault]:
         if link.get("passive") is True:
             if "stiffness" not in link:
                 faults.append(Fault(f"{where}.stiffness", "a passive joint needs one, in N m/rad"))
-            wrong = [key for key in ("limits", "joint_damping") if key in link]
+            wrong = [key for key in ("limits", "effort", "speed", "joint_damping") if key in link]
             reason = "belongs to an actuated joint; a passive one has stiffness, damping and rest"
         else:
             wrong = [key for key in ("stiffness", "damping", "rest") if key in link]
             reason = "belongs to a passive joint; add passive = true"
         faults += [Fault(f"{where}.{key}", reason, _short(link[key])) for key in wrong]
+    return faults
+
+
+def capsule_faults(data: Table, bodies: list[Any], dimension: int) -> list[Fault]:
+    """Capsules of bodies that are not there, and ends with too few or too many coordinates."""
+    value = data.get("capsules")
+    faults: list[Fault] = []
+    for index, entry in enumerate(cast(tuple[Any, ...], value) if isinstance(value, list | tuple) else ()):
+        capsule = _table({"entry": entry}, "entry")
+        body = capsule.get("body")
+        if isinstance(body, str) and body and body not in bodies:
+            named = _nearest(body, [name for name in bodies if isinstance(name, str)])
+            faults.append(Fault(f"capsules[{index}].body", f"is no body's name{named}", _short(body)))
+        for key in ("start", "end"):
+            place = capsule.get(key)
+            if isinstance(place, list | tuple) and len(cast(list[Any], place)) == 5 - dimension:
+                wanted = "two numbers [along, left]" if dimension == 2 else "three numbers [x, y, z]"
+                faults.append(Fault(f"capsules[{index}].{key}", f"must be {wanted} in m", _short(place)))
     return faults
 
 

@@ -7,33 +7,32 @@ from abc import abstractmethod
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from flexopt.errors import Fault
+from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.quantities import (
     Acceleration,
     Angle,
+    AngularSpeed,
     Damping,
     Inertia,
     JointLimits,
     Length,
     LengthOrZero,
     Mass,
-    MassOrZero,
     Offset,
     RotationalDamping,
     RotationalStiffness,
     Stiffness,
+    Torque,
     check_schema,
     checked,
 )
+from flexopt.model.strokes import Travel, usable_range
+from flexopt.model.tables import Capsule, FileModel, Payload, Span
 
 BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
-
-
-class FileModel(BaseModel):
-    """Common to every table of a file: closed (no unknown key), frozen, strict."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class BaseStiffness(FileModel):
@@ -66,7 +65,10 @@ class Base(FileModel):
 
 
 class Link(FileModel):
-    """A link and the hinge that carries it: actuated, or passive with a spring."""
+    """A link and the hinge that carries it: actuated, or passive with a spring.
+
+    An actuated hinge may have `limits`, rad, an `effort`, the largest torque either way, N m, and a `speed`, rad/s.
+    """
 
     name: str = ""
     length: Length
@@ -75,17 +77,13 @@ class Link(FileModel):
     mass: Mass
     inertia: Inertia
     limits: JointLimits | None = None
+    effort: Torque | None = None
+    speed: AngularSpeed | None = None
     joint_damping: RotationalDamping = 0.0
     passive: bool = False
     stiffness: RotationalStiffness | None = None
     damping: RotationalDamping = 0.0
     rest: Angle = 0.0
-
-
-class Payload(FileModel):
-    """A point mass at the end-point."""
-
-    mass: MassOrZero = 0.0
 
 
 class Parameter(NamedTuple):
@@ -104,6 +102,8 @@ class AnyMachine(FileModel):
     description: str = ""
     source: str = ""
     gravity: Acceleration = 9.81
+    capsules: tuple[Capsule, ...] = ()
+    cylinders: tuple[Cylinder, ...] = ()
 
     @property
     @abstractmethod
@@ -117,8 +117,61 @@ class AnyMachine(FileModel):
 
     @property
     @abstractmethod
+    def joint_limits(self) -> tuple[tuple[float, float], ...]:
+        """Limits of the actuated joints as they were given, rad or m; infinite where none are."""
+
+    @abstractmethod
+    def joint_frame(self, joint: str) -> JointFrame:
+        """How an actuated joint stands between the bodies that it joins."""
+
+    def travel(self, cylinder: Cylinder) -> Travel:
+        """A cylinder's length over its joint's coordinate, as numbers."""
+        return Travel(cylinder, self.joint_frame(cylinder.joint), {name: value for name, value, _ in self.parameters})
+
+    @property
+    def joints_without_speed(self) -> tuple[str, ...]:
+        """Actuated joints with neither cylinder nor speed, of which no lever can be told."""
+        driven = {cylinder.joint for cylinder in self.cylinders}
+        pairs = zip(self.joints, self.speeds, strict=True)
+        return tuple(joint for joint, speed in pairs if joint not in driven and speed == float("inf"))
+
+    def beyond_stroke(self, joint: str, q: Any) -> str:
+        """The end of a sentence about a value that its joint cannot take, where that is its cylinder's doing."""
+        return next((self.travel(c).beyond_stroke(q) for c in self.cylinders if c.joint == joint), "")
+
+    @cached_property
     def limits(self) -> tuple[tuple[float, float], ...]:
-        """Limits of the actuated joints, rad or m; infinite where none are given."""
+        """What the limits of the actuated joints and the strokes of their cylinders allow, rad or m; else infinite."""
+        found = dict(zip(self.joints, self.joint_limits, strict=True))
+        ranges = zip(self.cylinders, self.stroke_ranges, strict=True)
+        return tuple((found | {cylinder.joint: part for cylinder, (part, _) in ranges}).values())
+
+    @cached_property
+    def stroke_ranges(self) -> tuple[tuple[tuple[float, float], list[Fault]], ...]:
+        """Of each cylinder, the range that it leaves its joint within the joint's limits, and what is wrong with it."""
+        given = dict(zip(self.joints, self.joint_limits, strict=True))
+        return tuple(
+            usable_range(self.travel(cylinder), given[cylinder.joint], f"cylinders[{index}] ({cylinder.name})")
+            for index, cylinder in enumerate(self.cylinders)
+        )
+
+    @property
+    @abstractmethod
+    def efforts(self) -> tuple[float, ...]:
+        """Largest torque or force of the actuated joints either way, N m or N; infinite where none is given."""
+
+    @property
+    @abstractmethod
+    def speeds(self) -> tuple[float, ...]:
+        """Largest speed of the actuated joints either way, rad/s or m/s; infinite where none is given."""
+
+    @property
+    @abstractmethod
+    def support_points(self) -> tuple[tuple[float, ...], ...]:
+        """What the undercarriage stands on, m, in the anchor frame; empty where none is given.
+
+        In the plane the two ends (x,), rear first; in space the corners (x, y) of a convex polygon, counter-clockwise.
+        """
 
     @property
     @abstractmethod
@@ -135,6 +188,11 @@ class AnyMachine(FileModel):
     def base_units(self) -> tuple[str, ...]:
         """Unit of each placement coordinate, m or rad."""
 
+    @property
+    @abstractmethod
+    def task_rows(self) -> tuple[str, ...]:
+        """Names of the end-point's coordinates: x, y, z, and in space roll, pitch, yaw."""
+
     @abstractmethod
     def list_parameters(self) -> list[Parameter]:
         """See `parameters`."""
@@ -142,7 +200,8 @@ class AnyMachine(FileModel):
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameter vector p with this machine's values: geometry, inertia, springs, dampers, payload, gravity."""
-        return tuple(self.list_parameters())
+        pins = [Parameter(name, value, "m") for c in self.cylinders for name, value in c.numbers().items()]
+        return (*self.list_parameters(), *pins)
 
     @cached_property
     def content_hash(self) -> str:
@@ -164,12 +223,15 @@ class Machine(AnyMachine):
     """A planar chain on a compliant base (`flexopt.load` reads one from a file).
 
     Units are SI and angles radians. Bodies are rigid; each joint has one degree of freedom and is passive (spring,
-    damper, rest value) or actuated. The placement coordinate is the position x of the undercarriage.
+    damper, rest value) or actuated. The placement coordinate is the position x of the undercarriage. In a file, tables
+    [[capsules]] (`Capsule`; `body` is "base" or a link's name) say what the bodies fill, [[cylinders]] (`Cylinder`)
+    what drives the joints, and [support] span = [rear, front] what the undercarriage stands on.
     """
 
     base: Base
     links: tuple[Link, ...] = Field(min_length=1)
     payload: Payload = Payload()
+    support: Span | None = None
 
     __hash__ = AnyMachine.__hash__
 
@@ -194,10 +256,30 @@ class Machine(AnyMachine):
         return any(link.joint_damping > 0 for link in self.links if not link.passive)
 
     @property
-    def limits(self) -> tuple[tuple[float, float], ...]:
-        """Limits of the actuated joints, rad; infinite where none are given."""
+    def joint_limits(self) -> tuple[tuple[float, float], ...]:
+        """Limits of the actuated joints as they were given, rad; infinite where none are."""
         unlimited = (-float("inf"), float("inf"))
         return tuple(link.limits or unlimited for link in self.links if not link.passive)
+
+    def joint_frame(self, joint: str) -> JointFrame:
+        """At the far end of the body that carries the joint."""
+        bodies = ["base", *(link.name for link in self.links)]
+        return JointFrame(slide=False, origin=(f"{bodies[bodies.index(joint) - 1]}.length", "", ""))
+
+    @property
+    def efforts(self) -> tuple[float, ...]:
+        """Largest torque of the actuated joints either way, N m; infinite where none is given."""
+        return tuple(link.effort or float("inf") for link in self.links if not link.passive)
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        """Largest speed of the actuated joints either way, rad/s; infinite where none is given."""
+        return tuple(link.speed or float("inf") for link in self.links if not link.passive)
+
+    @property
+    def support_points(self) -> tuple[tuple[float, ...], ...]:
+        """The two ends (x,) of what the undercarriage stands on, m, rear first; empty where none is given."""
+        return () if self.support is None else tuple((x,) for x in self.support.span)
 
     @property
     def base_coordinates(self) -> tuple[str, ...]:
@@ -208,6 +290,11 @@ class Machine(AnyMachine):
     def base_units(self) -> tuple[str, ...]:
         """Unit of each placement coordinate."""
         return ("m",)
+
+    @property
+    def task_rows(self) -> tuple[str, ...]:
+        """Names of the end-point's coordinates."""
+        return ("x", "y")
 
     def list_parameters(self) -> list[Parameter]:
         """See `parameters`."""

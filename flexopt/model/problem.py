@@ -3,28 +3,69 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, PrivateAttr
 
+from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine, FileModel
 from flexopt.model.quantities import (
     COORDINATE_MAX,
-    BaseRange,
     check_number,
     check_numbers,
+    check_pair,
     check_schema,
     checked,
     coordinate_max,
 )
+from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares
 
-Control = Literal["inverse", "transpose"]
+# "inverse", "transpose" or "damped:LAMBDA", as `check_control` gives it.
+Control = str
 Elbow = Literal["up", "down"]
 CONTROLS: tuple[Control, ...] = ("inverse", "transpose")
+DAMPED = "damped"
+DAMPING_MAX = 1e9
 ELBOWS: tuple[Elbow, ...] = ("up", "down")
+# How the targets that share a placement count: the worst one, or all by their shares.
+Combine = Literal["worst", "weighted"]
+COMBINES: tuple[Combine, ...] = ("worst", "weighted")
 SINGULARITY_MARGIN_DEG = 10.0
 STARTS_MAX = 10_000
+# What the calls that solve a problem name the keys of [target].
+TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "path"}
+# Coordinates that some machine may be placed by.
+PLACEMENTS = ("x", "y", "yaw")
+
+
+def check_control(value: Any) -> Control:
+    """How forces at the end-point become joint commands: `inverse`, `transpose`, or `damped:LAMBDA` with λ > 0.
+
+    λ is in the unit of Jv's entries. It comes out in its shortest form, so that equal controls are equal words.
+    """
+    if isinstance(value, str) and value in CONTROLS:
+        return value
+    method, _, number = value.partition(":") if isinstance(value, str) else ("", "", "")
+    words = "must be inverse, transpose or damped:LAMBDA, such as damped:0.1"
+    if method != DAMPED:
+        raise ValueError(words)
+    try:
+        damping = check_number(float(number), "", above=0.0, high=DAMPING_MAX)
+    except ValueError:
+        sentence = f"LAMBDA is a number above 0 and at most {DAMPING_MAX:g} in the unit of Jv's entries"
+        raise ValueError(f"{words}; {sentence}") from None
+    return f"{DAMPED}:{repr(damping).removesuffix('.0')}"
+
+
+def control_method(control: Control) -> str:
+    """A control without its number: `inverse`, `transpose` or `damped`."""
+    return control.partition(":")[0]
+
+
+def control_damping(control: Control) -> float | None:
+    """λ of a damped control, None of any other."""
+    return float(control.partition(":")[2]) if control_method(control) == DAMPED else None
 
 
 def check_objective(value: Any) -> str:
@@ -58,6 +99,15 @@ def check_point(value: Any) -> tuple[float, ...]:
     return check_numbers(cast(list[Any], value), ["x", "y"], "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
 
 
+def check_task(value: Any, rows: Sequence[str]) -> tuple[float, ...]:
+    """A target for the rows of a machine's task, inertial frame, m (orientation rows: rotation vector times length)."""
+    parts = cast(list[Any], value) if isinstance(value, list | tuple) else [value]
+    if len(parts) != len(rows):
+        numbers = {1: "one number", 2: "two numbers"}.get(len(rows), f"{len(rows)} numbers")
+        raise ValueError(f"must be {numbers} {', '.join(rows)} in m, inertial frame")
+    return check_numbers(list(parts), list(rows), "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
+
+
 def check_margin_deg(value: Any) -> float:
     """An angle from singular postures, degrees."""
     return check_number(value, "°", low=0.01, high=80.0)
@@ -87,13 +137,15 @@ def check_base(value: Any) -> tuple[float, ...]:
     return check_placement(value, ("x",), ("m",))
 
 
-def check_placement(value: Any, names: Sequence[str], units: Sequence[str]) -> tuple[float, ...]:
-    """A number for each placement coordinate; one alone needs no list."""
+def check_placement(
+    value: Any, names: Sequence[str], units: Sequence[str], *, what: str = "placed"
+) -> tuple[float, ...]:
+    """A number for each placement coordinate (or joint, by which the machine is held); one alone needs no list."""
     parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
     if len(parts) != len(names):
         count = "one number" if len(names) == 1 else f"{len(names)} numbers"
         listed = ", ".join(f"{name}, in {unit}" for name, unit in zip(names, units, strict=True))
-        raise ValueError(f"must be {count}: the machine is placed by {listed or 'nothing'}")
+        raise ValueError(f"must be {count}: the machine is {what} by {listed or 'nothing'}")
     numbers: list[float] = []
     sentences: list[str] = []
     for part, name, unit in zip(parts, names, units, strict=True):
@@ -106,26 +158,59 @@ def check_placement(value: Any, names: Sequence[str], units: Sequence[str]) -> t
     return tuple(numbers)
 
 
-class Target(FileModel):
-    """Where the end-point shall be."""
+def check_base_range(value: Any, names: Sequence[str], units: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """A range [lower, upper] for some of the placement coordinates, by name; of a single one the pair alone."""
+    unit_of = dict(zip(names, units, strict=True))
+    if not isinstance(value, Mapping):
+        if len(names) != 1:
+            listed = ", ".join(f"{name} = [lower, upper]" for name in names) or "nothing"
+            raise ValueError(f"must be a table with ranges of the placement coordinates: {listed}")
+        value = {names[0]: value}
+    ranges: dict[str, tuple[float, float]] = {}
+    sentences: list[str] = []
+    for name, pair in cast(Mapping[Any, Any], value).items():
+        if name not in unit_of:
+            sentences.append(f"{name!r} is no placement coordinate; valid: {', '.join(names) or 'none'}")
+            continue
+        most = coordinate_max(unit_of[name])
+        try:
+            ranges[str(name)] = check_pair(pair, unit_of[name], -most, most, allow_equal=True)
+        except ValueError as error:
+            sentences.append(f"{name} {error}" if len(names) > 1 else str(error))
+    if sentences:
+        raise ValueError("; ".join(sentences))
+    return ranges
 
-    end_point: Annotated[tuple[float, ...], checked(check_point)]
+
+def _check_any_range(value: Any) -> Any:
+    """A range as a file may have it: a pair for a machine placed by x, or a table of pairs."""
+    if isinstance(value, Mapping):
+        table = cast(Mapping[str, Any], value)
+        units = ["rad" if name == "yaw" else "m" for name in PLACEMENTS]
+        return check_base_range(table, PLACEMENTS, units)
+    return check_pair(value, "m", -COORDINATE_MAX, COORDINATE_MAX, allow_equal=True)
 
 
 class SelectionOptions(FileModel):
-    """How to choose among the configurations that reach the target (keys of `[selection]`)."""
+    """How to choose among the configurations that reach the target or targets (keys of `[selection]`).
+
+    `gain` and `elbow` go with a single `end_point`, `combine` and `shares` with `end_points`.
+    """
 
     objective: Annotated[str, checked(check_objective)] = "w1"
     weights: Annotated[tuple[float, ...], checked(check_weights)] | None = None
-    control: Control = "inverse"
+    control: Annotated[Control, checked(check_control)] = "inverse"
     gravity: bool = False
     gain: Annotated[float, checked(check_gain)] = 5e5
-    base: Annotated[tuple[float, ...], checked(check_base)] | None = None
-    base_range: BaseRange | None = None
+    base: Annotated[tuple[float, ...], checked(check_any_numbers)] | None = None
+    posture: Annotated[tuple[float, ...], checked(check_any_numbers)] | None = None
+    base_range: Annotated[Any, checked(_check_any_range)] | None = None
     elbow: Elbow = "up"
     singularity_margin_deg: Annotated[float, checked(check_margin_deg)] = SINGULARITY_MARGIN_DEG
     starts: Annotated[int, checked(check_starts)] | None = None
     seed: Annotated[int, checked(check_seed)] = 0
+    combine: Combine = "worst"
+    shares: Annotated[tuple[float, ...], checked(check_any_shares)] | None = None
 
 
 class Problem(FileModel):
@@ -137,7 +222,9 @@ class Problem(FileModel):
     source: str = ""
     machine: str = Field(min_length=1)
     target: Target
+    motion: Motion | None = None
     selection: SelectionOptions = SelectionOptions()
+    constraints: Constraints | None = None
 
     _loaded: AnyMachine | None = PrivateAttr(default=None)
 
@@ -154,5 +241,10 @@ class Problem(FileModel):
         return self._loaded
 
     def select_arguments(self) -> dict[str, Any]:
-        """The arguments of `flexopt.select` that the file amounts to."""
-        return {"machine": self.loaded_machine, "target": self.target.end_point} | self.selection.model_dump()
+        """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target."""
+        kind = self.target.kind
+        others = {key for other, keys in KINDS.items() if other != kind for key in keys}
+        options = {key: value for key, value in self.selection.model_dump().items() if key not in others}
+        options |= {"machine": self.loaded_machine, "constraints": self.constraints}
+        options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
+        return options | (self.motion or Motion()).model_dump() if kind == "path" else options

@@ -66,6 +66,8 @@ Stiffness = Annotated[float, _quantity("N/m", above=0.0, high=1e15)]
 RotationalStiffness = Annotated[float, _quantity("N m/rad", above=0.0, high=1e15)]
 Damping = Annotated[float, _quantity("N s/m", low=0.0, high=1e12)]
 RotationalDamping = Annotated[float, _quantity("N m s/rad", low=0.0, high=1e12)]
+Torque = Annotated[float, _quantity("N m", above=0.0, high=1e15)]
+AngularSpeed = Annotated[float, _quantity("rad/s", above=0.0, high=1e6)]
 ANGLE_MAX = 4 * math.pi
 Angle = Annotated[float, _quantity("rad", low=-ANGLE_MAX, high=ANGLE_MAX)]
 Acceleration = Annotated[float, _quantity("m/s²", low=0.0, high=1e3)]

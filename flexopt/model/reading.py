@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 from flexopt.errors import Fault, ModelError, raise_if_any
+from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, machine_faults, problem_faults, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.machine import Machine
-from flexopt.model.problem import Problem
+from flexopt.model.problem import Problem, check_placement, check_task
 from flexopt.model.simulation import Experiment
+from flexopt.model.targets import target_faults
 from flexopt.model.tree import Tree
 
 
@@ -87,7 +89,9 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     if not isinstance(data, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ModelError(f"{origin}: must be a dictionary in the layout of a machine file, not {type(data).__name__}")
     named = _with_link_names(data)
-    return validated(Machine, named, origin, machine_faults(named))
+    machine = validated(Machine, named, origin, machine_faults(named))
+    check_strokes(machine, origin)
+    return machine
 
 
 def _machine(source: Source) -> Machine | Tree:
@@ -103,9 +107,6 @@ def _experiment(source: Source) -> Experiment:
         raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
     experiment = validated(Experiment, source.data, source.name, ())
     machine = _machine_of(source, experiment.machine)
-    if not isinstance(machine, Machine):
-        sentence = "is a spatial machine, and experiments take planar machines only so far"
-        raise ModelError(f"{source.name}: machine = {experiment.machine!r}: {sentence}", [Fault("machine", sentence)])
     faults = [Fault(f"simulation.{f.field}", f.sentence, f.value) for f in experiment.simulation.faults(machine)]
     raise_if_any(ModelError, source.name, faults)
     return experiment.with_machine(machine)
@@ -114,8 +115,46 @@ def _experiment(source: Source) -> Experiment:
 def _problem(source: Source) -> Problem:
     if "simulation" in source.data:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
-    problem = validated(Problem, source.data, source.name, problem_faults(source.data))
-    return problem.with_machine(_machine_of(source, problem.machine))
+    faults = [*problem_faults(source.data), *target_faults(source.data)]
+    name = source.data.get("machine")
+    machine: Machine | Tree | None = None
+    try:
+        machine = _machine_of(source, name) if isinstance(name, str) and name else None
+    except ModelError as error:
+        # What is wrong with the problem itself comes first.
+        validated(Problem, source.data, source.name, faults)
+        raise error from None
+    if machine is not None:
+        faults += _size_faults(source.data, machine)
+    problem = validated(Problem, source.data, source.name, faults)
+    assert machine is not None
+    return problem.with_machine(machine)
+
+
+def _size_faults(data: Table, machine: Machine | Tree) -> list[Fault]:
+    """Lists of numbers that are not as long as the machine's task, placement or arm."""
+
+    def placed(value: Any) -> Any:
+        return check_placement(value, machine.base_coordinates, machine.base_units)
+
+    def held(value: Any) -> Any:
+        return check_placement(value, machine.joints, machine.joint_units, what="held")
+
+    checks: tuple[tuple[str, str, Callable[[Any], Any]], ...] = (
+        ("target", "end_point", lambda value: check_task(value, machine.task_rows)),
+        ("selection", "base", placed),
+        ("selection", "posture", held),
+    )
+    faults: list[Fault] = []
+    for table, key, check in checks:
+        inside = data.get(table)
+        value = cast(dict[str, Any], inside).get(key) if isinstance(inside, dict) else None
+        if isinstance(value, list | int | float) and not isinstance(value, bool):
+            try:
+                check(value)
+            except ValueError as error:
+                faults.append(Fault(f"{table}.{key}", str(error), str(cast(Any, value))))
+    return faults
 
 
 def _machine_of(source: Source, name: str) -> Machine | Tree:
@@ -125,12 +164,13 @@ def _machine_of(source: Source, name: str) -> Machine | Tree:
 
 
 def _with_link_names(data: Table) -> dict[str, Any]:
-    """Number the links that have no name, so that parameters and joints can be told apart."""
-    links = data.get("links")
-    if not isinstance(links, list | tuple):
-        return dict(data)
+    """Number the links that have no name, so that parameters and joints can be told apart; lists become tuples."""
+    plain = {key: tuple(cast(list[Any], value)) if isinstance(value, list) else value for key, value in data.items()}
+    links = plain.get("links")
+    if not isinstance(links, tuple):
+        return plain
     named = [
         {"name": f"link{i}"} | cast(dict[str, Any], link) if isinstance(link, dict) else link
-        for i, link in enumerate(cast(list[Any], links), start=1)
+        for i, link in enumerate(cast(tuple[Any, ...], links), start=1)
     ]
-    return dict(data) | {"links": tuple(named)}
+    return plain | {"links": tuple(named)}

@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationError
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.model.arguments import Arguments
 from flexopt.model.faults import model_faults
-from flexopt.model.machine import FileModel, Machine
+from flexopt.model.machine import AnyMachine, FileModel
 from flexopt.model.problem import (
     Control,
     Elbow,
-    check_base,
+    check_control,
     check_gain,
     check_objective,
-    check_point,
     check_seed,
+    check_task,
     check_weights,
 )
 from flexopt.model.quantities import (
-    ANGLE_MAX,
     COORDINATE_MAX,
     BaseRange,
     check_number,
@@ -88,8 +88,9 @@ def _whole(value: Any) -> int:
 
 
 Gains = Annotated[Numbers, checked(_list_of("N/m and the like", low=0.0, high=GAIN_MAX))]
-Torques = Annotated[Numbers, checked(_list_of("N m", low=0.0, high=1e12))]
-Angles = Annotated[Numbers, checked(_list_of("rad", low=-ANGLE_MAX, high=ANGLE_MAX))]
+Torques = Annotated[Numbers, checked(_list_of("N m or N", low=0.0, high=1e12))]
+# Which of them are angles, and how many there must be, is the machine's to say.
+Coordinates = Annotated[Numbers, checked(_list_of("rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX))]
 
 
 class _Option(FileModel):
@@ -123,16 +124,22 @@ class Actuator(_Option):
     """What the joints' drives make of the torque asked for; a number, or a list with one for each actuated joint.
 
     Attributes:
-        torque_limit: largest torque asked for, N m.
-        dead_band: command below which nothing happens, and by which larger ones are smaller, N m.
+        torque_limit: largest torque asked for, N m, or force of a slide, N.
+        dead_band: command below which nothing happens, and by which larger ones are smaller, N m or N.
         bandwidth_hz: of a first-order servo, Hz.
-        rate_limit: largest rate of the servo's torque, N m/s; needs a bandwidth.
+        rate_limit: largest rate of the servo's torque, N m/s, or force, N/s; needs a bandwidth.
+        levers: pass the joint rates that Jacobian inverse control asks for through the machine's levers, and cut what
+            exceeds full lever: of `"each"` by itself, or of all by one factor, `"uniform"`, so that the end-point's
+            velocity keeps its direction. See `flexopt.plant.Hydraulics`.
+        servo_gain: with levers, the torque that follows from a joint rate, N m s/rad, or force, N s/m; the article's 1.
     """
 
     torque_limit: Torques | None = None
     dead_band: Torques | None = None
     bandwidth_hz: Annotated[Numbers, checked(_list_of("Hz", low=1e-3, high=1e6))] | None = None
     rate_limit: Torques | None = None
+    levers: Literal["each", "uniform"] | None = None
+    servo_gain: Annotated[float, _number("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
 
 
 class Path(_Option):
@@ -141,8 +148,8 @@ class Path(_Option):
     times: Annotated[Numbers, checked(_list_of("s", low=0.0, high=1e6))]
     points: Annotated[tuple[Numbers, ...], checked(_check_points)]
 
-    def faults(self, name: str, size: int) -> list[Fault]:
-        """What does not fit together."""
+    def faults(self, name: str, names: tuple[str, ...]) -> list[Fault]:
+        """What does not fit together; `names` of a point's coordinates."""
         found: list[Fault] = []
         if len(self.times) != len(self.points):
             found.append(
@@ -150,8 +157,11 @@ class Path(_Option):
             )
         if any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
             found.append(Fault(f"{name}.times", "must increase, in s"))
-        if any(len(point) != size for point in self.points):
-            found.append(Fault(f"{name}.points", f"must have {size} coordinates each, in m"))
+        if not names:
+            found.append(Fault(name, "has nothing to move: the machine has no placement coordinates"))
+        elif any(len(point) != len(names) for point in self.points):
+            sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
+            found.append(Fault(f"{name}.points", sentence))
         return found
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -163,18 +173,18 @@ class Path(_Option):
 class SimulationOptions(FileModel):
     """What `flexopt.simulate` takes (keys of `[simulation]`); see there."""
 
-    posture: Angles | None = None
-    end_point: Annotated[Numbers, checked(check_point)] | None = None
-    elbow: Elbow = "up"
-    base: Annotated[Numbers, checked(check_base)] = (0.0,)
-    control: Control = "inverse"
+    posture: Coordinates | None = None
+    end_point: Annotated[Numbers, checked(_list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX))] | None = None
+    elbow: Elbow | None = None
+    base: Coordinates | None = None
+    control: Annotated[Control, checked(check_control)] = "inverse"
     feedback: Feedback = "pd"
     kp: Gains = (1e5,)
     kv: Gains = (2e3,)
     ki: Gains = (0.0,)
     integral_limit: Annotated[float, _number("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
     gain: Annotated[float, checked(check_gain)] = 5e5
-    offset: Angles | None = None
+    offset: Coordinates | None = None
     duration: Annotated[float, _number("s", above=0.0, high=1e6)] = 10.0
     rate: Annotated[float, _number("Hz", above=0.0, high=1e6)] = 200.0
     hold: bool = True
@@ -182,7 +192,7 @@ class SimulationOptions(FileModel):
     substeps: Annotated[int, checked(_whole)] | None = None
     gravity: bool = False
     gravity_compensation: bool = True
-    nullspace_damping: Annotated[float, _number("N m s/rad", low=0.0, high=1e12)] = 0.0
+    nullspace_damping: Annotated[float, _number("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
     base_path: Path | None = None
@@ -190,40 +200,44 @@ class SimulationOptions(FileModel):
     seed: Annotated[int, checked(check_seed)] = 0
     baked: bool = False
 
-    def faults(self, machine: Machine) -> list[Fault]:
+    def placement(self, machine: AnyMachine) -> Numbers:
+        """The placement (n_b,); the origin where none is given."""
+        return (0.0,) * len(machine.base_coordinates) if self.base is None else self.base
+
+    def faults(self, machine: AnyMachine) -> list[Fault]:
         """What does not fit together, or not this machine."""
         found = self._posture_faults(machine) + self._controller_faults(machine) + self._time_faults()
-        if self.base_path is not None:
-            found += self.base_path.faults("base_path", 1)
-            if "x" not in machine.free_base_directions:
-                sentence = "needs a base that gives in x; a rigid one would jerk the machine along"
-                found.append(Fault("base_path", sentence))
-        if self.target_path is not None:
-            found += self.target_path.faults("target_path", 2)
+        for name, path, names in (
+            ("base_path", self.base_path, machine.base_coordinates),
+            ("target_path", self.target_path, machine.task_rows),
+        ):
+            found += [] if path is None else path.faults(name, names)
         return found
 
-    def _posture_faults(self, machine: Machine) -> list[Fault]:
-        n, found = len(machine.joints), list[Fault]()
+    def _posture_faults(self, machine: AnyMachine) -> list[Fault]:
+        n, rows, noted = len(machine.joints), machine.task_rows, Arguments("")
         if (self.posture is None) == (self.end_point is None):
-            found.append(Fault("posture, end_point", "give one of the two"))
-        if self.end_point is not None and n > 2:
-            sentence = f"does not name one posture of {n} actuated joints; give the posture"
-            found.append(Fault("end_point", sentence, str(list(self.end_point))))
-        wanted = f"needs {n} angles in rad, one for each actuated joint ({', '.join(machine.joints)})"
-        for name, value in (("posture", self.posture), ("offset", self.offset)):
-            if value is not None and len(value) != n:
-                found.append(Fault(name, f"{wanted}, not {len(value)}", str(list(value))))
-        if self.posture is not None and len(self.posture) == n:
-            for name, angle, (low, high) in zip(machine.joints, self.posture, machine.limits, strict=True):
-                if not low <= angle <= high:
-                    found.append(Fault(f"posture ({name})", f"must lie between {low:g} and {high:g} rad", f"{angle:g}"))
-        return found
+            noted.faults.append(Fault("posture, end_point", "give one of the two"))
+        if self.end_point is not None:
+            point = list(self.end_point)
+            noted.checked("end_point", point, lambda v: check_task(v, rows), ())
+            if n > len(rows):
+                sentence = f"does not name one posture of {n} actuated joints; give the posture"
+                noted.faults.append(Fault("end_point", sentence, str(point)))
+        if self.posture is not None:
+            noted.posture(machine, list(self.posture))
+        if self.offset is not None:
+            noted.displacement(machine, list(self.offset), "offset")
+        if self.base is not None:
+            noted.base(machine, list(self.base))
+        return noted.faults
 
-    def _controller_faults(self, machine: Machine) -> list[Fault]:
-        n, found = len(machine.joints), list[Fault]()
+    def _controller_faults(self, machine: AnyMachine) -> list[Fault]:
+        n, found, axes = len(machine.joints), list[Fault](), len(machine.task_rows)
         for name, gains in (("kp", self.kp), ("kv", self.kv), ("ki", self.ki)):
-            if len(gains) not in (1, 2):
-                found.append(Fault(name, "must be one number, or one for each of the 2 task axes", str(list(gains))))
+            if len(gains) not in (1, axes):
+                sentence = f"must be one number, or one for each of the {axes} task axes"
+                found.append(Fault(name, sentence, str(list(gains))))
         wanted = f"must be one number, or one for each actuated joint ({', '.join(machine.joints)})"
         for name in ("torque_limit", "dead_band", "bandwidth_hz", "rate_limit"):
             value: Numbers | None = getattr(self.actuator, name)
@@ -232,6 +246,19 @@ class SimulationOptions(FileModel):
         if self.actuator.rate_limit is not None and self.actuator.bandwidth_hz is None:
             sentence = "needs actuator.bandwidth_hz: it limits how fast the servo's torque changes"
             found.append(Fault("actuator.rate_limit", sentence))
+        return found + self._lever_faults(machine)
+
+    def _lever_faults(self, machine: AnyMachine) -> list[Fault]:
+        if self.actuator.levers is None:
+            return []
+        found: list[Fault] = []
+        if self.control == "transpose":
+            sentence = 'set joint rates, and Jacobian transpose control asks for torques; use control = "inverse"'
+            found.append(Fault("actuator.levers", sentence, repr(self.actuator.levers)))
+        missing = machine.joints_without_speed
+        if missing:
+            sentence = f"need a cylinder or a speed of every joint; {machine.name} has none for {', '.join(missing)}"
+            found.append(Fault("actuator.levers", sentence, repr(self.actuator.levers)))
         return found
 
     def _time_faults(self) -> list[Fault]:
@@ -270,16 +297,16 @@ class Experiment(FileModel):
     simulation: SimulationOptions
     nullspace: NullspaceOptions | None = None
 
-    _loaded: Machine | None = PrivateAttr(default=None)
+    _loaded: AnyMachine | None = PrivateAttr(default=None)
 
-    def with_machine(self, machine: Machine) -> Experiment:
+    def with_machine(self, machine: AnyMachine) -> Experiment:
         """The same experiment, holding its machine."""
         twin = self.model_copy()
         twin._loaded = machine
         return twin
 
     @property
-    def loaded_machine(self) -> Machine:
+    def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
         assert self._loaded is not None
         return self._loaded

@@ -10,11 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
+import numpy as np
 from pydantic import Field
 
+from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, validated
+from flexopt.model.hydraulics import JointFrame
 from flexopt.model.machine import AnyMachine, FileModel, Parameter, Payload
 from flexopt.model.quantities import Length, MassOrZero, checked
+from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
+from flexopt.model.tables import Polygon
 from flexopt.model.tree_faults import tree_faults
 from flexopt.model.tree_quantities import (
     Axis,
@@ -23,9 +28,11 @@ from flexopt.model.tree_quantities import (
     Point,
     Rotation,
     Square,
+    axes_about,
     check_damping_value,
     check_rest_value,
     check_stiffness_value,
+    snapped_rows,
 )
 
 Row = Literal["x", "y", "z", "roll", "pitch", "yaw"]
@@ -37,10 +44,12 @@ UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class TreeJoint(FileModel):
-    """A hinge or a slide. Passive: spring, damper, rest value; else actuated: limits and friction.
+    """A hinge or a slide. Passive: spring, damper, rest value; else actuated: limits, effort, speed and friction.
 
     A passive joint has a `stiffness` unless the tree's `stiffness_matrix` names it. Units follow `kind`: N m/rad,
-    N m s/rad and rad, or N/m, N s/m and m. `axis` (3,) is scaled to length 1.
+    N m s/rad and rad, or N/m, N s/m and m. `effort` (N m or N) and `speed` (rad/s or m/s) bound it either way.
+    `armature` (kg m² or kg) is inertia that turns with the joint alone, such as a geared rotor's: it is added to the
+    joint's entry on the diagonal of M. `axis` (3,) is scaled to length 1.
     """
 
     name: str = Field(min_length=1)
@@ -51,6 +60,9 @@ class TreeJoint(FileModel):
     damping: Annotated[float, checked(check_damping_value)] = 0.0
     rest: Annotated[float, checked(check_rest_value)] = 0.0
     limits: Pair | None = None
+    effort: Annotated[float, checked(check_effort_value)] | None = None
+    speed: Annotated[float, checked(check_speed_value)] | None = None
+    armature: Annotated[float, checked(check_armature_value)] = 0.0
     joint_damping: Annotated[float, checked(check_damping_value)] = 0.0
 
 
@@ -104,7 +116,8 @@ class Tree(AnyMachine):
     """A spatial machine: bodies in topological order (each after its parent), compliance, end-point, placement.
 
     Gravity acts along −z. `stiffness_matrix` and `damping_matrix` stand in for `stiffness` and `damping` of the passive
-    joints that they name. `placement` lists the coordinates of the anchor frame that the operator chooses.
+    joints that they name. `placement` lists the coordinates of the anchor frame that the operator chooses. `capsules`
+    say what the bodies fill, `support` what the undercarriage stands on.
     """
 
     bodies: tuple[TreeBody, ...]
@@ -113,6 +126,7 @@ class Tree(AnyMachine):
     damping_matrix: JointMatrix | None = None
     placement: tuple[Placement, ...] = ("x", "y", "yaw")
     payload: Payload = Payload()
+    support: Polygon | None = None
 
     __hash__ = AnyMachine.__hash__
 
@@ -152,10 +166,33 @@ class Tree(AnyMachine):
         return any(body.joint.joint_damping > 0 for body in self.actuated_bodies)
 
     @property
-    def limits(self) -> tuple[tuple[float, float], ...]:
-        """Limits of the actuated joints, rad or m; infinite where none are given."""
+    def joint_limits(self) -> tuple[tuple[float, float], ...]:
+        """Limits of the actuated joints as they were given, rad or m; infinite where none are."""
         unlimited = (-float("inf"), float("inf"))
         return tuple(body.joint.limits or unlimited for body in self.actuated_bodies)
+
+    def joint_frame(self, joint: str) -> JointFrame:
+        """The joint's axis is the third of its frame."""
+        body = next(body for body in self.actuated_bodies if body.joint.name == joint)
+        of_body = axes_about(body.joint.axis)
+        of_parent = snapped_rows(np.array(of_body) @ np.array(body.rotation).T)
+        x, y, z = (f"{body.name}.position.{axis}" for axis in "xyz")
+        return JointFrame(body.joint.kind == "slide", (x, y, z), of_parent, of_body)
+
+    @property
+    def efforts(self) -> tuple[float, ...]:
+        """Largest torque or force of the actuated joints either way, N m or N; infinite where none is given."""
+        return tuple(body.joint.effort or float("inf") for body in self.actuated_bodies)
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        """Largest speed of the actuated joints either way, rad/s or m/s; infinite where none is given."""
+        return tuple(body.joint.speed or float("inf") for body in self.actuated_bodies)
+
+    @property
+    def support_points(self) -> tuple[tuple[float, ...], ...]:
+        """Corners (x, y) of the polygon that the undercarriage stands on, m, counter-clockwise; empty without one."""
+        return () if self.support is None else self.support.polygon
 
     @property
     def base_coordinates(self) -> tuple[str, ...]:
@@ -167,10 +204,16 @@ class Tree(AnyMachine):
         """Unit of each placement coordinate, m or rad."""
         return tuple("rad" if name == "yaw" else "m" for name in self.placement)
 
+    @property
+    def task_rows(self) -> tuple[str, ...]:
+        """Names of the end-point's coordinates."""
+        return self.end_point.rows
+
     def list_parameters(self) -> list[Parameter]:
         """See `parameters`.
 
-        Directions (axes, rotations) are no parameters, nor are mass and inertia of a body that has none.
+        Directions (axes, rotations) are no parameters, nor are mass and inertia of a body that has none and a zero
+        armature.
         """
         listed: list[Parameter] = []
         for body in self.bodies:
@@ -189,9 +232,10 @@ class Tree(AnyMachine):
     def _joint_parameters(self, joint: TreeJoint) -> list[Parameter]:
         turn = joint.kind == "hinge"
         spring, damper, unit = ("N m/rad", "N m s/rad", "rad") if turn else ("N/m", "N s/m", "m")
+        rotor = Parameter(f"{joint.name}.armature", joint.armature, "kg m²" if turn else "kg")
+        listed = [rotor] if joint.armature else []
         if not joint.passive:
-            return [Parameter(f"{joint.name}.joint_damping", joint.joint_damping, damper)]
-        listed: list[Parameter] = []
+            return [*listed, Parameter(f"{joint.name}.joint_damping", joint.joint_damping, damper)]
         if joint.stiffness is not None:
             listed.append(Parameter(f"{joint.name}.stiffness", joint.stiffness, spring))
         if self.damping_matrix is None or joint.name not in self.damping_matrix.joints:
@@ -236,7 +280,9 @@ def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
         ModelError: lists every fault.
     """
     frozen = cast(dict[str, Any], _with_tuples(data))
-    return validated(Tree, frozen, origin, tree_faults(frozen))
+    tree = validated(Tree, frozen, origin, tree_faults(frozen))
+    check_strokes(tree, origin)
+    return tree
 
 
 def _with_tuples(value: Any) -> Any:

@@ -9,6 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import Fault
+from flexopt.model.cylinder_faults import cylinder_faults
+from flexopt.model.faults import capsule_faults
 from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX
 from flexopt.model.tree_quantities import check_square
 
@@ -35,9 +37,12 @@ def tree_faults(data: dict[str, Any]) -> list[Fault]:
     for index, body in bodies:
         faults += _joint_faults(_where(index, body), _joint(body), coupled)
     faults += _massless_faults(bodies, data)
+    faults += capsule_faults(data, [body.get("name") for _, body in bodies], 3)
+    kinds = {str(_joint(b).get("name")): _joint(b).get("kind") for _, b in bodies if not _joint(b).get("passive")}
+    faults += cylinder_faults(data, kinds, passive, 3)
     if not passive:
         faults.append(Fault("bodies", "no passive joint: at least one needs passive = true and a stiffness"))
-    faults += _end_point_faults(_table(data.get("end_point")), bodies, len(bodies) - len(passive))
+    faults += _end_point_faults(_table(data.get("end_point")), bodies)
     faults += _repeats("placement", data.get("placement"))
     return faults
 
@@ -101,7 +106,7 @@ def _joint_faults(where: str, joint: dict[str, Any], coupled: dict[str, tuple[st
             faults.append(Fault(f"{where}.joint.stiffness", "a passive joint needs one, in N m/rad or N/m"))
         if name in coupled["damping"] and joint.get("damping"):
             faults.append(Fault(f"{where}.joint.damping", "is given twice: damping_matrix names this joint"))
-        wrong = [key for key in ("limits", "joint_damping") if joint.get(key)]
+        wrong = [key for key in ("limits", "effort", "speed", "joint_damping") if joint.get(key)]
         reason = "belongs to an actuated joint; a passive one has stiffness, damping and rest"
     else:
         wrong = [key for key in ("stiffness", "damping", "rest") if joint.get(key)]
@@ -153,9 +158,12 @@ def _massless_faults(bodies: Bodies, data: dict[str, Any]) -> list[Fault]:
         if carries.get(body.get("name")) and body.get("parent") in carries:
             carries[body.get("parent")] = True
     return [
-        Fault(f"{_where(index, body)}.mass", "the joint moves nothing: neither this body nor one beyond it has mass")
+        Fault(
+            f"{_where(index, body)}.mass",
+            "the joint moves nothing: it has no armature, and neither this body nor one beyond it has mass",
+        )
         for index, body in bodies
-        if not carries.get(body.get("name"))
+        if not (carries.get(body.get("name")) or _joint(body).get("armature"))
     ]
 
 
@@ -163,7 +171,7 @@ def _any(value: Any) -> bool:
     return isinstance(value, tuple) and any(cast(Iterable[Any], value))
 
 
-def _end_point_faults(end_point: dict[str, Any], bodies: Bodies, actuated: int) -> list[Fault]:
+def _end_point_faults(end_point: dict[str, Any], bodies: Bodies) -> list[Fault]:
     faults: list[Fault] = []
     body = end_point.get("body")
     if isinstance(body, str) and body and body not in {b.get("name") for _, b in bodies}:
@@ -173,8 +181,13 @@ def _end_point_faults(end_point: dict[str, Any], bodies: Bodies, actuated: int) 
     count = len(cast(tuple[Any, ...], rows)) if isinstance(rows, tuple) else 1
     if not count:
         faults.append(Fault("end_point.rows", "must not be empty"))
-    if actuated < count:
-        sentence = f"{count} task rows need at least {count} actuated joints; there are {actuated}"
+    actuated = [_joint(b) for _, b in bodies if _joint(b).get("passive") is not True]
+    if len(actuated) < count:
+        names = ", ".join(str(joint.get("name")) for joint in actuated)
+        sentence = (
+            f"{count} task rows need at least {count} actuated joints; there are {len(actuated)}"
+            f"{f' ({names})' if names else ''}: actuate more joints, or take fewer rows"
+        )
         faults.append(Fault("end_point.rows", sentence, _quoted(rows)))
     return faults
 

@@ -69,8 +69,22 @@ def check_rotation(value: Any) -> Matrix3:
         left, _, right = np.linalg.svd(matrix)
         exact = left @ right
         matrix = matrix if np.abs(exact - matrix).max() < SNAP else exact
+    return snapped_rows(matrix)
+
+
+def snapped_rows(matrix: np.ndarray[Any, np.dtype[np.float64]]) -> Matrix3:
+    """A matrix by rows, what is meant to be 0 or ±1 exactly that."""
     rounded = [[_snapped(float(entry)) for entry in row] for row in matrix]
     return cast(Matrix3, tuple(tuple(row) for row in rounded))
+
+
+def axes_about(axis: Vector3) -> Matrix3:
+    """Rows of a right-handed frame, the third along `axis`; the first is along x if it can be, else near it."""
+    along = np.array(axis)
+    first = np.array([0.0, 1.0, 0.0]) if abs(along[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
+    first = first - along * (first @ along)
+    first /= np.linalg.norm(first)
+    return snapped_rows(np.stack([first, np.cross(along, first), along]))
 
 
 def _from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray[Any, np.dtype[np.float64]]:

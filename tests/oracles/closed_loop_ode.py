@@ -13,6 +13,7 @@ from scipy.optimize import root
 
 from flexopt import build_plant
 from flexopt.model import Machine
+from tests.oracles.controls import task_map
 
 Vector = np.ndarray
 
@@ -116,7 +117,7 @@ class Loop:
         rigid = self.tip(belief, self.base)[1][:, self.m :]
         torque = np.zeros(self.n)
         if not self.open:
-            torque = rigid.T @ force if self.control == "transpose" else np.linalg.pinv(rigid) @ force
+            torque = task_map(rigid, self.control) @ force
         if self.gravity and self.compensated:
             torque = torque + self.terms(belief, 0 * v, self.base)[2][self.m :]
         if self.nullspace_damping:
@@ -131,7 +132,7 @@ class Loop:
         q, m, n_q = self.q_design, self.m, self.m + self.n
         inverse, jacobian = np.linalg.inv(self.terms(q, 0 * q, self.base)[0]), self.tip(q, self.base)[1]
         rigid = jacobian[:, m:]
-        drive = np.vstack([np.zeros((m, 2)), rigid.T if self.control == "transpose" else np.linalg.pinv(rigid)])
+        drive = np.vstack([np.zeros((m, 2)), task_map(rigid, self.control)])
         a = np.block([[-inverse @ self.damping, -inverse @ self.stiffness], [np.eye(n_q), np.zeros((n_q, n_q))]])
         return a, np.vstack([inverse @ drive, 0 * drive]), np.hstack([0 * jacobian, jacobian])
 

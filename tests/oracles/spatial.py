@@ -5,6 +5,7 @@ Both oracles are built from the dictionary that `tree_from_dict` reads, not from
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,7 +46,7 @@ def matrix_of(entries: list[float]) -> np.ndarray:
 
 def random_tree(seed: int, *, rows: tuple[str, ...] = ("x", "y", "z"), counts: tuple[int, int] | None = None) -> Data:
     """2 to 10 joints (or `counts`, passive and actuated ones), hinges and slides, branched or not, axes aligned or not."""
-    rng = np.random.default_rng(seed)
+    rng, rotors = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     n = int(rng.integers(2, 11))
     aligned, branched = rng.random() < 0.5, rng.random() < 0.5
     n_passive = int(rng.integers(1, n))
@@ -65,6 +66,8 @@ def random_tree(seed: int, *, rows: tuple[str, ...] = ("x", "y", "z"), counts: t
             joint["rest"] = float(rng.uniform(-0.5, 0.5))
         else:
             joint["joint_damping"] = float(rng.uniform(0, 5))
+        if rotors.random() < 0.3:
+            joint["armature"] = float(rotors.uniform(0.1, 5))
         bodies.append(
             {
                 "name": f"b{i}",
@@ -236,7 +239,7 @@ def depth_first(bodies: list[Data], parent: str | None) -> list[Data]:
 def pinocchio_tree(data: Data) -> PinocchioTree:
     model = pin.Model()
     model.gravity.linear = np.array([0.0, 0.0, -data["gravity"]])
-    ids = {None: 0}
+    ids, rotors = {None: 0}, {}
     for body in depth_first(data["bodies"], None):  # Pinocchio's crba wants each subtree in one piece
         joint, axis = body["joint"], np.array(body["joint"]["axis"])
         axis = axis / np.linalg.norm(axis)
@@ -247,10 +250,12 @@ def pinocchio_tree(data: Data) -> PinocchioTree:
             body.get("mass", 0.0), np.array(body.get("com", [0.0] * 3)), matrix_of(body.get("inertia", [0.0] * 6))
         )
         model.appendBodyToJoint(ids[body["name"]], mass, pin.SE3.Identity())
+        rotors[ids[body["name"]]] = joint.get("armature", 0.0)
     end = data["end_point"]
     placement, carrier = pin.SE3(rotation_of(end), np.array(end["position"])), ids[end["body"]]
     payload = pin.Inertia(data.get("payload", {}).get("mass", 0.0), np.zeros(3), np.zeros((3, 3)))
     model.appendBodyToJoint(carrier, payload, placement)
+    model.armature = np.array([rotors[joint] for joint in range(1, model.njoints)])
     tip = model.addFrame(pin.Frame("tip", carrier, placement, pin.FrameType.OP_FRAME))
     order = [model.joints[ids[data["bodies"][i]["name"]]].idx_v for i in coordinate_order(data)]
     rows = [["x", "y", "z", "roll", "pitch", "yaw"].index(row) for row in end["rows"]]
@@ -293,10 +298,11 @@ class MujocoTree:
         return self.data.qacc[self.order].copy()
 
 
-def mujoco_tree(data: Data) -> MujocoTree:
+def mujoco_tree(data: Data, add: Callable[[Any, dict[str | None, Any]], None] | None = None) -> MujocoTree:
     """The machine without its `stiffness_matrix` and `damping_matrix`: MuJoCo has no coupled springs.
 
-    A body without mass must carry one child only: MuJoCo wants its joint on that child.
+    A body without mass must carry one child only: MuJoCo wants its joint on that child. `add` may add to the MjSpec, whose
+    bodies it gets by name.
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree, spec.compiler.balanceinertia = False, False
@@ -313,7 +319,7 @@ def mujoco_tree(data: Data) -> MujocoTree:
         whole = pin.SE3.Identity()
         for step in steps:
             whole = whole * step
-        body = made[series[0].get("parent")].add_body(name=entry["name"], pos=whole.translation)
+        body = made[series[0].get("parent")].add_body(name=f"body {entry['name']}", pos=whole.translation)
         body.quat = pin_quaternion(whole.rotation)
         body.explicitinertial, body.mass = True, entry.get("mass", 0.0)
         body.ipos, body.fullinertia = entry.get("com", [0.0] * 3), entry.get("inertia", [0.0] * 6)
@@ -328,6 +334,8 @@ def mujoco_tree(data: Data) -> MujocoTree:
     if data.get("payload", {}).get("mass", 0.0) > 0:
         load = tip.add_body(name="load", pos=end["position"])
         load.explicitinertial, load.mass, load.inertia, load.ipos = True, data["payload"]["mass"], [0.0] * 3, [0.0] * 3
+    if add is not None:
+        add(spec, made)
     model = spec.compile()
     order = [int(model.joint(data["bodies"][i]["joint"]["name"]).dofadr[0]) for i in coordinate_order(data)]
     return MujocoTree(model, mujoco.MjData(model), order)
@@ -341,6 +349,7 @@ def add_joint(body: Any, joint: Data, frame: Any) -> None:
         name=joint["name"], type=kind, axis=axis, pos=frame.translation, springref=joint.get("rest", 0.0)
     )
     damping = joint.get("damping", 0.0) + joint.get("joint_damping", 0.0)
+    made.armature = joint.get("armature", 0.0)
     made.stiffness = polynomial(made.stiffness, joint.get("stiffness", 0.0))
     made.damping = polynomial(made.damping, damping)
 

@@ -7,15 +7,17 @@ so that its turn is Rz(yaw) Ry(pitch) Rx(roll) and at rest their axes are those 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from flexopt.errors import Fault
+from flexopt.model.hydraulics import Cylinder
 from flexopt.model.robots.bodies import Body, body_name, plain, tree_joint
 from flexopt.model.robots.description import Description, Frame, Link
 from flexopt.model.robots.geometry import Inertial, Pose, shift
-from flexopt.model.robots.overlay import DIRECTIONS, Overlay, nearest
+from flexopt.model.robots.overlay import DIRECTIONS, CapsuleTable, Overlay, nearest
 from flexopt.model.robots.roles import Roles
 
 CHAIN = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -26,7 +28,7 @@ STANDARD_GRAVITY = 9.81
 class Assembly:
     """Builds the bodies; `faults` tells what went wrong, `bodies` is complete where nothing did."""
 
-    def __init__(self, robot: Description, overlay: Overlay) -> None:
+    def __init__(self, robot: Description, overlay: Overlay, *, from_collisions: bool = False) -> None:
         self.robot = robot
         self.overlay = overlay
         self.faults: list[Fault] = []
@@ -45,6 +47,11 @@ class Assembly:
             if not lifted:
                 self.faults += [Fault(f.field, f.sentence + hint, f.value) for f in blocker.faults]
         self._end_point = self._find_end_point()
+        self._cylinders = [self._cylinder(index, table) for index, table in enumerate(overlay.cylinders)]
+        self.warnings: list[str] = []
+        self._capsules = [self._capsule(index, table) for index, table in enumerate(overlay.capsules)]
+        if from_collisions:
+            self._capsules += [capsule for link in links for capsule in self._round(link)]
         massless = not any(body.inertial.mass or body.inertial.tensor.any() for body in self.bodies)
         if links and massless and not (overlay.payload.mass or self.faults):
             sentence = "no link that moves has a mass (<inertial>): this description is of the geometry alone"
@@ -72,6 +79,9 @@ class Assembly:
             },
             "placement": overlay.placement,
             "payload": overlay.payload.model_dump(),
+            "capsules": tuple(self._capsules),
+            "cylinders": tuple(self._cylinders),
+            "support": overlay.support and overlay.support.model_dump(),
         } | self._matrices()
 
     def _subtree(self) -> list[Link]:
@@ -96,7 +106,7 @@ class Assembly:
             poses[link.name] = poses[link.parent] @ link.pose
             if link.name == root:
                 own = link.joints if link.parent is None else ()
-                kept[root] = Link(root, None, link.element, poses[root], own, link.inertial, link.why)
+                kept[root] = replace(link, parent=None, pose=poses[root], joints=own)
             elif link.parent in kept:
                 kept[link.name] = link
         if overlay.base is not None:
@@ -132,7 +142,7 @@ class Assembly:
             place = Pose()
         carried = Pose(-point, rotation)
         self._carriers[None] = (self.bodies[-1], Pose()) if self.bodies else (None, shift(position + point))
-        return Link(root.name, None, root.element, carried, own, root.inertial, root.why)
+        return replace(root, pose=carried, joints=own)
 
     def _matrices(self) -> dict[str, Any]:
         """The base's full matrices, over its joints in the order of `DIRECTIONS`."""
@@ -183,6 +193,52 @@ class Assembly:
         if body is None:
             self.faults.append(Fault(f"end_point.{word}", "is fixed to the ground", repr(name)))
         return body.name if body else "", pose @ frame.pose
+
+    def _capsule(self, index: int, table: CapsuleTable) -> dict[str, Any]:
+        """In the layout of `Capsule`, its ends in the axes of the body that the link is part of."""
+        body, pose = self._carriers.get(table.link, (None, Pose()))
+        if body is None:
+            links = [link for link in self._carriers if link is not None]
+            sentence = f"is no link of the robot{nearest(table.link, links)}"
+            if table.link in links:
+                sentence = "is fixed to the ground; capsules are of bodies that move"
+            self.faults.append(Fault(f"capsules[{index}].link", sentence, repr(table.link)))
+            return {}
+        start, end = (plain((pose @ Pose(np.array(place))).position) for place in (table.start, table.end))
+        return {"body": body.name, "start": start, "end": end, "radius": table.radius}
+
+    def _round(self, link: Link) -> list[dict[str, Any]]:
+        """Capsules round the link's collision geometry; none where it is fixed to the ground."""
+        body, pose = self._carriers[link.name]
+        found: list[dict[str, Any]] = []
+        if body is None:
+            return found
+        for solid in link.solids:
+            if solid.why:
+                self.warnings.append(f"{solid.element.place}: {link.element.label}: collision geometry {solid.why}")
+                continue
+            start, end = (plain((pose @ Pose(place)).position) for place in (solid.start, solid.end))
+            found.append({"body": body.name, "start": start, "end": end, "radius": solid.radius})
+        return found
+
+    def _cylinder(self, index: int, cylinder: Cylinder) -> dict[str, Any]:
+        """Its pins in the axes of the bodies that the joint's links are part of."""
+        layout = cylinder.model_dump(exclude_unset=True)
+        link = next((link for link in self.robot.links for j in link.joints if j.name == cylinder.joint), None)
+        if link is None or link.name not in self._carriers:
+            return layout  # the tree has no such joint, and says so
+        if sum(self._roles.moves(joint) for joint in link.joints) > 1:
+            sentence = f"moves link {link.name!r} together with others; the cylinder's pins would belong to no link"
+            self.faults.append(Fault(f"cylinders[{index}] ({cylinder.name}).joint", sentence, repr(cylinder.joint)))
+        parent = self._carriers[link.parent if link.parent in self._carriers else None][1]
+        own, rocker = self._carriers[link.name][1], layout.get("rocker", {})
+        for table, key, pose in (
+            (layout, "base_point", parent), (layout, "rod_point", own),
+            (rocker, "pivot", parent), (rocker, "coupler_point", own),
+        ):  # fmt: skip
+            if len(table.get(key, ())) == 3:
+                table[key] = plain((pose @ Pose(np.array(table[key]))).position)
+        return layout
 
     def located(self, fault: Fault) -> Fault:
         """A fault of the tree in the words of the files it was made from."""

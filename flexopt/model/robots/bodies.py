@@ -53,10 +53,12 @@ def body_name(link: Link) -> str:
 def tree_joint(joint: Joint, role: Role) -> dict[str, Any]:
     """In the layout of `TreeJoint`."""
     common: dict[str, Any] = {"name": joint.name, "kind": joint.kind, "axis": plain(joint.axis)}
+    common["armature"] = role.armature
     if role.kind == "passive":
         spring = {"stiffness": role.stiffness, "damping": role.damping, "rest": role.value}
         return common | {"passive": True} | spring
-    return common | {"joint_damping": role.damping, "limits": _within_turns(joint.kind, role.limits)}
+    bounds = {"limits": _within_turns(joint.kind, role.limits), "effort": role.effort, "speed": role.speed}
+    return common | {"joint_damping": role.damping} | bounds
 
 
 def _within_turns(kind: str, limits: tuple[float, float] | None) -> tuple[float, float] | None:

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from flexopt.model.robots.collisions import Solid
 from flexopt.model.robots.elements import Element, Faults
 from flexopt.model.robots.geometry import NO_MOMENT, Array, Inertial, Pose, about, shift
 
@@ -32,7 +33,7 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint of one degree of freedom, or a free one (six). SI, radians; `limits` None where there are none."""
+    """A joint of one degree of freedom, or a free one (six). SI, radians; limits, effort and speed None without any."""
 
     name: str
     kind: Kind
@@ -44,6 +45,8 @@ class Joint:
     damping: float = 0.0
     rest: float = 0.0
     limits: tuple[float, float] | None = None
+    effort: float | None = None
+    speed: float | None = None
     armature: float = 0.0
     mimic: Mimic | None = None
 
@@ -62,7 +65,10 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A rigid body. `inertial` is None where the file does not tell it, and `why` is the sentence."""
+    """A rigid body. `inertial` is None where the file does not tell it, and `why` is the sentence.
+
+    `solids` are its collision geometry.
+    """
 
     name: str
     parent: str | None
@@ -71,6 +77,7 @@ class Link:
     joints: tuple[Joint, ...] = ()
     inertial: Inertial | None = field(default_factory=Inertial)
     why: str = ""
+    solids: tuple[Solid, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,23 +1,26 @@
 """MJCF (MuJoCo's XML) in, a `Description` out.
 
-Read: nested bodies and frames, hinges and slides with stiffness, damping, springref, ref and range, inertials, the
-inertia of primitive geoms, sites, defaults, includes, compiler settings. Actuators, contacts, sensors and keyframes are
-left out and noted. What would change the dynamics without having a place here (ball joints, flexible bodies, springs
-that are not linear) is a fault; equality constraints, tendons that pull, gravity compensation are `blockers`, which the
-overlay may ignore by name.
+Read: nested bodies and frames, hinges and slides with stiffness, damping, springref, ref, range and armature,
+inertials, the inertia of primitive geoms, sites, defaults, includes, compiler settings, and what actuators give at
+most. All else of actuators, contacts, sensors and keyframes is left out and noted. What would change the dynamics
+without having a place here (ball joints, flexible bodies, springs that are not linear) is a fault; equality
+constraints, tendons that pull, gravity compensation are `blockers`, which the overlay may ignore by name.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from flexopt.model.robots.collisions import Solid, mjcf_solid
 from flexopt.model.robots.description import Description, Frame, Joint, Link, check_inertial
 from flexopt.model.robots.elements import Element, Faults, unique
 from flexopt.model.robots.geometry import Array, Inertial, Pose, tensor
+from flexopt.model.robots.mjcf_actuators import drive_efforts
 from flexopt.model.robots.mjcf_geoms import geom_inertial
 from flexopt.model.robots.mjcf_joints import read_joint
 from flexopt.model.robots.mjcf_settings import MAIN, Settings, read_settings, with_includes
@@ -55,7 +58,7 @@ def read_mjcf(root: Element, folder: Path, faults: Faults) -> Description:
     kept = Counter(child.tag for section in root.all(*LEFT_OUT) for child in section.children)
     return Description(
         name=root.attributes.get("model", ""),
-        links=reader.scaled_links(),
+        links=_with_efforts(reader.scaled_links(), drive_efforts(root, reader.settings)),
         sites=reader.sites,
         gravity=gravity,
         notes=tuple(f"<{tag}> ({count}) not read" for tag, count in kept.items()),
@@ -73,6 +76,7 @@ class _Body:
         self.solid = Inertial()
         self.why = ""
         self.has_geoms = False
+        self.solids: list[Solid] = []
 
 
 class _Reader:
@@ -112,6 +116,7 @@ class _Reader:
             joints=tuple(body.joints),
             inertial=None if why else inertial,
             why=why,
+            solids=tuple(body.solids),
         )
 
     def _part(self, child: Element, of: Element, name: str, pose: Pose, child_class: str, body: _Body) -> None:
@@ -123,6 +128,8 @@ class _Reader:
             body.explicit = self._explicit(child, of).seen_from(pose)
         elif child.tag == "geom":
             body.has_geoms = True
+            shape = mjcf_solid(self.settings, element, pose, of)
+            body.solids += [] if shape is None else [shape]
             solid = geom_inertial(self.settings, element, pose, of)
             if isinstance(solid, str):
                 body.why = solid
@@ -176,6 +183,22 @@ class _Reader:
             link if link.inertial is None else replace(link, inertial=link.inertial.scaled(wanted / total))
             for link in self.links
         )
+
+
+def _with_efforts(links: tuple[Link, ...], efforts: Mapping[str, float]) -> tuple[Link, ...]:
+    """Joints bounded by what drives them, too."""
+    return tuple(
+        replace(
+            link,
+            joints=tuple(
+                replace(joint, effort=min(efforts[joint.name], joint.effort or float("inf")))
+                if joint.name in efforts
+                else joint
+                for joint in link.joints
+            ),
+        )
+        for link in links
+    )
 
 
 def _adjusted(matrix: Array, settings: Settings) -> Array:

@@ -42,7 +42,7 @@ def geom_inertial(settings: Settings, geom: Element, frame: Pose, of: Element) -
     check_text(faults, geom, "type", (*SIZES, *WITHOUT_MASS, "mesh", "sdf"), "sphere")
     if shape not in SIZES:
         return Inertial()
-    size = _size(settings, geom, shape, of)
+    size = geom_size(settings, geom, shape, of)
     if size is None:
         return Inertial()
     solid = _solid(shape, size)
@@ -50,7 +50,7 @@ def geom_inertial(settings: Settings, geom: Element, frame: Pose, of: Element) -
     return solid.seen_from(frame @ settings.pose(geom, of))
 
 
-def _size(settings: Settings, geom: Element, shape: str, of: Element) -> list[float] | None:
+def geom_size(settings: Settings, geom: Element, shape: str, of: Element) -> list[float] | None:
     """Half-sizes, m; None after a fault."""
     faults = settings.faults
     size = [float(value) for value in faults.numbers(geom, "size", (1, 2, 3), (0.0,), of)]

@@ -9,6 +9,7 @@ import numpy as np
 from flexopt.model.robots.description import Joint, Kind, unit_axis
 from flexopt.model.robots.elements import Element, check_text
 from flexopt.model.robots.geometry import Pose
+from flexopt.model.robots.mjcf_actuators import bounded
 from flexopt.model.robots.mjcf_settings import Settings
 
 KINDS: dict[str, Kind] = {"hinge": "hinge", "slide": "slide", "free": "free"}
@@ -36,6 +37,8 @@ def read_joint(settings: Settings, element: Element, name: str, frame: Pose, *, 
     kind = check_text(faults, element, "type", tuple(KINDS), "hinge")
     if "springdamper" in element.attributes:
         faults.add(element, "springdamper is not read: say stiffness and damping")
+    if faults.number(element, "armature") < 0:
+        faults.add(element, "armature must not be negative", value=element.attributes["armature"])
     for key in ("stiffness", "damping"):
         if len(element.attributes.get(key, "").split()) > 1:
             faults.add(element, f"{key} is a polynomial; only a linear one (one number) is read")
@@ -57,6 +60,7 @@ def read_joint(settings: Settings, element: Element, name: str, frame: Pose, *, 
         damping=max(faults.number(element, "damping"), 0.0),
         rest=scale * faults.number(element, "springref"),
         limits=_limits(settings, element, scale),
+        effort=bounded(settings, element, "actuatorfrcrange", "actuatorfrclimited"),
         armature=faults.number(element, "armature"),
     )
 

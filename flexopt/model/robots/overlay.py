@@ -10,8 +10,10 @@ from pydantic import Field
 
 from flexopt.errors import Fault
 from flexopt.model.faults import ALIKE
-from flexopt.model.machine import FileModel, Payload
+from flexopt.model.hydraulics import Cylinder
 from flexopt.model.quantities import Acceleration, Length, check_number, check_schema, checked
+from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
+from flexopt.model.tables import FileModel, Payload, Polygon
 from flexopt.model.tree import UNTURNED, Placement, Row
 from flexopt.model.tree_quantities import (
     DAMPING_MAX,
@@ -106,6 +108,18 @@ class JointTable(FileModel):
     damping: Annotated[float, checked(check_damping_value)] | None = None
     rest: Annotated[float, checked(check_rest_value)] | None = None
     limits: Pair | None = None
+    effort: Annotated[float, checked(check_effort_value)] | None = None
+    speed: Annotated[float, checked(check_speed_value)] | None = None
+    armature: Annotated[float, checked(check_armature_value)] | None = None
+
+
+class CapsuleTable(FileModel):
+    """What a link fills, its ends in the link's frame; see `Capsule`."""
+
+    link: str = Field(min_length=1)
+    start: Point
+    end: Point
+    radius: Length
 
 
 class Overlay(FileModel):
@@ -127,6 +141,9 @@ class Overlay(FileModel):
     joints: dict[str, JointTable] = Field(default_factory=dict[str, JointTable])
     end_point: EndPointTable
     payload: Payload = Payload()
+    capsules: tuple[CapsuleTable, ...] = ()
+    cylinders: tuple[Cylinder, ...] = ()
+    support: Polygon | None = None
 
     def faults(self) -> list[Fault]:
         """Faults that concern several keys."""

@@ -16,8 +16,8 @@ The machine file is TOML. An arm on an elastic undercarriage:
     # position = [0, 0, 0.4]          # root link at rest in the anchor frame, m; from the robot file where left out
     # rotation = [0, 0, 0]            # and its roll, pitch, yaw, rad
 
-    [joints.boom]                     # in place of what the robot file says: stiffness, damping, rest, limits
-    limits = [-0.5, 1.2]
+    [joints.boom]                     # in place of what the robot file says: stiffness, damping, rest, limits,
+    limits = [-0.5, 1.2]              # effort (N m or N), speed (rad/s or m/s), armature (rotor inertia, kg m² or kg)
 
     [joints.mast]                     # a spring makes a joint passive
     stiffness = 5e5
@@ -31,13 +31,33 @@ The machine file is TOML. An arm on an elastic undercarriage:
     [payload]
     mass = 250.0                      # kg, at the end-point
 
+    [support]                         # what the undercarriage stands on: a convex polygon in the anchor frame, m
+    polygon = [[-1.8, -1.3], [1.9, -1.3], [1.9, 1.3], [-1.8, 1.3]]
+
+    [[capsules]]                      # what a link fills: ends in the link's frame, m; any number of them
+    link = "tool0"
+    start = [0.0, 0.0, 0.0]
+    end = [0.0, 0.0, 0.12]
+    radius = 0.05
+
+    [[cylinders]]                     # what drives a joint; its keys are told in `flexopt.model.hydraulics`
+    name = "boom cylinder"            # base_point, pivot: in the frame of the link that carries the joint;
+    joint = "boom"                    # rod_point, coupler_point: in that of the link that the joint moves
+    base_point = [0.3, 0.0, -0.2]
+    rod_point = [0.9, 0.0, 0.2]
+    length = [0.7, 1.4]
+    speed = [0.2, 0.15]
+
 Further keys: `root` (the link to start from: what carries it, and other machines in the file, are left out),
 `lock_others = true` (every joint that is neither actuated nor has a spring is locked where the file has it: at 0, or
 `ref`), `gravity` (m/s², along −z; the MJCF file's or 9.81 where left out), and `ignore`, which reads an MJCF robot
 without things that change its dynamics: `["armature", "equality", "tendon", "gravcomp"]`. `base.stiffness` and
 `base.damping` also take six numbers (x, y, z, roll, pitch, yaw) or a symmetric 6 × 6 matrix, about `point`, in the axes
 of the anchor frame. A free joint of the root link gives way to [base]; a mimic joint follows a locked joint, and is
-refused where that moves.
+refused where that moves. Effort and speed come from URDF's <limit effort=… velocity=…> (0 is none), or from MJCF's
+`actuatorfrcrange` and the range of a joint's only actuator. `capsules = "collision"` in place of the tables takes the
+capsules from the robot file: each encloses one shape of its collision geometry. Shapes that are not read, meshes above
+all, are warned of.
 """
 
 from __future__ import annotations
@@ -60,6 +80,8 @@ from flexopt.model.robots.urdf import read_urdf
 from flexopt.model.tree import Tree, tree_from_dict
 
 WARNINGS_SHOWN = 5
+# In place of [[capsules]]: those round the robot file's collision geometry.
+COLLISION = "collision"
 
 
 def load_robot(path: str | os.PathLike[str]) -> Tree:
@@ -102,6 +124,9 @@ def _read(data: Table, folder: Path, origin: str) -> Tree:
     faults: list[Fault] = []
     overlay: Overlay | None = None
     robot: Description | None = None
+    from_collisions = frozen.get("capsules") == COLLISION
+    if from_collisions:
+        del frozen["capsules"]
     try:
         overlay = validated(Overlay, frozen, origin, ())
         faults += overlay.faults()
@@ -116,7 +141,7 @@ def _read(data: Table, folder: Path, origin: str) -> Tree:
             faults += error.faults or [Fault("robot", str(error), repr(name))]
     raise_if_any(ModelError, origin, faults)
     assert overlay is not None and robot is not None  # noqa: PT018
-    assembly = Assembly(robot, overlay)
+    assembly = Assembly(robot, overlay, from_collisions=from_collisions)
     raise_if_any(ModelError, origin, assembly.faults)
     try:
         tree = tree_from_dict(assembly.tree(), origin=origin)
@@ -124,7 +149,7 @@ def _read(data: Table, folder: Path, origin: str) -> Tree:
         located = [assembly.located(fault) for fault in error.faults]
         raise_if_any(ModelError, origin, located)
         raise
-    _warn(origin, robot.warnings)
+    _warn(origin, (*robot.warnings, *assembly.warnings))
     return tree
 
 

@@ -23,6 +23,9 @@ class Role:
     stiffness: float = 0.0
     damping: float = 0.0
     limits: tuple[float, float] | None = None
+    effort: float | None = None
+    speed: float | None = None
+    armature: float = 0.0
 
 
 class Roles:
@@ -76,6 +79,9 @@ class Roles:
         stiffness = joint.stiffness if table.stiffness is None else table.stiffness
         damping = joint.damping if table.damping is None else table.damping
         limits = joint.limits if table.limits is None else table.limits
+        armature = joint.armature if table.armature is None else table.armature
+        if "armature" in overlay.ignore:
+            armature = 0.0
         if name in overlay.actuated:
             if stiffness > 0:
                 sentence = (
@@ -83,18 +89,21 @@ class Roles:
                     f"with stiffness = 0 in [joints.{name}]"
                 )
                 return self._fault(joint, sentence)
-            self._check_armature(joint)
             if limits is not None and limits[0] >= limits[1]:
                 ends = f"{limits[0]:g} to {limits[1]:g}"
                 return self._fault(
                     joint,
                     f"is actuated, but its limits ({ends} {joint.unit}) leave no room; say others in [joints.{name}]",
                 )
-            return Role("actuated", 0.0, 0.0, damping, limits)
+            effort, speed = table.effort or joint.effort, table.speed or joint.speed
+            return Role("actuated", 0.0, 0.0, damping, limits, effort, speed, armature)
         if stiffness > 0:
-            self._check_armature(joint)
+            for key in ("effort", "speed"):
+                if getattr(table, key) is not None:
+                    sentence = "belongs to an actuated joint; this one has a spring"
+                    self.faults.append(Fault(f"joints.{name}.{key}", sentence, f"{getattr(table, key):g}"))
             rest = joint.rest if table.rest is None else table.rest
-            return Role("passive", rest, stiffness, damping)
+            return Role("passive", rest, stiffness, damping, armature=armature)
         if overlay.lock_others:
             return self._locked(joint, joint.zero)
         return self._fault(
@@ -102,14 +111,6 @@ class Roles:
             f"is neither listed in `actuated`, nor has a spring (stiffness in [joints.{name}]), nor is in `locked`; "
             "lock_others = true locks every such joint",
         )
-
-    def _check_armature(self, joint: Joint) -> None:
-        if joint.armature and "armature" not in self.overlay.ignore:
-            sentence = (
-                f"has a rotor inertia (armature {joint.armature:g}), for which a tree of rigid bodies has no place; "
-                'ignore = ["armature"] in the machine file reads the robot without'
-            )
-            self._fault(joint, sentence)
 
     def _locked(self, joint: Joint, value: float) -> Role:
         low, high = joint.limits or (value, value)

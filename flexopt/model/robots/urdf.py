@@ -1,24 +1,29 @@
 """URDF in, a `Description` out.
 
 A link without <inertial> is massless, a joint without <origin> stands at its parent's frame, without <axis> along x;
-meshes, visuals, collisions, transmissions and simulator tags are not looked at. Floating joints are kept for the
+meshes, visuals, transmissions and simulator tags are not looked at. Floating joints are kept for the
 overlay to replace (root link) or refuse; planar ones are refused.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 
 import numpy as np
 
 from flexopt.errors import ModelError
+from flexopt.model.robots.collisions import urdf_solids
 from flexopt.model.robots.description import Description, Joint, Kind, Link, Mimic, check_inertial, unit_axis
 from flexopt.model.robots.elements import Element, Faults, unique
 from flexopt.model.robots.geometry import Inertial, Pose, from_rpy, tensor
+from flexopt.model.table_quantities import EFFORT_MAX, SPEED_MAX
 
 KINDS: dict[str, Kind | None] = {
     "revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "fixed": None, "floating": "free",
 }  # fmt: skip
+# Bounds beyond these are none.
+BEYOND = {"effort": EFFORT_MAX, "velocity": SPEED_MAX}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -122,6 +127,7 @@ def _link(faults: Faults, link: Element, above: tuple[str, Element] | None) -> L
         pose=pose,
         joints=() if joint is None else (joint,),
         inertial=_inertial(faults, link),
+        solids=urdf_solids(link, _origin),
     )
 
 
@@ -179,6 +185,8 @@ def _joint(faults: Faults, element: Element) -> Joint | None:
         anchor=np.zeros(3),
         damping=damping,
         limits=_limits(faults, element, word),
+        effort=_most(faults, element, "effort"),
+        speed=_most(faults, element, "velocity"),
         mimic=_mimic(faults, element),
     )
 
@@ -199,6 +207,20 @@ def _limits(faults: Faults, element: Element, word: str) -> tuple[float, float] 
         faults.add(limit, "lower exceeds upper", of=element, value=f"{lower:g}, {upper:g}")
         return None
     return lower, upper
+
+
+def _most(faults: Faults, element: Element, key: str) -> float | None:
+    """`effort` or `velocity` of <limit>; files in use write 0, infinity or a huge number where there is no bound."""
+    limit = element.first("limit")
+    if limit is None:
+        return None
+    with suppress(ValueError):
+        if float(limit.attributes.get(key, "0")) > BEYOND[key]:
+            return None
+    bound = faults.number(limit, key, of=element)
+    if bound < 0:
+        faults.add(limit, f"{key} must not be negative", of=element, value=f"{bound:g}")
+    return bound if bound > 0 else None
 
 
 def _mimic(faults: Faults, element: Element) -> Mimic | None:

@@ -177,7 +177,6 @@ def test_a_floating_joint_above_the_root_gives_way_to_the_base(tmp_path: Path) -
 
 
 IGNORABLE: dict[str, tuple[str, str]] = {
-    "armature": ('axis="0 -2 0"', 'axis="0 -2 0" armature="0.3"'),
     "equality": ("<actuator>", '<equality><joint joint1="slew"/></equality><actuator>'),
     "tendon": ("<actuator>", '<tendon><fixed stiffness="3"/></tendon><actuator>'),
     "gravcomp": ('body name="stick"', 'body name="stick" gravcomp="1"'),

@@ -67,7 +67,6 @@ class MujocoRobot:
     def mass(self, names: list[str]) -> np.ndarray:
         full = np.zeros((self.model.nv, self.model.nv))
         mujoco.mj_fullM(self.model, self.data, full)
-        full -= np.diag(self.model.dof_armature)
         index = [int(self.model.joint(name).dofadr[0]) for name in names]
         return full[np.ix_(index, index)]
 
@@ -409,7 +408,7 @@ def test_random_mjcfs_are_mujocos(
     moved = [link.name for link in description.links if link.joints or (link.parent and carrier[link.parent])]
     assume(actuated and len(actuated) < len(joints) and moved)
     machine = {
-        "name": "random", "robot": "random.xml", "actuated": actuated, "ignore": ["armature"],
+        "name": "random", "robot": "random.xml", "actuated": actuated,
         "end_point": {"link": moved[-1], "rows": ["x"]},
     }  # fmt: skip
     tree = robot_from_dict(machine, folder=folder)

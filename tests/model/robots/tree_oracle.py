@@ -56,6 +56,8 @@ class TreeOracle:
             inertia = pose[:3, :3] @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ pose[:3, :3].T
             j = self.jacobian(body.name, com, names)
             total += body.mass * j[:3].T @ j[:3] + j[3:].T @ inertia @ j[3:]
+            own = names.index(body.joint.name)
+            total[own, own] += body.joint.armature
         return total
 
 

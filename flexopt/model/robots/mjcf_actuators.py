@@ -1,0 +1,44 @@
+"""What the actuators of an MJCF model can give at most, joint by joint, where that is plain.
+
+Plain is: one actuator acts on the joint itself, and its force is bounded by `forcerange`, or by the `ctrlrange` of a
+<motor>, whose force is its control. The first number of `gear` leads from the actuator to the joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from flexopt.model.robots.elements import Element, check_text
+from flexopt.model.robots.mjcf_settings import MAIN, Settings
+
+
+def drive_efforts(root: Element, settings: Settings) -> Mapping[str, float]:
+    """Largest torque or force either way, N m or N, by the name of the joint."""
+    found: dict[str, list[float | None]] = {}
+    for section in root.all("actuator"):
+        for child in section.children:
+            element = settings.resolved(child, MAIN)
+            for key in ("joint", "jointinparent"):
+                if key in element.attributes:
+                    found.setdefault(element.attributes[key], []).append(_effort(settings, element))
+    return {name: given[0] for name, given in found.items() if len(given) == 1 and given[0] is not None}
+
+
+def _effort(settings: Settings, element: Element) -> float | None:
+    gear = abs(float(settings.faults.numbers(element, "gear", range(1, 7), (1.0,))[0]))
+    force = bounded(settings, element, "forcerange", "forcelimited")
+    if force is None and element.tag == "motor":
+        force = bounded(settings, element, "ctrlrange", "ctrllimited")
+    return gear * force if force is not None and gear > 0 else None
+
+
+def bounded(settings: Settings, element: Element, key: str, flag: str) -> float | None:
+    """The smaller of how far a range reaches up and down from zero; None where it does not bound both."""
+    limited = check_text(settings.faults, element, flag, ("auto", "true", "false"), "auto")
+    if key not in element.attributes or limited == "false" or (limited == "auto" and not settings.auto_limits):
+        return None
+    low, high = settings.faults.numbers(element, key, 2, (0.0, 0.0))
+    reach = float(np.minimum(-low, high))
+    return reach if reach > 0 else None

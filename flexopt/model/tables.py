@@ -1,0 +1,50 @@
+"""Tables that machines of both kinds have: payload, capsules around bodies, what the undercarriage stands on."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from flexopt.model.quantities import Length, MassOrZero, checked
+from flexopt.model.table_quantities import check_place, check_polygon, check_span
+
+
+class FileModel(BaseModel):
+    """Common to every table of a file: closed (no unknown key), frozen, strict."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Payload(FileModel):
+    """A point mass at the end-point."""
+
+    mass: MassOrZero = 0.0
+
+
+class Capsule(FileModel):
+    """All points within `radius`, m, of the segment from `start` to `end`: a volume that a body fills.
+
+    The ends are in m, in the body's axes: in the plane (2,), along the body and to its left, from the joint that
+    carries it (body `"base"`: from the ground point); in space (3,), in the body's frame. Equal ends make a ball.
+    """
+
+    body: str = Field(min_length=1)
+    start: Annotated[tuple[float, ...], checked(check_place)]
+    end: Annotated[tuple[float, ...], checked(check_place)]
+    radius: Length
+
+
+class Span(FileModel):
+    """The two ends of what an undercarriage stands on in the plane: [rear, front], m, in the anchor frame."""
+
+    span: Annotated[tuple[float, float], checked(check_span)]
+
+
+class Polygon(FileModel):
+    """Corners (x, y), m, in the anchor frame, of the convex polygon that an undercarriage stands on.
+
+    They are kept counter-clockwise seen from above, whichever way they were given.
+    """
+
+    polygon: Annotated[tuple[tuple[float, float], ...], checked(check_polygon)]
