@@ -44,6 +44,27 @@ def apply_pseudo_inverse_transposed(jacobian: ca.SX, right: ca.SX) -> ca.SX:
     return ca.solve(upper, q.T @ right)
 
 
+def apply_damped_inverse(jacobian: ca.SX, damping: ca.SX, right: ca.SX) -> ca.SX:
+    """Jᵀ (J Jᵀ + λ² I)⁻¹ B for J (r, n) of any rank and λ > 0.
+
+    From [Jᵀ; λ I] = Q U it is Q_J U⁻ᵀ, Q_J the first n rows of Q: J Jᵀ is not formed.
+    """
+    q, upper = _damped_factors(jacobian, damping)
+    return q @ ca.solve(upper.T, right)
+
+
+def apply_damped_inverse_transposed(jacobian: ca.SX, damping: ca.SX, right: ca.SX) -> ca.SX:
+    """(J Jᵀ + λ² I)⁻¹ J B for J (r, n) of any rank and λ > 0."""
+    q, upper = _damped_factors(jacobian, damping)
+    return ca.solve(upper, q.T @ right)
+
+
+def _damped_factors(jacobian: ca.SX, damping: ca.SX) -> tuple[ca.SX, ca.SX]:
+    r, n = jacobian.shape
+    q, upper = ca.qr(ca.vertcat(jacobian.T, damping * ca.SX.eye(r)))
+    return q[:n, :], upper
+
+
 def safe_norm(vector: ca.SX) -> ca.SX:
     """Euclidean norm whose derivatives are finite at zero."""
     return ca.sqrt(ca.dot(vector, vector) + TINY)

@@ -7,6 +7,8 @@ to differentiate, and no division by the gaps inside a cluster of equal eigenval
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import casadi as ca
 
 from flexopt.algebra.dense import TINY, diagonal, safe_norm
@@ -27,12 +29,33 @@ def symmetric_eigen(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:
     size = matrix.shape[0]
     a = ca.densify(matrix)
     vectors = ca.densify(ca.SX(ca.DM.eye(size)))
-    sweeps = {1: 0, 2: 1, 3: 5, 4: 6}.get(size, 8 + size // 4)
-    for _ in range(sweeps):
-        for p in range(size - 1):
-            for q in range(p + 1, size):
-                a, vectors = _rotate(a, vectors, p, q)
+    for _ in range(_sweeps(size)):
+        a, vectors = _sweep(a, vectors)
     return _sorted(ca.diag(a), vectors)
+
+
+@lru_cache(maxsize=8)
+def called_eigen(size: int) -> ca.Function:
+    """A symmetric matrix (size, size) -> what `symmetric_eigen` gives, by calls of one sweep: a fraction of its C."""
+    a, vectors = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
+    sweep = ca.Function("sweep", [a, vectors], [ca.densify(x) for x in _sweep(a, vectors)], {"cse": True})
+    order = ca.Function("ascending", [a, vectors], list(_sorted(ca.diag(a), vectors)), {"cse": True})
+    matrix = ca.MX.sym("matrix", size, size)
+    state = [matrix, ca.densify(ca.MX.eye(size))]
+    for _ in range(_sweeps(size)):
+        state = sweep.call(state)
+    return ca.Function("symmetric_eigen", [matrix], order.call(state), ["matrix"], ["values", "vectors"])
+
+
+def _sweeps(size: int) -> int:
+    return {1: 0, 2: 1, 3: 5, 4: 6}.get(size, 8 + size // 4)
+
+
+def _sweep(a: ca.SX, vectors: ca.SX) -> tuple[ca.SX, ca.SX]:
+    for p in range(a.shape[0] - 1):
+        for q in range(p + 1, a.shape[0]):
+            a, vectors = _rotate(a, vectors, p, q)
+    return a, vectors
 
 
 def _rotate(a: ca.SX, vectors: ca.SX, p: int, q: int) -> tuple[ca.SX, ca.SX]:
@@ -88,7 +111,9 @@ def clusters(values: ca.SX, tolerance: float) -> ca.SX:
     return same
 
 
-def perturbed_pencil(stiffness: ca.SX, mass: ca.SX, values: ca.SX, vectors: ca.SX, same: ca.SX) -> tuple[ca.SX, ca.SX]:
+def perturbed_pencil(
+    stiffness: ca.SX, mass: ca.SX, values: ca.SX, vectors: ca.SX, same: ca.SX, *, order: int = 2
+) -> tuple[ca.SX, ca.SX]:
     """Eigenpairs of K φ = λ M φ near a known solution, exact to second order in the change of K and M.
 
     With M⁰-normalised vectors Φ⁰ and values λ⁰ held constant, Φ⁰ᵀ M Φ⁰ = I + V is normalised by (I + V)^(−1/2), and
@@ -99,6 +124,7 @@ def perturbed_pencil(stiffness: ca.SX, mass: ca.SX, values: ca.SX, vectors: ca.S
         stiffness, mass: K and M, (m, m) symmetric.
         values, vectors: λ⁰ (m, 1) ascending and Φ⁰ (m, m).
         same: as from `clusters`. Within a cluster only symmetric functions of the result (sums) are meaningful.
+        order: 1 leaves out what does not change the first derivatives: shorter, for gradients alone.
 
     Returns:
         λ (m, 1) and Φ (m, m).
@@ -106,6 +132,11 @@ def perturbed_pencil(stiffness: ca.SX, mass: ca.SX, values: ca.SX, vectors: ca.S
     size = values.shape[0]
     identity = ca.SX(ca.DM.eye(size))
     v = vectors.T @ mass @ vectors - identity
+    if order == 1:
+        error = vectors.T @ stiffness @ vectors - (diagonal(values) @ v + v @ diagonal(values)) / 2 - diagonal(values)
+        apart = 1 - same
+        gap = ca.repmat(values.T, size, 1) - ca.repmat(values, 1, size) + same
+        return values + ca.diag(error), vectors @ (identity - v / 2 + error * apart / gap)
     normalise = identity - v / 2 + 3.0 / 8.0 * (v @ v)
     error = normalise.T @ (vectors.T @ stiffness @ vectors) @ normalise - diagonal(values)
     apart = 1 - same

@@ -22,6 +22,9 @@ DOUBLINGS = 22
 # The power 2⁸ of X Z leaves of the third eigenvalue, at 0.9 of the first, 2e-12.
 SQUARINGS = 8
 GAMMA = 3.0
+# Products of larger matrices than this are loops, and their inverses are made of smaller ones: written out, they would
+# not fit into an instruction cache.
+WRITTEN_OUT = 12
 
 
 @lru_cache(maxsize=8)
@@ -76,14 +79,25 @@ def top_eigenpairs(size: int) -> ca.Function:
 
 @lru_cache(maxsize=8)
 def _product(size: int) -> ca.Function:
-    """(A, B) -> A B."""
+    """(A, B) -> A B; of large matrices as a loop."""
+    if size > WRITTEN_OUT:
+        matrices = [ca.MX.sym("A", size, size), ca.MX.sym("B", size, size)]
+        return ca.Function("product", matrices, [matrices[0] @ matrices[1]])
     a, b = ca.SX.sym("A", size, size), ca.SX.sym("B", size, size)
     return ca.Function("product", [a, b], [a @ b])
 
 
 @lru_cache(maxsize=8)
 def _inverse(size: int) -> ca.Function:
-    """A -> A⁻¹."""
+    """A -> A⁻¹; of large matrices by blocks, from inverses of half the size."""
+    if size > WRITTEN_OUT:
+        matrix, k = ca.MX.sym("A", size, size), size // 2
+        corner = _inverse(k)(matrix[:k, :k])
+        left, right = matrix[k:, :k] @ corner, corner @ matrix[:k, k:]
+        schur = _inverse(size - k)(matrix[k:, k:] - left @ matrix[:k, k:])
+        below = -schur @ left
+        blocks = ca.vertcat(ca.horzcat(corner - right @ below, -right @ schur), ca.horzcat(below, schur))
+        return ca.Function("inverse", [matrix], [blocks])
     a = ca.SX.sym("A", size, size)
     return ca.Function("inverse", [a], [solve_general(a, ca.SX.eye(size))])
 

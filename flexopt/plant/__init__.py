@@ -4,6 +4,8 @@ In: a validated `Machine` or `Tree`. Out: a `Plant` of SX graphs and named Funct
 only that.
 """
 
+from flexopt.plant.hydraulics import Hydraulics as Hydraulics
+from flexopt.plant.hydraulics import build_hydraulics as build_hydraulics
 from flexopt.plant.inverse_kinematics import inverse_kinematics as inverse_kinematics
 from flexopt.plant.plant import Plant as Plant
 from flexopt.plant.plant import build_plant as build_plant

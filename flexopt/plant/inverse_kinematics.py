@@ -7,16 +7,19 @@ from typing import Any, cast
 
 import numpy as np
 
-from flexopt.errors import NoSolutionFound
+from flexopt.errors import Fault, NoSolutionFound
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.arguments import Arguments, Vector, shown
 from flexopt.model.problem import ELBOWS, Elbow, check_seed
 from flexopt.plant.plant import Plant, build_plant
-from flexopt.plant.reach import unreachable
+from flexopt.plant.reach import missed, unreachable
+from flexopt.plant.reaching import REACHED, joint_box, nearest_postures
 from flexopt.plant.statics import check_held
 
 ELBOW_SIGN: dict[Elbow, float] = {"up": -1.0, "down": 1.0}
 SAMPLES = 256
+# Postures closer than this, found by iteration, are one.
+SAME = 1e-6
 # Rounding may push |cos| past 1 by this much on the edge of the reach.
 EDGE = 1e-12
 
@@ -25,36 +28,44 @@ def inverse_kinematics(
     machine: AnyMachine,
     target: Any,
     *,
-    base: Any = 0.0,
+    base: Any = None,
     gravity: bool = False,
     elbow: Elbow | None = None,
     seed: int = 0,
 ) -> list[Vector]:
-    """Postures q_a (n,) in rad with r(q) = target, passive joints at rest, inside the joint limits.
+    """Postures q_a (n,) in rad or m with r(q) = target, passive joints at rest, inside the joint limits.
 
-    Two actuated joints: every branch in closed form, elbow up (last joint negative) before elbow down. More: a set of
-    distinct postures, both branches of the last two joints over a low-discrepancy sample of the redundancy.
+    A planar arm of two actuated joints: every branch in closed form, elbow up (last joint negative) before elbow down;
+    of more: a set of distinct postures, both branches of the last two joints over a low-discrepancy sample of the
+    redundancy. Other machines: the distinct ends of damped Newton steps from a low-discrepancy sample of the joint
+    ranges, the nearest to the middle of the ranges (0 of a joint without limits) first: with as many joints as task
+    rows every branch that a sample leads to, with more joints a sample of the self-motion.
 
     Args:
-        machine: planar, from `flexopt.load`.
-        target: end-point (2,), m, inertial frame.
-        base: placement x, m.
+        machine: from `flexopt.load`.
+        target: the task (n_task,), m, inertial frame.
+        base: placement (n_b,), m or rad: of a planar machine x alone; the origin by default.
         gravity: the end-point under static deflection, instead of at rest.
-        elbow: keep only the branch `"up"` or `"down"` of the last two joints; both by default.
-        seed: shifts the sample for three joints and more.
+        elbow: keep only the branch `"up"` or `"down"` of a planar arm's last two joints; both by default.
+        seed: shifts the sample.
 
     Raises:
         InputError: an argument is not finite or has the wrong shape.
-        UnreachableTarget: by how many metres, and from which placements it would be reachable.
+        UnreachableTarget: by how many metres, and for planar machines from which placements it would be reachable.
     """
     arguments = Arguments("inverse_kinematics")
-    machine = arguments.planar(machine)
-    point, placement = arguments.point(target, "target"), arguments.base(machine, base)
+    machine = arguments.machine(machine)
+    point = arguments.point(target, "target", machine)
+    placement = np.zeros(len(machine.base_coordinates)) if base is None else arguments.base(machine, base)
     arguments.flag("gravity", gravity)
     arguments.choice("elbow", elbow, (None, *ELBOWS))
     arguments.checked("seed", seed, check_seed, 0)
-    arguments.done()
     plant = build_plant(machine)
+    if elbow is not None and not plant.closed_form:
+        arguments.faults.append(Fault("elbow", "names a branch of planar arms only", shown(elbow)))
+    arguments.done()
+    if not plant.closed_form:
+        return _by_iteration(plant, point, placement, gravity, seed)
     free = plant.n_actuated - 2
     unit = low_discrepancy(free, SAMPLES, seed) if free else np.zeros((0, 1))
     bases = np.repeat(placement[:, None], unit.shape[1], axis=1)
@@ -71,6 +82,32 @@ def inverse_kinematics(
         why = "every posture that reaches it breaks a joint limit" if reached else ""
         raise unreachable(plant, point, placement, why)
     return _distinct(found)
+
+
+def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, seed: int) -> list[Vector]:
+    low, high = joint_box(plant)
+    starts = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, SAMPLES, seed)
+    bases = np.repeat(base[:, None], SAMPLES, axis=1)
+    postures, left = nearest_postures(plant, target, bases, starts)
+    reached = list(postures[:, left <= REACHED].T)
+    if gravity and reached:
+        settled = (_under_gravity(plant, target, base, posture) for posture in _distinct(reached, SAME))
+        reached = [posture for posture in settled if inside_limits(plant.machine, posture[:, None])[0]]
+        if not reached:
+            raise missed(plant, target, base, 0.0, "every posture that reaches it breaks a joint limit under gravity")
+    if not reached:
+        raise missed(plant, target, base, float(left.min()))
+    turned = list(_into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
+    return _distinct(sorted(turned, key=lambda posture: float(np.abs(posture - (low + high) / 2).max())), SAME)
+
+
+def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
+    """Hinges without limits (n, N) between −π and π."""
+    turned = postures.copy()
+    for row, (unit, limits) in enumerate(zip(plant.machine.joint_units, plant.machine.limits, strict=True)):
+        if unit == "rad" and not np.isfinite(limits).any():
+            turned[row] = (turned[row] + math.pi) % (2 * math.pi) - math.pi
+    return turned
 
 
 def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: float) -> tuple[Vector, Any]:
@@ -96,8 +133,8 @@ def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: floa
 def _into_limits(machine: AnyMachine, postures: Vector) -> Vector:
     """The same postures (n, N), turned by multiples of 2π into the joint limits where that is possible."""
     turned = postures.copy()
-    for row, (low, high) in enumerate(machine.limits):
-        if math.isfinite(low):
+    for row, (unit, (low, high)) in enumerate(zip(machine.joint_units, machine.limits, strict=True)):
+        if unit == "rad" and math.isfinite(low):
             turns = 2 * math.pi * np.ceil((low - EDGE - postures[row]) / (2 * math.pi))
             turned[row] += np.where(postures[row] + turns <= high + EDGE, turns, 0.0)
     return turned
@@ -122,11 +159,11 @@ def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:
     return (shift[:, None] + steps[:, None] * np.arange(count)) % 1.0
 
 
-def _distinct(postures: list[Vector]) -> list[Vector]:
+def _distinct(postures: list[Vector], tolerance: float = 1e-7) -> list[Vector]:
     """The same list without repeats (both elbows agree where the arm is straight)."""
     kept: list[Vector] = []
     for posture in postures:
-        if all(np.abs(posture - other).max() > 1e-7 for other in kept):
+        if all(np.abs(posture - other).max() > tolerance for other in kept):
             kept.append(posture)
     return kept
 

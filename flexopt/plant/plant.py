@@ -7,10 +7,13 @@ from functools import cached_property, lru_cache
 
 import casadi as ca
 
-from flexopt.algebra import apply_pseudo_inverse, solve_spd
+from flexopt.algebra import solve_spd
 from flexopt.errors import Fault, InputError
 from flexopt.model import AnyMachine, Machine, Tree
-from flexopt.model.problem import Control
+from flexopt.model.problem import Control, control_method
+from flexopt.plant.control import task_to_joints
+from flexopt.plant.frames import Frames, build_frames
+from flexopt.plant.mass_centre import centre_of_mass
 from flexopt.plant.planar import ChainGraph, ReachingGraph, build_chain, build_reaching
 from flexopt.plant.spatial import build_spatial
 
@@ -103,6 +106,33 @@ class Plant:
         return self._of_configuration("skeleton", self.graph.skeleton, "points")
 
     @cached_property
+    def frames(self) -> Frames:
+        """Frames of the bodies and of the end-point as SX graphs of the graph's q, base and p."""
+        return build_frames(self.machine, self.graph)
+
+    @cached_property
+    def body_frames(self) -> ca.Function:
+        """Frames of all bodies in the order of `frames.names`, d = 2 in the plane, 3 in space. Inputs q, base, p.
+
+        Outputs origins (d, n_bodies), m, inertial frame, and rotations (d, d n_bodies), whose columns k d … are the
+        axes of body k in inertial ones.
+        """
+        g, f = self.graph, self.frames
+        outputs = [ca.densify(ca.horzcat(*f.origins)), ca.densify(ca.horzcat(*f.rotations))]
+        return self._function("body_frames", {"q": g.q, "base": g.base, "p": g.p}, outputs, ["origins", "rotations"])
+
+    @cached_property
+    def end_rotation(self) -> ca.Function:
+        """Axes of the end-point's frame in inertial ones, as columns (d, d). Inputs q, base, p."""
+        return self._of_configuration("end_rotation", ca.densify(self.frames.tip_rotation), "R")
+
+    @cached_property
+    def centre_of_mass(self) -> ca.Function:
+        """Of all bodies and the payload, (d,), m, inertial frame. Inputs q, base, p."""
+        expression = centre_of_mass(self.machine, self.graph.p, self.frames)
+        return self._of_configuration("centre_of_mass", ca.densify(expression), "c")
+
+    @cached_property
     def jacobian(self) -> ca.Function:
         """J = ∂r/∂q, (n_task, n_q); article, section 3.3. Inputs q, base, p."""
         return self._of_configuration("jacobian", ca.densify(ca.jacobian(self.graph.end_point, self.graph.q)), "J")
@@ -154,9 +184,11 @@ class Plant:
 
     @cached_property
     def singularity_sine_squared(self) -> ca.Function:
-        """Distance from singular postures at rest: 0 where Jv loses rank, sin² θ3 for two links.
+        """Distance from singular postures at rest: 0 where Jv loses rank, at most 1.
 
-        Inputs base, posture, p.
+        In the plane the mean sin² of the angles between the arm's segments, sin² θ3 for two links; in space the square
+        of the conditioning index of Jv, of two rows sin² of twice the angle whose tangent is 1/cond Jv. Inputs base,
+        posture, p.
         """
         g = self.graph
         at_rest = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
@@ -170,6 +202,11 @@ class Plant:
         return self._of_posture(
             "singularity_gradient", [ca.jacobian(at_rest, ca.vertcat(g.base, g.posture))], ["sine_squared_z"]
         )
+
+    @property
+    def closed_form(self) -> bool:
+        """Whether postures on a target have a closed form (`posture_at`): planar machines."""
+        return isinstance(self.machine, Machine)
 
     @cached_property
     def reaching(self) -> ReachingGraph:
@@ -257,8 +294,8 @@ class Plant:
     def linearisation(self, control: Control = "inverse", *, gravity: bool = False) -> ca.Function:
         """The linear plant that the task-space controller sees: x = [q̇; q − q_d], ẋ = A x + B f, y = C x.
 
-        A = [[−M⁻¹D, −M⁻¹K], [I, 0]], B = [M⁻¹E; 0] Jvᵀ (transpose) or [M⁻¹E; 0] Jv⁺ (inverse; Moore–Penrose for a
-        redundant arm), C = [0, J]; article, section 3.3 and eq. (2).
+        A = [[−M⁻¹D, −M⁻¹K], [I, 0]], B = [M⁻¹E; 0] Jvᵀ (transpose), [M⁻¹E; 0] Jv⁺ (inverse; Moore–Penrose for a
+        redundant arm) or [M⁻¹E; 0] J⁺_λ (damped), C = [0, J]; article, section 3.3 and eq. (2).
 
         Returns:
             Function of base, posture, p with outputs A (2 n_q, 2 n_q), B (2 n_q, n_task), C (n_task, 2 n_q).
@@ -268,12 +305,12 @@ class Plant:
         at = self.operating_point(g.base, g.posture, g.p, deflection)
         identity = ca.SX(ca.DM.eye(n))
         jv = at.rigid_jacobian
-        task_to_joints = jv.T if control == "transpose" else apply_pseudo_inverse(jv, ca.SX(ca.DM.eye(self.n_task)))
-        accelerations = solve_spd(at.mass, ca.horzcat(-at.damping, -at.stiffness, identity[:, m:] @ task_to_joints))
+        into = identity[:, m:] @ task_to_joints(jv, control, ca.SX(ca.DM.eye(self.n_task)))
+        accelerations = solve_spd(at.mass, ca.horzcat(-at.damping, -at.stiffness, into))
         a = ca.vertcat(accelerations[:, : 2 * n], ca.horzcat(identity, ca.SX.zeros(n, n)))
         b = ca.vertcat(accelerations[:, 2 * n :], ca.SX.zeros(n, self.n_task))
         c = ca.horzcat(ca.SX.zeros(self.n_task, n), at.jacobian)
-        return self._of_posture(f"linearisation_{control}", [a, b, c], ["A", "B", "C"])
+        return self._of_posture(f"linearisation_{control_method(control)}", [a, b, c], ["A", "B", "C"])
 
     def _static_force(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
         m = self.n_passive

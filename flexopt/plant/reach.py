@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from flexopt.errors import UnreachableTarget
+from flexopt.model import AnyMachine, Tree
 from flexopt.model.arguments import Vector
-from flexopt.plant.plant import Plant
+from flexopt.plant.plant import Plant, build_plant
 
 Interval = tuple[float, float]
 
@@ -100,3 +102,82 @@ def unreachable(
     else:
         advice = "; no base position brings it within reach"
     return UnreachableTarget(where + by + advice, miss=miss, base_intervals=intervals)
+
+
+@lru_cache(maxsize=32)
+def _path(machine: AnyMachine) -> tuple[tuple[float, ...], float, tuple[str, ...]]:
+    """Where the first joint on the way to the end-point sits, how long the way is, m, and the slides on it."""
+    assert isinstance(machine, Tree)
+    plant = build_plant(machine)
+    index = {body.name: k for k, body in enumerate(machine.bodies)}
+    way: list[int] = []
+    name: str | None = machine.end_point.body
+    while name is not None:
+        way.insert(0, index[name])
+        name = machine.bodies[index[name]].parent
+    while way and machine.bodies[way[0]].joint.passive:
+        way.pop(0)
+    q = plant.rest(np.zeros(plant.n_base), np.zeros(plant.n_actuated), plant.parameter_values)
+    points = plant.skeleton(q, np.zeros(plant.n_base), plant.parameter_values).full()
+    corners = points[:, [*(1 + k for k in way), points.shape[1] - 1]]
+    joints = [machine.bodies[k].joint for k in way]
+    slides = tuple(joint.name for joint in joints if joint.kind == "slide" and not joint.passive)
+    return tuple(corners[:, 0].tolist()), float(np.linalg.norm(np.diff(corners), axis=0).sum()), slides
+
+
+def arm_length(plant: Plant) -> float:
+    """Sum of the distances from joint to joint and to the end-point, slides at zero, m; 1 where that is nothing."""
+    if plant.closed_form:
+        return float(plant.arm_segments(p=plant.parameter_values)["lengths"].full().sum())
+    return _path(plant.machine)[1] or 1.0
+
+
+def sampled_ranges(machine: AnyMachine, length: float) -> Vector:
+    """Where postures are looked for, (n, 2): the joint limits.
+
+    A missing end of a hinge is a whole turn from the other one (both: ±π), of a slide twice `length` (both: ±length).
+    """
+    ends: list[tuple[float, float]] = []
+    for unit, (low, high) in zip(machine.joint_units, machine.limits, strict=True):
+        wide = math.pi if unit == "rad" else length
+        low_end = low if math.isfinite(low) else high - 2 * wide if math.isfinite(high) else -wide
+        ends.append((low_end, high if math.isfinite(high) else low_end + 2 * wide))
+    return np.array(ends).reshape(-1, 2)
+
+
+def outer_reach(plant: Plant) -> tuple[Vector, float]:
+    """Centre and radius, m, of a ball that holds every point the end-point can reach, passive coordinates at rest.
+
+    The centre (2,) or (3,) is the first actuated joint with the base at 0; the radius is `arm_length` and what slides
+    add inside `sampled_ranges`.
+    """
+    if plant.closed_form:
+        at = reach(plant)
+        return at.center, at.outer
+    center, _, slides = _path(plant.machine)
+    length = arm_length(plant)
+    ends = dict(zip(plant.machine.joints, sampled_ranges(plant.machine, length), strict=True))
+    return np.array(center), length + sum(float(np.abs(ends[name]).max()) for name in slides)
+
+
+def missed(plant: Plant, target: Vector, base: Vector | None, left: float, why: str = "") -> UnreachableTarget:
+    """The error for a target that no start led to, on a machine without closed form.
+
+    Args:
+        plant: the machine's plant.
+        target: the task, m.
+        base: the placement asked for, or None when it was free.
+        left: largest row of r − target at the best posture found, m.
+        why: what stands in the way when the distance alone does not.
+    """
+    machine = plant.machine
+    named = ", ".join(f"{row} {value:g}" for row, value in zip(machine.task_rows, target, strict=True))
+    sentence = f"the end-point cannot reach {named} m (inertial frame)"
+    if base is not None and base.size:
+        placed = (
+            f"{name} {value:g} {unit}"
+            for name, value, unit in zip(machine.base_coordinates, base, machine.base_units, strict=True)
+        )
+        sentence += f" with the base at {', '.join(placed)}"
+    by = why or f"the nearest posture found inside the joint limits stays {left:.4g} m off in one of the task's rows"
+    return UnreachableTarget(f"{sentence}: {by}", miss=left)

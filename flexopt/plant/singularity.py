@@ -9,6 +9,7 @@ import numpy as np
 
 from flexopt.errors import SingularPosture
 from flexopt.model.arguments import Vector
+from flexopt.model.problem import Control, control_damping
 from flexopt.plant.plant import Plant
 
 # Above this condition number Jv⁻¹ and its derivatives keep fewer than half of a double's digits.
@@ -21,11 +22,15 @@ def condition_number(plant: Plant, q: Vector, base: Vector) -> float:
 
     A single row has one singular value alone: it is compared with that of the end-point's position, if larger.
     """
+    return _largest_and_condition(plant, q, base)[1]
+
+
+def _largest_and_condition(plant: Plant, q: Vector, base: Vector) -> tuple[float, float]:
     values = np.linalg.svd(plant.rigid_jacobian(q, base, plant.parameter_values).full(), compute_uv=False)
     largest = values[0]
     if plant.n_task == 1:
         largest = max(largest, np.linalg.norm(_position_jacobian(plant, q, base), 2))
-    return float(largest / values[-1]) if values[-1] > 0 else math.inf
+    return float(largest), float(largest / values[-1]) if values[-1] > 0 else math.inf
 
 
 def _position_jacobian(plant: Plant, q: Vector, base: Vector) -> Vector:
@@ -35,16 +40,31 @@ def _position_jacobian(plant: Plant, q: Vector, base: Vector) -> Vector:
     return ca.Function("position_jacobian", [g.q, g.base, g.p], [jacobian])(q, base, plant.parameter_values).full()
 
 
-def check_regular(plant: Plant, q: Vector, base: Vector) -> float:
+def inverse_condition(condition: Vector, largest: Vector, control: Control) -> Vector:
+    """Condition of what a control inverts: cond Jv, or that of [Jvᵀ; λ I] for a damped one, at any number of points.
+
+    Args:
+        condition: cond Jv.
+        largest: the largest singular value of Jv.
+        control: which.
+    """
+    damping = control_damping(control)
+    if damping is None:
+        return condition
+    return np.hypot(largest, damping) / np.hypot(largest / condition, damping)
+
+
+def check_regular(plant: Plant, q: Vector, base: Vector, control: Control = "inverse") -> float:
     """Return cond Jv, or raise `SingularPosture` naming the joint that would lead out of the singularity and its angle.
 
     Args:
         plant: the machine's plant.
         q: configuration (n_q,).
         base: placement (n_b,).
+        control: a damped one is refused only where its damping is too small against Jv.
     """
-    condition = condition_number(plant, q, base)
-    if condition <= CONDITION_MAX:
+    largest, condition = _largest_and_condition(plant, q, base)
+    if inverse_condition(np.array(condition), np.array(largest), control) <= CONDITION_MAX:
         return condition
     escape = [_smallest_singular_value(plant, q, base, i) for i in range(plant.n_passive, plant.n_coordinates)]
     index = int(np.argmax(escape))

@@ -25,6 +25,8 @@ from flexopt.plant.tree_task import end_axes, points, task
 
 # Configurations at which the mass matrix is looked at, and the share of its diagonal that counts as singular.
 PROBES, SINGULAR = 4, 1e-13
+# Of products of squared singular values, relative to those of an isotropic Jacobian.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,9 @@ def build_spatial(tree: Tree, zeros: Sequence[str] = ()) -> SpatialGraph:
         end_rotation=ca.horzcat(*(ca.vertcat(*axis) for axis in end_axes(at, base))),
         segments=_segments(structure),
     )
-    object.__setattr__(graph, "singularity_sine_squared", isotropy(ca.jacobian(graph.end_point, q)[:, n_passive:]))
+    object.__setattr__(
+        graph, "singularity_sine_squared", conditioning_index(ca.jacobian(graph.end_point, q)[:, n_passive:])
+    )
     _check_mass(tree, graph)
     return graph
 
@@ -117,22 +121,27 @@ def _by_order(by_body: list[ca.SX], order: list[int]) -> ca.SX:
     return ca.densify(ca.vertcat(*(by_body[i] for i in order)))
 
 
-def isotropy(jacobian: ca.SX) -> ca.SX:
-    """det(J Jᵀ) / (tr(J Jᵀ)/p)^p of J (p, n): 0 where it loses rank, at most 1, smooth.
+def conditioning_index(jacobian: ca.SX) -> ca.SX:
+    """Square of the kinematic conditioning index 1/κ_F of J (p, n): p² / (‖J‖² ‖J⁺‖²), Frobenius norms; smooth.
 
-    The determinant is the last coefficient of the characteristic polynomial (Faddeev and LeVerrier), found without a
-    division by anything but whole numbers.
+    0 where J loses rank, 1 where its singular values are equal; of two rows sin²(2 atan(s_2/s_1)), s_i the singular
+    values. With e_k the coefficients of the characteristic polynomial of J Jᵀ it is p² e_p / (e_{p−1} e_1); they are
+    found without a division by anything but whole numbers (Faddeev and LeVerrier).
+
+    Source: Angeles, Fundamentals of Robotic Mechanical Systems (condition number of the Jacobian).
     """
     rows = jacobian.shape[0]
     gram = ca.densify(jacobian @ jacobian.T)
     gram = gram / (ca.trace(gram) / rows)
     identity = ca.SX(ca.DM.eye(rows))
-    work, coefficient = identity, ca.SX(1)
+    work, coefficient, before = identity, ca.SX(1), ca.SX(1)
     for k in range(1, rows + 1):
         product = gram @ work
-        coefficient = -ca.trace(product) / k
+        before, coefficient = coefficient, -ca.trace(product) / k
         work = product + coefficient * identity
-    return coefficient if rows % 2 == 0 else -coefficient
+    # The trace of the scaled matrix, e_1, is p; coefficients have alternating signs. Where two singular values vanish
+    # both are rounding.
+    return -rows * coefficient * before / (before**2 + ROUNDING**2)
 
 
 def _check_mass(tree: Tree, graph: SpatialGraph) -> None:

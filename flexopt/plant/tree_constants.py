@@ -11,24 +11,16 @@ that only ever turns about its own z keeps nothing of S but S_xx + S_yy.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from flexopt.model.tree import INERTIA_ENTRIES, Tree
-from flexopt.plant.tree_structure import Matrix, Segment, Skeleton, rounded, segments_and_frames, skeleton
+from flexopt.plant.tree_structure import Matrix, Segment, rounded, segments_and_frames
 
 AXES = "xyz"
 SECOND = INERTIA_ENTRIES
-
-
-def own_skeleton(tree: Tree) -> Skeleton:
-    """The structure of a tree, constants left out that its own parameters make zero."""
-    zeros = frozenset(name for name, value in constant_values(tree).items() if value == 0)
-    return replace(skeleton(tree), zeros=zeros)
 
 
 @dataclass
@@ -50,8 +42,8 @@ def constant_graphs(tree: Tree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     """The constants of the recursions by name, from the parameters by name.
 
     For body i: offset{i}.x … of its joint in the parent's frame, m{i}, c{i}.x …, s{i}.xx …; joints: stiffness{i}.{j},
-    damping{i}.{j}, rest{i}; inverse{i}, the reciprocal of the mass that slide i carries; tip.x … in its body's frame;
-    gravity; task_length.
+    damping{i}.{j}, rest{i}, armature{i}; inverse{i}, the reciprocal of all that slide i accelerates; tip.x … in its
+    body's frame; gravity; task_length.
     """
     segments, frames = segments_and_frames(tree)
     index = {body.name: i for i, body in enumerate(tree.bodies)}
@@ -80,7 +72,10 @@ def constant_graphs(tree: Tree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
         result |= {f"s{i}.{ab}": own.second[AXES.index(ab[0]), AXES.index(ab[1])] for ab in SECOND}
     result |= {f"tip.{axis}": end[k] for k, axis in enumerate(AXES)}
     result |= _joint_constants(tree, value)
-    result |= {f"inverse{i}": 1 / mass for i, mass in enumerate(carried) if segments[i].slide}
+    rotors = [value.get(f"{body.joint.name}.armature", ca.SX(0)) for body in tree.bodies]
+    result |= {f"armature{i}": rotor for i, rotor in enumerate(rotors)}
+    moved = [mass + rotor for mass, rotor in zip(carried, rotors, strict=True)]
+    result |= {f"inverse{i}": 1 / mass for i, mass in enumerate(moved) if segments[i].slide}
     return result | {"gravity": value["gravity"], "task_length": ca.SX(tree.end_point.length)}
 
 
@@ -157,25 +152,3 @@ def _second_of(inertia: list[ca.SX]) -> ca.SX:
 
 def _sum(terms: Iterable[ca.SX]) -> ca.SX:
     return sum(terms, start=ca.SX(0))
-
-
-@lru_cache(maxsize=64)
-def constants(tree: Tree) -> ca.Function:
-    """The constants from the parameters: input p (n_par,), output constants in the order of `constant_names`."""
-    names = [parameter.name for parameter in tree.parameters]
-    p = ca.SX.sym("p", len(names))
-    graphs = constant_graphs(tree, {name: p[i] for i, name in enumerate(names)})
-    return ca.Function("constants", [p], [ca.vertcat(*graphs.values())], ["p"], ["constants"], {"cse": True})
-
-
-@lru_cache(maxsize=64)
-def constant_names(tree: Tree) -> tuple[str, ...]:
-    """Names of the constants, in order."""
-    values: dict[str, Any] = {parameter.name: ca.SX(0) for parameter in tree.parameters}
-    return tuple(constant_graphs(tree, values))
-
-
-def constant_values(tree: Tree) -> dict[str, float]:
-    """The constants at the machine's own parameters."""
-    column = constants(tree)(ca.DM([parameter.value for parameter in tree.parameters]))
-    return dict(zip(constant_names(tree), map(float, ca.densify(column).nonzeros()), strict=True))

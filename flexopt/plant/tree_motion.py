@@ -1,9 +1,9 @@
 """A tree's equations of motion as a simulator wants them: few operations, no trigonometry of their own.
 
-Coordinates u (n_q,): displacements of the slides, then angles of the hinges, each in the order of the bodies. Every
-cosine and sine comes in from outside as `Directions` of the hinges; the interface is that of `motion.Motion`. The mass
-matrix is factored body by body (no zero of a branched tree is filled in), or, where the base slides, beginning with
-its translations, whose pivots are constants; gravity is then left to a slide that is vertical.
+Coordinates u (n_q,): displacements of the slides, then angles of the hinges, each in the order of the bodies, to which
+the directions belong. The mass matrix is factored body by body (no zero of a branched tree is filled in), or, where the
+base slides, beginning with its translations, whose pivots are constants; gravity is then left to a slide that is
+vertical.
 """
 
 from __future__ import annotations
@@ -14,16 +14,17 @@ from functools import cached_property
 
 import casadi as ca
 
-from flexopt.plant.motion import Directions
+from flexopt.plant.motion import Directions, Motion
 from flexopt.plant.tree_algebra import ORIGIN, ZERO, solve_symmetric
+from flexopt.plant.tree_constants import AXES, SECOND
 from flexopt.plant.tree_recursion import Recursion
 from flexopt.plant.tree_structure import Skeleton
 from flexopt.plant.tree_task import task
 
 
 @dataclass(frozen=True)
-class TreeMotion:
-    """Graph builders of the equations of motion. All take and return SX; `value` holds the constants.
+class TreeMotion(Motion):
+    """See `Motion`.
 
     Attributes:
         structure: which parts exist.
@@ -40,16 +41,75 @@ class TreeMotion:
         return slides + [i for i, segment in enumerate(self.structure.segments) if not segment.slide]
 
     @property
+    def constant_names(self) -> list[str]:
+        """See `Motion`."""
+        s, names = self.structure, list[str]()
+        for i, segment in enumerate(s.segments):
+            names += [f"{word}{i}.{axis}" for word in ("offset", "c") for axis in AXES]
+            names += [f"m{i}", *(f"s{i}.{ab}" for ab in SECOND), f"armature{i}"]
+            names += [f"rest{i}"] * segment.passive + [f"inverse{i}"] * segment.slide
+        names += [f"tip.{axis}" for axis in AXES] + ["gravity", "task_length"]
+        names += [f"stiffness{i}.{j}" for i, j in s.coupled_springs]
+        return names + [f"damping{i}.{j}" for i, j in s.coupled_dampers]
+
+    @property
+    def known_names(self) -> list[str]:
+        """See `Motion`."""
+        names = [f"{word}{i}.{axis}" for i in range(self.n) for word in ("offset", "c") for axis in AXES]
+        names += [f"m{i}" for i in range(self.n)] + [f"tip.{axis}" for axis in AXES]
+        return [*names, "gravity", "task_length"]
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """See `Motion`."""
+        return self.structure.rows
+
+    @property
+    def placement(self) -> tuple[str, ...]:
+        """See `Motion`."""
+        return self.structure.placement
+
+    @property
     def n(self) -> int:
-        """n_q, entries of u."""
+        """See `Motion`."""
         return len(self.structure.segments)
 
     @property
     def n_translations(self) -> int:
-        """Slides, the first entries of u."""
+        """See `Motion`."""
         return sum(segment.slide for segment in self.structure.segments)
 
-    @cached_property
+    @property
+    def n_joints(self) -> int:
+        """See `Motion`."""
+        return len(self.structure.actuated)
+
+    @property
+    def hinges(self) -> list[int]:
+        """See `Motion`."""
+        segments = self.structure.segments
+        return [row for row, i in enumerate(self._passive) if not segments[i].slide]
+
+    @property
+    def base_hinges(self) -> list[int]:
+        """Passive hinges that no actuated joint carries."""
+        segments, on_base = self.structure.segments, set[int]()
+        for i, segment in enumerate(segments):
+            if segment.passive and (segment.parent < 0 or segment.parent in on_base):
+                on_base.add(i)
+        return [row for row in self.hinges if self._passive[row] in on_base]
+
+    @property
+    def absorbed(self) -> dict[str, tuple[int, float]]:
+        """See `Motion`."""
+        return {name: (self.bodies.index(i), sign) for name, (i, sign) in self.structure.absorbed.items()}
+
+    @property
+    def _passive(self) -> list[int]:
+        """Bodies on passive joints, in the order of q."""
+        return [i for i, segment in enumerate(self.structure.segments) if segment.passive]
+
+    @property
     def to_q(self) -> ca.DM:
         """A (n_q, n_q) of q = A u: passive coordinates first."""
         rows = ca.DM.zeros(self.n, self.n)
@@ -66,9 +126,19 @@ class TreeMotion:
         """Directions of all hinges: nothing to add."""
         return directions
 
-    def angles(self, u: ca.SX) -> ca.SX:
-        """Angles of the hinges."""
-        return u[self.n_translations :]
+    def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:
+        """See `Motion`."""
+        coordinates, directions, hinges = self._by_body(u), list(along), self.hinges
+        for row, i in enumerate(self._passive):
+            coordinates[i] = design[row]
+            if row in hinges:
+                directions[self.bodies.index(i) - self.n_translations] = pairs[hinges.index(row)]
+        return self._stacked(coordinates), directions
+
+    def passive(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """See `Motion`."""
+        coordinates = self._by_body(u - self.carried(base))
+        return ca.vertcat(*(coordinates[i] for i in self._passive))
 
     def end_point(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
         """The task r (p,), m."""
@@ -76,12 +146,29 @@ class TreeMotion:
 
     def end_point_rate(self, u: ca.SX, w: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
         """ṙ = J v (p,), m/s, the placement standing still."""
-        return self._task_jacobian(u, along, base) @ w
+        r, at, pairs = self._task_of_symbols(len(along), base)
+        n_slides = self.n_translations
+        turning = [w[n_slides + k] * part for k, (c, s) in enumerate(along) for part in (-s, c)]
+        symbols = ca.vertcat(at[:n_slides], pairs)
+        # By the chain rule through cosines and sines; `seed` stands in for its values, which may hold symbols of u.
+        seed = ca.SX.sym("seed", symbols.shape[0])
+        rate = ca.jtimes(r, symbols, seed)
+        given = ca.vertcat(u, *(entry for pair in along for entry in pair), w[:n_slides], *turning)
+        return ca.substitute(rate, ca.vertcat(at, pairs, seed), given)
 
     def rigid_jacobian(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
         """Jv (p, n): columns of the actuated joints."""
-        columns = [self.bodies.index(body) for body in self.structure.actuated]
-        return self._task_jacobian(u, along, base)[:, columns]
+        r, at, pairs = self._task_of_symbols(len(along), base)
+        columns: list[ca.SX] = []
+        for body in self.structure.actuated:
+            k = self.bodies.index(body)
+            if k < self.n_translations:
+                columns.append(ca.jacobian(r, at[k]))
+            else:
+                c, s = 2 * (k - self.n_translations), 2 * (k - self.n_translations) + 1
+                columns.append(ca.jtimes(r, ca.vertcat(pairs[c], pairs[s]), ca.vertcat(-pairs[s], pairs[c])))
+        given = ca.vertcat(u, *(entry for pair in along for entry in pair))
+        return ca.substitute(ca.densify(ca.horzcat(*columns)), ca.vertcat(at, pairs), given)
 
     def holding_torque(self, u: ca.SX, along: Directions) -> ca.SX:
         """g_a (n,): what the actuated joints must give to carry the weight."""
@@ -101,10 +188,6 @@ class TreeMotion:
         stretch = self._stretch(u, base)
         pulls = self._coupled("stiffness", stretch)
         return 0.5 * sum((stretch[i] * pull for i, pull in pulls.items()), start=ZERO)
-
-    def kinetic_energy(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
-        """½ vᵀ M v, J."""
-        return 0.5 * ca.dot(w, self.momentum(u, w, along))
 
     def momentum(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
         """M_u w (n_q,), conjugate to u."""
@@ -132,18 +215,13 @@ class TreeMotion:
     def acceleration(
         self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
     ) -> ca.SX:
-        """Second derivatives of u (n_q,).
-
-        Args:
-            u, w: coordinates and their rates.
-            along: (cos, sin) of every hinge.
-            torque: of the actuated joints, (n,), N m or N.
-            base, base_rate: the placement and its rate, (n_b,); what no slide absorbs moves the ground itself, whose
-                own acceleration is left out.
-            gravity: whether it acts.
-        """
+        """See `Motion`."""
         at = self._at(u, along)
-        vertical = [i for i in self.structure.leading_slides if abs(self.structure.segments[i].axis[2]) == 1]
+        vertical = [
+            i
+            for i in self.structure.leading_slides
+            if abs(self.structure.segments[i].axis[2]) == 1 and at.of(f"armature{i}").is_zero()
+        ]
         borne = gravity and bool(vertical)
         pull = self._gravity if gravity and not borne else ZERO
         inertia = at.forces(self._by_body(w), pull)
@@ -174,17 +252,11 @@ class TreeMotion:
             pairs[body] = pair
         return Recursion(self.structure, self.value, pairs, self._by_body(u))
 
-    def _task_jacobian(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
-        """∂r/∂u, by the chain rule through cosines and sines."""
-        n_slides = self.n_translations
-        at, pairs = ca.SX.sym("u", self.n), ca.SX.sym("pairs", 2 * len(along))
-        known = [(pairs[2 * k], pairs[2 * k + 1]) for k in range(len(along))]
-        r = self.end_point(at, known, base)
-        by_pair = ca.jacobian(r, pairs)
-        columns = [ca.jacobian(r, at[:n_slides])]
-        columns += [known[k][0] * by_pair[:, 2 * k + 1] - known[k][1] * by_pair[:, 2 * k] for k in range(len(along))]
-        given = ca.vertcat(*(entry for pair in along for entry in pair))
-        return ca.substitute(ca.horzcat(*columns), ca.vertcat(at, pairs), ca.vertcat(u, given))
+    def _task_of_symbols(self, n_hinges: int, base: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """R (p,) of symbols: displacements (n_q,), and (cos, sin) of each hinge, stacked."""
+        at, pairs = ca.SX.sym("u", self.n), ca.SX.sym("pairs", 2 * n_hinges)
+        known = [(pairs[2 * k], pairs[2 * k + 1]) for k in range(n_hinges)]
+        return self.end_point(at, known, base), at, pairs
 
     def _stretch(self, u: ca.SX, base: ca.SX, *, rates: bool = False) -> list[ca.SX]:
         """Of each joint, its displacement from rest; with `rates`, of rates from those of the anchor."""
@@ -192,9 +264,7 @@ class TreeMotion:
         if not rates:
             at = Recursion(self.structure, self.value, [], [])
             stretch = [part - at.of(f"rest{i}") for i, part in enumerate(stretch)]
-        for name, (i, sign) in self.structure.absorbed.items():
-            stretch[i] -= sign * base[self.structure.placement.index(name)]
-        return stretch
+        return [part - moved for part, moved in zip(stretch, self._by_body(self.carried(base)), strict=True)]
 
     def _coupled(self, word: str, stretch: list[ca.SX]) -> dict[int, ca.SX]:
         """K or D times a displacement or a rate."""

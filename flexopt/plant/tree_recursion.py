@@ -199,7 +199,7 @@ class Recursion:
             else:
                 (x, y, _), s = of.first, of.second
                 wrench = ((-y, x, ZERO), (-s["xz"], -s["yz"], s["xx"] + s["yy"]))
-            result[i, i] = self.on_joint(i, wrench)
+            result[i, i] = self.on_joint(i, wrench) + self.of(f"armature{i}")
             j = i
             while self.skeleton.segments[j].parent >= 0:
                 wrench, j = self.wrench_inwards(j, wrench), self.skeleton.segments[j].parent

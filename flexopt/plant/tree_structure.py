@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.model.tree import Tree
+from flexopt.model.tree_quantities import axes_about
 
 Matrix = NDArray[np.float64]
 Numbers = tuple[tuple[float, float, float], ...]
@@ -53,6 +54,8 @@ class Skeleton:
         rows, reference, placement: as in `EndPoint` and `Tree`.
         coupled_springs, coupled_dampers: pairs of bodies whose joints have a stiffness or damping, i ≤ j.
         zeros: constants that are exactly zero and are left out.
+        local: whether the placement's x and y count in the axes in which the anchor frame stands, instead of inertial
+            ones: slides take them up although the frame is turned.
     """
 
     segments: tuple[Segment, ...]
@@ -64,6 +67,7 @@ class Skeleton:
     coupled_springs: tuple[tuple[int, int], ...]
     coupled_dampers: tuple[tuple[int, int], ...]
     zeros: frozenset[str] = frozenset()
+    local: bool = False
 
     @property
     def order(self) -> list[int]:
@@ -93,10 +97,11 @@ class Skeleton:
     def absorbed(self) -> dict[str, tuple[int, float]]:
         """Placement coordinates that a leading passive slide takes up as its rest value: the slide and its sign.
 
-        Only where the anchor frame is not turned; q then counts from the origin, and the springs pull towards `base`.
+        Only where the anchor frame is not turned or x and y are `local`; the slide then counts from where the frame
+        stood at first, and the springs pull towards `base`.
         """
         found: dict[str, tuple[int, float]] = {}
-        if "yaw" in self.placement:
+        if "yaw" in self.placement and not self.local:
             return found
         for i in self.leading_slides:
             for k, name in enumerate("xy"):
@@ -155,7 +160,7 @@ def segments_and_frames(tree: Tree) -> tuple[tuple[Segment, ...], list[Matrix]]:
         placed = of_parent.T @ np.array(body.rotation)
         axis = rounded(np.atleast_2d(placed @ np.array(body.joint.axis)))[0]
         slide = body.joint.kind == "slide"
-        turn = rounded(np.eye(3) if slide else _to_axis(np.array(axis)))
+        turn = rounded(np.eye(3) if slide else np.array(axes_about(axis)).T)
         frames.append(np.array(rounded(placed.T @ np.array(turn))))
         hinged = parent >= 0 and after_hinge[parent]
         same = slide or not hinged or abs(turn[2][2]) == 1
@@ -173,13 +178,3 @@ def segments_and_frames(tree: Tree) -> tuple[tuple[Segment, ...], list[Matrix]]:
             )
         )
     return tuple(segments), frames
-
-
-def _to_axis(axis: Matrix) -> Matrix:
-    """A rotation that takes z to `axis`; it keeps x where it can, so that it is a signed permutation if one exists."""
-    if axis[2] == 1:
-        return np.eye(3)
-    first = np.array([0.0, 1.0, 0.0]) if abs(axis[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
-    first = first - axis * (first @ axis)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first), axis], axis=1)

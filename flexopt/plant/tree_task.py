@@ -35,13 +35,13 @@ def end_axes(at: Recursion, base: ca.SX) -> list[Vector]:
         axis = [ZERO] * 3
         axis[k] = ca.SX(1)
         of_body = turned(at.skeleton.tip_rotation, (axis[0], axis[1], axis[2]))
-        axes.append(_yawed(at, at.to_ground(at.skeleton.tip, of_body), base))
+        axes.append(in_inertial_axes(at, at.to_ground(at.skeleton.tip, of_body), base))
     return axes
 
 
 def placed(at: Recursion, point: Vector, base: ca.SX) -> Vector:
     """A point of the anchor frame in the inertial one."""
-    x, y, z = _yawed(at, point, base)
+    x, y, z = in_inertial_axes(at, point, base)
     moved = {name: base[k] for k, name in enumerate(at.skeleton.placement) if name not in at.skeleton.absorbed}
     return x + moved.get("x", ZERO), y + moved.get("y", ZERO), z
 
@@ -52,7 +52,8 @@ def points(at: Recursion, base: ca.SX) -> ca.SX:
     return ca.horzcat(*(ca.vertcat(*placed(at, point, base)) for point in every))
 
 
-def _yawed(at: Recursion, a: Vector, base: ca.SX) -> Vector:
+def in_inertial_axes(at: Recursion, a: Vector, base: ca.SX) -> Vector:
+    """A direction of the anchor frame in inertial axes."""
     if "yaw" not in at.skeleton.placement:
         return a
     yaw = base[at.skeleton.placement.index("yaw")]

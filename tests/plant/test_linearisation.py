@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from scipy.optimize import root
 
 from flexopt import build_plant
+from tests.oracles.controls import task_map
 from tests.oracles.lagrange import lagrange, rest_values, springs_and_dampers
 from tests.oracles.machines import machines, regular_posture, seeds
 
@@ -24,7 +25,7 @@ def expected_plant(oracle, q, base, rest, n_passive, control, stiffness=None, da
         assert not force.any()
         stiffness = -by_q
     jv = jacobian[:, n_passive:]
-    task = jv.T if control == "transpose" else np.linalg.pinv(jv)
+    task = task_map(jv, control)
     a = np.block([[np.linalg.solve(mass, by_v), -np.linalg.solve(mass, stiffness)], [np.eye(n), np.zeros((n, n))]])
     b = np.vstack([np.linalg.solve(mass, np.vstack([np.zeros((n_passive, 2)), task])), np.zeros((n, 2))])
     return a, b, np.hstack([np.zeros((2, n)), jacobian]), mass
@@ -37,7 +38,7 @@ def compare(got, expected, mass):
         assert np.linalg.norm(ours - theirs) <= tolerance * np.linalg.norm(theirs)
 
 
-@pytest.mark.parametrize("control", ["inverse", "transpose"])
+@pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.3"])
 @settings(derandomize=True, deadline=None, max_examples=40)
 @given(drawn=machines(), seed=seeds)
 def test_linear_plant_is_the_derivative_of_the_nonlinear_one(control, drawn, seed):

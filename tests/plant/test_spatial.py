@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -13,10 +14,10 @@ from flexopt import build_plant
 from flexopt.errors import ModelError
 from flexopt.model import machine_from_dict
 from flexopt.model.tree import tree_from_dict
+from flexopt.plant.machine_motion import constant_values, structure_of
 from flexopt.plant.orientation import rotation_vector
 from flexopt.plant.plant import Plant
-from flexopt.plant.spatial import build_spatial, isotropy
-from flexopt.plant.tree_constants import constant_values, own_skeleton
+from flexopt.plant.spatial import build_spatial, conditioning_index
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.plant.tree_structure import skeleton
 from tests.oracles.machines import NumpySource, Structure, draw_machine
@@ -75,7 +76,8 @@ class Case:
 
     def motion(self, structure=None):
         values = {name: ca.SX(value) for name, value in constant_values(self.tree).items()}
-        motion = TreeMotion(structure or own_skeleton(self.tree), values)
+        # Here u counts from where q does.
+        motion = TreeMotion(structure or replace(structure_of(self.tree), local=False), values)
         to_u = np.linalg.inv(motion.to_q.full())
         u, w = to_u @ self.q, to_u @ self.v
         angles = u[motion.n_translations :]
@@ -128,6 +130,53 @@ def test_random_tree_agrees_with_pinocchio_and_mujoco(seed):
     weight, mass = column(case.of("gravity")), case.of("mass")
     scale = np.linalg.norm(weight) + np.linalg.norm(mass) * np.linalg.norm(expected)
     close(mass @ (weightless - expected), weight, scale)
+
+
+def test_the_random_trees_have_rotors_on_every_kind_of_joint():
+    found = {
+        (body["joint"]["kind"], body["joint"]["passive"])
+        for seed in range(50)
+        for body in random_tree(seed)["bodies"]
+        if "armature" in body["joint"]
+    }
+    assert found == {(kind, passive) for kind in ("hinge", "slide") for passive in (True, False)}
+
+
+@pytest.mark.parametrize("directions", [(0, 1, 2), (2, 0, 1)], ids=["vertical last", "vertical first"])
+def test_rotors_of_ground_slides_do_not_fall(directions):
+    """Gravity is left to a vertical slide only where that has no rotor; each slide's reciprocal counts its own."""
+    data = grounded(3, 2, coupled=False)
+    for k, axis in enumerate(directions):
+        data["bodies"][k]["joint"] |= {"axis": list(np.eye(3)[axis]), "armature": 700.0 * (k + 1)}
+    data["bodies"][-1]["joint"]["armature"] = 90.0
+    case = Case(data, 2)
+    chain = mujoco_tree(data)
+    chain.set(case.q, case.v)
+    close(case.of("mass"), chain.mass())
+    expected = chain.forward(case.tau)
+    for structure in (None, skeleton(case.tree)):
+        close(case.acceleration(*case.motion(structure)), expected)
+
+
+def test_a_rotor_of_zero_leaves_graph_and_parameters_as_they_were():
+    data = grounded(3, 2)
+    tree = tree_from_dict(data)
+    with_zeros = copy.deepcopy(data)
+    for body in with_zeros["bodies"]:
+        body["joint"]["armature"] = 0.0
+    again = tree_from_dict(with_zeros)
+    assert again == tree
+    assert not any("armature" in parameter.name for parameter in tree.parameters)
+    data["bodies"][-1]["joint"]["armature"] = 4.0
+    geared = tree_from_dict(data)
+    assert [p.unit for p in geared.parameters if p.name == "a2.armature"] == ["kg m²"]
+    plain, turned = build_plant(tree), build_plant(geared)
+    assert turned.mass.n_instructions() - plain.mass.n_instructions() in (1, 2)  # the sum, and its parameter
+    q, base = np.linspace(-0.4, 1.1, 9), np.zeros(3)
+    difference = turned.mass(q, base, turned.parameter_values) - plain.mass(q, base, plain.parameter_values)
+    expected = np.zeros((9, 9))
+    expected[-1, -1] = 4.0
+    close(difference.full(), expected, relative=1e-9)  # beside entries of 1e4
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -326,16 +375,16 @@ def test_rotation_vector_and_its_derivative(angle):
     assert np.isfinite(hessian).all()
 
 
-def test_isotropy_is_the_determinant_and_vanishes_where_rank_is_lost():
+def test_conditioning_index_is_that_of_frobenius_norms_and_vanishes_where_rank_is_lost():
     rng = np.random.default_rng(0)
     for rows, n in ((1, 2), (2, 2), (3, 4), (6, 7)):
         jacobian = rng.normal(size=(rows, n))
-        gram = jacobian @ jacobian.T
-        expected = np.linalg.det(gram) / (np.trace(gram) / rows) ** rows
-        assert abs(float(isotropy(ca.SX(jacobian))) - expected) <= 1e-13
-        if rows > 1:
-            jacobian[-1] = 2 * jacobian[0]
-            assert abs(float(isotropy(ca.SX(jacobian)))) <= 1e-13
+        expected = (rows / (np.linalg.norm(jacobian) * np.linalg.norm(np.linalg.pinv(jacobian)))) ** 2
+        assert abs(float(conditioning_index(ca.SX(jacobian))) - expected) <= 1e-12
+        for lost in range(1, rows):
+            jacobian[-lost] = 2 * jacobian[0]
+            # Of two and more lost at once what is left is rounding, 1e-14, over its floor of 1e-9.
+            assert abs(float(conditioning_index(ca.SX(jacobian)))) <= 1e-6
 
 
 def test_skeleton_joins_the_tree():

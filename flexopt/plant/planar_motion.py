@@ -1,0 +1,529 @@
+"""A planar chain's equations of motion as a simulator wants them: few operations, no trigonometry of their own.
+
+Coordinates u (n_q,): the base's free translations, then the absolute angle φ_k of every body that can turn, from the
+base outwards; directions are (cos φ_k, sin φ_k). With both translations free, x and y are eliminated on paper: with
+p_k = a_k n_k − b_k e_k the columns of the mass matrix (see `planar`), and Δ = φ_k − φ_l,
+
+    p_k·p_l = (a_k a_l + b_k b_l) cos Δ + (a_k b_l − b_k a_l) sin Δ,
+
+so that the angular block keeps its form S_kl cos Δ + T_kl sin Δ with constants S = s − (aa + bb)/m and
+T = t − (ab − ba)/m; the velocity terms are (S_kl sin Δ − T_kl cos Δ) φ̇_l², and gravity leaves it. A rigid direction
+changes it: where only one translation is free, its share of p_k p_l is subtracted as it stands.
+"""
+
+# ruff: noqa: ARG002
+# (trees need u where a planar chain does not)
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from flexopt.model import Machine
+from flexopt.plant.motion import Directions, Motion, Pair
+from flexopt.plant.planar import moments
+
+
+@dataclass(frozen=True)
+class PlanarStructure:
+    """What decides the graph: which parts exist, not how large they are. Equal structures share compiled code.
+
+    Attributes:
+        translations: free directions of the base among `"x"`, `"y"`.
+        rotation: whether the base can turn.
+        passive: of each link, whether its hinge is passive.
+        zeros: constants that are exactly zero and are left out of the graph.
+    """
+
+    translations: tuple[str, ...]
+    rotation: bool
+    passive: tuple[bool, ...]
+    zeros: frozenset[str] = frozenset()
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Task rows."""
+        return ("x", "y")
+
+    @property
+    def placement(self) -> tuple[str, ...]:
+        """Placement coordinates."""
+        return ("x",)
+
+
+def full_structure(machine: Machine) -> PlanarStructure:
+    """A machine's structure with every constant kept, for parameters that vary."""
+    free = machine.free_base_directions
+    return PlanarStructure(
+        tuple(direction for direction in free if direction != "rotation"),
+        "rotation" in free,
+        tuple(link.passive for link in machine.links),
+    )
+
+
+def constant_graphs(machine: Machine, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    """The constants of the motion by name, from the parameters by name."""
+    bodies = ["base", *(link.name for link in machine.links)]
+    of, whole = moments(dict(value), bodies), full_structure(machine)
+    both = len(whole.translations) == 2
+    # Quotients are constants of their own, so that no step divides by what never changes.
+    result = {
+        "total": of.total,
+        "inverse_total": 1 / of.total,
+        "inverse_root_total": 1 / ca.sqrt(of.total),
+        "gravity": value["gravity"],
+    }
+    if not whole.rotation:
+        result |= {"base_cos": ca.cos(value["base.rest_angle"]), "base_sin": ca.sin(value["base.rest_angle"])}
+    for direction in whole.translations:
+        for word in ("stiffness", "damping"):
+            result[f"{word}_{direction}"] = value[f"base.{word}.{direction}"]
+            result[f"{word}_{direction}_m"] = value[f"base.{word}.{direction}"] / of.total
+    for k, body in enumerate(bodies):
+        result |= {f"a{k}": of.a[k], f"b{k}": of.b[k], f"length{k}": value[f"{body}.length"]}
+        result |= {f"am{k}": of.a[k] / of.total, f"bm{k}": of.b[k] / of.total}
+        for m in range(k + 1):
+            s, t = of.s[k][m], of.t[k][m]
+            if both:
+                s -= (of.a[k] * of.a[m] + of.b[k] * of.b[m]) / of.total
+                t -= (of.a[k] * of.b[m] - of.b[k] * of.a[m]) / of.total
+            result[f"s{k}_{m}"] = s
+            if m < k:
+                result[f"t{k}_{m}"] = t
+    if both:
+        first = 0 if whole.rotation else 1
+        result["inverse_pivot"] = 1 / result[f"s{first}_{first}"]
+    if whole.rotation:
+        result |= {"stiffness0": value["base.stiffness.rotation"], "damping0": value["base.damping.rotation"]}
+    result["rest0"] = value["base.rest_angle"]
+    for k, link in enumerate(machine.links, 1):
+        if link.passive:
+            result |= {f"stiffness{k}": value[f"{link.name}.stiffness"], f"rest{k}": value[f"{link.name}.rest"]}
+            result |= {f"damping{k}": value[f"{link.name}.damping"]}
+        else:
+            result |= {f"damping{k}": value[f"{link.name}.joint_damping"]}
+    return result
+
+
+@dataclass(frozen=True)
+class PlanarMotion(Motion):
+    """See `Motion`. Nothing here depends on u but the springs and where the end-point is.
+
+    Attributes:
+        structure: which parts exist.
+        value: the constants by name, symbols or numbers; those in `structure.zeros` are ignored.
+    """
+
+    structure: PlanarStructure
+    value: Mapping[str, ca.SX]
+
+    @property
+    def constant_names(self) -> list[str]:
+        """See `Motion`."""
+        s = self.structure
+        names = ["total", "inverse_total", "inverse_root_total", "gravity"]
+        names += [] if s.rotation else ["base_cos", "base_sin"]
+        for direction in s.translations:
+            names += [f"{word}_{direction}{per}" for word in ("stiffness", "damping") for per in ("", "_m")]
+        for k in range(self.n_bodies):
+            names += [f"a{k}", f"b{k}", f"length{k}", f"am{k}", f"bm{k}"]
+            for m in range(k + 1):
+                names += [f"s{k}_{m}"] + ([f"t{k}_{m}"] if m < k else [])
+        names += ["inverse_pivot"] if len(s.translations) == 2 else []
+        names += ["stiffness0", "damping0"] if s.rotation else []
+        names.append("rest0")
+        for k, passive in enumerate(s.passive, 1):
+            names += [f"stiffness{k}", f"rest{k}", f"damping{k}"] if passive else [f"damping{k}"]
+        return names
+
+    @property
+    def known_names(self) -> list[str]:
+        """See `Motion`."""
+        bodies = range(self.n_bodies)
+        return ["gravity", *(f"{word}{k}" for k in bodies for word in ("a", "b", "length"))]
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """See `Motion`."""
+        return self.structure.rows
+
+    @property
+    def placement(self) -> tuple[str, ...]:
+        """See `Motion`."""
+        return self.structure.placement
+
+    @property
+    def n_translations(self) -> int:
+        """Free translations of the base, the first entries of u."""
+        return len(self.structure.translations)
+
+    @property
+    def n_bodies(self) -> int:
+        """The base and every link."""
+        return 1 + len(self.structure.passive)
+
+    @property
+    def first(self) -> int:
+        """The first body that can turn."""
+        return 0 if self.structure.rotation else 1
+
+    @property
+    def n(self) -> int:
+        """n_q, entries of u."""
+        return self.n_translations + self.n_bodies - self.first
+
+    @property
+    def n_joints(self) -> int:
+        """See `Motion`."""
+        return len(self.joints)
+
+    @property
+    def hinged(self) -> list[int]:
+        """The bodies that hang on a passive hinge."""
+        return [0] * self.structure.rotation + [k for k, passive in enumerate(self.structure.passive, 1) if passive]
+
+    @property
+    def joints(self) -> list[int]:
+        """The bodies that an actuated joint carries."""
+        return [k for k, passive in enumerate(self.structure.passive, 1) if not passive]
+
+    @property
+    def hinges(self) -> list[int]:
+        """See `Motion`."""
+        return list(range(self.n_translations, self.n_translations + len(self.hinged)))
+
+    @property
+    def base_hinges(self) -> list[int]:
+        """The base's own rotation."""
+        return [self.n_translations] * self.structure.rotation
+
+    @property
+    def absorbed(self) -> dict[str, tuple[int, float]]:
+        """See `Motion`."""
+        return {"x": (0, 1.0)} if "x" in self.structure.translations else {}
+
+    @property
+    def to_q(self) -> ca.DM:
+        """A (n_q, n_q) of q = A u + `offset`: relative from absolute angles, passive coordinates first."""
+        rows = ca.DM.zeros(self.n, self.n)
+        for row in range(self.n_translations):
+            rows[row, row] = 1
+        for row, body in enumerate([*self.hinged, *self.joints], self.n_translations):
+            rows[row, self._at(body)] = 1
+            if body > self.first:
+                rows[row, self._at(body - 1)] = -1
+        return rows
+
+    @property
+    def offset(self) -> ca.SX:
+        """The constant part of q: the angle of a base that cannot turn."""
+        column = ca.SX.zeros(self.n, 1)
+        if not self.structure.rotation:
+            row = next(i for i, body in enumerate([*self.hinged, *self.joints]) if body == 1)
+            column[self.n_translations + row] = -self._of("rest0")
+        return column
+
+    def with_base(self, directions: Directions) -> Directions:
+        """Directions of all bodies from those that can turn."""
+        return directions if self.structure.rotation else [(self._of("base_cos"), self._of("base_sin")), *directions]
+
+    def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:
+        """See `Motion`.
+
+        A body's direction is turned back by the deflections of all hinges before it, products of the pairs at hand.
+        """
+        result = Directions()
+        back: Pair | None = None
+        for k, pair in enumerate(along):
+            if k in self.hinged:
+                own = _difference(pair, along[k - 1]) if k else pair
+                own = _difference(own, pairs[self.hinged.index(k)])
+                back = own if back is None else _total(own, back)
+            result.append(pair if back is None else _difference(pair, back))
+        return u, result
+
+    def passive(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """See `Motion`."""
+        anchors = [base if direction == "x" else ca.SX(0) for direction in self.structure.translations]
+        turning = ca.vertcat(*(self._relative(u, k) for k in self.hinged))
+        return ca.vertcat(u[: self.n_translations] - ca.vertcat(*anchors), turning)
+
+    def end_point(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
+        """The end-point r (2,), m."""
+        point = self._translation(u, base)
+        for k, (c, s) in enumerate(along):
+            point += self._of(f"length{k}") * ca.vertcat(c, s)
+        return point
+
+    def end_point_rate(self, u: ca.SX, w: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
+        """ṙ = J v (2,), m/s."""
+        rate = self._translation(w, ca.SX(0))
+        for k in range(self.first, self.n_bodies):
+            c, s = along[k]
+            rate += self._of(f"length{k}") * w[self._at(k)] * ca.vertcat(-s, c)
+        return rate
+
+    def rigid_jacobian(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
+        """Jv (2, n): columns of the actuated joints, the arm pointing along `along`."""
+        columns: list[ca.SX] = []
+        reach = ca.SX.zeros(2, 1)
+        for k in range(self.n_bodies - 1, 0, -1):
+            c, s = along[k]
+            reach += self._of(f"length{k}") * ca.vertcat(-s, c)
+            if k in self.joints:
+                columns.insert(0, ca.SX(reach))
+        return ca.horzcat(*columns)
+
+    def holding_torque(self, u: ca.SX, along: Directions) -> ca.SX:
+        """g_a (n,), N m: what the actuated joints must give to carry the weight, the arm pointing along `along`."""
+        forces = [self._weight(k, along) for k in range(self.n_bodies)]
+        return ca.vertcat(*(_sum(forces[k:]) for k in self.joints))
+
+    def potential(self, u: ca.SX, along: Directions) -> ca.SX:
+        """Gravity's potential, J."""
+        height = self._of("total") * self._translation(u, ca.SX(0))[1]
+        for k, (c, s) in enumerate(along):
+            height += self._of(f"a{k}") * s + self._of(f"b{k}") * c
+        return self._of("gravity") * height
+
+    def spring_energy(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """½ (q − q_rest)ᵀ K (q − q_rest), J."""
+        total = ca.SX(0)
+        for i, direction in enumerate(self.structure.translations):
+            total += self._of(f"stiffness_{direction}") * (u[i] - (base if direction == "x" else 0)) ** 2
+        for k in self.hinged:
+            total += self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}")) ** 2
+        return 0.5 * total
+
+    def momentum(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
+        """M_u w (n_q,), conjugate to u."""
+        moving, columns, axes, block = self._block(along)
+        turning = {k: w[self._at(k)] for k in moving}
+        linear = [
+            self._of("total") * w[i] + _sum(columns[k][axis] * turning[k] for k in moving)
+            for i, axis in enumerate(axes)
+        ]
+        inverse = self._of("inverse_total")
+        angular = [
+            _sum(block[max(k, m), min(k, m)] * turning[m] for m in moving)
+            + _sum(columns[k][axis] * linear[i] for i, axis in enumerate(axes)) * inverse
+            for k in moving
+        ]
+        return ca.vertcat(*linear, *angular)
+
+    def rates_of_momentum(self, u: ca.SX, momentum: ca.SX, along: Directions) -> ca.SX:
+        """Rates M_u⁻¹ p (n_q,)."""
+        moving, columns, axes, block = self._block(along)
+        inverse = self._of("inverse_total")
+        right = {
+            k: momentum[self._at(k)] - _sum(columns[k][axis] * momentum[i] for i, axis in enumerate(axes)) * inverse
+            for k in moving
+        }
+        turning = _solve_symmetric(block, right, moving, self._pivot(block))
+        linear = [
+            (momentum[i] - _sum(columns[k][axis] * turning[k] for k in moving)) * inverse for i, axis in enumerate(axes)
+        ]
+        return ca.vertcat(*linear, *(turning[k] for k in moving))
+
+    def force(
+        self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
+    ) -> ca.SX:
+        """Generalised forces on u but those of inertia, (n_q,): springs, dampers, torques, weight."""
+        free = range(self.n_translations)
+        linear = [self._base_force(i, u, w, base, base_rate) for i in free]
+        angular = self._joint_forces(u, w, torque)
+        if gravity:
+            linear = [
+                f - self._of("gravity") * self._of("total") if direction == "y" else f
+                for f, direction in zip(linear, self.structure.translations, strict=True)
+            ]
+            angular = {k: f - self._weight(k, along) for k, f in angular.items()}
+        return ca.vertcat(*linear, *angular.values())
+
+    def acceleration(
+        self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
+    ) -> ca.SX:
+        """See `Motion`."""
+        # With X_k = φ̇_k² cos φ_k and Y_k = φ̇_k² sin φ_k the right-hand side of body k is
+        # Q_k − A_k sin φ_k + B_k cos φ_k; A and B are sums of X, Y and the base's force. Sums end with what is known
+        # last.
+        free = self.structure.translations
+        moving = range(self.first, self.n_bodies)
+        shares = {k: (self._of(f"am{k}"), self._of(f"bm{k}")) for k in moving}
+        squares = {k: w[self._at(k)] ** 2 for k in moving}
+        spin = {k: (along[k][0] * squares[k], along[k][1] * squares[k]) for k in moving}
+        pull = dict.fromkeys("xy", ca.SX(0))  # on the base, per total mass
+        for i, direction in enumerate(free):
+            pull[direction] = self._base_force(i, u, w, base, base_rate, "_m")
+            if len(free) == 1:
+                pull[direction] += _sum(_along(shares[k], spin[k])[direction == "y"] for k in moving)
+
+        right = self._joint_forces(u, w, torque)
+        for k in moving:
+            a, b = self._of(f"a{k}"), self._of(f"b{k}")
+            weight = self._of("gravity") if gravity and "y" not in free else ca.SX(0)
+            to_sine, to_cosine = -weight * b, -weight * a
+            for m in moving:
+                if m != k:
+                    more_sine, more_cosine = _along(self._coupling(k, m), spin[m])
+                    to_sine, to_cosine = to_sine + more_sine, to_cosine + more_cosine
+            to_sine -= a * pull["x"] + b * pull["y"]
+            to_cosine -= a * pull["y"] - b * pull["x"]
+            c, s = along[k]
+            right[k] = right[k] - s * to_sine + c * to_cosine
+        block = self._block(along)[3]
+        turning = _solve_symmetric(block, right, list(moving), self._pivot(block))
+
+        falling = {"y": self._of("gravity")} if gravity else {}
+        linear = {direction: pull[direction] - falling.get(direction, 0) for direction in free}
+        for k in moving:
+            (c, s), (x, y) = along[k], spin[k]
+            if len(free) == 1:  # `pull` has the first part already
+                x, y = ca.SX(0), ca.SX(0)
+            drawn = _along(shares[k], (x + s * turning[k], y - c * turning[k]))
+            for direction in free:
+                linear[direction] += drawn[direction == "y"]
+        return ca.vertcat(*linear.values(), *(turning[k] for k in moving))
+
+    def _block(
+        self, along: Directions
+    ) -> tuple[list[int], dict[int, tuple[ca.SX, ca.SX]], list[int], dict[tuple[int, int], ca.SX]]:
+        """Bodies that turn, columns p_k, axes of the free translations, and the block that is left without these."""
+        moving = list(range(self.first, self.n_bodies))
+        columns = {k: self._column(k, along) for k in moving}
+        axes = [0 if direction == "x" else 1 for direction in self.structure.translations]
+        block = {(k, m): self._inertia(k, m, along, columns, axes) for k in moving for m in moving if m <= k}
+        return moving, columns, axes, block
+
+    def _pivot(self, block: dict[tuple[int, int], ca.SX]) -> ca.SX:
+        return self._of("inverse_pivot") if self.n_translations == 2 else 1 / block[self.first, self.first]
+
+    def _base_force(self, i: int, u: ca.SX, w: ca.SX, base: ca.SX, base_rate: ca.SX, per: str = "") -> ca.SX:
+        """Spring and damper of the i-th free translation; with "_m" over the total mass."""
+        direction = self.structure.translations[i]
+        anchor, rate = (base, base_rate) if direction == "x" else (ca.SX(0), ca.SX(0))
+        stiffness, damping = self._of(f"stiffness_{direction}{per}"), self._of(f"damping_{direction}{per}")
+        return -stiffness * (u[i] - anchor) - damping * (w[i] - rate)
+
+    def _of(self, name: str) -> ca.SX:
+        return ca.SX(0) if name in self.structure.zeros else self.value[name]
+
+    def _at(self, body: int) -> int:
+        return self.n_translations + body - self.first
+
+    def _relative(self, u: ca.SX, body: int) -> ca.SX:
+        """Angle of a body's hinge."""
+        angle = self._relative_rate(u, body)
+        return angle - self._of("rest0") if body == 1 == self.first else angle
+
+    def _relative_rate(self, w: ca.SX, body: int) -> ca.SX:
+        rate = w[self._at(body)]
+        return rate - w[self._at(body - 1)] if body > self.first else rate
+
+    def _translation(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """Ground point; `base` where x is rigid."""
+        of = {direction: u[i] for i, direction in enumerate(self.structure.translations)}
+        return ca.vertcat(of.get("x", base), of.get("y", ca.SX(0)))
+
+    def _column(self, k: int, along: Directions) -> tuple[ca.SX, ca.SX]:
+        """p_k = a_k n_k − b_k e_k."""
+        c, s = along[k]
+        a, b = self._of(f"a{k}"), self._of(f"b{k}")
+        return -a * s - b * c, a * c - b * s
+
+    def _weight(self, k: int, along: Directions) -> ca.SX:
+        return self._of("gravity") * self._column(k, along)[1]
+
+    def _coupling(self, k: int, m: int) -> Pair:
+        """S_km and T_km, which changes sign with the order."""
+        high, low = max(k, m), min(k, m)
+        t = self._of(f"t{high}_{low}")
+        return self._of(f"s{high}_{low}"), t if k > m else -t
+
+    def _inertia(
+        self,
+        k: int,
+        m: int,
+        along: Directions,
+        columns: dict[int, tuple[ca.SX, ca.SX]],
+        axes: list[int],
+    ) -> ca.SX:
+        """Entry k ≥ m of the angular block, translations eliminated."""
+        entry = self._of(f"s{k}_{m}")
+        if k != m:
+            cosine, sine = _difference(along[k], along[m])
+            entry = entry * cosine + self._of(f"t{k}_{m}") * sine
+        if len(axes) == 1:
+            entry -= columns[k][axes[0]] * columns[m][axes[0]] * self._of("inverse_total")
+        return entry
+
+    def _joint_forces(self, u: ca.SX, w: ca.SX, torque: ca.SX) -> dict[int, ca.SX]:
+        """Generalised forces of the absolute angles: each hinge acts on its body and back on the one before."""
+        actuated = self.joints
+        at_hinge: dict[int, ca.SX] = {}
+        for k in range(self.first, self.n_bodies):
+            force = -self._of(f"damping{k}") * self._relative_rate(w, k)
+            if k in actuated:
+                force += torque[actuated.index(k)]
+            else:
+                force -= self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}"))
+            at_hinge[k] = force
+        return {k: at_hinge[k] - at_hinge.get(k + 1, ca.SX(0)) for k in range(self.first, self.n_bodies)}
+
+
+def _solve_symmetric(
+    block: dict[tuple[int, int], ca.SX], right: dict[int, ca.SX], index: list[int], pivot: ca.SX
+) -> dict[int, ca.SX]:
+    """Solution of a positive definite system, `pivot` the reciprocal of its first entry.
+
+    The last two unknowns are solved for together, so that few divisions wait for each other.
+    """
+    if len(index) == 1:
+        (k,) = index
+        return {k: right[k] * pivot}
+    if len(index) == 2:
+        i, j = index
+        twice = 2 / (block[i, i] * block[j, j] - block[j, i] ** 2)
+        ii, ij, jj = (0.5 * block[key] * twice for key in ((j, j), (j, i), (i, i)))
+        return {i: ii * right[i] - ij * right[j], j: jj * right[j] - ij * right[i]}
+    first, rest = index[0], index[1:]
+    factor = {k: block[k, first] * pivot for k in rest}
+    onward = {k: right[k] - factor[k] * right[first] for k in rest}
+    head = pivot * right[first]
+    if len(rest) == 2:
+        # The inverse's rows are ready before the right-hand side is. (CasADi turns products with 1/det into divisions,
+        # those with s/(s det) it leaves.)
+        i, j = rest
+        scale = block[first, first]
+        a, b, c = (scale * block[k, m] - block[k, first] * block[m, first] for k, m in ((i, i), (j, i), (j, j)))
+        reciprocal = scale / (a * c - b * b)
+        ii, ij, jj = c * reciprocal, b * reciprocal, a * reciprocal
+        head -= (factor[i] * ii - factor[j] * ij) * onward[i]
+        head -= (factor[j] * jj - factor[i] * ij) * onward[j]
+        return {first: head, i: ii * onward[i] - ij * onward[j], j: jj * onward[j] - ij * onward[i]}
+    reduced = {(k, m): block[k, m] - factor[k] * block[m, first] for k in rest for m in rest if m <= k}
+    solved = _solve_symmetric(reduced, onward, rest, 1 / reduced[rest[0], rest[0]])
+    for k in rest:
+        head -= factor[k] * solved[k]
+    return {first: head, **solved}
+
+
+def _difference(a: Pair, b: Pair) -> Pair:
+    """Cosine and sine of α − β."""
+    return a[0] * b[0] + a[1] * b[1], a[1] * b[0] - a[0] * b[1]
+
+
+def _total(a: Pair, b: Pair) -> Pair:
+    """Cosine and sine of α + β."""
+    return a[0] * b[0] - a[1] * b[1], a[1] * b[0] + a[0] * b[1]
+
+
+def _along(scale: Pair, vector: Pair) -> Pair:
+    """(a x − b y, a y + b x)."""
+    (a, b), (x, y) = scale, vector
+    return a * x - b * y, a * y + b * x
+
+
+def _sum(terms: Iterable[ca.SX]) -> ca.SX:
+    return sum(terms, start=ca.SX(0))
