@@ -1,6 +1,6 @@
 """How right the margins are: oracle values, random plants by other routes, and the gradient of ε_max by differences.
 
-Run: python -m benchmarks.margin_accuracy [--plants N] [--machines N]
+Run: python -m benchmarks.margin_accuracy [--plants N] [--machines N] [--trees N]
 """
 
 from __future__ import annotations
@@ -14,10 +14,13 @@ import numpy as np
 import flexopt
 from benchmarks.timing import table
 from flexopt.errors import FlexoptError, FlexoptWarning
-from tests.coprime.oracles import hankel_epsilon, scipy_epsilon, slicot_epsilon
+from flexopt.robustness.margin import build_margin, evaluate_margin
+from tests.coprime.oracles import hankel_epsilon, refined_epsilon, scipy_epsilon, slicot_epsilon
 from tests.coprime.plants import chain, random_plant
 from tests.robustness.test_margin import CONTROLS, gradient_errors
+from tests.robustness.test_spatial import margin_case, scaled_plant
 
+LARGE = 30  # states
 SLOW = ([[0.001]], [[1.0]], [[4.0]])
 HANKEL = "Hankel norm from Gramians, ‖·‖_H² (absolute)"
 # The example of MATLAB's ncfmargin.
@@ -70,6 +73,30 @@ def random_plants(count: int) -> list[tuple[str, ...]]:
     return rows + [(name, f"{value:.1e}") for name, value in worst.items()]
 
 
+def trees(count: int) -> list[tuple[str, ...]]:
+    """ε_max of random trees in postures, as `evaluate` gives it: by SLICOT and in extended precision."""
+    rows: list[tuple[str, ...]] = [
+        ("states", "trees", "from SLICOT, median", "largest", "from extended precision", "SLICOT from it")
+    ]
+    found: dict[bool, list[tuple[float, float, float]]] = {False: [], True: []}
+    for k in range(count):
+        case, kr = margin_case(k)
+        ours = evaluate_margin(build_margin(case.tree), case.base, case.posture, kr).epsilon_max
+        plant = scaled_plant(case.tree, case.posture, case.base, kr)
+        slicot, exact = slicot_epsilon(plant), refined_epsilon(plant)
+        assert ours is not None
+        found[plant.A.shape[0] >= LARGE].append(
+            (abs(ours / slicot - 1), abs(ours / exact - 1), abs(slicot / exact - 1))
+        )
+    for large, errors in found.items():
+        if errors:
+            apart, wrong, theirs = np.array(errors).T
+            numbers = [np.median(apart), apart.max(), wrong.max(), theirs.max()]
+            what = f"{LARGE} to 36" if large else f"below {LARGE}"
+            rows.append((what, str(len(errors)), *(f"{number:.1e}" for number in numbers)))
+    return rows
+
+
 def gradients(count: int) -> list[tuple[str, ...]]:
     """Errors of the exact gradient against differences of fourth order."""
     rows: list[tuple[str, ...]] = [("control", "cases", "median", "95 %", "worst", "of them above 1e-7")]
@@ -85,10 +112,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plants", type=int, default=400)
     parser.add_argument("--machines", type=int, default=135)
+    parser.add_argument("--trees", type=int, default=36)
     options = parser.parse_args()
     warnings.simplefilter("ignore", FlexoptWarning)
     print(table("Known values", oracle_values()))
     print(table("Random plants, stable and unstable, with D", random_plants(options.plants)))
+    title = "Trees in space, up to 12 passive coordinates and 6 task rows, gains over five decades"
+    print(table(title, trees(options.trees)))
     print(table("Gradient of ε_max by posture, random machines, relative to its size", gradients(options.machines)))
 
 

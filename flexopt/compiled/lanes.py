@@ -15,6 +15,8 @@ from importlib.resources import files
 
 import casadi as ca
 
+from flexopt.compiled.pieces import LONG, in_pieces
+
 # Helpers of the generated code that `lane.hpp` has under another name.
 _OWN = {
     "casadi_sq": "sq", "casadi_fabs": "fabs", "casadi_fmin": "fmin", "casadi_fmax": "fmax", "casadi_sign": "sign",
@@ -24,9 +26,11 @@ _VALUE = r"\(\*\w+(?:\+\+)?\)|\*\w+|\w+(?:\[\w+\])?"
 _CHOICE = re.compile(rf"\(({_VALUE})\?({_VALUE}):0\)")
 _NAME = re.compile(r"\bcasadi_\w+")
 
-# Lines of generated code and how hard to optimise them. Of lanes, which are structures, gcc's scalar replacement of
-# aggregates takes a time that grows with the square of the length; without it the code is 15 % slower.
-LEVELS = ((12_000, ("-O2",)), (20_000, ("-O2", "-fno-tree-sra")), (40_000, ("-O1", "-fno-tree-sra")))
+# Lines of the longest generated function and how hard to optimise them. Of lanes, which are structures, gcc's scalar
+# replacement of aggregates takes a time that grows with the square of the length; without it the code is 15 % slower.
+# Straight-line functions longer than the first come in pieces.
+LEVELS = ((LONG, ("-O2",)), (20_000, ("-O2", "-fno-tree-sra")), (40_000, ("-O1", "-fno-tree-sra")))
+LINES_MAX = 200_000
 
 # CasADi writes a graph depth first. Scheduling it before registers are assigned, which gcc leaves out on x86, makes the
 # code 5 to 15 % faster and changes no result.
@@ -139,7 +143,15 @@ def _generated(function: ca.Function) -> tuple[str, str]:
     match = re.search(r"return (casadi_\w+)\(", exported)
     assert match is not None, exported
     reached = reached_from(pieces, match[1], _OWN)
-    return "\n".join(text for name, text in pieces.items() if name in reached), match[1]
+    return "\n".join(in_pieces(text) for name, text in pieces.items() if name in reached), match[1]
+
+
+def level(source: str) -> tuple[str, ...] | None:
+    """How hard to optimise a translation unit, so that compilation takes seconds; None where it would take too long."""
+    if source.count("\n") > LINES_MAX:
+        return None
+    longest = max(block.count("\n") for block in source.split("\n}\n"))
+    return next((level for most, level in LEVELS if longest <= most), None)
 
 
 def definitions(text: str) -> dict[str, str]:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import casadi as ca
 
-from flexopt.compiled.accelerated import function_key, level_for
+from flexopt.compiled.accelerated import function_key
 from flexopt.compiled.compilers import CompilationFailed, Compiler, find_compiler, library_suffix, tell_failure
-from flexopt.compiled.lanes import LEVELS
+from flexopt.compiled.lanes import level
 from flexopt.compiled.storage import digest, find, recall, remember, store
 
 
@@ -49,11 +49,11 @@ def _built(name: str, source: Callable[[], str], compiler: Compiler, key: str) -
         text = source()
     except RuntimeError:  # CasADi cannot generate it
         return None
-    level = level_for(text, LEVELS)
-    if level is None:
+    chosen = level(text)
+    if chosen is None:
         return None
     try:
-        return store(key, library_suffix(), lambda path: compiler.build(text, path, language="c++", level=level))
+        return store(key, library_suffix(), lambda path: compiler.build(text, path, language="c++", level=chosen))
     except CompilationFailed as failure:
         if failure.by_source:
             remember(key, "the graph decides its course by numbers, or CasADi does not generate it")

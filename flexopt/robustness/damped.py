@@ -15,12 +15,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.algebra import apply_pseudo_inverse_transposed
 from flexopt.errors import InputError
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
+from flexopt.plant.control import task_to_joints_transposed
 
 # Poles closer than this, relative to their size, are one cluster: see `modes.CLUSTER_TOLERANCE`, there for ω².
 CLUSTER_TOLERANCE = 5e-7
@@ -131,10 +131,7 @@ def _build(machine: AnyMachine, control: Control, gravity: bool) -> _Graphs:
     eigen = ca.SX.sym("eigen", 2 + 2 * n)
     pole, u = _newton_step(at.mass, at.damping, at.stiffness, (eigen[0], eigen[1]), (eigen[2 : 2 + n], eigen[2 + n :]))
     alpha = [at.jacobian @ part for part in u]
-    if control == "transpose":
-        beta = [at.rigid_jacobian @ part[m:] for part in u]
-    else:
-        beta = [apply_pseudo_inverse_transposed(at.rigid_jacobian, part[m:]) for part in u]
+    beta = [task_to_joints_transposed(at.rigid_jacobian, control, part[m:]) for part in u]
     real = alpha[0] @ beta[0].T - alpha[1] @ beta[1].T
     imaginary = alpha[0] @ beta[1].T + alpha[1] @ beta[0].T
     n0, n1 = -2 * (real * pole[0] + imaginary * pole[1]), 2 * real

@@ -14,6 +14,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.documents import json_ready, provenance
 from flexopt.model.problem import Control, check_gain
+from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.robustness.damped import DampedModes, damped_modes
@@ -67,7 +68,7 @@ class Evaluation:
 
     Attributes:
         machine: the machine's name.
-        control: `"inverse"` or `"transpose"`.
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`.
         base, base_coordinates, base_units: placement (n_b,), its names and units, m or rad.
         posture, joints, joint_units: actuated joints (n,), their names and units, rad or m.
         end_point: the task (r,), m, inertial frame.
@@ -90,6 +91,7 @@ class Evaluation:
         damped: numerators N0, N1 and poles with damping, where asked for.
         damped_difference: largest |w_damped − w_undamped| / (|a||b|), where damping was asked for.
         skeleton: points to draw, a column each, m, inertial frame, as in `Plant.skeleton`.
+        cylinders: hydraulic cylinders in this posture, of a machine that has some.
         warnings: sentences about repeated frequencies and the like.
     """
 
@@ -123,6 +125,7 @@ class Evaluation:
     damped_difference: float | None
     skeleton: Vector
     warnings: tuple[str, ...]
+    cylinders: tuple[CylinderState, ...]
     provenance: dict[str, Any] = field(repr=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -133,7 +136,7 @@ class Evaluation:
             "N1": self.damped.n1,
             "difference": self.damped_difference,
         }
-        document = {
+        document: dict[str, Any] = {
             "machine": self.machine,
             "control": self.control,
             "base": self.base,
@@ -172,6 +175,8 @@ class Evaluation:
             "warnings": self.warnings,
             "provenance": self.provenance,
         }
+        if self.cylinders:
+            document["cylinders"] = [cylinder._asdict() for cylinder in self.cylinders]
         return cast(dict[str, Any], json_ready(document))
 
     def __repr__(self) -> str:
@@ -196,6 +201,7 @@ class Evaluation:
             lines.append(
                 f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|"
             )
+        lines += [f"  {cylinder}" for cylinder in self.cylinders]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
@@ -226,7 +232,9 @@ def evaluate(
         machine: from `flexopt.load`.
         posture: actuated joints (n,), rad or m.
         base: placement (n_b,), m or rad: of a planar machine x alone; the origin by default.
-        control: Jacobian `"inverse"` (the Moore–Penrose inverse for a redundant arm) or `"transpose"`.
+        control: Jacobian `"inverse"` (the Moore–Penrose inverse for a redundant arm), `"transpose"`, or
+            `"damped:LAMBDA"`, the inverse Jvᵀ (Jv Jvᵀ + λ² I)⁻¹ with λ in the unit of Jv's entries, which singular
+            postures have too.
         gain: servo gain kr of the margin ε_max.
         damped: measures from the numerators N0 of the damped plant instead of R_i.
         gravity: solve for the static deflection.
@@ -261,7 +269,7 @@ def evaluate_checked(
     p = plant.parameter_values
     m, r = plant.n_passive, plant.n_task
     rest = plant.rest(base, posture, p).full().ravel()
-    condition = check_regular(plant, rest, base)
+    condition = check_regular(plant, rest, base, control)
     v = {name: value.full() for name, value in measures.values(base=base, posture=posture, p=p).items()}
     _check_solved(measures, v, base)
     gradients = measures.gradients.call([base, posture, p])
@@ -330,6 +338,7 @@ def evaluate_checked(
         damped_difference=difference,
         skeleton=plant.skeleton.call([v["q"], base, p])[0].full(),
         warnings=sentences,
+        cylinders=build_hydraulics(machine).states(v["q"].ravel(), base) if machine.cylinders else (),
         provenance=provenance(machine, control=control, **options),
     )
 

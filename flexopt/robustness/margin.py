@@ -7,6 +7,9 @@ whatever the number of variables: with X Z r = λ r, rᵀ Z r = 1, l = Z r it is
 
     A_x P_X + P_X A_xᵀ = −l lᵀ,  A_x = A − B Bᵀ X;      A_z P_Z + P_Z A_zᵀ = −λ r rᵀ,  A_z = Aᵀ − Cᵀ C Z;
     ∂λ = ∂ [tr(P_X F_X) + tr(P_Z F_Z)]   with X, Z, P held and F the residuals of the two Riccati equations.
+
+For the same reason tr(P_X F_X) + tr(P_Z F_Z) is what rounding in X and Z has taken from λ: where the gradient is
+computed, ε_max is given with that added, which on badly conditioned plants is worth two digits and more.
 """
 
 from __future__ import annotations
@@ -27,8 +30,9 @@ from flexopt.errors import FlexoptError, FlexoptWarning, NotStabilizable
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
+from flexopt.plant.control import task_to_joints
 from flexopt.plant.plant import OperatingPoint, Plant, build_plant
-from flexopt.robustness.modes import reduced_pencil, solve_modes
+from flexopt.robustness.modes import called_modes, reduced_pencil, solve_modes
 from flexopt.robustness.residues import residue_factors, rigid_residue
 
 # A direction that the input or the output hardly touches is balanced as if it did by this share of the strongest one.
@@ -44,8 +48,10 @@ class Margin:
     """ε_max of one machine under one controller.
 
     Functions take base (n_b,), posture (n,), p (n_par,) and kr (1,). The state is [velocities; positions], passive
-    coordinates and then the arm's contribution r_a = Jv q_a to the end-point in place of its joints: the self-motion
-    of a redundant arm, an undamped double pole at 0 that the end-point neither sees nor moves, is left out that way.
+    coordinates and then the end-point itself in place of the arm's joints: the self-motion of a redundant arm, an
+    undamped double pole at 0 that the end-point neither sees nor moves, is left out that way. With the end-point as
+    state the products X_ii Z_ii, by which rounding grows, are some thirty times smaller than with the arm's
+    contribution Jv q_a to it.
 
     Attributes:
         plant, control, gravity: as in `Measures`.
@@ -77,28 +83,45 @@ class Margin:
     def hold(self) -> ca.Function:
         """(base, posture, p, kr) -> held: deflection, time scale, and the scales of the state (see `_scaling`)."""
         plant, g = self.plant, self.plant.graph
-        kr, r = ca.SX.sym("kr"), plant.n_task
-        deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX.zeros(plant.n_passive, 1)
+        kr, m = ca.SX.sym("kr"), plant.n_passive
+        deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX.zeros(m, 1)
         at = plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
-        pencil = reduced_pencil(at, plant.n_passive)
-        values, modes, _ = solve_modes(pencil)
-        a, b = residue_factors(at, pencil, modes, self.control)
-        rigid = kr * safe_norm(ca.vec(rigid_residue(at, pencil, self.control)))
+        pencil = reduced_pencil(at, m)
+        a, b = residue_factors(at, pencil, ca.SX.eye(m), self.control)
+        rigid = safe_norm(ca.vec(rigid_residue(at, pencil, self.control)))
+        of_posture = [pencil.stiffness, pencil.mass, a, b, rigid, ca.diag(pencil.actuated_mass), deflection]
+        inputs, names = [g.base, g.posture, g.p, kr], ["base", "posture", "p", "kr"]
+        options = {"cse": True, "is_diff_out": [False]}
+        if not self.compact:
+            values, modes, _ = solve_modes(pencil)
+            written = self._scales(kr, values, modes, of_posture)
+            return ca.Function("hold_margin", inputs, [written], names, ["held"], options)
+        of_posture = [ca.densify(graph) for graph in of_posture]
+        reduce = ca.Function("reduce", inputs[:3], of_posture, {"cse": True})
+        symbols = [ca.SX.sym(f"x{k}", *graph.shape) for k, graph in enumerate(of_posture)]
+        values, modes = ca.SX.sym("values", m), ca.SX.sym("modes", m, m)
+        found = self._scales(kr, values, modes, symbols)
+        scales = ca.Function("scales", [kr, values, modes, *symbols], [found], {"cse": True})
+        called = [ca.MX.sym(name, symbol.shape[0]) for name, symbol in zip(names, inputs, strict=True)]
+        reduced = reduce.call(called[:3])
+        held: ca.MX = scales.call([called[3], *called_modes(m).call(reduced[:2])[:2], *reduced])[0]
+        return ca.Function("hold_margin", called, [held], names, ["held"], {"is_diff_out": [False]})
+
+    def _scales(self, kr: ca.SX, values: ca.SX, modes: ca.SX, of_posture: list[ca.SX]) -> ca.SX:
+        """What is held, from the modes and what `hold` takes from the posture."""
+        _, mass, a_modes, b_modes, rigid_size, inertia, deflection = of_posture
+        r = self.plant.n_task
+        a, b, rigid = a_modes @ modes, b_modes @ modes, kr * rigid_size
         # The geometric mean of the modes' frequencies and of where the rigid part crosses gain one.
         logarithms = ca.sum(ca.log(values)) + r * ca.log(rigid)
         rate = ca.exp(logarithms / (2 * (values.shape[0] + r)))
         out, into = (ca.sqrt(ca.sum1(x**2)).T for x in (a, b))
         out, into = (x + WEAKEST * ca.mmax(x) for x in (out, into))
         size = ca.sqrt(kr * into / out) / rate
-        vibration, back = modes @ diagonal(size), diagonal(1 / size) @ modes.T @ pencil.mass
+        vibration, back = modes @ diagonal(size), diagonal(1 / size) @ modes.T @ mass
         arm = ca.sqrt(rigid) / rate * ca.SX.ones(r, 1)
-        arm_rate = arm
-        if self.keeps_joint_rates:
-            inertia = ca.diag(pencil.actuated_mass)
-            arm_rate = ca.sqrt(rigid * ca.sum(inertia) / inertia) / rate
-        held = ca.veccat(deflection, rate, vibration, back, arm, arm_rate)
-        inputs, names = [g.base, g.posture, g.p, kr], ["base", "posture", "p", "kr"]
-        return ca.Function("hold_margin", inputs, [held], names, ["held"], {"cse": True, "is_diff_out": [False]})
+        arm_rate = ca.sqrt(rigid * ca.sum(inertia) / inertia) / rate if self.keeps_joint_rates else arm
+        return ca.veccat(deflection, rate, vibration, back, arm, arm_rate)
 
     @property
     def _held_sizes(self) -> list[int]:
@@ -108,8 +131,8 @@ class Margin:
     def _scaling(self, held: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Deflection (m,), time scale, T and T⁻¹ (n_states, n_states) with physical state = T · scaled state.
 
-        The passive coordinates are modal ones, so big that the gains in and out of each mode are alike; the arm's are
-        scaled alike by the rigid part.
+        The passive coordinates are modal ones, so big that the gains in and out of each mode are alike; the end-point's
+        rows are scaled alike by the rigid part.
         """
         m = self.plant.n_passive
         edges = [0, *accumulate(self._held_sizes)]
@@ -137,23 +160,24 @@ class Margin:
         """A, B, C in physical units without the gain."""
         plant = self.plant
         m, r, n = plant.n_passive, plant.n_task, plant.n_actuated
-        jv, identity = at.rigid_jacobian, ca.SX.eye(n)
-        pseudo_inverse = apply_pseudo_inverse(jv, ca.SX.eye(r))
-        # q̇_a = spread ν_a and ν_a = gather q̇_a.
-        spread, gather = (identity, identity) if self.keeps_joint_rates else (pseudo_inverse, jv)
-        into = jv.T if self.control == "transpose" else pseudo_inverse
-        spread_all, gather_all = _block(ca.SX.eye(m), spread), _block(ca.SX.eye(m), gather)
+        jv, passive = at.rigid_jacobian, ca.SX.eye(m + n)[:m, :]
+        into = task_to_joints(jv, self.control, ca.SX.eye(r))
+        # [passive rates; ṙ] = seen q̇, and q̇ = spread ν, ν = gather q̇ for the rates ν that are states.
+        seen = ca.vertcat(passive, at.jacobian)
+        if self.keeps_joint_rates:
+            spread, gather, rates = ca.SX.eye(m + n), ca.SX.eye(m + n), seen
+        else:
+            back = apply_pseudo_inverse(jv, ca.horzcat(-at.jacobian[:, :m], ca.SX.eye(r)))
+            spread, gather, rates = ca.vertcat(ca.SX.eye(m + r)[:m, :], back), seen, ca.SX.eye(m + r)
         springs = ca.vertcat(at.stiffness[:m, :m], ca.SX.zeros(n, m))
-        right = ca.horzcat(-at.damping @ spread_all, -springs, ca.vertcat(ca.SX.zeros(m, r), into))
-        accelerations = gather_all @ solve_spd(at.mass, right)
+        right = ca.horzcat(-at.damping @ spread, -springs, ca.vertcat(ca.SX.zeros(m, r), into))
+        accelerations = gather @ solve_spd(at.mass, right)
         k = self.n_rates
-        rates = _block(ca.SX.eye(m), jv @ spread)
         a = ca.vertcat(
-            ca.horzcat(accelerations[:, :k], accelerations[:, k : k + m], ca.SX.zeros(k, r)),
-            ca.horzcat(rates, ca.SX.zeros(m + r, m + r)),
+            ca.horzcat(accelerations[:, : k + m], ca.SX.zeros(k, r)), ca.horzcat(rates, ca.SX.zeros(m + r, m + r))
         )
         b = ca.vertcat(accelerations[:, k + m :], ca.SX.zeros(m + r, r))
-        c = ca.horzcat(ca.SX.zeros(r, k), at.jacobian[:, :m], ca.SX.eye(r))
+        c = ca.horzcat(ca.SX.zeros(r, k + m), ca.SX.eye(r))
         return a, b, c
 
     @cached_property
@@ -175,7 +199,7 @@ class Margin:
         """
         symbols, (a, b, c), x, z, rest = self._solved()
         values, _ = top_eigenpairs(self.n_states).call([x, z])
-        residuals = [_relative_residual(a, b, c, x), _relative_residual(a.T, c.T, b.T, z)]
+        residuals = [_relative(*_residual(a, b, c, x)), _relative(*_residual(a.T, c.T, b.T, z))]
         residual = ca.fmax(*residuals)
         return self._function(
             "margin", symbols, [1 / ca.sqrt(1 + values), rest, residual], ["epsilon", "rest", "residual"]
@@ -191,7 +215,8 @@ class Margin:
     def gradients(self) -> ca.Function:
         """(base, posture, p, kr) -> epsilon (2, 1) and its exact derivatives, three rows each.
 
-        Outputs `epsilon_z` by [base, posture] (3, n_b + n), `epsilon_p` (3, n_par), `epsilon_kr` (3, 1). Rows 1 and 2
+        `epsilon` is that of `values`, freed to first order from what rounding left in X and Z; derivatives are
+        `epsilon_z` by [base, posture] (3, n_b + n), `epsilon_p` (3, n_par), `epsilon_kr` (3, 1). Rows 1 and 2
         are the gradients g_11, g_22 of the two branches, row 3 is g_12. Where the two eigenvalues meet, ε_max has a
         kink: along a direction d the branches change by the eigenvalues of [[g_11·d, g_12·d], [g_12·d, g_22·d]], and
         ε_max by the smaller one.
@@ -201,17 +226,23 @@ class Margin:
         values, vectors = top_eigenpairs(n).call([x, z])
         solve, sweep, held = lyapunov(n, compact=self.compact), self._reverse_sweep, self.hold.call(symbols)[0]
         loop_x, loop_z = a - b @ (b.T @ x), a.T - c.T @ (c @ z)
+        left = _residual(a, b, c, x)[0], _residual(a.T, c.T, b.T, z)[0]
         rows: list[ca.MX] = []
+        lost: list[ca.MX] = []
         for i, j in ((0, 0), (1, 1), (0, 1)):
             right = (vectors[:, i] @ vectors[:, j].T + vectors[:, j] @ vectors[:, i].T) / 2
             value = (values[i] + values[j]) / 2
             p_x = solve.call([loop_x, z @ right @ z])[0]
             p_z = solve.call([loop_z, value * right])[0]
+            lost.append(ca.dot(p_x, left[0]) + ca.dot(p_z, left[1]))
             slope = sweep.call([*symbols, held, x, z, p_x, p_z])[0]
             rows.append(slope * (-0.5) * (1 + value) ** (-1.5))
         stacked = ca.vertcat(*rows)
         n_z, n_p = self.plant.n_base + self.plant.n_actuated, len(self.plant.parameter_names)
-        outputs = [1 / ca.sqrt(1 + values), stacked[:, :n_z], stacked[:, n_z : n_z + n_p], stacked[:, n_z + n_p :]]
+        first, second = values[0] + lost[0], values[1] + lost[1]
+        apart = ca.sqrt(((first - second) / 2) ** 2 + lost[2] ** 2)
+        exact = (first + second) / 2 + ca.vertcat(apart, -apart)
+        outputs = [1 / ca.sqrt(1 + exact), stacked[:, :n_z], stacked[:, n_z : n_z + n_p], stacked[:, n_z + n_p :]]
         names = ["epsilon", "epsilon_z", "epsilon_p", "epsilon_kr"]
         return self._function("margin_gradients", symbols, outputs, names)
 
@@ -302,14 +333,14 @@ class PostureMargin:
 def evaluate_margin(margin: Margin, base: Vector, posture: Vector, kr: float) -> PostureMargin:
     """ε_max and its derivatives at one posture, with the residuals checked."""
     arguments = [base, posture, margin.plant.parameter_values, kr]
-    epsilon, rest, residual = (x.full() for x in margin.values.call(arguments))
+    _, rest, residual = (x.full() for x in margin.values.call(arguments))
     left = max(float(rest[0, 0]), float(residual[0, 0]))
     n_z, n_p = base.size + posture.size, margin.plant.parameter_values.shape[0]
     if not left <= RESIDUAL_TOLERANCE:
         unknown = float("nan")
         value, sentence = _numerically(margin, base, posture, kr)
         return PostureMargin(value, unknown, np.full(n_z, np.nan), np.full(n_p, np.nan), unknown, None, left, sentence)
-    _, by_z, by_p, by_kr = (x.full() for x in margin.gradients.call(arguments))
+    epsilon, by_z, by_p, by_kr = (x.full() for x in margin.gradients.call(arguments))
     first, second = epsilon.ravel()
     meets = second - first <= KINK_TOLERANCE * first
     sentence = "ε_max has a kink here: the two largest eigenvalues of XZ meet, and each has its own gradient"
@@ -329,6 +360,8 @@ def _numerically(margin: Margin, base: Vector, posture: Vector, kr: float) -> tu
     """ε_max by the general solvers where the doubling with its fixed scaling did not converge, and a sentence."""
     arguments = [base, posture, margin.plant.parameter_values]
     a, b, c = (x.full() for x in margin.physical_plant.call(arguments))
+    if not all(np.all(np.isfinite(x)) for x in (a, b, c)):
+        return None, "ε_max: no feedback of the end-point stabilises the plant (the joints do not move all task rows)"
     try:
         with warnings.catch_warnings():
             # The sentence below says it: the plant is at the edge of what can be solved.
@@ -341,13 +374,12 @@ def _numerically(margin: Margin, base: Vector, posture: Vector, kr: float) -> tu
     return value, "ε_max has no gradient here: the plant is nearly not stabilizable"
 
 
-def _block(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Block-diagonal matrix."""
-    return ca.diagcat(a, b)
-
-
-def _relative_residual(a: ca.MX, b: ca.MX, c: ca.MX, x: ca.MX) -> ca.MX:
-    """Largest element of AᵀX + XA − XBBᵀX + CᵀC, relative to that of its terms."""
+def _residual(a: ca.MX, b: ca.MX, c: ca.MX, x: ca.MX) -> tuple[ca.MX, list[ca.MX]]:
+    """AᵀX + XA − XBBᵀX + CᵀC and its terms; BBᵀ, whose rounding counts, is not formed."""
     linear, quadratic, constant = a.T @ x, (x @ b) @ (x @ b).T, c.T @ c
-    size = ca.norm_inf(ca.vec(linear)) + ca.norm_inf(ca.vec(quadratic)) + ca.norm_inf(ca.vec(constant))
-    return ca.norm_inf(ca.vec(linear + linear.T - quadratic + constant)) / size
+    return linear + linear.T - quadratic + constant, [linear, quadratic, constant]
+
+
+def _relative(residual: ca.MX, terms: list[ca.MX]) -> ca.MX:
+    """Largest element, relative to those of the terms."""
+    return ca.norm_inf(ca.vec(residual)) / sum(ca.norm_inf(ca.vec(term)) for term in terms)

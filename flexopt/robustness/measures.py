@@ -28,6 +28,9 @@ from flexopt.robustness.residues import (
     symmetric_part_vectors,
 )
 
+# Nodes of a graph up to which equal parts of it are looked for.
+CSE_MAX = 20_000
+
 
 @dataclass(frozen=True)
 class MeasureGraph:
@@ -150,6 +153,24 @@ class Measures:
         return self._composed("gradients", outputs | {"end_point_z": ca.jacobian(graph.end_point, z)})
 
     @cached_property
+    def weighted_gradient(self) -> ca.Function:
+        """(base, posture, p, alpha (m,)) -> exact ∂(Σ αi wi)/∂z (1, n_z), z = [base, posture]."""
+        g, alpha = self.plant.graph, ca.SX.sym("alpha", self.plant.n_passive)
+        z = ca.vertcat(g.base, g.posture)
+        slope = ca.densify(ca.gradient(ca.dot(alpha, self.graph.w), z).T)
+        inner = ca.Function("slope", [g.base, g.posture, g.p, self.held, alpha], [slope])
+        at = [g.base, g.posture, g.p]
+        outputs = inner.call([*at, self.hold(*at), alpha])
+        return ca.Function("weighted_gradient", [*at, alpha], outputs, ["base", "posture", "p", "alpha"], ["V_z"])
+
+    @cached_property
+    def end_point_gradient(self) -> ca.Function:
+        """(base, posture, p) -> exact ∂r/∂z (n_task, n_z), z = [base, posture]."""
+        g = self.plant.graph
+        slope = ca.jacobian(self.graph.end_point, ca.vertcat(g.base, g.posture))
+        return self._composed("end_point_gradient", {"end_point_z": slope})
+
+    @cached_property
     def w_with_gradient(self) -> ca.Function:
         """(base, posture, p) -> w (m, 1), exact ∂w/∂posture (m, n) as `w_posture`."""
         w = self.graph.w
@@ -227,7 +248,9 @@ class Measures:
         g = self.plant.graph
         names = ["base", "posture", "p", *(["held"] if extra else [])]
         dense = [ca.densify(output) for output in outputs.values()]
-        return ca.Function(name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), {"cse": True} | options)
+        # On large graphs the search takes a second and finds little.
+        shared = {"cse": ca.n_nodes(ca.veccat(*dense)) <= CSE_MAX}
+        return ca.Function(name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), shared | options)
 
 
 @lru_cache(maxsize=64)

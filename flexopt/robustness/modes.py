@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 
-from flexopt.algebra import clusters, direct_eigen, perturbed_pencil, reciprocal, solve_spd, symmetric_eigen
+from flexopt.algebra import (
+    called_eigen,
+    clusters,
+    direct_eigen,
+    perturbed_pencil,
+    reciprocal,
+    solve_spd,
+    symmetric_eigen,
+)
 from flexopt.plant.plant import OperatingPoint
 
 # Eigenvalues ω² closer than this, relative to their mean, are one cluster: below it the modes themselves, not the sums
@@ -49,12 +58,36 @@ def solve_modes(pencil: ReducedPencil) -> tuple[ca.SX, ca.SX, ca.SX]:
     side by side leave S graded, and Jacobi's rotations keep its small eigenvalues to full relative accuracy.
     NaN where K_p is not positive definite.
     """
-    lower = ca.chol(pencil.stiffness).T
-    compliance = solve_spd(pencil.mass, lower)
+    symmetric, compliance = _symmetric_form(pencil.stiffness, pencil.mass)
+    values, z = symmetric_eigen(symmetric)
+    return values, *_shapes(values, z, compliance)
+
+
+@lru_cache(maxsize=8)
+def called_modes(size: int) -> ca.Function:
+    """(K_p, M̄) -> what `solve_modes` gives, by calls that keep its C small."""
+    stiffness, mass = ca.SX.sym("K", size, size), ca.SX.sym("M", size, size)
+    before = ca.Function("symmetric_form", [stiffness, mass], list(_symmetric_form(stiffness, mass)), {"cse": True})
+    values, z, compliance = ca.SX.sym("values", size), ca.SX.sym("z", size, size), ca.SX.sym("X", size, size)
+    after = ca.Function("shapes", [values, z, compliance], list(_shapes(values, z, compliance)), {"cse": True})
+    pencil = [ca.MX.sym("K", size, size), ca.MX.sym("M", size, size)]
+    symmetric, solved = before.call(pencil)
+    pairs = called_eigen(size).call([symmetric])
+    outputs = [pairs[0], *after.call([*pairs, solved])]
+    return ca.Function("solve_modes", pencil, outputs, ["K", "M"], ["omega_squared", "modes", "same"])
+
+
+def _symmetric_form(stiffness: ca.SX, mass: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """S, and M̄⁻¹ L."""
+    lower = ca.chol(stiffness).T
+    compliance = solve_spd(mass, lower)
     symmetric = lower.T @ compliance
-    values, z = symmetric_eigen((symmetric + symmetric.T) / 2)
-    vectors = compliance @ z / ca.repmat(ca.sqrt(values).T, z.shape[0], 1)
-    return values, vectors, clusters(values, CLUSTER_TOLERANCE)
+    return ca.densify(symmetric + symmetric.T) / 2, ca.densify(compliance)
+
+
+def _shapes(values: ca.SX, z: ca.SX, compliance: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """φ_p, and which of them are of one cluster."""
+    return compliance @ z / ca.repmat(ca.sqrt(values).T, z.shape[0], 1), clusters(values, CLUSTER_TOLERANCE)
 
 
 @dataclass(frozen=True)
@@ -110,6 +143,8 @@ def _inverse_of_lower(lower: ca.SX) -> ca.SX:
     return inverse
 
 
-def continue_modes(pencil: ReducedPencil, values: ca.SX, vectors: ca.SX, same: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """ω² (m, 1) and φ_p (m, m) as graphs of the pencil, exact to second order about the modes given."""
-    return perturbed_pencil(pencil.stiffness, pencil.mass, values, vectors, same)
+def continue_modes(
+    pencil: ReducedPencil, values: ca.SX, vectors: ca.SX, same: ca.SX, *, order: int = 2
+) -> tuple[ca.SX, ca.SX]:
+    """ω² (m, 1) and φ_p (m, m) as graphs of the pencil, exact to second (or first) order about the modes given."""
+    return perturbed_pencil(pencil.stiffness, pencil.mass, values, vectors, same, order=order)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from flexopt.algebra import apply_pseudo_inverse_transposed, safe_norm, solve_spd, symmetric_eigen
-from flexopt.algebra.dense import TINY, apply_pseudo_inverse
+from flexopt.algebra import safe_norm, solve_spd, symmetric_eigen
+from flexopt.algebra.dense import TINY
 from flexopt.model.problem import Control
+from flexopt.plant.control import task_to_joints, task_to_joints_transposed
 from flexopt.plant.plant import OperatingPoint
 from flexopt.robustness.modes import ReducedPencil
 
@@ -14,22 +15,18 @@ from flexopt.robustness.modes import ReducedPencil
 def residue_factors(at: OperatingPoint, pencil: ReducedPencil, modes: ca.SX, control: Control) -> tuple[ca.SX, ca.SX]:
     """Columns a_i = J φ_i and b_i of R_i = a_i b_iᵀ, each (n_task, m).
 
-    b_i = Jv φ_a (transpose) or (Jv⁺)ᵀ φ_a (inverse); article, eqs. (3)–(6).
+    b_i = Jv φ_a (transpose), (Jv⁺)ᵀ φ_a (inverse) or (J⁺_λ)ᵀ φ_a (damped); article, eqs. (3)–(6).
     """
     m = modes.shape[0]
     actuated = pencil.follow @ modes
     a = at.jacobian[:, :m] @ modes + at.jacobian[:, m:] @ actuated
-    if control == "transpose":
-        return a, at.rigid_jacobian @ actuated
-    return a, apply_pseudo_inverse_transposed(at.rigid_jacobian, actuated)
+    return a, task_to_joints_transposed(at.rigid_jacobian, control, actuated)
 
 
 def rigid_residue(at: OperatingPoint, pencil: ReducedPencil, control: Control) -> ca.SX:
-    """R_0 = Jv M̂⁻¹ Jvᵀ (transpose) or Jv M̂⁻¹ Jv⁺ (inverse), (n_task, n_task)."""
+    """R_0 = Jv M̂⁻¹ Jvᵀ (transpose), Jv M̂⁻¹ Jv⁺ (inverse) or Jv M̂⁻¹ J⁺_λ (damped), (n_task, n_task)."""
     jv = at.rigid_jacobian
-    if control == "transpose":
-        return jv @ solve_spd(pencil.actuated_mass, jv.T)
-    return jv @ solve_spd(pencil.actuated_mass, apply_pseudo_inverse(jv, ca.SX(ca.DM.eye(jv.shape[0]))))
+    return jv @ solve_spd(pencil.actuated_mass, task_to_joints(jv, control, ca.SX(ca.DM.eye(jv.shape[0]))))
 
 
 def summed_residue(a: ca.SX, b: ca.SX, same: ca.SX, i: int) -> ca.SX:

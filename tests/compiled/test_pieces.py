@@ -1,0 +1,60 @@
+"""Long straight-line functions in pieces give the same numbers."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from flexopt.compiled import batch, find_compiler, lanes, pieces
+from tests.compiled.comparison import QUIET
+
+pytestmark = pytest.mark.filterwarnings(QUIET)
+
+
+def long_function(steps: int) -> ca.Function:
+    """Values that live through many pieces, results on the way, choices and trigonometry."""
+    x, y = ca.SX.sym("x", 3), ca.SX.sym("y", 2)
+    state, kept = ca.vertcat(x, y), []
+    for k in range(steps):
+        turned = ca.vertcat(*(ca.sin(state[i]) + 0.3 * state[i - 1] for i in range(5)))
+        state = ca.if_else(state[0] > 0, turned, turned - 0.1 * x[k % 3])
+        if k % 50 == 0:
+            kept.append(state[k % 5])
+    return ca.Function("long", [x, y], [state, ca.vertcat(*kept, x[0])], ["x", "y"], ["state", "kept"])
+
+
+@pytest.mark.parametrize("piece", [1, 7, 100, 10_000])
+def test_pieces_compute_what_the_whole_does(monkeypatch, piece):
+    if find_compiler() is None:
+        pytest.skip("no compiler")
+    steps = 3 if piece == 1 else 60
+    function = long_function(steps)
+    monkeypatch.setattr(lanes, "in_pieces", lambda text: pieces.in_pieces(text, long=10, piece=piece))
+    monkeypatch.setattr("flexopt.compiled.libraries.function_key", lambda f, c, p: f"pieces-{piece}-{c.identity}-{p}")
+    cut = batch(function)
+    assert cut.compiled
+    x, y = np.random.default_rng(0).normal(size=(3, 37)), np.random.default_rng(1).normal(size=(2, 37))
+    source = lanes.kernel_source(function)
+    assert (source.count("__attribute__((noinline)) void casadi_f0_") > 2) == (piece < 10_000)
+    expected = function.map(37).call([x, y])
+    for ours, theirs in zip(cut(x, y), expected, strict=True):
+        np.testing.assert_allclose(ours, theirs.full(), rtol=1e-13, atol=1e-13)
+
+
+def test_short_functions_and_loops_stay_whole():
+    function = long_function(3)
+    assert "casadi_f0_0" not in lanes.kernel_source(function)
+    symbols = function.mx_in()
+    looped = ca.Function("looped", symbols, function.map(2).call([ca.repmat(v, 1, 2) for v in symbols]))
+    text = lanes.kernel_source(looped)
+    assert pieces.in_pieces(text) == text
+
+
+def test_how_hard_to_optimise_depends_on_the_longest_function():
+    line = "  a=b;\n"
+    block = "static int f(void) {\n" + line * 15_000 + "}\n"
+    assert lanes.level(block) == ("-O2", "-fno-tree-sra")
+    assert lanes.level(("static int f(void) {\n" + line * 5000 + "}\n") * 20) == ("-O2",)
+    assert lanes.level(block * 20) is None
+    assert lanes.level("static int f(void) {\n" + line * 50_000 + "}\n") is None
