@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready
 from flexopt.model.problem import Control
@@ -55,12 +56,13 @@ class BaseTrajectory:
     The base is meant piecewise linear in time: base[k + 1] = base[k] + base_rate[k] (time[k + 1] − time[k]).
 
     Attributes:
-        machine: the machine's name;  objective, control: what V is.
+        machine: the machine's name;  model: the machine;  objective, control: what V is.
         base_coordinates, joints: names.
         target: where the end-point stays, (n_task,), m, inertial frame.
         time: (N,), s, from 0.
-        base: placements (N, n_b);  base_rate: (N, n_b), m/s, from each sample to the next; 0 at the last one.
-        posture: actuated joints (N, n), rad.
+        base: placements (N, n_b), m or rad.
+        base_rate: (N, n_b), m/s or rad/s, from each sample to the next; 0 at the last one.
+        posture: actuated joints (N, n), rad or m.
         V: the objective (N,).
         gradient: ξ = ∂V/∂z, z = [base, posture], (N, n_b + n); at a kink of ε_max that of the smaller branch.
         prediction: ξᵀ Δz, (N,): first-order change of V over the law's step, limits left aside.
@@ -71,6 +73,7 @@ class BaseTrajectory:
     """
 
     machine: str
+    model: AnyMachine = field(repr=False)
     objective: str
     control: Control
     base_coordinates: tuple[str, ...]
@@ -136,7 +139,8 @@ class BaseTrajectory:
         for k in sorted({0, self.time.size // 2, self.time.size - 1}):
             numbers = " ".join(f"{x:9.4f}" for x in (*self.base[k], *self.posture[k]))
             lines.append(f"  {self.time[k]:8.3f} {numbers}{self.V[k]:13.4e}")
-        fastest = float(np.linalg.norm(self.base_rate, axis=1).max())
+        lengths = [k for k, unit in enumerate(self.model.base_units) if unit == "m"]
+        fastest = float(np.linalg.norm(self.base_rate[:, lengths], axis=1).max())
         lines.append(f"  base at most {fastest:.4g} m/s, end-point off by at most {self.end_point_error.max():.1e} m")
         if self.descents:
             total = sum(descent.amount for descent in self.descents)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
+from flexopt.selection.nlp import Rows
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import SelectionProblem
 
@@ -15,9 +19,18 @@ BOUND_TOLERANCE = 1e-8
 ACTIVE_TOLERANCE = 1e-6
 STATIONARITY_TOLERANCE = 1e-6
 CURVATURE_TOLERANCE = 1e-6
+STATIONARY_NEARLY = 1e-3
 CURVATURE_STEP = 1e-5
 KEPT_TOLERANCE = 1e-8
+# V this near to a value that no configuration exceeds, relative to its scale, is a maximum whatever its derivatives,
+# which near a_i = 0 or b_i = 0 change without bound.
+BEST_TOLERANCE = 1e-9
+# Steps along a direction of positive curvature, in scaled variables, that are looked at for a larger V.
+PROBES = (1e-2, 1e-3, 1e-4)
+CORRECTIONS = 8
 KINK_NAME = "kink of ε_max"
+# Number, sense and name: c ≥ 0 is sense · row.
+ActiveRow = tuple[int, float, str]
 
 
 @dataclass(frozen=True)
@@ -31,6 +44,7 @@ class Proof:
         stationarity: as in `Candidate`.
         curvature: largest curvature of the Lagrangian along the feasible directions, in the same units; positive
             where the point is no maximum.
+        unsurpassed: whether V is a value that no configuration exceeds.
     """
 
     violations: dict[str, float]
@@ -38,6 +52,7 @@ class Proof:
     target_error: float
     stationarity: float
     curvature: float
+    unsurpassed: bool
 
     @property
     def holds(self) -> bool:
@@ -47,31 +62,33 @@ class Proof:
 
 def prove(problem: SelectionProblem, z: Vector) -> Proof:
     """Check a point z = [base, posture] from the equations, in double, without IPOPT's own numbers."""
-    n_base = problem.measures.plant.n_base
-    base, posture = z[:n_base], z[n_base:]
-    plant, p = problem.measures.plant, problem.measures.plant.parameter_values
-    residual = problem.measures.w.call([base, posture, p])[2].full().ravel() - problem.target
-    sine_squared = float(plant.singularity_sine_squared(base, posture, p))
-    margin = problem.constraints[-1]
-
+    n_task = problem.target.size
+    rows = problem.rows(z)
     violations: dict[str, float] = {}
-    for constraint, error in zip(problem.constraints, residual, strict=False):
-        _note(violations, constraint.name, abs(float(error)), TARGET_TOLERANCE)
+    for constraint, value, wanted in zip(problem.constraints, rows, problem.target, strict=False):
+        _note(violations, constraint.name, abs(float(value - wanted)), TARGET_TOLERANCE)
+    for constraint, value in zip(problem.constraints[n_task:], rows[n_task:], strict=True):
+        beyond = max(constraint.lower - value, value - constraint.upper)
+        _note(violations, constraint.name, beyond, BOUND_TOLERANCE * constraint.scale)
     for variable, value in zip(problem.variables, z, strict=True):
-        _note(
-            violations, f"{variable.name} range", max(variable.lower - value, value - variable.upper), BOUND_TOLERANCE
-        )
-    _note(violations, margin.name, margin.lower - sine_squared, BOUND_TOLERANCE)
+        beyond = max(variable.lower - value, value - variable.upper)
+        _note(violations, f"{variable.name} range", beyond, BOUND_TOLERANCE)
 
-    local = _linearised(problem, z)
-    multipliers, kept = _multipliers(local)
-    stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
-    _note(violations, "first-order optimality", stationarity, STATIONARITY_TOLERANCE)
+    local = _linearised(problem, z, rows)
     for name, value in local.kept_objectives.items():
         _note(violations, name, -value, KEPT_TOLERANCE)
-    curvature = _curvature(problem, z, local, multipliers, kept)
-    _note(violations, "second-order optimality", curvature, CURVATURE_TOLERANCE)
-    return Proof(violations, local.names, float(np.linalg.norm(residual)), stationarity, curvature)
+    multipliers, kept = _multipliers(local)
+    stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
+    unsurpassed = problem.bounded_by_zero and -local.value <= BEST_TOLERANCE
+    curvature = 0.0
+    if not unsurpassed:
+        _note(violations, "first-order optimality", stationarity, STATIONARITY_TOLERANCE)
+        # Far from stationary points curvatures say nothing.
+        near = stationarity <= STATIONARY_NEARLY
+        curvature = _curvature(problem, z, local, multipliers, kept) if near else 0.0
+        _note(violations, "second-order optimality", curvature, CURVATURE_TOLERANCE)
+    off = float(np.linalg.norm(rows[:n_task] - problem.target))
+    return Proof(violations, local.names, off, stationarity, curvature, unsurpassed)
 
 
 @dataclass(frozen=True)
@@ -79,18 +96,19 @@ class _Local:
     """First-order model at a point, in x = z / scale.
 
     Attributes:
-        gradient: of V / objective_scale.
-        equalities: gradients of the target's rows, of the coupling at a kink, of fixed variables.
+        value, gradient: V / objective_scale and its gradient.
+        equalities: gradients of equality rows, of the coupling at a kink, of fixed variables.
         inequalities: gradients of the active ones c ≥ 0;  names: theirs.
-        curved: how many of them, listed first, are no bounds and so have curvature.
+        curved: how many of each, listed first, are rows and so have curvature.
         kept_objectives: name -> how much an earlier objective exceeds what is to be kept, relative to its scale.
     """
 
+    value: float
     gradient: Vector
     equalities: Vector
     inequalities: Vector
     names: tuple[str, ...]
-    curved: int
+    curved: tuple[int, int]
     kept_objectives: dict[str, float]
 
     def rows(self, kept: list[int]) -> Vector:
@@ -103,39 +121,75 @@ def _note(violations: dict[str, float], name: str, size: float, tolerance: float
         violations[name] = float(size)
 
 
-def _linearised(problem: SelectionProblem, z: Vector) -> _Local:
-    functions, plant, n_base = problem.quantities, problem.measures.plant, problem.measures.plant.n_base
-    base, posture, p = z[:n_base], z[n_base:], plant.parameter_values
+@lru_cache(maxsize=32)
+def _extra_slopes(machine: AnyMachine, rows: Rows) -> ca.Function:  # noqa: ARG001 - with the rows a key
+    """(base, posture, p, c) -> derivatives of the constraint rows by z, (k, n_z)."""
+    f = rows.function
+    base, posture, p, c = (ca.SX.sym(name, f.size1_in(k)) for k, name in enumerate(f.name_in()))
+    slopes = ca.jacobian(f.call([base, posture, p, c])[0], ca.vertcat(base, posture))
+    return ca.Function("constraint_slopes", [base, posture, p, c], [ca.densify(slopes)])
+
+
+def row_gradients(problem: SelectionProblem, z: Vector) -> Vector:
+    """Derivatives of all constraints by z, (n_rows, n_z), in their units."""
+    plant, n_base = problem.measures.plant, problem.measures.plant.n_base
+    at = [z[:n_base], z[n_base:], plant.parameter_values]
+    parts = [problem.measures.end_point_gradient.call(at)[0], plant.singularity_gradient.call(at)[0]]
+    if problem.constraint_set is not None:
+        extra = Rows(problem.constraint_set.structure, problem.constraint_set.function)
+        slopes = _extra_slopes(problem.machine, extra)
+        parts += slopes.call([*at, problem.constraint_set.constants])
+    return np.vstack([part.full() for part in parts])
+
+
+def _active_rows(problem: SelectionProblem, values: Vector) -> tuple[list[int], list[ActiveRow]]:
+    """Numbers of the equality rows, and of the active inequalities."""
+    equal: list[int] = []
+    active: list[ActiveRow] = []
+    for k, (constraint, value) in enumerate(zip(problem.constraints, values, strict=True)):
+        tolerance = ACTIVE_TOLERANCE * constraint.scale
+        if constraint.lower == constraint.upper:
+            equal.append(k)
+        elif value - constraint.lower <= tolerance:
+            active.append((k, 1.0, constraint.name))
+        elif constraint.upper - value <= tolerance:
+            active.append((k, -1.0, constraint.name))
+    return equal, active
+
+
+def _linearised(problem: SelectionProblem, z: Vector, row_values: Vector) -> _Local:
     rows: list[Vector] = []
     names: list[str] = []
-
-    values, gradients = functions.branches(problem.objective, base, posture)
+    size = problem.objective_scale
+    values, gradients = problem.branches(problem.objective, z)
     coupling = np.zeros((0, z.size))
-    if len(values) > 1 and values[1] - values[0] <= KINK * problem.objective_scale:
+    scales = np.array([constraint.scale for constraint in problem.constraints])
+    gradients_of_rows = row_gradients(problem, z) / scales[:, None]
+    equal, active = _active_rows(problem, row_values)
+    for k, sense, name in active:
+        rows.append(sense * gradients_of_rows[k])
+        names.append(name)
+    kept: dict[str, float] = {}
+    for objective, wanted, scale in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
+        value, slope = problem.branches(objective, z)
+        name = f"kept {objective.name}"
+        kept[name] = float(value[0] - wanted) / scale
+        if kept[name] <= ACTIVE_TOLERANCE:
+            rows.append(slope[0] / scale)
+            names.append(name)
+    curved = len(equal), len(rows)
+    if len(values) > 1 and values[1] - values[0] <= KINK * size:
         # V is the smaller branch, so V_2 − V_1 ≥ 0 is one more inequality; where the branches really meet, their
         # coupling is one more free direction.
-        rows.append((gradients[1] - gradients[0]) / problem.objective_scale)
+        rows.append((gradients[1] - gradients[0]) / size)
         names.append(KINK_NAME)
-        coupling = gradients[2:3] / problem.objective_scale
-    sine_squared = float(plant.singularity_sine_squared(base, posture, p))
-    if sine_squared - problem.constraints[-1].lower <= ACTIVE_TOLERANCE:
-        rows.append(plant.singularity_gradient(base, posture, p).full()[0])
-        names.append(problem.constraints[-1].name)
-    kept: dict[str, float] = {}
-    for objective, wanted, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
-        value, slope = functions.branches(objective, base, posture)
-        name = f"kept {objective.name}"
-        kept[name] = float(value[0] - wanted) / size
-        if kept[name] <= ACTIVE_TOLERANCE:
-            rows.append(slope[0] / size)
-            names.append(name)
-    curved = len(rows)
+        coupling = gradients[2:3] / size
 
-    equalities = np.vstack([problem.measures.gradients.call([base, posture, p])[2].full(), coupling])
     identity = np.eye(z.size)
+    fixed: list[Vector] = []
     for i, variable in enumerate(problem.variables):
         if variable.lower == variable.upper:
-            equalities = np.vstack([equalities, identity[i]])
+            fixed.append(identity[i])
             continue
         if z[i] - variable.lower <= ACTIVE_TOLERANCE * variable.scale:
             rows.append(identity[i])
@@ -143,8 +197,10 @@ def _linearised(problem: SelectionProblem, z: Vector) -> _Local:
         if variable.upper - z[i] <= ACTIVE_TOLERANCE * variable.scale:
             rows.append(-identity[i])
             names.append(f"{variable.name} upper bound")
+    equalities = np.vstack([gradients_of_rows[equal], coupling, *fixed])
     return _Local(
-        gradient=gradients[0] * problem.scale / problem.objective_scale,
+        value=float(values[0]) / size,
+        gradient=gradients[0] * problem.scale / size,
         equalities=equalities * problem.scale,
         inequalities=np.array(rows).reshape(-1, z.size) * problem.scale,
         names=tuple(names),
@@ -154,51 +210,104 @@ def _linearised(problem: SelectionProblem, z: Vector) -> _Local:
 
 
 def _multipliers(local: _Local) -> tuple[Vector, list[int]]:
-    """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0; wrong signs dropped."""
+    """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, and the inequalities that pull."""
     kept = list(range(len(local.inequalities)))
+    if not np.all(np.isfinite(local.gradient)) or not np.all(np.isfinite(local.rows(kept))):
+        return np.full(len(local.equalities) + len(kept), np.nan), kept
     while True:
         multipliers: Vector = np.linalg.pinv(local.rows(kept).T) @ local.gradient
         signs = multipliers[len(local.equalities) :]
-        wrong = [k for k, value in zip(kept, signs, strict=True) if value > 0]
-        if not wrong:
-            return multipliers, kept
-        kept = [k for k in kept if k not in wrong]
+        if not kept or signs.max() <= 0:
+            left = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
+            return (multipliers, kept) if left <= STATIONARITY_TOLERANCE else _nearest_multipliers(local)
+        del kept[int(np.argmax(signs))]
+
+
+def _nearest_multipliers(local: _Local) -> tuple[Vector, list[int]]:
+    """As `_multipliers`, the nearest there are: non-negative least squares on what equalities cannot take up."""
+    from scipy.optimize import nnls  # noqa: PLC0415  (slow to import, seldom needed)
+
+    if not len(local.inequalities):
+        return np.linalg.pinv(local.equalities.T) @ local.gradient, []
+    inverse = np.linalg.pinv(local.equalities.T)
+    free = np.eye(local.gradient.size) - local.equalities.T @ inverse
+    pull = nnls(-free @ local.inequalities.T, free @ local.gradient)[0]
+    kept: list[int] = np.flatnonzero(pull > 0).tolist()
+    of_equalities = inverse @ (local.gradient + pull @ local.inequalities)
+    return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
 def _curvature(problem: SelectionProblem, z: Vector, local: _Local, multipliers: Vector, kept: list[int]) -> float:
     """Largest curvature of V − λᵀ c on the null space of the active rows, by central differences of exact gradients.
 
-    0 where nothing is free, and at a kink, where the branches change places within the step.
+    0 where nothing is free, at a kink, where the branches change places within the step, and where no point nearby
+    along that direction is better: differences mislead where second derivatives change within the step.
     """
     rows = local.rows(list(range(len(local.inequalities))))
     _, singular, directions = np.linalg.svd(rows)
-    free = directions[int(np.sum(singular > 1e-9 * singular[0])) :]
+    free = directions[int(np.sum(singular > 1e-9 * singular[0])) :] if len(rows) else np.eye(z.size)
     if not free.size or KINK_NAME in local.names:
         return 0.0
-    # The curved inequalities come first; of those only the ones with a multiplier pull.
+    # The curved rows come first; of the inequalities among them only the ones with a multiplier pull.
+    equal, inequal = local.curved
     pulls = np.zeros(len(local.inequalities))
     pulls[kept] = multipliers[len(local.equalities) :]
-    names = [name for name, _ in zip(local.names, range(local.curved), strict=False)]
+    weights = np.concatenate([multipliers[:equal], pulls[:inequal]])
+    numbers = _active_rows(problem, problem.rows(z))
     hessian = np.empty((len(free), len(free)))
     for k, direction in enumerate(free):
         change = np.zeros(z.size)
         for sign in (1.0, -1.0):
             moved = z + sign * CURVATURE_STEP * direction * problem.scale
-            gradient, equalities, curved = _curved_gradients(problem, moved, names)
-            lagrangian = gradient - multipliers[: len(equalities)] @ equalities - pulls[: len(curved)] @ curved
-            change += sign * lagrangian / (2 * CURVATURE_STEP)
+            gradient, curved = _curved_gradients(problem, moved, numbers, local.names)
+            change += sign * (gradient - weights @ curved) / (2 * CURVATURE_STEP)
         hessian[k] = free @ change
-    return float(np.linalg.eigvalsh((hessian + hessian.T) / 2)[-1])
+    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
+    largest = float(values[-1])
+    if largest > CURVATURE_TOLERANCE and not _rises(problem, z, local, free.T @ vectors[:, -1], largest):
+        return 0.0
+    return largest
 
 
-def _curved_gradients(problem: SelectionProblem, z: Vector, names: list[str]) -> tuple[Vector, Vector, Vector]:
-    """Gradients of V, the target's rows and the named curved inequalities at a point nearby, in x = z / scale."""
-    functions, plant, n_base = problem.quantities, problem.measures.plant, problem.measures.plant.n_base
-    base, posture, p = z[:n_base], z[n_base:], plant.parameter_values
-    by_name = {problem.constraints[-1].name: plant.singularity_gradient(base, posture, p).full()[0]}
+def _curved_gradients(
+    problem: SelectionProblem,
+    z: Vector,
+    numbers: tuple[list[int], list[ActiveRow]],
+    names: tuple[str, ...],
+) -> tuple[Vector, Vector]:
+    """Gradients of V and of the active curved rows at a point nearby, in x = z / scale."""
+    equal, active = numbers
+    scales = np.array([constraint.scale for constraint in problem.constraints])
+    rows = row_gradients(problem, z) / scales[:, None]
+    curved = [rows[k] for k in equal] + [sense * rows[k] for k, sense, _ in active]
     for objective, size in zip(problem.objectives[: len(problem.kept)], problem.objective_scales, strict=False):
-        by_name[f"kept {objective.name}"] = functions.branches(objective, base, posture)[1][0] / size
-    gradient = functions.branches(problem.objective, base, posture)[1][0] / problem.objective_scale
-    targets = problem.measures.gradients.call([base, posture, p])[2].full()
-    curved = np.array([by_name[name] for name in names]).reshape(-1, z.size)
-    return gradient * problem.scale, targets * problem.scale, curved * problem.scale
+        if f"kept {objective.name}" in names:
+            curved.append(problem.branches(objective, z)[1][0] / size)
+    gradient = problem.branches(problem.objective, z)[1][0] / problem.objective_scale
+    return gradient * problem.scale, np.array(curved).reshape(-1, z.size) * problem.scale
+
+
+def _rises(problem: SelectionProblem, z: Vector, local: _Local, direction: Vector, curvature: float) -> bool:
+    """Whether V is larger at some point near z along a direction, moved back onto the active rows."""
+    equal, active = _active_rows(problem, problem.rows(z))
+    numbers = [*equal, *(k for k, _, _ in active)]
+    scales = np.array([constraint.scale for constraint in problem.constraints])
+    wanted = np.array([c.lower if value - c.lower <= c.upper - value else c.upper
+                       for c, value in zip(problem.constraints, problem.rows(z), strict=True)])  # fmt: skip
+    freed: Vector = np.where(problem.lower == problem.upper, 0.0, 1.0)
+    for row, name in zip(local.inequalities, local.names, strict=True):
+        if name.endswith(" bound"):
+            freed[row != 0] = 0.0
+    for step in PROBES:
+        for sign in (1.0, -1.0):
+            there: Vector = z + sign * step * freed * direction * problem.scale
+            for _ in range(CORRECTIONS):
+                off = ((problem.rows(there) - wanted) / scales)[numbers]
+                slopes = (row_gradients(problem, there) / scales[:, None])[numbers] * problem.scale * freed
+                correction: Vector = np.linalg.pinv(slopes) @ off
+                there = there - problem.scale * correction
+            off = ((problem.rows(there) - wanted) / scales)[numbers]
+            better = problem.branches(problem.objective, there)[0][0] / problem.objective_scale - local.value
+            if np.abs(off).max(initial=0.0) <= BOUND_TOLERANCE and better > 0.1 * curvature * step**2:
+                return True
+    return bool(problem.kept)

@@ -17,9 +17,9 @@ from flexopt.errors import Fault, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector, shown
 from flexopt.model.documents import provenance
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_gain, check_margin_deg
-from flexopt.model.quantities import COORDINATE_MAX, check_number, check_numbers, check_pair
-from flexopt.plant.reach import reach
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_base_range, check_gain, check_margin_deg
+from flexopt.model.quantities import check_number, check_numbers
+from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop
 from flexopt.selection.nullspace_law import NullspaceLaw, Point, climb, retime
@@ -39,7 +39,7 @@ def nullspace_trajectory(
     machine: AnyMachine,
     posture: Any,
     *,
-    base: Any = 0.0,
+    base: Any = None,
     objective: str = "w1",
     weights: Sequence[float] | None = None,
     control: Control = "inverse",
@@ -49,9 +49,10 @@ def nullspace_trajectory(
     metric: Sequence[float] | None = None,
     rate: float = 200.0,
     max_base_rate: float = 0.25,
+    max_turn_rate: float = 0.25,
     max_joint_rate: float = 1.0,
     max_base_acceleration: float | None = None,
-    base_range: tuple[float, float] | None = None,
+    base_range: Any = None,
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
     min_gain: float | None = None,
     duration: float = 60.0,
@@ -67,21 +68,23 @@ def nullspace_trajectory(
 
     Args:
         machine: from `flexopt.load`.
-        posture: actuated joints at the start (n,), rad; with `base` it says where the end-point stays.
-        base: placement at the start, x, m.
+        posture: actuated joints at the start (n,), rad or m; with `base` it says where the end-point stays.
+        base: placement at the start (n_b,), m or rad; zero by default.
         objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max.
         weights: α of `"V"`, and β after them, as in `flexopt.build_selection`.
-        control: Jacobian `"inverse"` or `"transpose"`.
+        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
         gain: servo gain kr of ε_max.
         gravity: measures and end-point under static deflection.
         step_gain: kξ for each sample: a positive scalar, (n_z,) for a diagonal, or (n_z, n_z), n_z = n_b + n. By
             default the scalar L² / (size · 0.5 s · rate), L the arm's reach, size = Σ αi |a_i||b_i| + β at the start.
-        metric: diagonal of W, (n_z,), positive, 1/m² and 1/rad².
+        metric: diagonal of W, (n_z,), positive, 1/m² and 1/rad², the joints' after the placement's.
         rate: samples a second, Hz.
-        max_base_rate: greatest speed of the base, m/s;  max_joint_rate: of each joint, rad/s, corrections aside.
-        max_base_acceleration: along the base's path, m/s². If given, the path is timed anew: it starts and ends at rest
-            and is nowhere faster than the law. By default the base starts and stops at once.
-        base_range: (lower, upper) of the placement, m.
+        max_base_rate: greatest speed of the base over the ground, m/s;  max_turn_rate: of its yaw, rad/s.
+        max_joint_rate: of each joint, rad/s (slides: m/s), corrections aside.
+        max_base_acceleration: along the base's path over the ground, m/s²; turning is not counted. If given, the path
+            is timed anew: it starts and ends at rest and is nowhere faster than the law. By default the base starts and
+            stops at once.
+        base_range: where the base may go, as in `flexopt.build_selection`; everywhere by default.
         singularity_margin_deg: as in `flexopt.build_selection`.
         min_gain: stop when the law's step changes V by less, V's unit per second; 1e-6 of the size above by default.
         duration: latest end, s.
@@ -95,8 +98,9 @@ def nullspace_trajectory(
     Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, section 4.
     """
     arguments = Arguments("nullspace_trajectory")
-    machine = arguments.planar(machine)
-    angles, placement = arguments.posture(machine, posture), arguments.base(machine, base)
+    machine = arguments.machine(machine)
+    angles, units = arguments.posture(machine, posture), machine.base_units
+    placement = np.zeros(len(units)) if base is None else arguments.base(machine, base)
     control = arguments.control(control)
     arguments.flag("gravity", gravity)
     kr = arguments.checked("gain", gain, check_gain, 1.0)
@@ -111,14 +115,15 @@ def nullspace_trajectory(
         return arguments.checked(field, value, lambda v: check_number(v, unit, above=0.0, high=high), 1.0)
 
     hertz, seconds = positive("rate", rate, "Hz", 1e5), positive("duration", duration, "s", 1e6)
-    base_rate = positive("max_base_rate", max_base_rate, "m/s", 1e3)
-    joint_rate = positive("max_joint_rate", max_joint_rate, "rad/s", 1e3)
+    given = ("max_base_rate", max_base_rate, "m/s"), ("max_turn_rate", max_turn_rate, "rad/s")
+    given = (*given, ("max_joint_rate", max_joint_rate, "rad/s or m/s"))
+    base_rate, turn_rate, joint_rate = (positive(*each, 1e3) for each in given)
     if max_base_acceleration is not None:
         max_base_acceleration = positive("max_base_acceleration", max_base_acceleration, "m/s²", 1e4)
     if seconds * hertz > SAMPLES_MAX:
         sentence = f"times rate must be at most {SAMPLES_MAX} samples"
         arguments.faults.append(Fault("duration", sentence, shown(duration)))
-    lower, upper = _base_range(arguments, base_range, placement)
+    lower, upper = _base_range(arguments, machine, base_range, placement)
     margin = math.radians(arguments.checked("singularity_margin_deg", singularity_margin_deg, check_margin_deg, 10.0))
     if min_gain is not None:
         min_gain = arguments.checked("min_gain", min_gain, lambda v: check_number(v, "1/s", low=0.0, high=1e6), 0.0)
@@ -129,8 +134,9 @@ def nullspace_trajectory(
     start = np.concatenate([placement, angles])
     initial = _evaluated(functions, start)
     size = float(np.dot(goal.alpha, initial.scale)) + goal.beta or 1.0
+    length = outer_reach(functions.measures.plant)[1] or 1.0
     if k_xi is None:
-        k_xi = np.eye(len(names)) * (reach(functions.measures.plant).outer ** 2 / (size * CLIMB_TIME * hertz))
+        k_xi = np.eye(len(names)) * (length**2 / (size * CLIMB_TIME * hertz))
     least = GAIN_SHARE * size if min_gain is None else min_gain
     law = NullspaceLaw(
         functions=functions,
@@ -140,6 +146,7 @@ def nullspace_trajectory(
         target=initial.end_point,
         rate=hertz,
         base_step=base_rate / hertz,
+        turn_step=turn_rate / hertz,
         joint_step=joint_rate / hertz,
         lower=lower,
         upper=upper,
@@ -155,8 +162,13 @@ def nullspace_trajectory(
     options = {"base": placement.tolist(), "posture": angles.tolist(), "objective": goal.name}
     options |= {"weights": goal.weights.tolist(), "control": control, "gain": kr, "gravity": gravity}
     options |= {"step_gain": k_xi.tolist(), "metric": w.tolist(), "rate": hertz, "max_base_rate": base_rate}
-    options |= {"max_joint_rate": joint_rate, "max_base_acceleration": max_base_acceleration}
-    options |= {"base_range": None if base_range is None else [float(lower[0]), float(upper[0])]}
+    options |= {
+        "max_turn_rate": turn_rate,
+        "max_joint_rate": joint_rate,
+        "max_base_acceleration": max_base_acceleration,
+    }
+    ends = dict(zip(machine.base_coordinates, zip(lower.tolist(), upper.tolist(), strict=True), strict=True))
+    options |= {"base_range": None if base_range is None else ends}
     options |= {"singularity_margin_deg": math.degrees(margin), "min_gain": least, "duration": seconds}
     return _trajectory(law, points, stop, initial, size, provenance(machine, **options, on_descent=on_descent))
 
@@ -172,6 +184,7 @@ def _trajectory(
     off = np.array([point.end_point - law.target for point in points])
     return BaseTrajectory(
         machine=machine.name,
+        model=machine,
         objective=law.objective.name,
         control=law.functions.measures.control,
         base_coordinates=machine.base_coordinates,
@@ -251,13 +264,16 @@ def _metric(value: Any, names: tuple[str, ...]) -> Vector:
     return np.array(check_numbers(list(cast(Sequence[Any], value)), list(names), "", low=1e-12, high=1e12))
 
 
-def _base_range(arguments: Arguments, value: Any, placement: Vector) -> tuple[Vector, Vector]:
+def _base_range(arguments: Arguments, machine: AnyMachine, value: Any, placement: Vector) -> tuple[Vector, Vector]:
     """Lower and upper ends for each base coordinate, (n_b,) each."""
-    low, high = -math.inf, math.inf
+    names, units = machine.base_coordinates, machine.base_units
+    ranges: dict[str, tuple[float, float]] = {}
     if value is not None:
-        low, high = arguments.checked(
-            "base_range", value, lambda v: check_pair(v, "m", -COORDINATE_MAX, COORDINATE_MAX), (low, high)
-        )
-    if np.any(placement < low) or np.any(placement > high):
-        arguments.faults.append(Fault("base", f"must lie in base_range, {low:g} to {high:g} m", shown(placement)))
-    return np.full(placement.size, low), np.full(placement.size, high)
+        ranges = arguments.checked("base_range", value, lambda v: check_base_range(v, names, units), ranges)
+    ends = [ranges.get(name, (-math.inf, math.inf)) for name in names]
+    for name, unit, x, (low, high) in zip(names, units, placement, ends, strict=True):
+        if not low <= x <= high:
+            sentence = f"must lie in base_range, {name} {low:g} to {high:g} {unit}"
+            arguments.faults.append(Fault("base", sentence, shown(placement)))
+    lower, upper = np.array(ends).reshape(-1, 2).T
+    return lower, upper

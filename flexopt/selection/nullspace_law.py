@@ -13,6 +13,7 @@ from typing import cast
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.compiled import accelerate
 from flexopt.model import AnyMachine
@@ -56,8 +57,9 @@ class NullspaceLaw:
         k_xi: kξ (n_z, n_z);  root: √ of W's diagonal (n_z,).
         target: where the end-point stays (n_task,), m.
         rate: samples a second, Hz.
-        base_step, joint_step: how much the base (m) and each joint (rad) may move in a sample.
-        lower, upper: of the base (n_b,), m.
+        base_step, turn_step, joint_step: how much the base may move (m) and turn (rad), and each joint (rad or m), in a
+            sample.
+        lower, upper: of the base (n_b,), m or rad.
         sine_squared: least distance from singular postures.
     """
 
@@ -68,6 +70,7 @@ class NullspaceLaw:
     target: Vector
     rate: float
     base_step: float
+    turn_step: float
     joint_step: float
     lower: Vector
     upper: Vector
@@ -77,6 +80,11 @@ class NullspaceLaw:
     def plant(self) -> Plant:
         """The machine's plant."""
         return self.functions.measures.plant
+
+    @property
+    def lengths(self) -> NDArray[np.bool_]:
+        """Which of the base's coordinates are lengths, (n_b,); the others are angles."""
+        return np.array([unit == "m" for unit in self.plant.machine.base_units], dtype=np.bool_)
 
     @property
     def _key(self) -> tuple[AnyMachine, Control, bool]:
@@ -110,8 +118,9 @@ class NullspaceLaw:
     def limited(self, step: Vector) -> Vector:
         """The step, as a whole no faster than the rates allow."""
         n_base = self.plant.n_base
-        fastest = float(np.linalg.norm(step[:n_base])) / self.base_step
-        return step / max(1.0, fastest, float(np.abs(step[n_base:]).max()) / self.joint_step)
+        moves, turns = step[:n_base][self.lengths], step[:n_base][~self.lengths]
+        fastest = float(np.linalg.norm(moves)) / self.base_step, float(np.linalg.norm(turns)) / self.turn_step
+        return step / max(1.0, *fastest, float(np.abs(step[n_base:]).max()) / self.joint_step)
 
     def room(self, z: Vector, step: Vector) -> float:
         """Which share of the step, at most 1, keeps the base in its range."""
@@ -195,7 +204,7 @@ def retime(law: NullspaceLaw, points: list[Point], acceleration: float, duration
     """The same path at rest at both ends; and whether it was cut short."""
     n_base = law.plant.n_base
     z = np.array([point.z for point in points])
-    samples, cut = retimed(z[:, :n_base], law.rate, acceleration, duration)
+    samples, cut = retimed(z[:, :n_base][:, law.lengths], law.rate, acceleration, duration)
     timed: list[Point] = []
     for interval, share in samples:
         here, there = points[interval], points[min(interval + 1, len(points) - 1)]

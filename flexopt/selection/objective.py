@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from flexopt.errors import Fault
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.problem import Control, check_objective, check_weights
 from flexopt.robustness.margin import Margin, build_margin
@@ -69,8 +68,10 @@ class Quantities:
         """
         p, alpha = self.measures.plant.parameter_values, np.array(objective.alpha)
         w = self.measures.w.call([base, posture, p])[0].full().ravel()
-        w_z = self.measures.gradients.call([base, posture, p])[0].full()
-        value, gradient = np.atleast_1d(alpha @ w), np.atleast_2d(alpha @ w_z)
+        value, gradient = (
+            np.atleast_1d(alpha @ w),
+            self.measures.weighted_gradient.call([base, posture, p, alpha])[0].full(),
+        )
         if not objective.has_kinks:
             return value, gradient
         out = self.margin.gradients.call([base, posture, p, self.gain])
@@ -78,23 +79,13 @@ class Quantities:
         rows[:2] += gradient
         return value + objective.beta * out[0].full().ravel(), rows
 
-    def expression(self, objective: Objective, base: ca.MX, posture: ca.MX, p: ca.MX) -> list[ca.MX]:
-        """The same values as expressions: one, or one for each of the two eigenvalues."""
-        smooth = ca.MX(0)
-        if any(objective.alpha):
-            smooth = ca.dot(ca.DM(list(objective.alpha)), self.measures.nested.call([base, posture, p])[0])
-        if not objective.has_kinks:
-            return [smooth]
-        epsilon = self.margin.differentiable.call([base, posture, p, self.gain])[0]
-        return [smooth + objective.beta * epsilon[k] for k in range(2)]
 
-
-def quantities(machine: Machine, control: Control, gravity: bool, gain: float) -> Quantities:
+def quantities(machine: AnyMachine, control: Control, gravity: bool, gain: float) -> Quantities:
     """The Functions for a problem."""
     return Quantities(build_measures(machine, control, gravity), build_margin(machine, control, gravity), gain)
 
 
-def read_objectives(arguments: Arguments, machine: Machine, objective: Any, weights: Any) -> tuple[Objective, ...]:
+def read_objectives(arguments: Arguments, machine: AnyMachine, objective: Any, weights: Any) -> tuple[Objective, ...]:
     """The objectives of a call, in order; faults go to `arguments`."""
     m = build_measures(machine).plant.n_passive
     names = arguments.checked("objective", objective, check_objective, "w1").split(",")
@@ -103,7 +94,7 @@ def read_objectives(arguments: Arguments, machine: Machine, objective: Any, weig
     return tuple(_objective(arguments, machine, name.strip(), weights, m) for name in names)
 
 
-def _objective(arguments: Arguments, machine: Machine, name: str, weights: Any, m: int) -> Objective:
+def _objective(arguments: Arguments, machine: AnyMachine, name: str, weights: Any, m: int) -> Objective:
     if name == "epsilon_max":
         return Objective(name, (0.0,) * m, 1.0)
     if name == "V":
@@ -115,7 +106,7 @@ def _objective(arguments: Arguments, machine: Machine, name: str, weights: Any, 
     return Objective(name, tuple(1.0 if i == mode - 1 else 0.0 for i in range(m)), 0.0)
 
 
-def _weighted(arguments: Arguments, machine: Machine, weights: Any, m: int) -> Objective:
+def _weighted(arguments: Arguments, machine: AnyMachine, weights: Any, m: int) -> Objective:
     stand_in = Objective("V", (1.0,) * m, 0.0)
     if weights is None:
         arguments.faults.append(Fault("weights", f"objective V needs {m} of them, one for each mode"))

@@ -3,60 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from flexopt.errors import UnreachableTarget
-from flexopt.model import AnyMachine, Machine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.problem import (
-    ELBOWS,
-    SINGULARITY_MARGIN_DEG,
-    Control,
-    Elbow,
-    check_gain,
-    check_margin_deg,
-    check_seed,
-    check_starts,
-)
-from flexopt.model.quantities import COORDINATE_MAX, check_pair
-from flexopt.plant.reach import clipped, reach, unreachable
-from flexopt.plant.statics import not_held
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Vector
+from flexopt.model.constraints import Constraints as ConstraintsAsked
+from flexopt.model.problem import Control, Elbow
 from flexopt.robustness.measures import Measures
-from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
-from flexopt.selection.scan import Scan, scan_redundancy
-
-QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False}
-IPOPT_OPTIONS: dict[str, Any] = QUIET | {
-    "ipopt": {
-        "print_level": 0,
-        "sb": "yes",
-        "tol": 1e-10,
-        "constr_viol_tol": 1e-12,
-        "acceptable_iter": 0,
-        "max_iter": 200,
-        "mu_init": 1e-4,
-        "bound_relax_factor": 0.0,
-    }
-}
-SQP_OPTIONS: dict[str, Any] = QUIET | {
-    "qpsol": "qrqp",
-    "qpsol_options": {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
-    "hessian_approximation": "limited-memory",
-    "lbfgs_memory": 5,
-    "print_header": False,
-    "print_iteration": False,
-    "print_status": False,
-    "max_iter": 100,
-    "tol_du": 1e-7,
-    "tol_pr": 1e-10,
-    "min_step_size": 1e-12,
-}
+from flexopt.selection.constraints import ConstraintSet
+from flexopt.selection.nlp import Configuration, Form, Parameters, build_configuration, build_solver, parameters_of
+from flexopt.selection.objective import Objective, Quantities, quantities
+from flexopt.selection.scan import Scan
+from flexopt.selection.starts import Region
 
 
 @dataclass(frozen=True)
@@ -82,6 +44,19 @@ class Constraint:
 
 
 @dataclass(frozen=True)
+class Travel:
+    """What leaving z_now costs: V less by cost · objective_scale · Σ ((z − z_now) / scale_z)².
+
+    Attributes:
+        cost: as a share of the objective's scale.
+        now: z_now (n_z,), m or rad.
+    """
+
+    cost: float
+    now: Vector
+
+
+@dataclass(frozen=True)
 class SelectionProblem:
     """argmax V(z), V = Σ αi wi + β ε_max, over z = [base, posture] with r(z) = target (article, section 4).
 
@@ -91,17 +66,23 @@ class SelectionProblem:
         kept: values of V_1, V_2, … that a solution must keep, for the objectives before the one being solved.
         control, gravity, gain: as in `flexopt.evaluate`.
         variables: the placement, then the actuated joints.
-        constraints: the target's rows, then the distance from singular postures as sin² of the margin.
+        constraints: the target's rows, the distance from singular postures as sin² of the margin, and the rows of
+            `constraint_set`.
+        constraint_set: what else a configuration must keep, or None.
+        asked: the constraints as they were given.
+        travel: what leaving the present configuration costs, or None.
         objective_scales: of each objective: typical |a||b| of its modes, or β of ε_max; V is divided by it before
             IPOPT sees it.
-        scan: the redundancy seen coarsely; its peaks are the starts.
-        present_base: where the machine stands now, for the tie-break and the initial posture, or None.
-        elbow: branch of the initial posture.
+        scan: the redundancy seen coarsely; the starts come from it.
+        region: where starts are looked for.
+        present_base, present_posture: where the machine stands now and how it is held, for the tie-break and the
+            initial evaluation, or None.
+        elbow: branch of the initial posture of a planar arm.
         singularity_margin: rad.
-        starts: how many peaks are tried at most, or None for the default;  seed: of the scan's sample.
+        starts: how many are tried at most, or None for the default;  seed: of the scan's sample.
     """
 
-    machine: Machine
+    machine: AnyMachine
     target: Vector
     objectives: tuple[Objective, ...]
     kept: tuple[float, ...]
@@ -110,9 +91,14 @@ class SelectionProblem:
     gain: float
     variables: tuple[Variable, ...]
     constraints: tuple[Constraint, ...]
+    constraint_set: ConstraintSet | None
+    asked: ConstraintsAsked
+    travel: Travel | None
     objective_scales: tuple[float, ...]
     scan: Scan = field(repr=False)
+    region: Region = field(repr=False)
     present_base: Vector | None
+    present_posture: Vector | None
     elbow: Elbow
     singularity_margin: float
     starts: int | None
@@ -127,6 +113,11 @@ class SelectionProblem:
     def measures(self) -> Measures:
         """The measures' Functions of this problem."""
         return self.quantities.measures
+
+    @property
+    def configuration(self) -> Configuration:
+        """The graphs that the solver is made of."""
+        return build_configuration(self.machine, self.control, self.gravity, self.constraint_set)
 
     @property
     def name(self) -> str:
@@ -144,6 +135,11 @@ class SelectionProblem:
         return self.objective_scales[len(self.kept)]
 
     @property
+    def bounded_by_zero(self) -> bool:
+        """Whether no configuration can have V > 0: w_i ≤ 0 for two task rows and more, travel costs aside."""
+        return not self.objective.has_kinks and self.target.size > 1
+
+    @property
     def lower(self) -> Vector:
         """Lower bounds of z."""
         return np.array([v.lower for v in self.variables])
@@ -154,36 +150,106 @@ class SelectionProblem:
         return np.array([v.upper for v in self.variables])
 
     @property
-    def shift(self) -> tuple[Vector, Vector]:
-        """Shifts of z (n_z,) and of the target (n_task,), m, that put the target at the origin for IPOPT.
-
-        Moving placement and target together changes nothing else; far from the inertial origin the last digits of their
-        difference would be lost.
-        """
-        of_z, of_target = np.zeros(len(self.variables)), np.zeros(self.target.size)
-        axes = {"base.x": 0, "base.y": 1, "base.z": 2}
-        for k, variable in enumerate(self.variables):
-            if variable.name in axes:
-                axis = axes[variable.name]
-                of_z[k] = of_target[axis] = self.target[axis]
-        return of_z, of_target
-
-    @property
     def scale(self) -> Vector:
         """Scales of z."""
         return np.array([v.scale for v in self.variables])
 
-    def solver(self) -> ca.Function:
-        """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameter: shifted target, then p."""
-        return build_solver(
-            (self.machine, self.control, self.gravity, self.gain),
-            self.objectives[: len(self.kept) + 1],
-            self.objective_scales,
-            tuple(self.scale.tolist()),
+    @property
+    def shift(self) -> tuple[Vector, Vector]:
+        """Shifts of z (n_z,) and of the target (n_task,), m, that put the target at the origin for IPOPT.
+
+        Moving placement and target together changes nothing else, unless places in the inertial frame enter; far from
+        the inertial origin the last digits of their difference would be lost.
+        """
+        of_z, of_target = np.zeros(len(self.variables)), np.zeros(self.target.size)
+        if self.constraint_set is not None:
+            return of_z, of_target
+        rows = self.machine.task_rows
+        for k, name in enumerate(self.machine.base_coordinates):
+            if name != "yaw" and name in rows:
+                of_z[k] = of_target[rows.index(name)] = self.target[rows.index(name)]
+        return of_z, of_target
+
+    def branches(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
+        """V of an objective with each of the branches of ε_max, and gradients by z, as `Quantities.branches`.
+
+        The cost of travel is taken off.
+        """
+        n_base = len(self.machine.base_coordinates)
+        values, gradients = self.quantities.branches(objective, z[:n_base], z[n_base:])
+        cost, slope = self._travel_cost(objective, z)
+        gradients = gradients.copy()
+        gradients[: values.size] -= slope
+        return values - cost, gradients
+
+    def _travel_cost(self, objective: Objective, z: Vector) -> tuple[float, Vector]:
+        if self.travel is None:
+            return 0.0, np.zeros(z.size)
+        size = self.travel.cost * self.objective_scales[self.objectives.index(objective)]
+        away = (z - self.travel.now) / self.scale
+        return float(size * np.dot(away, away)), 2 * size * away / self.scale
+
+    def wrapped(self, z: Vector) -> Vector:
+        """The same configurations (…, n_z) with unlimited angles within half a turn of the present ones, or of 0."""
+        units = (*self.machine.base_units, *self.machine.joint_units)
+        turns = ~np.isfinite(self.lower) & ~np.isfinite(self.upper) & (np.array(units) == "rad")
+        now = np.zeros(z.shape[-1]) if self.travel is None else self.travel.now
+        away = (z - now + math.pi) % (2 * math.pi) - math.pi
+        return np.where(turns, now + away, z)
+
+    def rows(self, z: Vector) -> Vector:
+        """Values of all constraints, (n_rows,), in their units."""
+        n_base, p = len(self.machine.base_coordinates), self.measures.plant.parameter_values
+        at = [z[:n_base], z[n_base:], p]
+        parts = [self.measures.w.call(at)[2], self.measures.plant.singularity_sine_squared.call(at)[0]]
+        if self.constraint_set is not None:
+            parts += self.constraint_set.function.call([*at, self.constraint_set.constants])
+        return np.concatenate([part.full().ravel() for part in parts])
+
+    @property
+    def redundancy(self) -> int:
+        """How many variables the target leaves free."""
+        return int(np.sum(self.lower < self.upper)) - self.target.size
+
+    def solver(self, *, quick: bool = False) -> ca.Function:
+        """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameters: `solver_parameters`."""
+        return build_solver(self.configuration, self._forms, quick=quick)
+
+    def solver_parameters(self) -> Vector:
+        """The numbers of this problem for `solver`, see `nlp.Parameters`."""
+        count = len(self.kept) + 1
+        shift, target_shift = self.shift
+        objectives = self.objectives[:count]
+        now = np.zeros(self.scale.size) if self.travel is None else (self.travel.now - shift) / self.scale
+        constants = np.zeros(0) if self.constraint_set is None else self.constraint_set.constants.full()
+        return self._layout.packed(
+            {
+                "target": self.target - target_shift,
+                "row_scale": [constraint.scale for constraint in self.constraints],
+                "z_scale": self.scale,
+                "alpha": np.array([objective.alpha for objective in objectives]),
+                "beta": [objective.beta for objective in objectives],
+                "size": self.objective_scales[:count],
+                "cost": 0.0 if self.travel is None else self.travel.cost,
+                "now": now,
+                "gain": self.gain,
+                "c": constants,
+                "p": self.measures.plant.parameter_values.full(),
+            }
         )
+
+    @property
+    def _forms(self) -> tuple[Form, ...]:
+        objectives = self.objectives[: len(self.kept) + 1]
+        return tuple(Form(smooth=any(o.alpha), kinks=o.has_kinks) for o in objectives)
+
+    @property
+    def _layout(self) -> Parameters:
+        return parameters_of(self.configuration, len(self.kept) + 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Target, objective, variables with bounds, constraints."""
+        present = {"present_base": self.present_base, "present_posture": self.present_posture}
         return {
             "target": self.target.tolist(),
             "objective": self.name,
@@ -197,171 +263,11 @@ class SelectionProblem:
             "gravity": self.gravity,
             "variables": [vars(v) for v in self.variables],
             "constraints": [vars(c) for c in self.constraints],
+            "travel": self.travel and {"cost": self.travel.cost, "now": self.travel.now.tolist()},
             "gain": self.gain,
             "singularity_margin": self.singularity_margin,
-            "present_base": None if self.present_base is None else self.present_base.tolist(),
+            **{name: None if value is None else value.tolist() for name, value in present.items()},
             "starts": self.starts,
             "seed": self.seed,
             "scanned_points": self.scan.size,
         }
-
-
-def build_selection(
-    machine: AnyMachine,
-    target: Any,
-    *,
-    objective: str = "w1",
-    control: Control = "inverse",
-    weights: Sequence[float] | None = None,
-    gravity: bool = False,
-    gain: float = 5e5,
-    base: Any = None,
-    base_range: tuple[float, float] | None = None,
-    elbow: Elbow = "up",
-    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
-    starts: int | None = None,
-    seed: int = 0,
-) -> SelectionProblem:
-    """Set up the choice of placement and posture for a target of the end-point.
-
-    Args:
-        machine: from `flexopt.load`.
-        target: end-point (2,), m, inertial frame.
-        objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
-            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1.
-        control: Jacobian `"inverse"` or `"transpose"`.
-        weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
-        gravity: measures and end-point under static deflection.
-        gain: servo gain kr of ε_max.
-        base: present placement x, m: breaks ties and gives the initial posture.
-        base_range: (lower, upper) of the placement, m; all placements from which the arm reaches by default.
-        elbow: branch of the initial posture.
-        singularity_margin_deg: distance from singular postures: for two links the angle that θ3 keeps from straight and
-            from folded, for more in the root mean square over pairs of segments.
-        starts: how many starts IPOPT tries at most; by default every peak of the scan, up to 64.
-        seed: of the scan where the redundancy has two degrees and more.
-
-    Raises:
-        InputError: arguments of wrong shape, not finite or out of range, all in one message.
-        UnreachableTarget: no placement in the range reaches the target inside limits and margin.
-    """
-    arguments = Arguments("select")
-    machine = arguments.planar(machine)
-    point = arguments.point(target, "target")
-    control = arguments.control(control)
-    arguments.choice("elbow", elbow, ELBOWS)
-    arguments.flag("gravity", gravity)
-    kr = arguments.checked("gain", gain, check_gain, 1.0)
-    present = None if base is None else arguments.base(machine, base)
-    if base_range is not None:
-        base_range = arguments.checked(
-            "base_range",
-            base_range,
-            lambda v: check_pair(v, "m", -COORDINATE_MAX, COORDINATE_MAX, allow_equal=True),
-            (0.0, 1.0),
-        )
-    margin = math.radians(arguments.checked("singularity_margin_deg", singularity_margin_deg, check_margin_deg, 10.0))
-    if starts is not None:
-        arguments.checked("starts", starts, check_starts, 1)
-    arguments.checked("seed", seed, check_seed, 0)
-    objectives = read_objectives(arguments, machine, objective, weights)
-    arguments.done()
-
-    functions = quantities(machine, control, gravity, kr)
-    measures, plant = functions.measures, functions.measures.plant
-    annulus = reach(plant, margin)
-    intervals = annulus.base_intervals(point)
-    if not intervals:
-        raise unreachable(plant, point, None, margin=margin)
-    if base_range is None:
-        # Beyond the margin's own ends, so that the margin and not the range is what stops the base.
-        whole = reach(plant).base_intervals(point)
-        base_range = (whole[0][0], whole[-1][1])
-    scan = scan_redundancy(functions, point, clipped(intervals, base_range), objectives[0], math.sin(margin) ** 2, seed)
-    if scan.size == 0 and scan.unsound:
-        raise not_held()
-    if scan.size == 0:
-        raise _why_unreachable(measures, point, base_range, margin, scan.reached)
-    factors = measures.w.call([scan.base, scan.posture, plant.parameter_values])[1].full()
-    scales = tuple(float(np.median(o.alpha @ factors)) + o.beta or 1.0 for o in objectives)
-    variables = [Variable(f"base.{name}", "m", *base_range, annulus.outer) for name in machine.base_coordinates]
-    variables += [
-        Variable(name, "rad", low, high, 1.0) for name, (low, high) in zip(machine.joints, machine.limits, strict=True)
-    ]
-    constraints = [
-        Constraint(f"target {axis}", "m", value, value, annulus.outer)
-        for axis, value in zip("xyz", point.tolist(), strict=False)
-    ]
-    constraints.append(Constraint("singularity margin", "sin²", math.sin(margin) ** 2, math.inf, 1.0))
-    return SelectionProblem(
-        machine=machine,
-        target=point,
-        objectives=objectives,
-        kept=(),
-        control=control,
-        gravity=gravity,
-        gain=kr,
-        variables=tuple(variables),
-        constraints=tuple(constraints),
-        objective_scales=scales,
-        scan=scan,
-        present_base=present,
-        elbow=elbow,
-        singularity_margin=margin,
-        starts=starts,
-        seed=seed,
-    )
-
-
-def _why_unreachable(
-    measures: Measures, target: Vector, base_range: tuple[float, float], margin: float, reached: bool
-) -> UnreachableTarget:
-    """The error when no point of the redundancy was left."""
-    plant = measures.plant
-    if reached:
-        why = (
-            "every posture that reaches it breaks a joint limit or comes closer than "
-            f"{math.degrees(margin):.4g}° to a singular posture"
-        )
-        return unreachable(plant, target, None, why, margin)
-    annulus = reach(plant, margin)
-    nearest = min(
-        (np.array([np.clip(x, *base_range)]) for span in annulus.base_intervals(target) for x in span),
-        key=lambda b: annulus.miss(target, b),
-        default=np.array([np.clip(target[0] - annulus.center[0], *base_range)]),
-    )
-    return unreachable(plant, target, nearest, margin=margin)
-
-
-@lru_cache(maxsize=32)
-def build_solver(
-    what: tuple[Machine, Control, bool, float],
-    objectives: tuple[Objective, ...],
-    objective_scales: tuple[float, ...],
-    scale: tuple[float, ...],
-) -> ca.Function:
-    """Minimise −V in scaled variables (kept between calls); the objectives before the last are constraints.
-
-    IPOPT with exact Hessian where everything is smooth. Where ε_max takes part, V is the smaller of two branches, and
-    the largest t below both is sought (epigraph) by sequential quadratic programming: its subproblem sees both
-    branches, so that a step near a kink does not depend on which of them is the smaller one just now.
-    """
-    functions = quantities(*what)
-    plant = functions.measures.plant
-    n_z, last = plant.n_base + plant.n_actuated, objectives[-1]
-    x = ca.MX.sym("x", n_z + (1 if last.has_kinks else 0))
-    parameters = ca.MX.sym("parameters", plant.n_task + len(plant.parameter_names))
-    target, p = parameters[: plant.n_task], parameters[plant.n_task :]
-    z = x[:n_z] * ca.DM(list(scale))
-    base, posture = z[: plant.n_base], z[plant.n_base :]
-    end_point = functions.measures.nested.call([base, posture, p])[1]
-    constraints = [(end_point - target) / scale[0], plant.singularity_sine_squared(base, posture, p)]
-    for objective, size in zip(objectives[:-1], objective_scales, strict=False):
-        constraints += [branch / size for branch in functions.expression(objective, base, posture, p)]
-    branches = [b / objective_scales[len(objectives) - 1] for b in functions.expression(last, base, posture, p)]
-    if last.has_kinks:
-        constraints += [branch - x[n_z] for branch in branches]
-    nlp = {"x": x, "p": parameters, "f": -x[n_z] if last.has_kinks else -branches[0], "g": ca.vertcat(*constraints)}
-    if any(objective.has_kinks for objective in objectives):
-        return ca.nlpsol("selection", "sqpmethod", nlp, SQP_OPTIONS)
-    return ca.nlpsol("selection", "ipopt", nlp, IPOPT_OPTIONS)

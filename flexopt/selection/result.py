@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
@@ -17,31 +20,52 @@ SHOWN = 12
 
 
 @dataclass(frozen=True)
+class ConstraintValue:
+    """What a constraint lower ≤ value ≤ upper is at a candidate, in `unit`."""
+
+    value: float
+    lower: float
+    upper: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Candidate:
     """A local optimum that passed the independent checks.
 
     Attributes:
-        evaluation: every measure there.
-        objective: V of the first objective.
+        z: [base, posture], (n_z,), m or rad.
+        w: the measures w_i there, (m,).
+        objective: V of the first objective, the cost of travel taken off.
         active: names of the bounds and constraints that it rests against.
+        constraints: every constraint besides the target, by name.
         target_error: |r − target|, m.
         stationarity: norm of the objective's gradient along the feasible directions, relative to the problem's
             objective scale, in scaled variables.
         iterations: of IPOPT.
     """
 
-    evaluation: Evaluation
+    z: Vector
+    w: Vector
     objective: float
     active: tuple[str, ...]
+    constraints: dict[str, ConstraintValue]
     target_error: float
     stationarity: float
     iterations: int
+    evaluate: Callable[[], Evaluation] = field(repr=False, compare=False)
+
+    @cached_property
+    def evaluation(self) -> Evaluation:
+        """Every measure there; computed when first asked for."""
+        return self.evaluate()
 
     def to_dict(self) -> dict[str, Any]:
         """The evaluation's dictionary with the candidate's own keys."""
         own = {
             "objective": self.objective,
             "active": list(self.active),
+            "constraints": {name: vars(value) for name, value in self.constraints.items()},
             "target_error": self.target_error,
             "stationarity": self.stationarity,
             "iterations": self.iterations,
@@ -120,7 +144,7 @@ class Selection:
         names = (*best.base_coordinates, *best.joints)
         problem = self.problem
         lines = [
-            f"{best.machine}: end-point at ({problem.target[0]:g}, {problem.target[1]:g}) m, "
+            f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in problem.target)}) m, "
             f"Jacobian {best.control} control, objective {problem.name}: {self.status}",
             "  rank "
             + " ".join(f"{name:>9}" for name in names)

@@ -1,4 +1,4 @@
-"""A coarse look at the whole redundancy: where it can be reached, the measures there, and the peaks to start from.
+"""A coarse look at the whole redundancy where it has a closed form: the measures there, and their peaks.
 
 The configurations that reach a target form curves (one degree of redundancy) or surfaces. They are parametrised by the
 placement and a coordinate for each joint before the last two, on a grid (one degree) or a low-discrepancy sample
@@ -11,12 +11,15 @@ import math
 from dataclasses import dataclass
 from typing import Any, cast
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.model.arguments import Vector
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
+from flexopt.plant import Plant
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
 from flexopt.plant.reach import Interval
+from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.objective import Objective, Quantities
 
 # Points a branch. Local maxima of the excavator's w1 stand 0.1 m apart and more; the grid resolves a few millimetres.
@@ -34,13 +37,15 @@ class Scan:
 
     Attributes:
         redundancy: coordinates in the unit cube, (d, N).
-        elbow: −1 (up) or +1 (down), (N,).
+        elbow: −1 (up) or +1 (down), (N,); 0 where the points do not come in branches.
         base: placements (n_b, N), m.
         posture: (n, N), rad.
         w: measures (m, N), of the posture at rest.
+        factor: |a_i||b_i|, (m, N).
         epsilon: ε_max (N,) where the objective needs it, else NaN.
         objective: V (N,).
         index: number of the grid point, (N,); neighbours on a curve differ by one.
+        violation: of the other constraints, the largest in units of their scales, (N,).
         reached: whether any point reached the target at all, limits and margin left aside.
         unsound: whether a point was dropped because its measures are no numbers (under gravity: it falls over).
     """
@@ -50,9 +55,11 @@ class Scan:
     base: Vector
     posture: Vector
     w: Vector
+    factor: Vector
     epsilon: Vector
     objective: Vector
     index: NDArray[np.int64]
+    violation: Vector
     reached: bool
     unsound: bool
 
@@ -62,17 +69,42 @@ class Scan:
         return self.objective.size
 
 
+def empty_scan(plant: Plant, *, reached: bool, unsound: bool = False) -> Scan:
+    """A scan that kept no point."""
+    n, m, n_b = plant.n_actuated, plant.n_passive, plant.n_base
+    none: Vector = np.zeros(0)
+    return Scan(
+        redundancy=np.zeros((0, 0)),
+        elbow=none,
+        base=np.zeros((n_b, 0)),
+        posture=np.zeros((n, 0)),
+        w=np.zeros((m, 0)),
+        factor=np.zeros((m, 0)),
+        epsilon=none,
+        objective=none,
+        index=np.zeros(0, dtype=np.int64),
+        violation=none,
+        reached=reached,
+        unsound=unsound,
+    )
+
+
 def scan_redundancy(
     functions: Quantities,
     target: Vector,
     intervals: list[Interval],
     objective: Objective,
     sine_squared_min: float,
+    limits: Vector,
+    constraint_set: ConstraintSet | None,
     seed: int,
 ) -> Scan:
-    """Evaluate the measures over all configurations that reach `target` with the base in `intervals`."""
+    """Evaluate the measures over all configurations that reach `target` with the base in `intervals`.
+
+    `limits` (n, 2) are those of the joints.
+    """
     measures, plant = functions.measures, functions.measures.plant
-    machine, p = plant.machine, plant.parameter_values
+    p = plant.parameter_values
     unit, bases, joints, numbers = _sample(intervals, plant.n_actuated - 2, seed)
 
     kept: list[tuple[NDArray[Any], ...]] = []
@@ -82,24 +114,17 @@ def scan_redundancy(
         reached = reached or bool(reaches.any())
         sines = plant.singularity_sine_squared(bases, postures, p).full().ravel()
         good: NDArray[np.int64] = np.flatnonzero(
-            reaches & inside_limits(machine, postures) & (sines >= sine_squared_min - EDGE)
+            reaches & _inside(limits, postures) & (sines >= sine_squared_min - EDGE)
         )
         if good.size:
-            w = measures.w.call([bases[:, good], postures[:, good], p])[0].full()
-            kept.append((unit[:, good], np.full(good.size, sign), bases[:, good], postures[:, good], w, numbers[good]))
+            w, factor = (x.full() for x in measures.w.call([bases[:, good], postures[:, good], p])[:2])
+            branch_of = np.full(good.size, sign)
+            kept.append((unit[:, good], branch_of, bases[:, good], postures[:, good], w, factor, numbers[good]))
     if not kept:
-        n, m = plant.n_actuated, plant.n_passive
-        empty = (
-            np.zeros((0, 0)),
-            np.zeros(0),
-            np.zeros((1, 0)),
-            np.zeros((n, 0)),
-            np.zeros((m, 0)),
-            np.zeros(0),
-            np.zeros(0),
-        )
-        return Scan(*empty, np.zeros(0, dtype=np.int64), reached, unsound=False)
-    redundancy, elbow, base, posture, w, index = (np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True))
+        return empty_scan(plant, reached=reached)
+    redundancy, elbow, base, posture, w, factor, index = (
+        np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True)
+    )
     epsilon = np.full(elbow.size, np.nan)
     value = np.array(objective.alpha) @ w
     if objective.has_kinks:
@@ -107,17 +132,33 @@ def scan_redundancy(
         value = value + objective.beta * epsilon
     finite = np.isfinite(value) & np.all(np.isfinite(w), axis=0)
     return Scan(
-        redundancy[:, finite],
-        elbow[finite],
-        base[:, finite],
-        posture[:, finite],
-        w[:, finite],
-        epsilon[finite],
-        value[finite],
-        index[finite].astype(np.int64),
-        reached,
+        redundancy=redundancy[:, finite],
+        elbow=elbow[finite],
+        base=base[:, finite],
+        posture=posture[:, finite],
+        w=w[:, finite],
+        factor=factor[:, finite],
+        epsilon=epsilon[finite],
+        objective=value[finite],
+        index=index[finite].astype(np.int64),
+        violation=_violation(constraint_set, base[:, finite], posture[:, finite], p),
+        reached=reached,
         unsound=not bool(finite.all()),
     )
+
+
+def _inside(limits: Vector, postures: Vector) -> NDArray[np.bool_]:
+    low, high = limits.T[:, :, None]
+    return cast(NDArray[np.bool_], np.all((postures >= low - EDGE) & (postures <= high + EDGE), axis=0))
+
+
+def _violation(constraint_set: ConstraintSet | None, bases: Vector, postures: Vector, p: ca.DM) -> Vector:
+    if constraint_set is None or not postures.shape[1]:
+        return np.zeros(postures.shape[1])
+    rows = constraint_set.function.call([bases, postures, p, constraint_set.constants])[0].full().T
+    beyond = np.maximum(constraint_set.lower - rows, rows - constraint_set.upper) / constraint_set.scales
+    worst: Vector = np.maximum(beyond, 0.0).max(axis=1)
+    return worst
 
 
 def _sample(intervals: list[Interval], leading: int, seed: int) -> tuple[Vector, Vector, Vector, NDArray[np.int64]]:
@@ -163,12 +204,21 @@ def _placements(intervals: list[Interval], unit: Vector) -> Vector:
     return (ends[part, 0] + along - edges[part])[None, :]
 
 
-def peaks(scan: Scan) -> NDArray[np.int64]:
-    """Indices of the scan's local maxima of the objective, best first: no neighbour on the same branch is better."""
+def peaks(scan: Scan, score: Vector | None = None, among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+    """Indices of the scan's local maxima, best first: no neighbour on the same branch is better.
+
+    Args:
+        scan: the points.
+        score: what is compared, (N,), the objective by default.
+        among: mask of the points that count, (N,), all by default.
+    """
     found: list[int] = []
+    score = scan.objective if score is None else score
     for sign in np.unique(scan.elbow):
-        members = np.flatnonzero(scan.elbow == sign)
-        values = scan.objective[members]
+        members = np.flatnonzero((scan.elbow == sign) & (True if among is None else among))
+        if not members.size:
+            continue
+        values = score[members]
         if scan.redundancy.shape[0] == 0:
             is_peak = np.ones(members.size, dtype=bool)
         elif scan.redundancy.shape[0] == 1:
@@ -176,7 +226,7 @@ def peaks(scan: Scan) -> NDArray[np.int64]:
         else:
             is_peak = _surface_peaks(scan.redundancy[:, members], values)
         found += members[is_peak].tolist()
-    order = np.argsort(-scan.objective[found], kind="stable")
+    order = np.argsort(-score[found], kind="stable")
     return np.array(found, dtype=np.int64)[order]
 
 

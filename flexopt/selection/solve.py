@@ -1,32 +1,37 @@
-"""Solve a configuration problem from every peak of its scan, verify, rank."""
+"""Solve a configuration problem from each of its starts, verify, rank."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from flexopt.errors import FlexoptError, NoSolutionFound
-from flexopt.model import AnyMachine, Problem
-from flexopt.model.arguments import Vector
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.constraints import Constraints
 from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, Elbow
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
+from flexopt.selection.build import build_selection
 from flexopt.selection.check import Proof, prove
-from flexopt.selection.problem import SelectionProblem, build_selection
-from flexopt.selection.result import Attempt, Candidate, Selection
-from flexopt.selection.scan import peaks
+from flexopt.selection.parallel import check_workers, in_parallel
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.result import Attempt, Candidate, ConstraintValue, Selection
+from flexopt.selection.starts import starting_points
 
 # Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
 # about the square of its step tolerance, far below.
 TIE_TOLERANCE = 1e-9
 SAME_POINT = 1e-4
-# Enough for every peak of a curve; the redundancy of longer arms has maxima without end.
-STARTS_DEFAULT = 64
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+CUT_SHORT = "Maximum_Iterations_Exceeded"
+# Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
+NEARLY = 1e-3
 # What an earlier objective may give up for a later one, relative to its scale: two postures with w that close to 0 are
 # equally robust.
 KEPT_SLACK = 1e-4
@@ -34,6 +39,8 @@ KEPT_SLACK = 1e-4
 Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
 Found = tuple[Vector, Proof, int]
+# The same with the solver's status; no proof where the point is no number.
+Solved = tuple[Vector, Proof | None, int, str]
 
 
 def select(
@@ -46,18 +53,22 @@ def select(
     gravity: bool = False,
     gain: float = 5e5,
     base: Any = None,
-    base_range: tuple[float, float] | None = None,
+    posture: Any = None,
+    base_range: Any = None,
+    constraints: Constraints | Mapping[str, Any] | None = None,
     elbow: Elbow = "up",
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
     starts: int | None = None,
     seed: int = 0,
+    workers: int | None = None,
     progress: Progress | None = None,
 ) -> Selection:
     """Choose placement and posture: `build_selection` and `solve_selection` in one.
 
     Args:
-        machine, target, objective, control, weights, gravity, gain, base, base_range, elbow, singularity_margin_deg,
-            starts, seed: as in `flexopt.build_selection`.
+        machine, target, objective, control, weights, gravity, gain, base, posture, base_range, constraints, elbow,
+            singularity_margin_deg, starts, seed: as in `flexopt.build_selection`.
+        workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
     Raises:
@@ -73,43 +84,43 @@ def select(
         gravity=gravity,
         gain=gain,
         base=base,
+        posture=posture,
         base_range=base_range,
+        constraints=constraints,
         elbow=elbow,
         singularity_margin_deg=singularity_margin_deg,
         starts=starts,
         seed=seed,
     )
-    return solve_selection(problem, progress=progress)
+    return solve_selection(problem, workers=workers, progress=progress)
 
 
-def solve_problem(problem: Problem, *, progress: Progress | None = None) -> Selection:
-    """Solve a problem file's problem (`flexopt.load_problem`).
-
-    Raises:
-        InputError, UnreachableTarget, NoSolutionFound: as `select`.
-    """
-    return select(**problem.select_arguments(), progress=progress)
-
-
-def solve_selection(problem: SelectionProblem, *, progress: Progress | None = None) -> Selection:
-    """Local optima of a configuration problem, each from a peak of the scan, each verified independently.
+def solve_selection(
+    problem: SelectionProblem, *, workers: int | None = None, progress: Progress | None = None
+) -> Selection:
+    """Local optima of a configuration problem, one for each start at most, each verified independently.
 
     Args:
         problem: from `flexopt.build_selection`.
+        workers: how many processes may solve, where that is quicker; by default one for each core. With 1 all happens
+            in this process. The result is the same.
         progress: called with (starts done, starts in all).
 
     Raises:
         NoSolutionFound: no start led to a point that passes the checks; names the violated constraints, their sizes
             and the best iterate.
     """
-    indices = peaks(problem.scan)[: problem.starts or STARTS_DEFAULT]
-    starts = [np.concatenate([problem.scan.base[:, k], problem.scan.posture[:, k]]) for k in indices]
-    found, attempts = _optima(problem, starts, progress)
+    arguments = Arguments("solve_selection")
+    count = check_workers(arguments, workers)
+    arguments.done()
+    found, attempts = _optima(problem, starting_points(problem), count, progress)
     while len(problem.kept) + 1 < len(problem.objectives):
         problem = _next_stage(problem, found)
-        found, more = _optima(problem, [z for z, _, _ in found], None)
+        found, more = _optima(problem, [z for z, _, _ in found], count, None)
         attempts += more
-    candidates = sorted((_candidate(problem, *item) for item in found), key=lambda c: _rank(problem, c))
+    candidates = _ranked(problem, [_candidate(problem, *item) for item in found])
+    # What may still be wrong with it shows here, not when it is first asked for.
+    assert candidates[0].evaluation is not None
     options = {"target": problem.target.tolist(), "objective": problem.name, "control": problem.control}
     options |= {"weights": [objective.weights.tolist() for objective in problem.objectives]}
     options |= {"gravity": problem.gravity, "gain": problem.gain, "seed": problem.seed}
@@ -124,74 +135,132 @@ def solve_selection(problem: SelectionProblem, *, progress: Progress | None = No
 
 
 def _optima(
-    problem: SelectionProblem, starts: list[Vector], progress: Progress | None
+    problem: SelectionProblem, starts: list[Vector], workers: int, progress: Progress | None
 ) -> tuple[list[Found], list[Attempt]]:
     """Distinct verified optima from the starts, and what became of each start."""
     found: list[Found] = []
     failures: list[tuple[Vector, Proof]] = []
     attempts: list[Attempt] = []
-    for number, start in enumerate(starts):
-        z, iterations, status = _run_solver(problem, start)
+
+    def done(number: int) -> None:
+        if progress is not None:
+            progress(number, len(starts))
+
+    solved = in_parallel(partial(_solve_start, problem, starts), len(starts), workers, done)
+    unfinished = _promising(problem, solved)
+    points = [solved[number][0] for number in unfinished]
+    for number, (z, proof, more, status) in zip(
+        unfinished, in_parallel(partial(_finish, problem, points), len(points), workers), strict=True
+    ):
+        solved[number] = z, proof, solved[number][2] + more, status
+    for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
         outcome = f"solver: {status}"
-        if np.all(np.isfinite(z)):
-            proof = prove(problem, z)
+        if proof is not None:
             if not proof.holds:
                 failures.append((z, proof))
                 outcome = f"{outcome}; fails {', '.join(proof.violations)}"
-            # At a kink the solver's own stopping test may fail where the proof, which knows of both branches, holds.
-            elif status == "Solve_Succeeded" or problem.objective.has_kinks:
+            elif _accepted(problem, proof, status):
                 new = _is_new(problem, z, found)
                 outcome = "a new local optimum" if new else "a local optimum found before"
                 if new:
                     found.append((z, proof, iterations))
         attempts.append(Attempt(tuple(start.tolist()), outcome))
-        if progress is not None:
-            progress(number + 1, len(starts))
     if not found:
         raise _no_solution(problem, attempts, failures)
     return found, attempts
 
 
+def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
+    """Whether a point counts as an optimum.
+
+    At a kink the solver's own stopping test may fail where the proof, which knows of both branches, holds; so it may
+    where derivatives change without bound, as they do next to a_i = 0.
+    """
+    return proof.holds and (status in SOLVED or problem.objective.has_kinks or proof.unsurpassed)
+
+
+def _hurried(problem: SelectionProblem) -> bool:
+    """Whether solves are cut short first: with one degree of redundancy optima are points, and solves are quick."""
+    return problem.redundancy > 1 and not any(o.has_kinks for o in problem.objectives[: len(problem.kept) + 1])
+
+
+def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+    """A start's solution; where there is much redundancy, after a few iterations (see `_promising`)."""
+    if not _hurried(problem):
+        return _finish(problem, starts, number)
+    z, iterations, status = _run_solver(problem, starts[number], quick=True)
+    proof = prove(problem, z) if np.all(np.isfinite(z)) else None
+    if proof is not None and not proof.holds and status in SOLVED:
+        z, proof, more, status = _finish(problem, [z], 0)
+        iterations += more
+    return z, proof, iterations, status
+
+
+def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+    z, iterations, status = _run_solver(problem, starts[number])
+    return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
+
+
+def _promising(problem: SelectionProblem, solved: list[Solved]) -> list[int]:
+    """Numbers of the starts that were cut short and may still lead to more than the best optimum found.
+
+    Where none was found that is every one.
+    """
+    if not _hurried(problem):
+        return []
+    good = [z for z, proof, _, status in solved if proof is not None and _accepted(problem, proof, status)]
+    best = max((_value(problem, z) for z in good), default=-np.inf)
+    short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
+    return [k for k in short if not good or (_near(problem, solved[k][0]) and _value(problem, solved[k][0]) > best)]
+
+
+def _value(problem: SelectionProblem, z: Vector) -> float:
+    return float(problem.branches(problem.objective, z)[0][0])
+
+
+def _near(problem: SelectionProblem, z: Vector) -> bool:
+    """Whether no constraint is violated by more than a small share of its scale."""
+    beyond = [
+        max(c.lower - v, v - c.upper) / c.scale for c, v in zip(problem.constraints, problem.rows(z), strict=True)
+    ]
+    return max(beyond) <= NEARLY
+
+
 def _next_stage(problem: SelectionProblem, found: list[Found]) -> SelectionProblem:
     """The problem of the next objective, with the best value of the present one to be kept."""
-    n_base = problem.measures.plant.n_base
-    values = [problem.quantities.branches(problem.objective, z[:n_base], z[n_base:])[0][0] for z, _, _ in found]
+    values = [problem.branches(problem.objective, z)[0][0] for z, _, _ in found]
     keep = float(max(values)) - KEPT_SLACK * problem.objective_scale
     good = [item for item, value in zip(found, values, strict=True) if value >= keep]
     found[:] = good
     return replace(problem, kept=(*problem.kept, keep))
 
 
-def _run_solver(problem: SelectionProblem, start: Vector) -> tuple[Vector, int, str]:
+def _run_solver(problem: SelectionProblem, start: Vector, *, quick: bool = False) -> tuple[Vector, int, str]:
     """One solve from z = start: the point reached, iterations, and the solver's own status."""
-    solver, p = problem.solver(), problem.measures.plant.parameter_values.full().ravel()
-    margin, (shift, target_shift) = problem.constraints[-1], problem.shift
-    objective, n_base = problem.objective, problem.measures.plant.n_base
+    solver, shift, n_task = problem.solver(quick=quick), problem.shift[0], problem.target.size
+    objective, rows = problem.objective, problem.constraints[n_task:]
     x0, lower, upper = ((bound - shift) / problem.scale for bound in (start, problem.lower, problem.upper))
-    fixed, bounded = [np.zeros(problem.target.size)], [np.zeros(problem.target.size)]
-    fixed.append(np.array([margin.lower]))
-    bounded.append(np.array([margin.upper]))
+    at_least = [np.zeros(n_task), np.array([row.lower / row.scale for row in rows])]
+    at_most = [np.zeros(n_task), np.array([row.upper / row.scale for row in rows])]
     for earlier, kept, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
         branches = 2 if earlier.has_kinks else 1
-        fixed.append(np.full(branches, kept / size))
-        bounded.append(np.full(branches, np.inf))
+        at_least.append(np.full(branches, kept / size))
+        at_most.append(np.full(branches, np.inf))
     if objective.has_kinks:
-        value = problem.quantities.branches(objective, start[:n_base], start[n_base:])[0][0] / problem.objective_scale
+        value = problem.branches(objective, start)[0][0] / problem.objective_scale
         x0, lower, upper = np.append(x0, value), np.append(lower, -np.inf), np.append(upper, np.inf)
-        fixed.append(np.zeros(2))
-        bounded.append(np.full(2, np.inf))
+        at_least.append(np.zeros(2))
+        at_most.append(np.full(2, np.inf))
     result = solver(
         x0=x0,
-        p=np.concatenate([problem.target - target_shift, p]),
+        p=problem.solver_parameters(),
         lbx=lower,
         ubx=upper,
-        lbg=np.concatenate(fixed),
-        ubg=np.concatenate(bounded),
+        lbg=np.concatenate(at_least),
+        ubg=np.concatenate(at_most),
     )
     statistics: dict[str, Any] = solver.stats()
-    z = result["x"].full().ravel()[: problem.scale.size] * problem.scale + shift
-    turns = ~np.isfinite(problem.lower) & ~np.isfinite(problem.upper)
-    z[turns] = (z[turns] + math.pi) % (2 * math.pi) - math.pi
+    z = problem.wrapped(result["x"].full().ravel()[: problem.scale.size] * problem.scale + shift)
     return np.clip(z, problem.lower, problem.upper), int(statistics["iter_count"]), str(statistics["return_status"])
 
 
@@ -200,18 +269,36 @@ def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:
 
 
 def _candidate(problem: SelectionProblem, z: Vector, proof: Proof, iterations: int) -> Candidate:
-    evaluation = _evaluated(problem, z)
+    n_base, p = problem.measures.plant.n_base, problem.measures.plant.parameter_values
     return Candidate(
-        evaluation=evaluation,
-        objective=problem.objectives[0].value(evaluation.w, evaluation.epsilon_max),
+        z=z,
+        w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
+        objective=float(problem.branches(problem.objectives[0], z)[0][0]),
         active=proof.active,
+        constraints=constraint_values(problem, z),
         target_error=proof.target_error,
         stationarity=proof.stationarity,
         iterations=iterations,
+        evaluate=partial(evaluated, problem, z),
     )
 
 
-def _evaluated(problem: SelectionProblem, z: Vector) -> Evaluation:
+def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
+    """Every constraint besides the target: its value and bounds."""
+    plant, n_task = problem.measures.plant, problem.target.size
+    at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values]
+    values = [float(plant.singularity_sine_squared.call(at)[0])]
+    if problem.constraint_set is not None:
+        reported = problem.constraint_set.report.call([*at, problem.constraint_set.constants])[0]
+        values += reported.full().ravel().tolist()
+    return {
+        constraint.name: ConstraintValue(value, constraint.lower, constraint.upper, constraint.unit)
+        for constraint, value in zip(problem.constraints[n_task:], values, strict=True)
+    }
+
+
+def evaluated(problem: SelectionProblem, z: Vector) -> Evaluation:
+    """Every measure at z."""
     n_base = problem.measures.plant.n_base
     return evaluate_checked(
         problem.machine,
@@ -224,36 +311,56 @@ def _evaluated(problem: SelectionProblem, z: Vector) -> Evaluation:
     )
 
 
+def _ranked(problem: SelectionProblem, candidates: list[Candidate]) -> list[Candidate]:
+    """Best first: the objectives in order, the worst of the w_i in none of them, ε_max, distance.
+
+    ε_max is asked for where it decides only: it costs more than all else about a candidate.
+    """
+    keys = [_rank(problem, candidate) for candidate in candidates]
+    decided = {key for key in keys if keys.count(key) == 1}
+    last = [(0.0, 0.0) if key in decided else _tie(problem, c) for key, c in zip(keys, candidates, strict=True)]
+    order = sorted(range(len(candidates)), key=lambda k: (keys[k], last[k]))
+    return [candidates[k] for k in order]
+
+
 def _rank(problem: SelectionProblem, candidate: Candidate) -> tuple[float, ...]:
-    """Sorting key, smallest first: the objectives in order, the worst of the w_i in none of them, ε_max, distance."""
-    e = candidate.evaluation
+    """Sorting key, smallest first: the objectives in order, then the worst of the w_i in none of them."""
     key: list[float] = []
     first = problem.objective_scales[0]
     for number, (objective, size) in enumerate(zip(problem.objectives, problem.objective_scales, strict=True)):
         # An objective that was kept has been kept to within the slack.
         quantum = (KEPT_SLACK if number < len(problem.kept) else TIE_TOLERANCE) * size
-        key.append(-round(objective.value(e.w, e.epsilon_max) / quantum))
+        key.append(-round(float(problem.branches(objective, candidate.z)[0][0]) / quantum))
     used = np.any([np.array(objective.alpha) > 0 for objective in problem.objectives], axis=0)
-    others = [w for w, taken in zip(e.w, used, strict=True) if not taken] or [0.0]
+    others = [w for w, taken in zip(candidate.w, used, strict=True) if not taken] or [0.0]
+    return (*key, -round(min(others) / (TIE_TOLERANCE * first)))
+
+
+def _tie(problem: SelectionProblem, candidate: Candidate) -> tuple[float, float]:
+    """What decides between equals: ε_max, then the distance from the present base."""
+    e = candidate.evaluation
     epsilon = 0.0 if e.epsilon_max is None else e.epsilon_max
     distance = 0.0 if problem.present_base is None else float(np.linalg.norm(e.base - problem.present_base))
-    return (*key, -round(min(others) / (TIE_TOLERANCE * first)), -round(epsilon / TIE_TOLERANCE), distance)
+    return -round(epsilon / TIE_TOLERANCE), distance
 
 
 def _initial(problem: SelectionProblem) -> Evaluation | None:
-    """The posture at the present base on the elbow branch asked for, where it reaches and is regular."""
-    if problem.present_base is None:
+    """The present configuration; where no posture is given, one that reaches the target from the present base."""
+    base, posture = problem.present_base, problem.present_posture
+    if base is None:
         return None
     try:
-        postures = inverse_kinematics(
-            problem.machine,
-            problem.target,
-            base=problem.present_base,
-            gravity=problem.gravity,
-            elbow=problem.elbow,
-            seed=problem.seed,
-        )
-        return _evaluated(problem, np.concatenate([problem.present_base, postures[0]]))
+        if posture is None:
+            closed = problem.measures.plant.closed_form
+            posture = inverse_kinematics(
+                problem.machine,
+                problem.target,
+                base=base,
+                gravity=problem.gravity,
+                elbow=problem.elbow if closed else None,
+                seed=problem.seed,
+            )[0]
+        return evaluated(problem, np.concatenate([base, posture]))
     except FlexoptError:
         return None
 
@@ -265,7 +372,7 @@ def _no_solution(
     if not failures:
         outcomes = "; ".join(sorted({attempt.outcome for attempt in attempts}))
         return NoSolutionFound(f"{heading}: {outcomes}", violations={}, iterate={})
-    z, proof = min(failures, key=lambda item: max(item[1].violations.values()))
+    z, proof = min(failures, key=lambda item: _severity(problem, item[1]))
     units = {c.name: c.unit for c in problem.constraints} | {f"{v.name} range": v.unit for v in problem.variables}
     sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in proof.violations.items())
     iterate = dict(zip((v.name for v in problem.variables), z.tolist(), strict=True))
@@ -273,3 +380,10 @@ def _no_solution(
     return NoSolutionFound(
         f"{heading}; the best iterate ({where}) violates {sizes}", violations=proof.violations, iterate=iterate
     )
+
+
+def _severity(problem: SelectionProblem, proof: Proof) -> tuple[float, float]:
+    """How far a point is from being a solution: its largest constraint violation, then the largest of all."""
+    scales = {c.name: c.scale for c in problem.constraints} | {f"{v.name} range": v.scale for v in problem.variables}
+    beyond = [size / scales[name] for name, size in proof.violations.items() if name in scales]
+    return max(beyond, default=0.0), max(proof.violations.values())

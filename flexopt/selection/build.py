@@ -1,0 +1,300 @@
+"""From arguments to a configuration problem: everything checked, bounds and scales set, the redundancy looked at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flexopt.errors import Fault, InputError, UnreachableTarget
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.constraints import Constraints, read_constraints
+from flexopt.model.problem import (
+    ELBOWS,
+    SINGULARITY_MARGIN_DEG,
+    Control,
+    Elbow,
+    check_base_range,
+    check_gain,
+    check_margin_deg,
+    check_seed,
+    check_starts,
+)
+from flexopt.plant import Plant, build_plant
+from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
+from flexopt.plant.statics import not_held
+from flexopt.selection.constraints import ConstraintSet, build_constraints, constraint_faults
+from flexopt.selection.nlp import build_configuration
+from flexopt.selection.objective import Quantities, quantities, read_objectives
+from flexopt.selection.problem import Constraint, SelectionProblem, Travel, Variable
+from flexopt.selection.scan import Scan, scan_redundancy
+from flexopt.selection.starts import STARTS, Region, sample_configurations
+
+Ranges = dict[str, tuple[float, float]]
+FREE = (-math.inf, math.inf)
+
+
+def build_selection(
+    machine: AnyMachine,
+    target: Any,
+    *,
+    objective: str = "w1",
+    control: Control = "inverse",
+    weights: Sequence[float] | None = None,
+    gravity: bool = False,
+    gain: float = 5e5,
+    base: Any = None,
+    posture: Any = None,
+    base_range: Any = None,
+    constraints: Constraints | Mapping[str, Any] | None = None,
+    elbow: Elbow = "up",
+    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
+    starts: int | None = None,
+    seed: int = 0,
+) -> SelectionProblem:
+    """Set up the choice of placement and posture for a target of the end-point.
+
+    Args:
+        machine: from `flexopt.load`.
+        target: a number for each row of the task (n_task,), m, inertial frame.
+        objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
+            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1.
+        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
+        weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
+        gravity: measures and end-point under static deflection.
+        gain: servo gain kr of ε_max.
+        base: present placement (n_b,), m or rad: breaks ties and gives the initial posture.
+        posture: present posture (n,), rad or m: with `base` the initial configuration.
+        base_range: where the base may stand: (lower, upper) of x, or a table such as {"x": (lower, upper), "yaw": …}
+            with the placement coordinates that are bounded. By default all placements from which the arm reaches;
+            where the task does not say where that is, within the arm's reach of the present placement. yaw is free.
+        constraints: what else a configuration must keep, in the layout of a problem file's table [constraints].
+        elbow: branch of the initial posture of a planar arm, where no posture is given.
+        singularity_margin_deg: distance from singular postures: for two links the angle that θ3 keeps from straight and
+            from folded, for more in the root mean square over pairs of segments; in space see
+            `Plant.singularity_sine_squared`.
+        starts: how many starts IPOPT tries at most; by default 32, in the plane every peak of the scan, up to 64.
+        seed: of the sample that the starts come from.
+
+    Raises:
+        InputError: arguments of wrong shape, not finite or out of range, all in one message.
+        UnreachableTarget: no placement in the range reaches the target inside limits and margin.
+    """
+    arguments = Arguments("select")
+    machine = arguments.machine(machine)
+    names, units = machine.base_coordinates, machine.base_units
+    point = arguments.point(target, "target", machine)
+    control = arguments.control(control)
+    arguments.choice("elbow", elbow, ELBOWS)
+    arguments.flag("gravity", gravity)
+    kr = arguments.checked("gain", gain, check_gain, 1.0)
+    present = None if base is None else arguments.base(machine, base)
+    held = None if posture is None else arguments.posture(machine, posture)
+    if held is not None and present is None and names:
+        arguments.faults.append(Fault("posture", "needs base, too: where the machine stands now", shown(posture)))
+    ranges: Ranges = {}
+    if base_range is not None:
+        ranges = arguments.checked("base_range", base_range, lambda v: check_base_range(v, names, units), {})
+    margin = math.radians(arguments.checked("singularity_margin_deg", singularity_margin_deg, check_margin_deg, 10.0))
+    if starts is not None:
+        arguments.checked("starts", starts, check_starts, 1)
+    arguments.checked("seed", seed, check_seed, 0)
+    objectives = read_objectives(arguments, machine, objective, weights)
+    asked = _read_constraints(arguments, machine, constraints)
+    limits = _joint_limits(arguments, machine, asked.joint_margin)
+    travel_now = _present(arguments, machine, asked, present, held)
+    arguments.done()
+
+    functions = quantities(machine, control, gravity, kr)
+    plant = functions.measures.plant
+    rows = build_constraints(plant, asked)
+    constraint_set = rows if len(rows) else None
+    ranges, sampled, intervals = _placements(plant, point, ranges, margin, present)
+    length = outer_reach(plant)[1]
+    lengths = {"m": length or 1.0, "rad": 1.0}
+    variables = [
+        Variable(f"base.{name}", unit, *ranges[name], lengths[unit]) for name, unit in zip(names, units, strict=True)
+    ]
+    variables += [
+        Variable(name, unit, float(low), float(high), 1.0 if unit == "rad" else arm_length(plant))
+        for name, unit, (low, high) in zip(machine.joints, machine.joint_units, limits, strict=True)
+    ]
+    bounds = [
+        Constraint(f"target {row}", "m", value, value, length or 1.0)
+        for row, value in zip(machine.task_rows, point.tolist(), strict=True)
+    ]
+    bounds.append(Constraint("singularity margin", "sin²", math.sin(margin) ** 2, math.inf, 1.0))
+    bounds += [
+        Constraint(label, unit, float(low), float(high), float(scale))
+        for label, unit, low, high, scale in zip(
+            rows.labels, rows.units, rows.lower, rows.upper, rows.scales, strict=True
+        )
+    ]
+    region = _region(plant, variables, bounds, sampled, constraint_set, limits)
+    off = 0.0
+    if plant.closed_form:
+        scan = scan_redundancy(
+            functions, point, intervals, objectives[0], math.sin(margin) ** 2, limits, constraint_set, seed
+        )
+    else:
+        configuration = build_configuration(machine, control, gravity, constraint_set)
+        scan, off = sample_configurations(functions, configuration, region, objectives[0], starts or STARTS, seed)
+    if scan.size == 0:
+        raise _nothing_found(functions, point, ranges, margin, scan, off)
+    return SelectionProblem(
+        machine=machine,
+        target=point,
+        objectives=objectives,
+        kept=(),
+        control=control,
+        gravity=gravity,
+        gain=kr,
+        variables=tuple(variables),
+        constraints=tuple(bounds),
+        constraint_set=constraint_set,
+        asked=asked,
+        travel=None if travel_now is None or asked.travel is None else Travel(asked.travel.cost, travel_now),
+        objective_scales=tuple(float(np.median(o.alpha @ scan.factor)) + o.beta or 1.0 for o in objectives),
+        scan=scan,
+        region=region,
+        present_base=present,
+        present_posture=held,
+        elbow=elbow,
+        singularity_margin=margin,
+        starts=starts,
+        seed=seed,
+    )
+
+
+def _read_constraints(arguments: Arguments, machine: AnyMachine, value: Any) -> Constraints:
+    """The constraints of a call; faults go to `arguments`."""
+    try:
+        asked = read_constraints(value)
+    except InputError as error:
+        arguments.faults += [Fault(f"constraints.{f.field}", f.sentence, f.value) for f in error.faults] or [
+            Fault("constraints", str(error))
+        ]
+        return Constraints()
+    faults = constraint_faults(build_plant(machine), asked)
+    arguments.faults += [Fault(f"constraints.{f.field}", f.sentence, f.value) for f in faults]
+    return Constraints(travel=asked.travel) if faults else asked
+
+
+def _joint_limits(arguments: Arguments, machine: AnyMachine, joint_margin: float) -> Vector:
+    """Limits (n, 2) with the margin taken off both ends."""
+    limits = np.array(machine.limits).reshape(-1, 2) + np.array([joint_margin, -joint_margin])
+    for name, unit, (low, high) in zip(machine.joints, machine.joint_units, machine.limits, strict=True):
+        if high - low < 2 * joint_margin:
+            sentence = f"leaves nothing of the joint {name}, whose limits are {low:g} to {high:g} {unit}"
+            arguments.faults.append(Fault("constraints.joint_margin", sentence, f"{joint_margin:g}"))
+    return limits
+
+
+def _present(
+    arguments: Arguments, machine: AnyMachine, asked: Constraints, base: Vector | None, posture: Vector | None
+) -> Vector | None:
+    """The configuration z that travel counts from: its own, else that of the call."""
+    if asked.travel is None:
+        return None
+    where = "constraints.travel."
+    if asked.travel.base is not None:
+        base = arguments.base(machine, asked.travel.base, f"{where}base")
+    if asked.travel.posture is not None:
+        posture = arguments.posture(machine, asked.travel.posture, f"{where}posture")
+    if base is None and not machine.base_coordinates:
+        base = np.zeros(0)
+    for name, value in (("base", base), ("posture", posture)):
+        if value is None:
+            arguments.faults.append(Fault(f"{where}{name}", "is required: what the machine leaves"))
+    return None if base is None or posture is None else np.concatenate([base, posture])
+
+
+def _placements(
+    plant: Plant, target: Vector, given: Ranges, margin: float, present: Vector | None
+) -> tuple[Ranges, Ranges, list[Interval]]:
+    """Bounds of the placement coordinates, ranges to sample them in, and in the plane the parts that reach."""
+    machine = plant.machine
+    if plant.closed_form:
+        annulus = reach(plant, margin)
+        intervals = annulus.base_intervals(target)
+        if not intervals:
+            raise unreachable(plant, target, None, margin=margin)
+        # Beyond the margin's own ends, so that the margin and not the range is what stops the base.
+        whole = reach(plant).base_intervals(target)
+        span = given.get("x", (whole[0][0], whole[-1][1]))
+        return {"x": span}, {"x": span}, clipped(intervals, span)
+    center, outer = outer_reach(plant)
+    rows = machine.task_rows
+    rise = float(target[rows.index("z")] - center[2]) if "z" in rows else 0.0
+    if abs(rise) > outer:
+        raise missed(plant, target, None, abs(rise) - outer)
+    # The anchor is within this of the target, seen from above, however the base is turned.
+    far = math.sqrt(outer**2 - rise**2) + math.hypot(center[0], center[1])
+    bounds, sampled = Ranges(), Ranges()
+    for k, name in enumerate(machine.base_coordinates):
+        if name == "yaw":
+            bounds[name] = given.get(name, FREE)
+            sampled[name] = given.get(name, (-math.pi, math.pi))
+            continue
+        about = float(target[rows.index(name)]) if name in rows else 0.0 if present is None else float(present[k])
+        bounds[name] = sampled[name] = given.get(name, (about - far, about + far))
+    return bounds, sampled, []
+
+
+def _region(
+    plant: Plant,
+    variables: list[Variable],
+    constraints: list[Constraint],
+    sampled: Ranges,
+    constraint_set: ConstraintSet | None,
+    limits: Vector,
+) -> Region:
+    """Where configurations are looked for; `limits` (n, 2) are those of the joints."""
+    machine = plant.machine
+    inside = sampled_ranges(machine, arm_length(plant))
+    inside = np.clip(inside, limits[:, :1], limits[:, 1:])
+    ranges = np.vstack([np.array([sampled[name] for name in machine.base_coordinates]).reshape(-1, 2), inside])
+    return Region(
+        lower=np.array([v.lower for v in variables]),
+        upper=np.array([v.upper for v in variables]),
+        scale=np.array([v.scale for v in variables]),
+        low=ranges[:, 0],
+        high=ranges[:, 1],
+        row_lower=np.array([c.lower for c in constraints]),
+        row_upper=np.array([c.upper for c in constraints]),
+        row_scale=np.array([c.scale for c in constraints]),
+        constants=np.zeros(0) if constraint_set is None else constraint_set.constants.full().ravel(),
+    )
+
+
+def _nothing_found(
+    functions: Quantities, target: Vector, ranges: Ranges, margin: float, scan: Scan, off: float
+) -> Exception:
+    """The error when no point of the redundancy was left."""
+    plant = functions.measures.plant
+    if scan.unsound:
+        return not_held()
+    if not plant.closed_form:
+        return missed(plant, target, None, off)
+    return _why_unreachable(plant, target, ranges["x"], margin, scan.reached)
+
+
+def _why_unreachable(
+    plant: Plant, target: Vector, base_range: tuple[float, float], margin: float, reached: bool
+) -> UnreachableTarget:
+    if reached:
+        why = (
+            "every posture that reaches it breaks a joint limit or comes closer than "
+            f"{math.degrees(margin):.4g}° to a singular posture"
+        )
+        return unreachable(plant, target, None, why, margin)
+    annulus = reach(plant, margin)
+    nearest = min(
+        (np.array([np.clip(x, *base_range)]) for span in annulus.base_intervals(target) for x in span),
+        key=lambda b: annulus.miss(target, b),
+        default=np.array([np.clip(target[0] - annulus.center[0], *base_range)]),
+    )
+    return unreachable(plant, target, nearest, margin=margin)

@@ -1,0 +1,122 @@
+"""Every kind of constraint, and the rows of all that a problem asks for in one Function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.model import AnyMachine
+from flexopt.model.constraints import Constraints
+from flexopt.plant import Plant, build_plant
+from flexopt.selection.constraints import areas, clearance, holding, manipulability, tip_over, tool_angle
+from flexopt.selection.constraints.kind import Group, Kind, Scene
+
+Vector = NDArray[np.float64]
+# A further kind is a module with a `Kind`, a field of `Constraints`, and a line here; rows are in this order.
+KINDS: dict[str, Kind] = {
+    "manipulability": manipulability.KIND,
+    "region": areas.REGION,
+    "keep_out": areas.KEEP_OUT,
+    "clearance": clearance.KIND,
+    "tip_over_margin": tip_over.KIND,
+    "holding": holding.KIND,
+    "tool_angle": tool_angle.KIND,
+}
+Structure = tuple[tuple[str, Any, int], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintSet:
+    """Rows lower ≤ g(base, posture, p, c) ≤ upper, (k,), with the passive coordinates at rest.
+
+    Attributes:
+        labels, units: of each row.
+        lower, upper: bounds, (k,), in the row's unit; infinite where there is none.
+        scales: (k,), in the row's unit: rows are divided by them before a solver sees them.
+        constants: the numbers c of the problem, such as places of obstacles.
+        function: base, posture, p, c -> g (k,), in a form that suits a solver.
+        report: base, posture, p, c -> value (k,): the same rows as quantities with the same units and bounds.
+        structure: what decides `function` besides the machine; sets with equal ones have the same two Functions.
+    """
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    lower: Vector
+    upper: Vector
+    scales: Vector
+    constants: ca.DM
+    function: ca.Function = field(repr=False)
+    report: ca.Function = field(repr=False)
+    structure: Structure = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+def constraint_faults(plant: Plant, constraints: Constraints) -> list[Fault]:
+    """What stands in the way of these constraints for a machine; fields are those of `Constraints`."""
+    return [fault for kind in KINDS.values() for fault in kind.faults(plant, constraints)]
+
+
+def build_constraints(plant: Plant, constraints: Constraints) -> ConstraintSet:
+    """The rows that a configuration of this machine must keep.
+
+    `joint_margin` and `travel` give no rows: they belong to bounds and objective.
+
+    Args:
+        plant: of the machine.
+        constraints: from `flexopt.model.constraints.read_constraints`.
+
+    Raises:
+        InputError: the machine lacks what a kind needs, or bodies and coordinates do not suit it; lists every fault.
+    """
+    raise_if_any(InputError, "constraints", constraint_faults(plant, constraints))
+    groups: list[Group] = []
+    for kind in KINDS.values():
+        groups += kind.groups(plant, constraints)
+    rows = [row for group in groups for row in group.rows]
+    structure = tuple(group.structure for group in groups)
+    function, report = _functions(plant.machine, structure)
+    assert function.size1_out(0) == len(rows)
+    return ConstraintSet(
+        labels=tuple(row.label for row in rows),
+        units=tuple(row.unit for row in rows),
+        lower=np.array([row.lower for row in rows]),
+        upper=np.array([row.upper for row in rows]),
+        scales=np.array([row.scale for row in rows]),
+        constants=ca.DM([number for group in groups for number in group.constants]),
+        function=function,
+        report=report,
+        structure=structure,
+    )
+
+
+@lru_cache(maxsize=32)
+def _functions(machine: AnyMachine, structure: Structure) -> tuple[ca.Function, ca.Function]:
+    """The rows as a solver sees them, and as people do."""
+    plant = build_plant(machine)
+    g = plant.graph
+    c = ca.SX.sym("c", sum(count for _, _, count in structure))
+    scene = Scene(plant, g.base, g.posture, g.p)
+    rows: list[ca.SX] = []
+    reported: list[ca.SX] = []
+    start = 0
+    for name, shape, count in structure:
+        kind, numbers = KINDS[name], c[start : start + count]
+        made = kind.graph(scene, shape, numbers)
+        rows += made
+        reported += kind.report(scene, shape, numbers) if kind.report is not None else made
+        start += count
+    return _function("constraints", scene, c, rows, "g"), _function("constraint_values", scene, c, reported, "value")
+
+
+def _function(name: str, scene: Scene, c: ca.SX, rows: list[ca.SX], output: str) -> ca.Function:
+    inputs, names = [scene.base, scene.posture, scene.p, c], ["base", "posture", "p", "c"]
+    stacked = ca.densify(ca.vertcat(*rows)) if rows else ca.SX(0, 1)
+    return ca.Function(name, inputs, [stacked], names, [output], {"cse": True})

@@ -1,0 +1,168 @@
+"""Clearance of the machine's capsules from the ground, half-planes, spheres and boxes.
+
+A row for each capsule and obstacle: the signed distance of their surfaces, m, exact, negative by the depth where they
+meet. From the ground and from half-planes each end of a capsule has a row of its own, which is smooth. Bodies that no
+actuated joint moves stand on the ground and keep no distance from it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable
+from typing import Any, cast
+
+import casadi as ca
+
+from flexopt.errors import Fault
+from flexopt.model.constraints import Box, Clearance, Constraints, Obstacle, Sphere
+from flexopt.model.faults import ALIKE
+from flexopt.model.tables import Capsule
+from flexopt.plant import Plant
+from flexopt.selection.constraints.kind import Group, Kind, Row, Scene
+from flexopt.selection.constraints.segment_distance import from_box, from_sphere, point_from_box
+
+# Capsules shorter than this are balls, m.
+BALL = 1e-9
+
+
+def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
+    asked, machine = constraints.clearance, plant.machine
+    if asked is None:
+        return []
+    if not machine.capsules:
+        ends = "[along, left]" if plant.frames.dimension == 2 else "[x, y, z]"
+        sentence = (
+            f"needs the volumes of bodies, and {machine.name} has none: add tables [[capsules]] with body, "
+            f"start = {ends}, end and radius (m, in the body's axes) to the machine file"
+        )
+        return [Fault("clearance", sentence)]
+    faults = _body_faults(plant, asked)
+    if asked.ground is None and not asked.obstacles:
+        faults.append(Fault("clearance", "names nothing to keep clear of: give ground (height, m) or obstacles"))
+    for index, obstacle in enumerate(asked.obstacles):
+        faults += _obstacle_faults(plant, obstacle, f"clearance.obstacles[{index}]")
+    return faults
+
+
+def _body_faults(plant: Plant, asked: Clearance) -> list[Fault]:
+    with_capsules = list(dict.fromkeys(capsule.body for capsule in plant.machine.capsules))
+    faults: list[Fault] = []
+    for name in asked.bodies or ():
+        if name not in plant.frames.names:
+            close = difflib.get_close_matches(name, plant.frames.names, n=1, cutoff=ALIKE)
+            hint = f"did you mean {close[0]!r}?" if close else f"valid here: {', '.join(with_capsules)}"
+            faults.append(
+                Fault("clearance.bodies", f"{plant.machine.name} has no body of that name; {hint}", repr(name))
+            )
+        elif name not in with_capsules:
+            sentence = f"has no volume: add a table [[capsules]] with body = {name!r} to the machine file"
+            faults.append(Fault("clearance.bodies", sentence, repr(name)))
+    return faults
+
+
+def _obstacle_faults(plant: Plant, obstacle: Obstacle, field: str) -> list[Fault]:
+    d = plant.frames.dimension
+    place = f"{field} ({obstacle.name})" if obstacle.name else field
+    wanted = f"must be {'two numbers [x, y]' if d == 2 else 'three numbers [x, y, z]'}: {plant.machine.name} moves "
+    wanted += "in the plane" if d == 2 else "in space"
+    given: dict[str, tuple[float, ...]] = {
+        key: value for key, value in obstacle.model_dump().items() if key in ("center", "size", "point", "normal")
+    }
+    return [Fault(f"{place}.{key}", wanted, str(list(value))) for key, value in given.items() if len(value) != d]
+
+
+def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
+    asked = constraints.clearance
+    if asked is None:
+        return []
+    capsules = plant.machine.capsules
+    chosen = [k for k, capsule in enumerate(capsules) if asked.bodies is None or capsule.body in asked.bodies]
+    groups: list[Group] = []
+    if asked.ground is not None:
+        lifted = [k for k in chosen if _is_moved(plant, capsules[k].body)]
+        groups.append(_group(capsules, "ground", lifted, (asked.ground,), "ground", asked.distance))
+    for index, obstacle in enumerate(asked.obstacles):
+        name = obstacle.name or f"obstacle {index + 1}"
+        groups.append(_group(capsules, obstacle.kind, chosen, _numbers(obstacle), name, asked.distance))
+    return groups
+
+
+def _is_moved(plant: Plant, body: str) -> bool:
+    """Whether an actuated joint moves the body."""
+    k = plant.frames.names.index(body)
+    frame = ca.veccat(plant.frames.origins[k], plant.frames.rotations[k])
+    return bool(ca.depends_on(frame, plant.graph.q[plant.n_passive :]))
+
+
+def _group(
+    capsules: tuple[Capsule, ...], kind: str, chosen: list[int], numbers: tuple[float, ...], name: str, distance: float
+) -> Group:
+    rows: list[Row] = []
+    for k in chosen:
+        body = capsules[k].body
+        of_body = [i for i, capsule in enumerate(capsules) if capsule.body == body]
+        who = body if len(of_body) == 1 else f"{body} capsule {of_body.index(k) + 1}"
+        by_end = kind in ("ground", "half_plane") and not _is_ball(capsules[k])
+        whose = [f"{who} (start)", f"{who} (end)"] if by_end else [who]
+        rows += [Row(f"clearance of {part} from {name}", "m", distance, math.inf) for part in whose]
+    return Group("clearance", (kind, tuple(chosen)), numbers, tuple(rows))
+
+
+def _numbers(obstacle: Obstacle) -> tuple[float, ...]:
+    """Constants of an obstacle."""
+    if isinstance(obstacle, Sphere):
+        return (*obstacle.center, obstacle.radius)
+    if isinstance(obstacle, Box):
+        half = tuple(side / 2 for side in obstacle.size)
+        return (*obstacle.center, *half, math.cos(obstacle.yaw), math.sin(obstacle.yaw))
+    offset = sum(n * x for n, x in zip(obstacle.normal, obstacle.point, strict=True))
+    return (*obstacle.normal, offset)
+
+
+def _graph(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
+    kind, chosen = cast(tuple[str, tuple[int, ...]], shape)
+    rows: list[ca.SX] = []
+    for k in chosen:
+        capsule = scene.plant.machine.capsules[k]
+        start, end = scene.point(capsule.body, capsule.start), scene.point(capsule.body, capsule.end)
+        ends = [(start + end) / 2] if _is_ball(capsule) else [start, end]
+        rows += [distance - capsule.radius for distance in DISTANCES[kind](ends, _length(capsule), c)]
+    return rows
+
+
+def _is_ball(capsule: Capsule) -> bool:
+    return _length(capsule) < BALL
+
+
+def _length(capsule: Capsule) -> float:
+    return math.dist(capsule.start, capsule.end)
+
+
+def _from_ground(ends: list[ca.SX], _: float, c: ca.SX) -> list[ca.SX]:
+    return [end[-1] - c[0] for end in ends]
+
+
+def _from_half_plane(ends: list[ca.SX], _: float, c: ca.SX) -> list[ca.SX]:
+    return [ca.dot(c[:-1], end) - c[-1] for end in ends]
+
+
+def _from_sphere(ends: list[ca.SX], length: float, c: ca.SX) -> list[ca.SX]:
+    return [from_sphere(ends, length, c[:-1], c[-1])]
+
+
+def _from_box(ends: list[ca.SX], length: float, c: ca.SX) -> list[ca.SX]:
+    d = ends[0].shape[0]
+    center, half, cosine, sine = c[:d], c[d : 2 * d], c[2 * d], c[2 * d + 1]
+    away = [end - center for end in ends]
+    own = [ca.vertcat(cosine * a[0] + sine * a[1], cosine * a[1] - sine * a[0], a[2:]) for a in away]
+    return [from_box(own[0], own[1], length, half) if len(own) == 2 else point_from_box(own[0], half)]
+
+
+DISTANCES: dict[str, Callable[[list[ca.SX], float, ca.SX], list[ca.SX]]] = {
+    "ground": _from_ground,
+    "half_plane": _from_half_plane,
+    "sphere": _from_sphere,
+    "box": _from_box,
+}
+KIND = Kind(_groups, _graph, _faults)

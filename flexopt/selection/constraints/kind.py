@@ -1,0 +1,122 @@
+"""What a kind of constraint is: its rows as numbers, its graph, and what a machine must have for it.
+
+In: a plant and validated `Constraints`. Out: `Group`s, whose rows go below each other in one Function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from flexopt.errors import Fault
+from flexopt.model.constraints import Constraints
+from flexopt.plant import Plant
+
+
+@dataclass(frozen=True)
+class Row:
+    """One constraint lower ≤ g ≤ upper, in `unit`; g is divided by `scale` before a solver sees it."""
+
+    label: str
+    unit: str
+    lower: float
+    upper: float
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Group:
+    """Some rows of one kind.
+
+    Attributes:
+        kind: a key of `KINDS`.
+        shape: with `kind` and the number of constants all that decides the graph; hashable.
+        constants: numbers that enter the graph as symbols.
+        rows: in the order in which the graph gives them.
+    """
+
+    kind: str
+    shape: Any
+    constants: tuple[float, ...]
+    rows: tuple[Row, ...]
+
+    @property
+    def structure(self) -> tuple[str, Any, int]:
+        """What decides the graph."""
+        return self.kind, self.shape, len(self.constants)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A machine at rest as SX graphs, each made when first asked for.
+
+    Attributes:
+        plant: the machine's plant.
+        base, posture, p: the symbols that all is a graph of.
+    """
+
+    plant: Plant
+    base: ca.SX
+    posture: ca.SX
+    p: ca.SX
+
+    @cached_property
+    def q(self) -> ca.SX:
+        """Coordinates, the passive ones undeflected, (n_q,)."""
+        return self.plant.rest(self.base, self.posture, self.p)
+
+    @property
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space; the last coordinate is the height."""
+        return self.plant.frames.dimension
+
+    @cached_property
+    def _frames(self) -> tuple[ca.SX, ca.SX]:
+        origins, rotations = self.plant.body_frames.call([self.q, self.base, self.p])
+        return origins, rotations
+
+    def point(self, body: str, at: tuple[float, ...]) -> ca.SX:
+        """Where a point of a body lies, (d,), m, inertial frame; `at` in the body's axes."""
+        d, k = self.dimension, self.plant.frames.names.index(body)
+        origins, rotations = self._frames
+        return origins[:, k] + rotations[:, k * d : (k + 1) * d] @ ca.DM(list(at))
+
+    @cached_property
+    def anchor(self) -> ca.SX:
+        """Where the anchor frame stands on the ground, (d − 1,), m, inertial frame."""
+        coordinates = {name: self.base[k] for k, name in enumerate(self.plant.machine.base_coordinates)}
+        return ca.vertcat(*(coordinates.get(name, ca.SX(0)) for name in "xy"[: self.dimension - 1]))
+
+    def from_anchor(self, point: ca.SX) -> ca.SX:
+        """A point's horizontal position in the anchor frame, (d − 1,), m."""
+        away = point[: self.dimension - 1] - self.anchor
+        if "yaw" not in self.plant.machine.base_coordinates:
+            return away
+        yaw = self.base[self.plant.machine.base_coordinates.index("yaw")]
+        c, s = ca.cos(yaw), ca.sin(yaw)
+        return ca.vertcat(c * away[0] + s * away[1], c * away[1] - s * away[0])
+
+
+def _no_faults(_: Plant, __: Constraints) -> list[Fault]:
+    return []
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of constraint.
+
+    Attributes:
+        groups: its rows, none where it is not asked for; only called without faults.
+        graph: the rows of a group of that shape, from the symbols of its constants.
+        faults: what stands in the way of it for a machine; none where it is not asked for.
+        report: the same rows in a form for people, where it differs: same unit and bounds.
+    """
+
+    groups: Callable[[Plant, Constraints], list[Group]]
+    graph: Callable[[Scene, Any, ca.SX], list[ca.SX]]
+    faults: Callable[[Plant, Constraints], list[Fault]] = _no_faults
+    report: Callable[[Scene, Any, ca.SX], list[ca.SX]] | None = None

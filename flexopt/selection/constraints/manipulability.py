@@ -1,0 +1,59 @@
+"""Least manipulability: w = sqrt(det(Jv Jvᵀ)) ≥ value (Yoshikawa, Manipulability of robotic mechanisms, 1985).
+
+The row is w²/value, which has w's unit and its bound and, unlike w, derivatives where Jv loses rank; w is reported.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import Any
+
+import casadi as ca
+
+from flexopt.model.constraints import Constraints
+from flexopt.plant import Plant
+from flexopt.selection.constraints.kind import Group, Kind, Row, Scene
+
+
+def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
+    value = constraints.manipulability
+    if value is None:
+        return []
+    # Columns of hinges are in m; those of slides have no unit, and the product of both has none worth a name.
+    unit = f"m^{plant.n_task}" if all(unit == "rad" for unit in plant.machine.joint_units) else ""
+    return [Group("manipulability", None, (value,), (Row("manipulability", unit, value, math.inf, value),))]
+
+
+def _graph(scene: Scene, _: Any, c: ca.SX) -> list[ca.SX]:
+    return [_squared(scene) / c[0]]
+
+
+def _report(scene: Scene, _: Any, __: ca.SX) -> list[ca.SX]:
+    return [ca.sqrt(ca.fmax(_squared(scene), 0.0))]
+
+
+def _squared(scene: Scene) -> ca.SX:
+    """det(Jv Jvᵀ), for a square Jv as det(Jv)², whose rounding grows with cond Jv and not with its square."""
+    jacobian = scene.plant.rigid_jacobian(scene.q, scene.base, scene.p)
+    rows, columns = jacobian.shape
+    return determinant(jacobian) ** 2 if rows == columns else determinant(jacobian @ jacobian.T)
+
+
+def determinant(matrix: ca.SX) -> ca.SX:
+    """Determinant of a small square matrix by minors of its first rows, each made once: no division, 2ⁿ n products."""
+    n = matrix.shape[0]
+    minors: dict[tuple[int, ...], ca.SX] = {(): ca.SX(1)}
+    for row in range(n):
+        larger: dict[tuple[int, ...], ca.SX] = {}
+        for columns in combinations(range(n), row + 1):
+            terms = (
+                (-1) ** (row + k) * matrix[row, column] * minors[columns[:k] + columns[k + 1 :]]
+                for k, column in enumerate(columns)
+            )
+            larger[columns] = sum(terms, start=ca.SX(0))
+        minors = larger
+    return minors[tuple(range(n))]
+
+
+KIND = Kind(_groups, _graph, report=_report)

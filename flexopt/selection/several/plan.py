@@ -1,0 +1,270 @@
+"""A way of the base along a path of targets that keeps the worst measure as high as possible.
+
+A coarse way is found by dynamic programming over placements and postures for each target, once for the highest worst
+value and once for the shortest way that keeps it; IPOPT then moves all configurations together. Standing still at the
+best single placement is one of the starts, so that moving is never worse than not moving.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from flexopt.errors import Fault, FlexoptError, NoSolutionFound
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.constraints import Constraints
+from flexopt.model.documents import provenance
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control
+from flexopt.model.quantities import check_number, check_numbers
+from flexopt.plant.reaching import solve_postures
+from flexopt.selection.parallel import check_workers
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.several.joined import Joined
+from flexopt.selection.several.postures import EDGE, Reached, reached_from, value_of
+from flexopt.selection.several.program import Joint
+from flexopt.selection.several.results import BasePlan, Still
+from flexopt.selection.several.solving import Progress, end_from, ends_from, places_at, verified
+from flexopt.selection.several.standing import best_placements, one_placement
+from flexopt.selection.several.targets import build_problems, entries, read_targets, sample_bases
+from flexopt.selection.several.ways import coarse_ways, nodes_of
+
+# Placements that are looked at, for one coordinate and for more: from which all targets may be reached, and for each
+# target alone.
+COMMON, OWN = (401, 256), (201, 256)
+# Starts of IPOPT: ways, and placements that stand still.
+WAYS, STANDS = 3, 6
+# What the second, shortest way may give up, relative to the objective's scale.
+SLACK = 1e-4
+# Points looked at between two targets.
+BETWEEN = 8
+BASE_RATE, DURATION = 0.25, 10.0
+
+
+def plan_base(
+    machine: AnyMachine,
+    path: Any,
+    *,
+    times: Sequence[float] | None = None,
+    duration: float | None = None,
+    max_base_rate: Any = None,
+    max_joint_rate: Any = None,
+    start: Any = None,
+    objective: str = "w1",
+    control: Control = "inverse",
+    weights: Sequence[float] | None = None,
+    gravity: bool = False,
+    base: Any = None,
+    posture: Any = None,
+    base_range: Any = None,
+    constraints: Constraints | Mapping[str, Any] | None = None,
+    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
+    starts: int | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> BasePlan:
+    """A motion of the base along a path of the end-point: max min_k V(z_k), and of those the shortest way.
+
+    The configurations z_k = [base, posture] reach target k at time t_k, and |Δbase| ≤ max_base_rate Δt,
+    |Δposture| ≤ max_joint_rate Δt from each to the next. Among the ways that keep the worst V to within 1e-4 of the
+    objective's scale the one with the least Σ |Δz|² (in scaled variables) is returned.
+
+    Args:
+        machine: from `flexopt.load`.
+        path: targets in order, (K, n_task), m, inertial frame, K ≥ 2.
+        times: when each is due, (K,), s, increasing from 0;  duration: even times until then; 10 s by default.
+        max_base_rate: of each placement coordinate, one number or (n_b,), m/s and rad/s; 0.25 by default.
+        max_joint_rate: of each joint, one number or (n,), rad/s or m/s; the machine's speeds by default.
+        start: where the base stands at the first target, (n_b,); free by default.
+        objective, control, weights, gravity, base, posture, base_range, constraints, singularity_margin_deg, seed: as
+            in `flexopt.select_stand`.
+        starts: ways that IPOPT starts from, besides standing still; 3 by default.
+        workers: as in `flexopt.solve_selection`.
+        progress: called with (starts done, starts in all).
+
+    Raises:
+        InputError: arguments of wrong shape, not finite or out of range, all in one message.
+        UnreachableTarget: a target cannot be reached; says which.
+        NoSolutionFound: no way passed the checks: rates too low, or constraints that no continuous way keeps.
+
+    Source: the wish that ends ASME Letters in Dynamic Systems and Control 1(2), 021001, section 6.
+    """
+    arguments = Arguments("plan_base")
+    machine = arguments.machine(machine)
+    points = read_targets(arguments, machine, path, "path", 2)
+    due = _times(arguments, times, duration, len(points))
+    default = (BASE_RATE,) * len(machine.base_coordinates)
+    base_rates = _rates(arguments, "max_base_rate", max_base_rate, machine.base_coordinates, default)
+    joint_rates = _rates(arguments, "max_joint_rate", max_joint_rate, machine.joints, machine.speeds)
+    begin = None if start is None else arguments.base(machine, start, "start")
+    if not machine.base_coordinates:
+        arguments.faults.append(Fault("machine", "has no placement coordinate that could move"))
+    count = check_workers(arguments, workers)
+    arguments.done()
+    options: dict[str, Any] = {"objective": objective, "control": control, "weights": weights, "gravity": gravity}
+    options |= {"base": base, "posture": posture, "base_range": base_range, "constraints": constraints}
+    options |= {"singularity_margin_deg": singularity_margin_deg, "seed": seed}
+    problems = build_problems("plan_base", machine, points, "path", options)
+    if begin is not None:
+        _check_start(problems[0], begin)
+    joined = _along(problems, due, np.concatenate([base_rates, joint_rates]), begin)
+
+    common = sample_bases(problems, *COMMON, seed) if begin is None else begin[:, None]
+    found = [reached_from(problem, common, seed) for problem in problems]
+    still = _standing_still(problems, common, found, begin, count)
+    layers = [nodes_of(reached) for reached in _with_own(problems, found, begin, seed)]
+    begins = coarse_ways(joined, layers, starts or WAYS)
+    if still is not None:
+        begins.append(joined.packed(still))
+    if not begins:
+        sentence = "with these rates no configurations of neighbouring targets are near enough"
+        raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
+    ends = ends_from(joined, begins, count, progress)
+    good = verified(joined, ends, "way")
+    best, stationarity = _shortest(joined, good[0].x, good[0].stationarity)
+    places = places_at(joined, best)
+    stated = {"path": points.tolist(), "times": due.tolist(), "max_base_rate": base_rates.tolist()}
+    stated |= {"max_joint_rate": joint_rates.tolist(), "start": None if begin is None else begin.tolist()}
+    return BasePlan(
+        time=due,
+        places=places,
+        worst=int(np.argmin([place.objective for place in places])),
+        worth=float(min(place.objective for place in places)),
+        still=None if still is None else _still(joined, still),
+        between=_between(problems, due, [joined.of(best, k) for k in range(len(problems))]),
+        travelled=_travelled(machine, np.array([place.evaluation.base for place in places])),
+        stationarity=stationarity,
+        attempts=(len(ends), len(good)),
+        problems=problems,
+        provenance=provenance(machine, **stated, objective=problems[0].name, control=control, seed=seed),
+    )
+
+
+def _times(arguments: Arguments, times: Any, duration: Any, count: int) -> Vector:
+    even = np.linspace(0.0, DURATION, count)
+    if times is None:
+        seconds = DURATION if duration is None else duration
+        check = partial(check_number, unit="s", above=0.0, high=1e6)
+        return np.linspace(0.0, arguments.checked("duration", seconds, check, DURATION), count)
+    if duration is not None:
+        arguments.faults.append(Fault("duration", "goes without times only", shown(duration)))
+    values = entries(times)
+    if len(values) != count:
+        arguments.faults.append(Fault("times", f"needs {count} numbers, one for each target", shown(times)))
+        return even
+    names = [f"entry {k + 1}" for k in range(count)]
+    numbers = arguments.checked("times", values, lambda v: check_numbers(v, names, "s", low=0.0, high=1e6), None)
+    if numbers is None:
+        return even
+    if numbers[0] != 0.0 or any(later <= earlier for earlier, later in pairwise(numbers)):
+        arguments.faults.append(Fault("times", "must increase from 0, in s", shown(times)))
+        return even
+    return np.array(numbers)
+
+
+def _rates(arguments: Arguments, field: str, value: Any, names: tuple[str, ...], default: tuple[float, ...]) -> Vector:
+    if value is None:
+        return np.array(default)
+    parts = entries(value) or [value]
+    parts = parts * len(names) if len(parts) == 1 else parts
+    if len(parts) != len(names):
+        sentence = f"must be one number or {len(names)}: {', '.join(names)}"
+        arguments.faults.append(Fault(field, sentence, shown(value)))
+        return np.ones(len(names))
+    check = partial(check_numbers, names=list(names), unit="m/s or rad/s", low=0.0, high=1e3)
+    return np.array(arguments.checked(field, parts, check, (1.0,) * len(names)))
+
+
+def _check_start(problem: SelectionProblem, begin: Vector) -> None:
+    """The start of the base must be where the first target may be worked at."""
+    arguments = Arguments("plan_base")
+    for variable, x in zip(problem.variables, begin, strict=False):
+        if not variable.lower <= x <= variable.upper:
+            name, ends = (
+                variable.name.removeprefix("base."),
+                f"{variable.lower:g} to {variable.upper:g} {variable.unit}",
+            )
+            sentence = f"must lie in {ends}: in base_range, and where the first target is reached from"
+            arguments.faults.append(Fault(f"start ({name})", sentence, f"{x:g}"))
+    arguments.done()
+
+
+def _along(problems: tuple[SelectionProblem, ...], due: Vector, rates: Vector, begin: Vector | None) -> Joined:
+    """The joined problem with a placement for each target, and steps that keep to the rates."""
+    n_z, count, scale = problems[0].scale.size, len(problems), problems[0].scale
+    places = tuple(tuple(range(k * n_z, (k + 1) * n_z)) for k in range(count))
+    bounded = np.flatnonzero(np.isfinite(rates))
+    pairs = tuple((k * n_z + int(i), (k + 1) * n_z + int(i)) for k in range(count - 1) for i in bounded)
+    steps = np.array([rates[i] * (due[k + 1] - due[k]) / scale[i] for k in range(count - 1) for i in bounded])
+    fixed = () if begin is None else tuple(range(begin.size))
+    return Joined(problems, Joint(places, pairs), steps, np.full(count, 1 / count), "worst", fixed=fixed)
+
+
+def _standing_still(
+    problems: tuple[SelectionProblem, ...], bases: Vector, found: list[Reached], begin: Vector | None, workers: int
+) -> list[Vector] | None:
+    """The configurations from the best single placement, or from `begin`; None where there is none."""
+    joined = one_placement(problems, np.full(len(problems), 1 / len(problems)), weighted=False)
+    if begin is not None:
+        joined = replace(joined, fixed=tuple(range(begin.size)))
+    if not bases.shape[1]:
+        return None
+    try:
+        best = best_placements(joined, bases, found, STANDS, joined.first.seed, workers, None)[0][0].x
+    except FlexoptError:
+        return None
+    return [joined.of(best, k) for k in range(len(problems))]
+
+
+def _with_own(
+    problems: tuple[SelectionProblem, ...], found: list[Reached], begin: Vector | None, seed: int
+) -> list[list[Reached]]:
+    """For each target what is reached from the common placements, and from others where it alone may be reached."""
+    first = [] if begin is None else [[found[0]]]
+    others = list(zip(problems, found, strict=True))[len(first) :]
+    return first + [[both, reached_from(own, sample_bases((own,), *OWN, seed), seed)] for own, both in others]
+
+
+def _still(joined: Joined, zs: list[Vector]) -> Still:
+    n_b = joined.first.measures.plant.n_base
+    return Still(base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=joined.values(joined.packed(zs)))
+
+
+def _shortest(joined: Joined, x: Vector, stationarity: float) -> tuple[Vector, float]:
+    """The shortest way near x that keeps the worst V, or x itself where none is proved."""
+    level = joined.worth(x) / joined.size - SLACK
+    shorter = replace(joined.kept(level), fixed=joined.fixed)
+    end = end_from(shorter, x)
+    kept = not end.violations and joined.worth(end.x) / joined.size >= level - EDGE
+    return (end.x, end.stationarity) if kept else (x, stationarity)
+
+
+def _between(problems: tuple[SelectionProblem, ...], due: Vector, zs: list[Vector]) -> tuple[float, float]:
+    """The smallest V on straight lines between the targets, and when."""
+    plant, n_b = problems[0].measures.plant, problems[0].measures.plant.n_base
+    worst, when = np.inf, float(due[0])
+    along = np.linspace(0.0, 1.0, BETWEEN + 1)
+    for k in range(len(zs) - 1):
+        z = zs[k][:, None] + (zs[k + 1] - zs[k])[:, None] * along
+        ends = problems[k].target, problems[k + 1].target
+        targets = ends[0][:, None] + (ends[1] - ends[0])[:, None] * along
+        postures, reached = solve_postures(plant, targets, z[:n_b], z[n_b:])
+        if not reached.all():
+            return -np.inf, float(due[k] + (due[k + 1] - due[k]) * along[int(np.argmin(reached))])
+        values = value_of(problems[0], np.vstack([z[:n_b], postures]))
+        low = int(values.argmin())
+        if values[low] < worst:
+            worst, when = float(values[low]), float(due[k] + (due[k + 1] - due[k]) * along[low])
+    return worst, when
+
+
+def _travelled(machine: AnyMachine, bases: Vector) -> tuple[float, float]:
+    moved = np.diff(bases, axis=0)
+    lengths = np.array([unit == "m" for unit in machine.base_units])
+    return float(np.linalg.norm(moved[:, lengths], axis=1).sum()), float(np.abs(moved[:, ~lengths]).sum())

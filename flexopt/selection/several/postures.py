@@ -1,0 +1,120 @@
+"""The postures that reach one target from many placements, and what they are worth.
+
+In: a configuration problem and placements. Out: for each placement a few postures with V, −∞ where a posture does not
+reach or breaks a constraint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.model.arguments import Vector
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
+from flexopt.plant.reaching import joint_box, solve_postures
+from flexopt.selection.problem import SelectionProblem
+
+# Postures tried from each placement: coordinates of a longer planar arm for each elbow; starts of the iteration.
+REDUNDANT, NEAR, FAR = 24, 4, 3
+# Rounding on the edge of a constraint, in units of its scale.
+EDGE = 1e-7
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Configurations of one target: N placements with C postures each.
+
+    Attributes:
+        z: (n_z, N, C);  value: V (N, C), the cost of travel taken off, −∞ where the configuration is not allowed.
+        violation: largest violation of a constraint, in units of its scale, ∞ where the target is not reached.
+    """
+
+    z: Vector
+    value: Vector
+    violation: Vector
+
+
+def reached_from(problem: SelectionProblem, bases: Vector, seed: int, finer: int = 1) -> Reached:
+    """Postures for placements (n_b, N); `finer` times as many of each are looked at as usual."""
+    plant = problem.measures.plant
+    n_b, n, count = plant.n_base, plant.n_actuated, bases.shape[1]
+    if count == 0:
+        return Reached(np.zeros((n_b + n, 0, 1)), np.zeros((0, 1)), np.zeros((0, 1)))
+    if plant.closed_form:
+        unit = low_discrepancy(n - 2, finer * REDUNDANT, seed) if n > 2 else np.zeros((0, 1))
+        each = unit.shape[1]
+        spread, tiled = np.repeat(bases, each, axis=1), np.tile(unit, count)
+        found = [branch(plant, problem.target, spread, tiled, sign) for sign in ELBOW_SIGN.values()]
+        postures = np.concatenate([p.reshape(n, count, each) for p, _ in found], axis=2)
+        reaches = np.concatenate([mask.reshape(count, each) for _, mask in found], axis=1)
+        z = np.concatenate([np.repeat(bases[:, :, None], postures.shape[2], axis=2), postures])
+        return _valued(problem, z, reaches)
+    return reached_by(problem, bases, _starts(problem, bases, seed, finer))
+
+
+def reached_by(problem: SelectionProblem, bases: Vector, starts: Vector) -> Reached:
+    """Postures to which the iteration leads from starts (n, N, C), for placements (n_b, N)."""
+    plant = problem.measures.plant
+    n, count, each = starts.shape
+    spread = np.repeat(bases, each, axis=1)
+    solved, mask = solve_postures(plant, problem.target, spread, starts.reshape(n, -1))
+    z = np.concatenate([spread.reshape(-1, count, each), solved.reshape(n, count, each)])
+    return _valued(problem, z, mask.reshape(count, each))
+
+
+def _valued(problem: SelectionProblem, z: Vector, reaches: NDArray[np.bool_]) -> Reached:
+    """What configurations (n_z, N, C) are worth, of which those reach the target."""
+    shape = z.shape[1:]
+    flat = problem.wrapped(z.reshape(z.shape[0], -1).T).T
+    off = np.where(reaches.ravel(), _violation(problem, flat), np.inf)
+    value = np.full(off.size, -np.inf)
+    good = np.flatnonzero(off <= EDGE)
+    if good.size:
+        worth = value_of(problem, flat[:, good])
+        value[good] = np.where(np.isfinite(worth), worth, -np.inf)
+    return Reached(flat.reshape(z.shape), value.reshape(shape), off.reshape(shape))
+
+
+def value_of(problem: SelectionProblem, z: Vector) -> Vector:
+    """V (N,) of configurations z (n_z, N), the cost of travel taken off."""
+    plant, n_b = problem.measures.plant, problem.measures.plant.n_base
+    w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
+    value: Vector = np.array(problem.objective.alpha) @ w
+    if problem.travel is None:
+        return value
+    away = (z - problem.travel.now[:, None]) / problem.scale[:, None]
+    return value - problem.travel.cost * problem.objective_scale * np.sum(away**2, axis=0)
+
+
+def _starts(problem: SelectionProblem, bases: Vector, seed: int, finer: int) -> Vector:
+    """Postures to start from (n, N, C): those of the problem's sample that stand nearest, and some from anywhere."""
+    scan, plant = problem.scan, problem.measures.plant
+    low, high = joint_box(plant)
+    anywhere = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, finer * FAR, seed)
+    parts = [np.repeat(anywhere[:, None, :], bases.shape[1], axis=1)]
+    inside = np.flatnonzero(scan.violation <= 0)
+    inside = inside if inside.size else np.arange(scan.size)
+    if inside.size:
+        scale = problem.scale[: plant.n_base, None, None]
+        away = np.sum(((bases[:, :, None] - scan.base[:, None, inside]) / scale) ** 2, axis=0)
+        nearest = inside[np.argsort(away, axis=1, kind="stable")[:, : finer * NEAR]]
+        parts.insert(0, scan.posture[:, nearest])
+    return np.concatenate(parts, axis=2)
+
+
+def _violation(problem: SelectionProblem, z: Vector) -> Vector:
+    """Largest violation of bounds and rows of z (n_z, N), the target left out, in units of the scales."""
+    plant, n_b = problem.measures.plant, problem.measures.plant.n_base
+    at = [z[:n_b], z[n_b:], plant.parameter_values]
+    rows = [plant.singularity_sine_squared.call(at)[0].full()]
+    if problem.constraint_set is not None:
+        rows.append(problem.constraint_set.function.call([*at, problem.constraint_set.constants])[0].full())
+    values = np.vstack(rows)
+    asked = problem.constraints[problem.target.size :]
+    lower, upper, scale = (np.array([getattr(c, key) for c in asked])[:, None] for key in ("lower", "upper", "scale"))
+    beyond = np.maximum(lower - values, values - upper) / scale
+    outside = np.maximum(problem.lower[:, None] - z, z - problem.upper[:, None]) / problem.scale[:, None]
+    worst = np.maximum(beyond.max(axis=0), outside.max(axis=0))
+    return np.where(np.isfinite(worst), np.maximum(worst, 0.0), np.inf)

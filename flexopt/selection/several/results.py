@@ -1,0 +1,267 @@
+"""What choosing several configurations together returns."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexopt.model.arguments import Vector
+from flexopt.model.documents import json_ready
+from flexopt.model.simulation import Path
+from flexopt.robustness.evaluation import Evaluation
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.result import ConstraintValue
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Place:
+    """The configuration at one target.
+
+    Attributes:
+        target: (n_task,), m, inertial frame.
+        evaluation: every measure there.
+        objective: V, the cost of travel taken off.
+        constraints: label -> value and bounds.
+    """
+
+    target: Vector
+    evaluation: Evaluation
+    objective: float
+    constraints: dict[str, ConstraintValue] = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The evaluation's dictionary with the place's own keys."""
+        constraints = {label: vars(value) for label, value in self.constraints.items()}
+        own = {"target": self.target, "objective": self.objective, "constraints": constraints}
+        return self.evaluation.to_dict() | json_ready(own)
+
+
+@dataclass(frozen=True)
+class Stand:
+    """One placement for several targets, and a posture for each.
+
+    Attributes:
+        base: (n_b,), m or rad.
+        places: one for each target, in order.
+        worst: index of the target with the smallest V.
+        worth: what was maximised: the worst V, or Σ share_k V_k.
+        alternatives: worth and placement of the other local optima found, best first.
+        stationarity: of the solution, relative to the objective's scale.
+        attempts: starts, and how many led to a verified optimum.
+        problems: the configuration problem of each target.
+    """
+
+    base: Vector
+    places: tuple[Place, ...]
+    worst: int
+    worth: float
+    alternatives: tuple[tuple[float, Vector], ...]
+    stationarity: float
+    attempts: tuple[int, int]
+    problems: tuple[SelectionProblem, ...] = field(repr=False)
+    provenance: dict[str, Any] = field(repr=False)
+
+    @property
+    def converged(self) -> bool:
+        """True: a choice that did not converge raises `NoSolutionFound` instead."""
+        return True
+
+    @property
+    def status(self) -> str:
+        """A sentence."""
+        done, tried = self.attempts[::-1]
+        return f"{done} of {tried} starts led to a verified placement for {len(self.places)} targets"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary."""
+        return json_ready(
+            {
+                "status": self.status,
+                "converged": self.converged,
+                "base": self.base,
+                "base_coordinates": self.places[0].evaluation.base_coordinates,
+                "worth": self.worth,
+                "worst": self.worst,
+                "places": [place.to_dict() for place in self.places],
+                "alternatives": [{"worth": worth, "base": base} for worth, base in self.alternatives],
+                "stationarity": self.stationarity,
+                "problem": self.problems[0].to_dict() | {"targets": [place.target for place in self.places]},
+                "provenance": self.provenance,
+            }
+        )
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the machine at every target, and V and w at each.
+
+        Args:
+            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
+
+        Returns:
+            A matplotlib Figure.
+        """
+        from flexopt.plotting import plot_stand  # noqa: PLC0415  (matplotlib is slow to import)
+
+        return plot_stand(self, path)
+
+    def __repr__(self) -> str:
+        first = self.problems[0]
+        base = ", ".join(
+            f"{name} = {x:.4f}" for name, x in zip(self.places[0].evaluation.base_coordinates, self.base, strict=True)
+        )
+        heading = f"{first.machine.name}: {len(self.places)} targets from {base}, Jacobian {first.control} control, "
+        return "\n".join([f"{heading}objective {first.name}: {self.status}", *_table(self.places, self.worst)])
+
+
+@dataclass(frozen=True)
+class Still:
+    """The best that a base can do that stands still while the end-point goes along its path of K targets.
+
+    Attributes:
+        base: the placement (n_b,), m or rad.
+        posture: actuated joints at each target (K, n), rad or m.
+        V: the objective at each, (K,).
+    """
+
+    base: Vector
+    posture: Vector
+    V: Vector
+
+
+@dataclass(frozen=True)
+class BasePlan:
+    """A motion of base and arm along a path of targets that keeps the worst V as high as possible. K targets.
+
+    Attributes:
+        time: when each target is due, (K,), s.
+        places: the configuration at each.
+        worst: index of the target with the smallest V;  worth: that V.
+        still: the best single placement, or the given start; None where it does not reach all targets.
+        between: the smallest V between the targets, where base and end-point move along straight lines, and the time
+            at which it is met;  −∞ where the end-point cannot be kept on its line.
+        travelled: length of the base's way, m, (first in the plane of the ground), and its turning, rad.
+        stationarity, attempts, problems: as in `Stand`.
+    """
+
+    time: Vector
+    places: tuple[Place, ...]
+    worst: int
+    worth: float
+    still: Still | None
+    between: tuple[float, float]
+    travelled: tuple[float, float]
+    stationarity: float
+    attempts: tuple[int, int]
+    problems: tuple[SelectionProblem, ...] = field(repr=False)
+    provenance: dict[str, Any] = field(repr=False)
+
+    @property
+    def converged(self) -> bool:
+        """True: a plan that did not converge raises `NoSolutionFound` instead."""
+        return True
+
+    @property
+    def standing(self) -> float:
+        """The worst V of the base that stands still, −∞ where none reaches all targets."""
+        return -np.inf if self.still is None else float(self.still.V.min())
+
+    @property
+    def base(self) -> Vector:
+        """Placements (K, n_b), m or rad."""
+        return np.array([place.evaluation.base for place in self.places])
+
+    @property
+    def posture(self) -> Vector:
+        """Actuated joints (K, n), rad or m."""
+        return np.array([place.evaluation.posture for place in self.places])
+
+    @property
+    def V(self) -> Vector:  # noqa: N802 - the article's letter
+        """The objective at each target, (K,)."""
+        return np.array([place.objective for place in self.places])
+
+    @property
+    def base_path(self) -> Path:
+        """The base's motion as `flexopt.simulate` takes it."""
+        return _path(self.time, self.base)
+
+    @property
+    def target_path(self) -> Path:
+        """The end-point's motion as `flexopt.simulate` takes it."""
+        return _path(self.time, np.array([place.target for place in self.places]))
+
+    @property
+    def status(self) -> str:
+        """A sentence."""
+        return f"{self.attempts[1]} of {self.attempts[0]} starts led to a verified way along {len(self.places)} targets"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary."""
+        return json_ready(
+            {
+                "status": self.status,
+                "converged": self.converged,
+                "time": self.time,
+                "base": self.base,
+                "base_coordinates": self.places[0].evaluation.base_coordinates,
+                "posture": self.posture,
+                "V": self.V,
+                "worth": self.worth,
+                "worst": self.worst,
+                "standing": self.standing,
+                "still": self.still and vars(self.still),
+                "between": {"V": self.between[0], "time": self.between[1]},
+                "travelled": {"m": self.travelled[0], "rad": self.travelled[1]},
+                "places": [place.to_dict() for place in self.places],
+                "stationarity": self.stationarity,
+                "problem": self.problems[0].to_dict() | {"path": [place.target for place in self.places]},
+                "provenance": self.provenance,
+            }
+        )
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the machine at every target; over time V, moving and standing still, and the placement.
+
+        Args:
+            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
+
+        Returns:
+            A matplotlib Figure.
+        """
+        from flexopt.plotting import plot_plan  # noqa: PLC0415  (matplotlib is slow to import)
+
+        return plot_plan(self, path)
+
+    def __repr__(self) -> str:
+        first = self.problems[0]
+        still = "no placement reaches them all" if self.standing == -np.inf else f"{self.standing:.4e} standing still"
+        lines = [
+            f"{first.machine.name}: a way of the base along {len(self.places)} targets in {self.time[-1]:.4g} s, "
+            f"Jacobian {first.control} control, objective {first.name}: {self.status}",
+            *_table(self.places, self.worst),
+            f"  worst V {self.worth:.4e} ({still}); between the targets at least {self.between[0]:.4e}",
+            f"  the base travels {self.travelled[0]:.4g} m and turns {self.travelled[1]:.4g} rad",
+        ]
+        return "\n".join(lines)
+
+
+SHOWN = 12
+
+
+def _table(places: tuple[Place, ...], worst: int) -> list[str]:
+    e = places[0].evaluation
+    lines = ["  target " + " ".join(f"{name:>9}" for name in (*e.base_coordinates, *e.joints)) + f"{'V':>13}"]
+    shown = range(len(places)) if len(places) <= SHOWN else np.linspace(0, len(places) - 1, SHOWN).astype(int)
+    for k in sorted({*(int(i) for i in shown), worst}):
+        numbers = " ".join(f"{x:9.4f}" for x in (*places[k].evaluation.base, *places[k].evaluation.posture))
+        lines.append(f"  {k + 1:6d} {numbers}{places[k].objective:13.4e}{'   the worst' if k == worst else ''}")
+    return lines
+
+
+def _path(time: Vector, points: Vector) -> Path:
+    return Path.model_validate({"times": time.tolist(), "points": tuple(points.tolist())})

@@ -1,0 +1,101 @@
+"""One solve of problems that belong together, and what its end is worth.
+
+In: a `Joined` problem and a start. Out: a point with everything that it violates; the configurations there; the error
+where no start led to one that violates nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from flexopt.errors import NoSolutionFound
+from flexopt.model.arguments import Vector
+from flexopt.selection.parallel import in_parallel
+from flexopt.selection.several.joined import SOLVED, STATIONARITY_TOLERANCE, Joined
+from flexopt.selection.several.results import Place
+from flexopt.selection.solve import constraint_values, evaluated
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a solve ended.
+
+    Attributes:
+        x: the point;  violations: what it violates, by name, beyond tolerances.
+        stationarity: as in `Joined.stationarity`, ∞ where something else is violated;  status: IPOPT's.
+    """
+
+    x: Vector
+    violations: dict[str, float]
+    stationarity: float
+    status: str
+
+
+def ends_from(joined: Joined, starts: list[Vector], workers: int, progress: Progress | None) -> list[End]:
+    """One end for each start, in order."""
+
+    def tell(done: int) -> None:
+        if progress is not None:
+            progress(done, len(starts))
+
+    return in_parallel(partial(_numbered, joined, starts), len(starts), workers, tell)
+
+
+def _numbered(joined: Joined, starts: list[Vector], number: int) -> End:
+    return end_from(joined, starts[number])
+
+
+def end_from(joined: Joined, start: Vector) -> End:
+    """IPOPT from a start, and what the equations say of its end."""
+    x, _, status = joined.solve(start)
+    if not np.all(np.isfinite(x)):
+        return End(x, {"solver": np.inf}, np.inf, status)
+    violations = joined.violations(x)
+    if violations:
+        return End(x, violations, np.inf, status)
+    stationarity = joined.stationarity(x)
+    if not stationarity <= STATIONARITY_TOLERANCE:
+        violations["first-order optimality"] = stationarity
+    elif status not in SOLVED and stationarity > 0.0:
+        violations["solver"] = 0.0
+    return End(x, violations, stationarity, status)
+
+
+def verified(joined: Joined, ends: list[End], what: str) -> list[End]:
+    """The ends that violate nothing, best first.
+
+    Raises:
+        NoSolutionFound: there is none; `what` was looked for.
+    """
+    good = sorted((end for end in ends if not end.violations), key=lambda end: -joined.worth(end.x))
+    if good:
+        return good
+    nearest = min(ends, key=lambda end: max(end.violations.values(), default=0.0))
+    sizes = "; ".join(f"{name} by {size:.3g}" for name, size in list(nearest.violations.items())[:8])
+    names = [variable.name for variable in joined.first.variables]
+    iterate = {
+        f"target {k + 1}: {name}": float(value)
+        for k in range(joined.joint.count)
+        for name, value in zip(names, joined.of(nearest.x, k), strict=True)
+    }
+    outcomes = ", ".join(sorted({end.status for end in ends}))
+    raise NoSolutionFound(
+        f"no {what} passed the checks in {len(ends)} starts ({outcomes}); the best iterate violates {sizes}",
+        violations=nearest.violations,
+        iterate=iterate,
+    )
+
+
+def places_at(joined: Joined, x: Vector) -> tuple[Place, ...]:
+    """The configuration at every target."""
+    places: list[Place] = []
+    for k, (problem, value) in enumerate(zip(joined.problems, joined.values(x), strict=True)):
+        z = joined.of(x, k)
+        places.append(Place(problem.target, evaluated(problem, z), float(value), constraint_values(problem, z)))
+    return tuple(places)

@@ -1,0 +1,151 @@
+"""The best single placement for several configuration problems.
+
+In: problems, and what their postures are worth from a sample of placements. Out: starts, and verified local optima.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.model.arguments import Vector
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.several.joined import Joined
+from flexopt.selection.several.postures import Reached, reached_from
+from flexopt.selection.several.program import Joint
+from flexopt.selection.several.solving import End, Progress, end_from, ends_from, verified
+from flexopt.selection.several.targets import none_reaches_all
+
+Numbers = NDArray[np.int64]
+# V stands in for where a target has no allowed posture in a sum.
+NOTHING = -1e300
+# Starts where a target leaves one degree of freedom, and where it leaves more: then there are many summits.
+FEW, MANY = 8, 32
+# Starts are not nearer to each other than this share of the placements' range.
+NEAREST = 1e-3
+# Placements for each start that are looked at again, with so many times the postures.
+AGAIN, FINER = 2, 6
+# Of the optima found so many have their postures exchanged; what that must gain, relative to the objective's scale.
+EXCHANGED, GAIN = 2, 1e-7
+
+
+def one_placement(problems: tuple[SelectionProblem, ...], share: Vector, *, weighted: bool) -> Joined:
+    """The joined problem with one placement for all: max min_k V_k, or max Σ share_k V_k."""
+    plant = problems[0].measures.plant
+    n_b, n = plant.n_base, plant.n_actuated
+    places = tuple((*range(n_b), *range(n_b + k * n, n_b + (k + 1) * n)) for k in range(len(problems)))
+    return Joined(problems, Joint(places, ()), np.zeros(0), share, "weighted" if weighted else "worst")
+
+
+def default_starts(joined: Joined) -> int:
+    """How many starts find the best summit, or one that is hardly lower, more often than not."""
+    return FEW if joined.first.redundancy <= 1 else MANY
+
+
+def best_placements(
+    joined: Joined, bases: Vector, found: list[Reached], starts: int, seed: int, workers: int, progress: Progress | None
+) -> tuple[list[End], int]:
+    """Verified optima, best first, and how many solves were made.
+
+    Args:
+        joined: from `one_placement`.
+        bases: placements (n_b, N).
+        found: for each problem what is reached from them.
+        starts: how many at most.
+        seed: of samples of postures.
+        workers, progress: as in `ends_from`.
+
+    Raises:
+        UnreachableTarget: from none of the placements all targets are reached.
+        NoSolutionFound: no start led to a point that passes the checks.
+    """
+    ends = ends_from(joined, _starts(joined, bases, found, starts, seed), workers, progress)
+    good = verified(joined, ends, "placement")
+    for end in good[:EXCHANGED]:
+        better = _exchanged(joined, end.x, seed)
+        if better is not None:
+            ends.append(end_from(joined, better))
+    return verified(joined, ends, "placement"), len(ends)
+
+
+def _starts(joined: Joined, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:
+    """Up to `count` starts x, the most promising first, no two near each other."""
+    reaches = np.array([np.isfinite(reached.violation).any(axis=1) for reached in found])
+    if not reaches.all(axis=0).any():
+        best = int(reaches.sum(axis=0).argmax()) if reaches.size else 0
+        raise none_reaches_all(len(found), np.flatnonzero(~reaches[:, best]).tolist() if reaches.size else None)
+    near = _spread(bases, _worth(joined, found), AGAIN * count)
+    bases = bases[:, near]
+    again = [reached_from(problem, bases, seed, FINER) for problem in joined.problems]
+    both = [_together(reached, near, more) for reached, more in zip(found, again, strict=True)]
+    picks = [_picks(reached) for reached in both]
+    chosen = _spread(bases, _worth(joined, both), count)
+    return [joined.packed([r.z[:, j, pick[j]] for r, pick in zip(both, picks, strict=True)]) for j in chosen]
+
+
+def _together(found: Reached, near: list[int], more: Reached) -> Reached:
+    return Reached(
+        np.concatenate([found.z[:, near], more.z], axis=2),
+        np.concatenate([found.value[near], more.value], axis=1),
+        np.concatenate([found.violation[near], more.violation], axis=1),
+    )
+
+
+def _picks(reached: Reached) -> Numbers:
+    """For each placement the number of the best posture, or of the one that violates least where none is allowed."""
+    allowed = np.isfinite(reached.value).any(axis=1)
+    return cast(Numbers, np.where(allowed, reached.value.argmax(axis=1), reached.violation.argmin(axis=1)))
+
+
+def _worth(joined: Joined, found: list[Reached]) -> Vector:
+    """What each placement may be worth, (N,); −∞ where not all targets are reached.
+
+    Where a constraint is broken everywhere, the less it is broken the better: IPOPT then starts from there.
+    """
+    values = np.array([reached.value.max(axis=1) for reached in found])
+    whole = np.isfinite(values).all(axis=0)
+    if whole.any():
+        worth = values.min(axis=0)
+        if joined.goal == "weighted":
+            worth = joined.share @ np.maximum(values, NOTHING)
+        return np.where(whole, worth, -np.inf)
+    off = np.array([reached.violation.min(axis=1) for reached in found])
+    return np.where(np.isfinite(off).all(axis=0), -off.max(axis=0), -np.inf)
+
+
+def _spread(bases: Vector, worth: Vector, count: int) -> list[int]:
+    """Numbers of up to `count` placements, the best first, none near a better one.
+
+    How near is near: half of what `count` points on a grid would be apart, less where not as many are found so.
+    """
+    order = [int(k) for k in np.argsort(-worth, kind="stable") if np.isfinite(worth[k])]
+    widths = np.ptp(bases[:, order], axis=1) if order and bases.size else np.zeros(0)
+    x = bases[widths > 0] / widths[widths > 0, None] if widths.size else np.zeros((0, bases.shape[1]))
+    if not x.shape[0]:
+        return order[:1]
+    radius = 0.5 * count ** (-1 / x.shape[0])
+    taken: list[int] = []
+    while len(taken) < min(count, len(order)) and radius > NEAREST:
+        for k in order:
+            if len(taken) < count and all(np.abs(x[:, k] - x[:, j]).max() > radius for j in taken):
+                taken.append(k)
+        radius /= 2
+    return sorted(taken, key=order.index)
+
+
+def _exchanged(joined: Joined, x: Vector, seed: int) -> Vector | None:
+    """The same placement with better postures, of a finer sample; None where no posture is better.
+
+    With the placement given the targets have nothing to do with each other.
+    """
+    n_b = joined.first.measures.plant.n_base
+    zs = [joined.of(x, k) for k in range(joined.joint.count)]
+    values, gained = joined.values(x), False
+    for k, (problem, value) in enumerate(zip(joined.problems, values, strict=True)):
+        found = reached_from(problem, zs[k][:n_b, None], seed, FINER**2)
+        best = int(found.value[0].argmax())
+        if found.value[0, best] > value + GAIN * joined.size:
+            zs[k], gained = found.z[:, 0, best], True
+    return joined.packed(zs) if gained else None

@@ -1,0 +1,100 @@
+"""Several targets of one machine: read, made into configuration problems of one scale, and where the base may stand.
+
+In: arguments. Out: a `SelectionProblem` for each target, and placements to look at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.errors import Fault, UnreachableTarget, sentence_list
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.targets import TARGETS_MAX
+from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.selection.build import build_selection
+from flexopt.selection.problem import SelectionProblem
+
+
+def entries(value: Any) -> list[Any]:
+    """The entries of a list, tuple or array; none of anything else."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()  # pyright: ignore[reportUnknownMemberType]
+    return list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
+
+
+def read_targets(arguments: Arguments, machine: AnyMachine, value: Any, field: str, least: int) -> Vector:
+    """Targets (K, n_task); faults go to `arguments`."""
+    rows = entries(value)
+    if not least <= len(rows) <= TARGETS_MAX:
+        sentence = f"must be a list of {least} to {TARGETS_MAX} targets"
+        arguments.faults.append(Fault(field, sentence, shown(value)))
+        return np.zeros((least, len(machine.task_rows)))
+    return np.array([arguments.point(row, f"{field}[{k}]", machine) for k, row in enumerate(rows)])
+
+
+def build_problems(
+    call: str, machine: AnyMachine, points: Vector, field: str, options: dict[str, Any]
+) -> tuple[SelectionProblem, ...]:
+    """A configuration problem for each target, all with the same scale of the objective.
+
+    Args:
+        call: the function that asks;  field: its argument that the targets are.
+        machine: a machine.
+        points: targets (K, n_task), m.
+        options: arguments of `build_selection`.
+
+    Raises:
+        InputError: as `build_selection`; several objectives, or ε_max among them.
+        UnreachableTarget: lists every target that cannot be reached.
+    """
+    problems: list[SelectionProblem] = []
+    missed: list[tuple[Fault, UnreachableTarget]] = []
+    for k, point in enumerate(points):
+        try:
+            problems.append(build_selection(machine, point.tolist(), **options))
+        except UnreachableTarget as error:
+            missed.append((Fault(f"{field}[{k}]", str(error)), error))
+    if missed:
+        faults = [fault for fault, _ in missed]
+        sentence = sentence_list("targets that cannot be reached", faults)
+        raise UnreachableTarget(sentence, miss=max(error.miss for _, error in missed))
+    first = problems[0].objective
+    if len(problems[0].objectives) > 1 or first.has_kinks:
+        sentence = "must be a single one of the w_i or V without ε_max, where several configurations belong together"
+        arguments = Arguments(call)
+        arguments.faults.append(Fault("objective", sentence, shown(options["objective"])))
+        arguments.done()
+    size = float(np.median([problem.objective_scale for problem in problems]))
+    return tuple(replace(problem, objective_scales=(size,)) for problem in problems)
+
+
+def sample_bases(problems: tuple[SelectionProblem, ...], on_line: int, elsewhere: int, seed: int) -> Vector:
+    """Placements (n_b, N) within the ranges of all problems, N = 0 where they have no point in common.
+
+    Evenly spaced, `on_line` of them, where one coordinate is free; a low-discrepancy sample where more are.
+    """
+    n_b = problems[0].measures.plant.n_base
+    low = np.max([problem.region.low[:n_b] for problem in problems], axis=0)
+    high = np.min([problem.region.high[:n_b] for problem in problems], axis=0)
+    if np.any(low > high):
+        return np.zeros((n_b, 0))
+    loose = low < high
+    free = int(loose.sum())
+    if free == 0:
+        return low[:, None]
+    unit = np.linspace(0.0, 1.0, on_line)[None, :] if free == 1 else low_discrepancy(free, elsewhere, seed)
+    bases = np.repeat(low[:, None], unit.shape[1], axis=1)
+    bases[loose] += (high - low)[loose, None] * unit
+    return bases
+
+
+def none_reaches_all(count: int, missing: list[int] | None = None) -> UnreachableTarget:
+    """The error where no placement reaches all targets; `missing`: which the best one leaves out."""
+    sentence = f"no placement reaches all of the {count} targets"
+    if missing:
+        sentence += f": the best reaches all but number {', '.join(str(k + 1) for k in missing)}"
+    return UnreachableTarget(f"{sentence}; a wider base_range, fewer targets, or `plan_base`, which moves", miss=0.0)

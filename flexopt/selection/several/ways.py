@@ -1,0 +1,107 @@
+"""Ways through samples of configurations, one sample for each target, by dynamic programming.
+
+In: a joined problem with bounded steps from target to target, and layers of nodes. Out: ways x that IPOPT starts from:
+each is the shortest of those with the highest worst V.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.model.arguments import Vector
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.several.joined import Joined
+from flexopt.selection.several.postures import Reached
+
+# Nodes for each target: the best postures of as many placements.
+NODES = 400
+# A sample is too coarse for steps as short as the rates ask for, so longer ones are looked at, too.
+LONGER = (1.0, 3.0, 10.0, 1e9)
+# Configurations z (n_z, N) of one target and their V (N,).
+Layer = tuple[Vector, Vector]
+
+
+def nodes_of(found: list[Reached]) -> Layer:
+    """Up to NODES of the configurations of one target that are allowed."""
+    z = np.concatenate([reached.z.reshape(reached.z.shape[0], -1) for reached in found], axis=1)
+    value = np.concatenate([reached.value.ravel() for reached in found])
+    good = np.flatnonzero(np.isfinite(value))
+    if good.size > NODES:
+        # The better half, and of the others every so many.
+        order = good[np.argsort(-value[good], kind="stable")]
+        rest = order[NODES // 2 :]
+        good = np.concatenate([order[: NODES // 2], rest[:: max(1, rest.size // (NODES // 2))]])
+    return z[:, good], value[good]
+
+
+def coarse_ways(joined: Joined, layers: list[Layer], count: int) -> list[Vector]:
+    """Up to `count` ways x, for several lengths of the longest step; none where a layer is empty."""
+    if any(values.size == 0 for _, values in layers):
+        return []
+    first = joined.first
+    n_z = first.scale.size
+    limits = np.full((len(layers) - 1, n_z), np.inf)
+    for (i, _), limit in zip(joined.joint.pairs, joined.steps, strict=True):
+        limits[i // n_z, i % n_z] = limit
+    turns = _turning(first)
+    ways: list[Vector] = []
+    for longer in LONGER:
+        way = _best_way([(z / first.scale[:, None], value) for z, value in layers], limits * longer, turns)
+        if way is not None and not any(np.array_equal(way, other) for other in ways):
+            ways.append(way)
+    return ways[:count]
+
+
+def _turning(problem: SelectionProblem) -> NDArray[np.bool_]:
+    """Which entries of z are angles without limits (n_z,), whose whole turns do not matter."""
+    units = np.array((*problem.machine.base_units, *problem.machine.joint_units))
+    free: NDArray[np.bool_] = ~np.isfinite(problem.lower) & ~np.isfinite(problem.upper)
+    return free & (units == "rad")
+
+
+def _best_way(layers: list[Layer], limits: Vector, turns: NDArray[np.bool_]) -> Vector | None:
+    """The shortest of the ways with the highest worst V, or None where steps cannot join the layers."""
+    steps = [
+        _lengths(before[0], after[0], limit, turns)
+        for (before, after), limit in zip(pairwise(layers), limits, strict=True)
+    ]
+    level = layers[0][1]
+    for (_, value), length in zip(layers[1:], steps, strict=True):
+        level = np.minimum(value, np.where(np.isfinite(length), level[:, None], -np.inf).max(axis=0))
+    if not np.isfinite(level).any():
+        return None
+    floor = float(level.max())
+    cost = np.where(layers[0][1] >= floor, 0.0, np.inf)
+    came: list[NDArray[np.int64]] = []
+    for (_, value), length in zip(layers[1:], steps, strict=True):
+        total = cost[:, None] + length
+        came.append(total.argmin(axis=0))
+        cost = np.where(value >= floor, total.min(axis=0), np.inf)
+    at = int(cost.argmin())
+    way = [at]
+    for origin in reversed(came):
+        at = int(origin[at])
+        way.insert(0, at)
+    points = [x[:, k] for (x, _), k in zip(layers, way, strict=True)]
+    for k in range(1, len(points)):
+        step = points[k] - points[k - 1]
+        points[k] = points[k - 1] + np.where(turns, _shortest_turn(step), step)
+    return np.concatenate(points)
+
+
+def _lengths(before: Vector, after: Vector, limit: Vector, turns: NDArray[np.bool_]) -> Vector:
+    """Squared lengths of all steps (N, N'), ∞ of those that are too long."""
+    total = np.zeros((before.shape[1], after.shape[1]))
+    for i, most in enumerate(limit):
+        step = after[i][None, :] - before[i][:, None]
+        size = np.abs(_shortest_turn(step) if turns[i] else step)
+        total += np.where(size <= most, size**2, np.inf)
+    return total
+
+
+def _shortest_turn(step: Vector) -> Vector:
+    """Angles within half a turn; angles are not scaled, so these are rad."""
+    return (step + np.pi) % (2 * np.pi) - np.pi

@@ -1,0 +1,138 @@
+"""A way of the base along a path: never worse than standing still, within its rates, every configuration checked."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt import build_measures, evaluate, load, simulate
+from flexopt.errors import InputError, NoSolutionFound, UnreachableTarget
+from flexopt.robustness import evaluate_w
+from flexopt.selection.several import BasePlan, plan_base, select_stand
+
+PATH = np.array([[x, 1.6] for x in np.linspace(0.0, 1.5, 7)])
+
+
+@pytest.fixture(scope="module")
+def excavator() -> flexopt.Machine:
+    return load("excavator")
+
+
+@pytest.fixture(scope="module")
+def plan(excavator: flexopt.Machine) -> BasePlan:
+    return plan_base(excavator, PATH, objective="V", weights=[1, 1, 1], duration=6.0, workers=1)
+
+
+def test_way_reaches_every_target_and_keeps_to_the_rates(excavator: flexopt.Machine, plan: BasePlan) -> None:
+    assert plan.time == pytest.approx(np.linspace(0, 6, 7))
+    for place, target in zip(plan.places, PATH, strict=True):
+        e = place.evaluation
+        assert np.abs(e.end_point - target).max() < 1e-8
+        assert np.allclose(evaluate(excavator, e.posture, base=e.base).w.sum(), place.objective, rtol=1e-10)
+        assert math.sin(e.posture[-1]) ** 2 >= math.sin(math.radians(10)) ** 2 - 1e-8
+    assert np.abs(np.diff(plan.base[:, 0])).max() <= 0.25 * 1.0 + 1e-7
+    assert plan.travelled[0] == pytest.approx(np.abs(np.diff(plan.base[:, 0])).sum())
+
+
+def test_moving_is_not_worse_than_standing_still(excavator: flexopt.Machine, plan: BasePlan) -> None:
+    stand = select_stand(excavator, PATH, objective="V", weights=[1, 1, 1], workers=1)
+    scale = plan.problems[0].objective_scale
+    assert plan.standing == pytest.approx(stand.worth, abs=1e-6 * scale)
+    assert plan.worth > plan.standing + 0.01 * scale
+    assert plan.worth == plan.V.min() == plan.V[plan.worst]
+
+
+def test_no_way_of_a_dense_grid_is_better(excavator: flexopt.Machine, plan: BasePlan) -> None:
+    """An exhaustive search over 161 placements and both elbows for each target, within the same rates."""
+    bases = np.linspace(-2.2, 3.6, 161)
+    level: np.ndarray | None = None
+    for target in PATH:
+        values = np.full((bases.size, 2), -np.inf)
+        for k, x in enumerate(bases):
+            try:
+                postures = flexopt.inverse_kinematics(excavator, target, base=float(x))
+            except UnreachableTarget:
+                continue
+            for posture in postures:
+                if math.sin(posture[-1]) ** 2 >= math.sin(math.radians(10)) ** 2:
+                    w = evaluate_w(build_measures(excavator), [[x]], posture[:, None]).w
+                    values[k, int(posture[-1] > 0)] = w.sum()
+        if level is not None:
+            near = np.abs(bases[:, None] - bases) <= 0.25 + 1e-12
+            reached = np.array([np.where(near, level[:, e][:, None], -np.inf).max(axis=0) for e in range(2)]).T
+            values = np.minimum(values, reached)
+        level = values
+    assert level is not None
+    assert np.isfinite(level.max())
+    # The shortest way may give up 1e-4 of the scale.
+    assert plan.worth >= level.max() - 1.01e-4 * plan.problems[0].objective_scale
+
+
+def test_between_the_targets(excavator: flexopt.Machine, plan: BasePlan) -> None:
+    value, when = plan.between
+    assert 0 <= when <= 6
+    k = min(int(when), 5)
+    share = when - plan.time[k]
+    target = PATH[k] + (PATH[k + 1] - PATH[k]) * share
+    base = plan.base[k] + (plan.base[k + 1] - plan.base[k]) * share
+    postures = flexopt.inverse_kinematics(excavator, target, base=base)
+    best = min(float(np.abs(p - plan.posture[k]).max()) for p in postures)
+    there = next(p for p in postures if float(np.abs(p - plan.posture[k]).max()) == best)
+    assert evaluate(excavator, there, base=base).w.sum() == pytest.approx(value, rel=1e-6)
+    assert value <= plan.worth + 1e-12
+
+
+def test_start_and_rates_bind(excavator: flexopt.Machine) -> None:
+    from_here = plan_base(excavator, PATH, objective="w2", start=[-1.9], max_base_rate=0.1, duration=6.0, workers=1)
+    assert from_here.base[0, 0] == -1.9
+    assert np.abs(np.diff(from_here.base[:, 0])).max() <= 0.1 + 1e-7
+    still = plan_base(excavator, PATH, objective="w2", max_base_rate=0.0, duration=6.0, workers=1)
+    assert np.ptp(still.base) < 1e-7
+    assert still.worth == pytest.approx(still.standing, abs=2e-4 * still.problems[0].objective_scale)
+
+
+def test_simulation_follows_the_plan(excavator: flexopt.Machine, plan: BasePlan) -> None:
+    run = simulate(
+        excavator, plan.posture[0], base=plan.base[0], base_path=plan.base_path, target_path=plan.target_path,
+        offset=[0.0, 0.0], duration=8.0,
+    )  # fmt: skip
+    # The base starts and stops at once, which shakes the machine; nothing but the modes' own damping calms it.
+    assert run.verdict == "converges"
+    assert run.end_error < 0.05
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"path": [[0.0, 1.6]]}, "list of 2 to"),
+        ({"times": [0.0, 1.0]}, "needs 7 numbers"),
+        ({"times": [0, 1, 2, 3, 3, 4, 5]}, "must increase"),
+        ({"times": [1, 2, 3, 4, 5, 6, 7]}, "from 0"),
+        ({"duration": -1.0}, "duration"),
+        ({"duration": 1.0, "times": list(range(7))}, "without times"),
+        ({"max_base_rate": [0.1, 0.2]}, "max_base_rate"),
+        ({"max_joint_rate": math.nan}, "max_joint_rate"),
+        ({"start": [1.0, 2.0]}, "start"),
+        ({"objective": "epsilon_max"}, "without ε_max"),
+    ],
+)
+def test_bad_input(excavator: flexopt.Machine, given: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        plan_base(excavator, **({"path": PATH} | given))  # pyright: ignore[reportArgumentType]
+    assert words in str(caught.value)
+
+
+def test_a_path_faster_than_the_machine(excavator: flexopt.Machine) -> None:
+    far = [[0.0, 1.6], [30.0, 1.6]]
+    with pytest.raises(NoSolutionFound) as caught:
+        plan_base(excavator, far, duration=1.0, workers=1)
+    assert "way" in str(caught.value)
+
+
+def test_unreachable_points_are_named(excavator: flexopt.Machine) -> None:
+    with pytest.raises(UnreachableTarget) as caught:
+        plan_base(excavator, [[0.0, 1.6], [0.0, 30.0]])
+    assert "path[1]" in str(caught.value)

@@ -1,0 +1,139 @@
+"""One placement for several targets: against a dense look at every placement, and every configuration checked anew."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt import FlexoptError, build_measures, evaluate, inverse_kinematics, load, select
+from flexopt.errors import InputError, UnreachableTarget
+from flexopt.robustness import evaluate_w
+from flexopt.selection.several import Stand, select_stand
+
+TARGETS = [[0.0, 1.6], [0.3, 1.2], [-0.2, 1.9]]
+MARGIN = math.sin(math.radians(10.0)) ** 2
+
+
+@pytest.fixture(scope="module")
+def excavator() -> flexopt.Machine:
+    return load("excavator")
+
+
+def best_at(machine: flexopt.Machine, target: list[float], x: float, alpha: list[float]) -> float:
+    """V of the better elbow, from `evaluate`, one placement at a time."""
+    values = [-math.inf]
+    try:
+        postures = inverse_kinematics(machine, target, base=x)
+    except UnreachableTarget:
+        return -math.inf
+    for posture in postures:
+        if math.sin(posture[-1]) ** 2 >= MARGIN:
+            w = evaluate_w(build_measures(machine), [[x]], posture[:, None]).w
+            values.append(float(np.dot(alpha, w[:, 0])))
+    return max(values)
+
+
+def dense(machine: flexopt.Machine, alpha: list[float], share: list[float] | None) -> float:
+    """The best of 241 placements."""
+    best = -math.inf
+    for x in np.linspace(-3.2, 3.2, 241):
+        values = [best_at(machine, target, float(x), alpha) for target in TARGETS]
+        best = max(best, min(values) if share is None else float(np.dot(share, values)))
+    return best
+
+
+def check_places(machine: flexopt.Machine, stand: Stand) -> None:
+    assert len(stand.places) == len(TARGETS)
+    for place, target in zip(stand.places, TARGETS, strict=True):
+        e = place.evaluation
+        assert np.array_equal(e.base, stand.base)
+        assert np.abs(e.end_point - target).max() < 1e-8
+        again = evaluate(machine, e.posture, base=e.base)
+        assert np.allclose(again.w, e.w, rtol=1e-12)
+        assert math.sin(e.posture[-1]) ** 2 >= MARGIN - 1e-8
+    assert stand.worst == int(np.argmin([place.objective for place in stand.places]))
+
+
+def test_worst_is_at_least_that_of_a_dense_look(excavator: flexopt.Machine) -> None:
+    stand = select_stand(excavator, TARGETS, workers=1)
+    check_places(excavator, stand)
+    scale = stand.problems[0].objective_scale
+    assert stand.worth == min(place.objective for place in stand.places)
+    assert stand.worth >= dense(excavator, [1.0, 0.0, 0.0], None) - 1e-9 * scale
+    assert stand.stationarity < 1e-5
+
+
+def test_weighted_sum_is_at_least_that_of_a_dense_look(excavator: flexopt.Machine) -> None:
+    shares = np.array([1.0, 2.0, 3.0]) / 6
+    stand = select_stand(
+        excavator, TARGETS, combine="weighted", shares=[1, 2, 3], objective="V", weights=[1, 1, 1], workers=1
+    )
+    check_places(excavator, stand)
+    assert stand.worth == pytest.approx(float(shares @ [place.objective for place in stand.places]), rel=1e-12)
+    scale = stand.problems[0].objective_scale
+    assert stand.worth >= dense(excavator, [1.0, 1.0, 1.0], shares.tolist()) - 1e-9 * scale
+    worths = [stand.worth, *(worth for worth, _ in stand.alternatives)]
+    assert worths == sorted(worths, reverse=True)
+
+
+def test_one_target_is_a_selection(excavator: flexopt.Machine) -> None:
+    stand = select_stand(excavator, [[0.0, 1.6]], objective="V", weights=[1, 1, 1], workers=1)
+    single = select(excavator, [0.0, 1.6], objective="V", weights=[1, 1, 1], workers=1)
+    assert stand.worth == pytest.approx(single.best.objective, abs=1e-8 * single.problem.objective_scale)
+    assert stand.base == pytest.approx(single.best.evaluation.base, abs=1e-4)
+
+
+def test_number_of_workers_does_not_matter(excavator: flexopt.Machine) -> None:
+    one, two = (select_stand(excavator, TARGETS, objective="w2", starts=4, workers=n) for n in (1, 2))
+    assert one.to_dict() == two.to_dict()
+
+
+def test_constraints_hold_at_every_target(excavator: flexopt.Machine) -> None:
+    free = select_stand(excavator, TARGETS, objective="w2", workers=1)
+    x = float(free.base[0])
+    constraints = {"keep_out": [[x - 0.3, x + 0.3]], "manipulability": 0.5}
+    stand = select_stand(excavator, TARGETS, objective="w2", constraints=constraints, workers=1)
+    assert abs(float(stand.base[0]) - x) >= 0.3 - 1e-7
+    for place in stand.places:
+        assert place.constraints["manipulability"].value >= 0.5 - 1e-7
+    assert stand.worth <= free.worth + 1e-9 * free.problems[0].objective_scale
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"targets": []}, "targets = []: must be a list of 1 to"),
+        ({"targets": [[0.0, 1.6], [math.nan, 1.0]]}, "targets[1]"),
+        ({"targets": [[0.0, 1.6, 2.0]]}, "targets[0]"),
+        ({"targets": 3}, "must be a list"),
+        ({"combine": "best"}, "combine"),
+        ({"shares": [1, 2, 3]}, "shares"),
+        ({"combine": "weighted", "shares": [1, 2]}, "needs 3 numbers"),
+        ({"combine": "weighted", "shares": [1, 0, 2]}, "shares[1]"),
+        ({"objective": "epsilon_max"}, "without ε_max"),
+        ({"objective": "w1,w2"}, "a single one"),
+        ({"workers": 0}, "workers"),
+    ],
+)
+def test_bad_input(excavator: flexopt.Machine, given: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        select_stand(excavator, **({"targets": TARGETS} | given))  # pyright: ignore[reportArgumentType]
+    assert words in str(caught.value)
+
+
+def test_every_unreachable_target_is_named(excavator: flexopt.Machine) -> None:
+    with pytest.raises(UnreachableTarget) as caught:
+        select_stand(excavator, [[0.0, 1.6], [0.0, 30.0], [0.0, -30.0]])
+    assert "targets[1]" in str(caught.value) and "targets[2]" in str(caught.value)
+    assert "targets[0]" not in str(caught.value)
+
+
+@pytest.mark.parametrize("far", [2.0 * 4.5, 100.0])
+def test_targets_too_far_apart(excavator: flexopt.Machine, far: float) -> None:
+    with pytest.raises(FlexoptError) as caught:
+        select_stand(excavator, [[0.0, 1.6], [far, 1.6]])
+    assert isinstance(caught.value, UnreachableTarget)
+    assert "no placement reaches all of the 2 targets" in str(caught.value)

@@ -1,0 +1,122 @@
+"""Constraints of planar machines: the scan keeps to them, equalities and small islands are found, starts run in parallel."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.selection.parallel import in_parallel
+
+TARGET = (0.0, 1.6)
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return flexopt.load("excavator")
+
+
+def test_a_bound_on_the_tool_is_kept_and_named(machine):
+    free = flexopt.select(machine, TARGET)
+    angle = machine.base.rest_angle + free.best.z[1:].sum()
+    bounded = flexopt.select(machine, TARGET, constraints={"tool_angle": [angle + 0.05, angle + 0.3]})
+    for candidate in bounded.candidates:
+        turned = (machine.base.rest_angle + candidate.z[1:].sum() - angle) % (2 * np.pi)
+        assert 0.05 - 1e-7 <= turned <= 0.3 + 1e-7
+    assert "tool angle" in bounded.best.constraints
+    assert bounded.best.objective <= free.best.objective + 1e-15
+
+
+def test_an_exact_tool_angle_leaves_points(machine):
+    """One equation more than the curve has freedom: no point of any grid fulfils it."""
+    selection = flexopt.select(machine, TARGET, constraints={"tool_angle": -0.4})
+    for candidate in selection.candidates:
+        turned = (machine.base.rest_angle + candidate.z[1:].sum() + 0.4 + np.pi) % (2 * np.pi) - np.pi
+        assert abs(turned) < 1e-7
+        np.testing.assert_allclose(candidate.evaluation.end_point, TARGET, atol=1e-8)
+
+
+def test_an_island_smaller_than_the_grid_is_found(machine):
+    """The grid's steps are some 5 mm here."""
+    region = [[1.3001, 1.3005]]
+    selection = flexopt.select(machine, TARGET, constraints={"region": region})
+    assert all(1.3001 - 1e-8 <= c.z[0] <= 1.3005 + 1e-8 for c in selection.candidates)
+
+
+def test_a_range_by_name_is_the_pair(machine):
+    pair = flexopt.select(machine, TARGET, base_range=(1.0, 1.4))
+    table = flexopt.select(machine, TARGET, base_range={"x": (1.0, 1.4)})
+    assert repr(pair.to_dict()) == repr(table.to_dict())
+
+
+def square(number: int) -> int:
+    if number == 7:
+        raise flexopt.InputError("seven")
+    return number * number
+
+
+def _slowly(number: int) -> int:
+    time.sleep(0.05)
+    return square(number)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_results_come_in_order(workers):
+    counts = []
+    assert in_parallel(_slowly, 6, workers, counts.append) == [0, 1, 4, 9, 16, 25]
+    assert counts == [1, 2, 3, 4, 5, 6]
+    assert not multiprocessing.active_children()
+
+
+def test_errors_of_a_process_are_raised_here_and_nothing_is_left():
+    with pytest.raises(flexopt.InputError, match="seven"):
+        in_parallel(_slowly, 12, 3)
+    assert not multiprocessing.active_children()
+
+
+def test_a_process_that_dies_is_told():
+    def fatal(number: int) -> int:
+        time.sleep(0.05)
+        if number == 4:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    with pytest.raises(RuntimeError, match="start 5 ended before it was done"):
+        in_parallel(fatal, 8, 2)
+    assert not multiprocessing.active_children()
+
+
+INTERRUPTED = """
+import os, signal, threading, time, multiprocessing
+from flexopt.selection.parallel import in_parallel
+threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+try:
+    in_parallel(lambda number: time.sleep(0.3), 200, 2)
+except KeyboardInterrupt:
+    print("interrupted", len(multiprocessing.active_children()))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a lambda cannot be sent to spawned processes")
+def test_an_interrupt_ends_the_processes():
+    out = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=60, check=True)
+    assert out.stdout.split() == ["interrupted", "0"]
+
+
+def _in_a_daemon(connection) -> None:
+    connection.send(in_parallel(_slowly, 5, 2))
+
+
+def test_where_processes_may_not_start_the_work_is_done_here():
+    ours, theirs = multiprocessing.Pipe()
+    daemon = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn").Process(
+        target=_in_a_daemon, args=(theirs,), daemon=True
+    )
+    daemon.start()
+    assert ours.recv() == [0, 1, 4, 9, 16]
+    daemon.join()
