@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence, batch
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready, provenance
 from flexopt.plant import build_plant
-from flexopt.plant.motion import constants
+from flexopt.plant.machine_motion import constant_names, constants
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.run import check_residual, runners
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, start_states
-from flexopt.simulation.structure import N_TASK
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -105,7 +104,7 @@ class Ensemble:
 
 
 def simulate_ensemble(
-    machine: Machine,
+    machine: AnyMachine,
     posture: Any = None,
     *,
     vary: Mapping[str, Any],
@@ -118,8 +117,8 @@ def simulate_ensemble(
 
     Args:
         machine, posture, options: as for `flexopt.simulate`; they hold for every member where `vary` says nothing.
-        vary: arrays with one row for each of N members, by name: `"offset"` (N, n), rad; `"deflection"` (N, m), passive
-            coordinates at the start less their equilibrium, m or rad; `"rates"` (N, n_q), their rates at the start;
+        vary: arrays with one row for each of N members, by name: `"offset"` (N, n), rad or m; `"deflection"` (N, m),
+            passive coordinates at the start less their equilibrium, m or rad; `"rates"` (N, n_q), rates at the start;
             `"kp"`, `"kv"`, `"ki"` (N,) or (N, n_task); any of the machine's parameters, `"payload.mass"` for example
             (N,). Where parameters vary, the controller keeps the numbers of `machine`: it does not know.
         keep: `"measures"` (default), or `"trajectories"` for every sample of every member, too.
@@ -173,9 +172,10 @@ class _Plan:
         """Constants by name, (size, members) where they vary."""
         parts = dict(self.scenario.parts)
         parts |= {name: values[rows][None, :] for name, values in self.motion.items()}
+        n_task = self.scenario.loop.structure.n_task
         for name in ("kp", "kv", "ki"):
             if name in self.varied:
-                parts[name] = np.broadcast_to(self.varied[name].reshape(self.n, -1).T[:, rows], (N_TASK, _count(rows)))
+                parts[name] = np.broadcast_to(self.varied[name].reshape(self.n, -1).T[:, rows], (n_task, _count(rows)))
         return parts
 
     def start(self, rows: slice) -> Vector:
@@ -286,7 +286,7 @@ def _dataset(plan: _Plan, varied: Mapping[str, Vector], shares: list[_Share]) ->
     for name, values in varied.items():
         dims = ("member", axis.get(name, "axis"))[: values.ndim]
         variables[name if name not in variables else f"varied.{name}"] = (dims, values, {"units": unit.get(name, "")})
-    coordinates: dict[str, Any] = {"axis": ["x", "y", "z"][:N_TASK], "joint": list(s.machine.joints)}
+    coordinates: dict[str, Any] = {"axis": list(s.machine.task_rows), "joint": list(s.machine.joints)}
     coordinates["mode"] = np.arange(1, left.shape[1] + 1)
     coordinates |= {"coordinate": list(plant.coordinates), "passive": list(plant.coordinates[: plant.n_passive])}
     if plan.keep == "trajectories":
@@ -308,7 +308,7 @@ def _dataset(plan: _Plan, varied: Mapping[str, Vector], shares: list[_Share]) ->
 
 
 def _motion_constants(
-    machine: Machine, varied: Mapping[str, Vector], n: int
+    machine: AnyMachine, varied: Mapping[str, Vector], n: int
 ) -> tuple[frozenset[str] | None, dict[str, Vector]]:
     """Constants of the motion that vary, (N,) each, and those that are zero for all; None where none varies."""
     if not varied:
@@ -318,7 +318,7 @@ def _motion_constants(
     names = [parameter.name for parameter in machine.parameters]
     for name, values in varied.items():
         p[names.index(name)] = values
-    columns = dict(zip(function.name_out(), (value[0] for value in batch(function)(p)), strict=True))
+    columns = dict(zip(constant_names(machine), batch(function)(p)[0], strict=True))
     zeros = frozenset(name for name, value in columns.items() if not np.any(value))
     return zeros, {name: value for name, value in columns.items() if name not in zeros}
 
@@ -327,13 +327,13 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _checked(machine: Machine, vary: Any, keep: Any, threads: Any) -> dict[str, NDArray[np.float64]]:
+def _checked(machine: AnyMachine, vary: Any, keep: Any, threads: Any) -> dict[str, NDArray[np.float64]]:
     """The arrays, all with the same number of rows, or one error with every fault."""
     plant, faults = build_plant(machine), list[Fault]()
     parameters = {parameter.name: parameter.unit for parameter in machine.parameters}
     widths: dict[str, tuple[int, ...]] = {
         "offset": (plant.n_actuated,), "deflection": (plant.n_passive,), "rates": (plant.n_coordinates,),
-        "kp": (0, N_TASK), "kv": (0, N_TASK), "ki": (0, N_TASK),
+        "kp": (0, plant.n_task), "kv": (0, plant.n_task), "ki": (0, plant.n_task),
     }  # fmt: skip
     widths |= dict.fromkeys(parameters, (0,))
     arrays: dict[str, Vector] = {}
@@ -371,18 +371,30 @@ def _checked(machine: Machine, vary: Any, keep: Any, threads: Any) -> dict[str, 
     return arrays
 
 
-def _range_faults(machine: Machine, name: str, array: Vector) -> list[Fault]:
+def _range_faults(machine: AnyMachine, name: str, array: Vector) -> list[Fault]:
     """Values that a machine file would not be allowed to have, or negative gains."""
     if name in ("kp", "kv", "ki") and np.any(array < 0):
         return [Fault(f"vary[{name!r}]", "must not be negative", f"{array.min():g}")]
-    unit = next((parameter.unit for parameter in machine.parameters if parameter.name == name), None)
-    if unit is None:
+    parameter = next((parameter for parameter in machine.parameters if parameter.name == name), None)
+    if parameter is None:
         return []
-    positive = ("mass", "inertia", "length", "stiffness")
-    last = name.rsplit(".", 1)[-1] if "stiffness" not in name else "stiffness"
-    zero_allowed = name in ("payload.mass", "base.length")
-    if last in positive and not zero_allowed and np.any(array <= 0):
-        return [Fault(f"vary[{name!r}]", f"must be greater than 0 {unit}", f"{array.min():g}")]
-    if (zero_allowed or "damping" in name or name == "gravity") and np.any(array < 0):
-        return [Fault(f"vary[{name!r}]", f"must not be negative ({unit})", f"{array.min():g}")]
+    positive, zero_allowed = _signs(name)
+    if positive and not (zero_allowed or parameter.value == 0) and np.any(array <= 0):
+        return [Fault(f"vary[{name!r}]", f"must be greater than 0 {parameter.unit}", f"{array.min():g}")]
+    if positive and np.any(array < 0):
+        return [Fault(f"vary[{name!r}]", f"must not be negative ({parameter.unit})", f"{array.min():g}")]
     return []
+
+
+def _signs(name: str) -> tuple[bool, bool]:
+    """Whether a parameter must be positive, and whether it may be zero."""
+    word, _, pair = name.partition(".")
+    half = len(pair) // 2
+    if word in ("stiffness", "damping") and pair[:half] != pair[half + 1 :]:  # an entry beside a matrix' diagonal
+        return False, True
+    last = name.rsplit(".", 1)[-1]
+    if "stiffness" in name:
+        return True, False
+    if "damping" in name or last in ("gravity", "armature") or name in ("payload.mass", "base.length"):
+        return True, True
+    return last in ("mass", "inertia", "length", "xx", "yy", "zz"), last in ("xx", "yy", "zz")

@@ -12,28 +12,27 @@ from typing import Literal
 
 import casadi as ca
 
-from flexopt.algebra import apply_pseudo_inverse
 from flexopt.model.problem import Control
+from flexopt.plant.control import task_to_joints
 
 Law = Literal["pd", "pid", "state_space", "none"]
 
 
-def joint_torque(jacobian: ca.SX, force: ca.SX, control: Control) -> ca.SX:
-    """τ_a = Jvᵀ f (transpose) or Jv⁺ f (inverse), (n,); article, section 3.2.
+def joint_torque(jacobian: ca.SX, force: ca.SX, control: Control, damping: ca.SX | None = None) -> ca.SX:
+    """τ_a = Jvᵀ f (transpose), Jv⁺ f (inverse) or J⁺_λ f (damped), (n,); article, section 3.2, and `plant.control`.
 
     Args:
         jacobian: Jv (n_task, n).
         force: f (n_task,).
         control: which.
+        damping: λ in place of the control's own.
     """
-    if control == "transpose":
-        return jacobian.T @ force
-    if jacobian.shape == (2, 2):
+    if control == "inverse" and jacobian.shape == (2, 2):
         a, b, c, d = jacobian[0, 0], jacobian[0, 1], jacobian[1, 0], jacobian[1, 1]
         twice = 2 / (a * d - b * c)  # CasADi would turn a product with 1/det back into two divisions
         half = 0.5 * force
         return twice * ca.vertcat(d * half[0] - b * half[1], a * half[1] - c * half[0])
-    return apply_pseudo_inverse(jacobian, force)
+    return task_to_joints(jacobian, control, force, damping)
 
 
 @dataclass(frozen=True)

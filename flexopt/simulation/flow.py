@@ -9,7 +9,8 @@ from functools import lru_cache
 
 import casadi as ca
 
-from flexopt.plant.motion import Directions, Motion
+from flexopt.plant.machine_motion import motion_of
+from flexopt.plant.motion import Directions
 from flexopt.simulation.directions import paired, stacked
 from flexopt.simulation.integrators import State
 from flexopt.simulation.sample import Layouts, Part
@@ -39,13 +40,13 @@ class Flow(Part):
         )
         return State(state.w, accelerations, z_rate)
 
-    def momentum(self, w: ca.SX, along: Directions) -> ca.SX:
+    def momentum(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
         """See `Field`."""
-        return self.motion.momentum(w, self.motion.with_base(along))
+        return self.motion.momentum(u, w, self.motion.with_base(along))
 
-    def rates_of_momentum(self, momentum: ca.SX, along: Directions) -> ca.SX:
+    def rates_of_momentum(self, u: ca.SX, momentum: ca.SX, along: Directions) -> ca.SX:
         """See `Field`."""
-        return self.motion.rates_of_momentum(momentum, self.motion.with_base(along))
+        return self.motion.rates_of_momentum(u, momentum, self.motion.with_base(along))
 
     def momentum_rates(self, t: ca.SX, state: State, along: Directions) -> State:
         """See `Field`."""
@@ -55,12 +56,7 @@ class Flow(Part):
         force = self.motion.force(
             state.u, state.w, whole, self._acting(state, command), base, base_rate, gravity=self.s.gravity
         )
-        # ∂T/∂φ at constant rates, by the chain rule through cos φ and sin φ.
-        pairs = ca.SX.sym("pairs", 2 * len(along))
-        energy = self.motion.kinetic_energy(state.w, self.motion.with_base(paired(pairs)))
-        by_pair = ca.substitute(ca.gradient(energy, pairs), pairs, stacked(along))
-        turning = [by_pair[2 * k + 1] * c - by_pair[2 * k] * s for k, (c, s) in enumerate(along)]
-        force += ca.vertcat(ca.SX.zeros(self.n_translations, 1), *turning)
+        force += self.motion.kinetic_gradient(state.u, state.w, along)
         return State(state.w, force, self._z_rate(t, state, whole, command))
 
     def rates_of(self, t: ca.SX, state: State, along: Directions) -> State:
@@ -75,36 +71,36 @@ class Flow(Part):
 
     def _acting(self, state: State, command: ca.SX) -> ca.SX:
         """Joint torques that act."""
-        return state.z[: len(self.motion.joints)] if self.s.lagging else command
+        return state.z[: self.motion.n_joints] if self.s.lagging else command
 
     def _z_rate(self, t: ca.SX, state: State, whole: Directions, command: ca.SX) -> ca.SX:
         """Of lagging torques, and of a continuous law's states."""
-        n = len(self.motion.joints) if self.s.lagging else 0
+        n = self.motion.n_joints if self.s.lagging else 0
         lag = self.torque_rate(command, state.z[:n]) if self.s.lagging else ca.SX.zeros(0, 1)
         if self.s.sampled:
             return lag
         return ca.vertcat(lag, self.law.derivative(self._error(t, state, whole)[0], state.z[n:], self.of))
 
     def _error(self, t: ca.SX, state: State, whole: Directions) -> tuple[ca.SX, ca.SX]:
-        target, target_rate = self.target_at(t)
-        point = self.motion.end_point(state.u, whole, self.base_at(t)[0])
-        return target - point, target_rate - self.motion.end_point_rate(state.w, whole)
+        (target, target_rate), (base, _) = self.target_at(t), self.base_at(t)
+        point = self.motion.end_point(state.u, whole, base)
+        return target - point, target_rate - self.motion.end_point_rate(state.u, state.w, whole, base)
 
     def _command(self, t: ca.SX, state: State, whole: Directions) -> ca.SX:
         if self.s.sampled:
             return self._held
-        n = len(self.motion.joints) if self.s.lagging else 0
+        n = self.motion.n_joints if self.s.lagging else 0
         e, e_rate = self._error(t, state, whole)
         force = self.law.force(e, e_rate, state.z[n:], self.of)
-        known = self.known_directions(whole)
-        return self.through_dead_band(self.torque_for(force, state.w, known))
+        torque = self.torque_for(force, state.u, state.w, whole, self.base_at(t)[0])
+        return self.through_dead_band(torque)
 
 
 @lru_cache(maxsize=64)
 def _held_rates(structure: LoopStructure, layouts: Layouts) -> ca.Function:
     """Accelerations and rates of z while the command is held; the same for computed and carried directions."""
-    shape, symbol = Motion(structure.motion, {}), ca.SX.sym
-    joints = len(shape.joints)
+    shape, symbol = motion_of(structure.motion, {}), ca.SX.sym
+    joints = shape.n_joints
     t, u, w = symbol("t"), symbol("u", shape.n), symbol("w", shape.n)
     z = symbol("z", joints if structure.lagging else 0)
     pairs = symbol("pairs", 2 * (shape.n - shape.n_translations))

@@ -39,11 +39,11 @@ class Field(Protocol):
         """Rates of u, w and z."""
         ...
 
-    def momentum(self, w: ca.SX, along: Directions) -> ca.SX:
+    def momentum(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
         """M_u w."""
         ...
 
-    def rates_of_momentum(self, momentum: ca.SX, along: Directions) -> ca.SX:
+    def rates_of_momentum(self, u: ca.SX, momentum: ca.SX, along: Directions) -> ca.SX:
         """M_u⁻¹ p."""
         ...
 
@@ -140,7 +140,7 @@ def gauss_step(field: Field, tableau: Tableau, h: ca.SX, t: ca.SX, state: State)
     n, n_z, k, stages = state.u.shape[0], state.z.shape[0], field.n_translations, len(tableau.b)
     size = 2 * n + n_z
     at_start = Computed(state.u[k:]).start.pairs
-    p = field.momentum(state.w, at_start)
+    p = field.momentum(state.u, state.w, at_start)
     first = _column(field.momentum_rates(t, state, at_start))
 
     unknowns = ca.SX.sym("stages", size * stages)
@@ -150,7 +150,7 @@ def gauss_step(field: Field, tableau: Tableau, h: ca.SX, t: ca.SX, state: State)
         change = sum((float(tableau.a[i, j]) * rates[j] for j in range(stages)), start=ca.SX.zeros(size, 1))
         u = state.u + h * change[:n]
         along = Computed(u[k:]).start.pairs
-        w = field.rates_of_momentum(p + h * change[n : 2 * n], along)
+        w = field.rates_of_momentum(u, p + h * change[n : 2 * n], along)
         now = State(u, w, state.z + h * change[2 * n :])
         at = t + float(tableau.c[i]) * h
         renewed.append(_column(field.momentum_rates(at, now, along)))
@@ -158,7 +158,7 @@ def gauss_step(field: Field, tableau: Tableau, h: ca.SX, t: ca.SX, state: State)
 
     change = sum((float(b) * rate for b, rate in zip(tableau.b, rates, strict=True)), start=ca.SX.zeros(size, 1))
     u = state.u + h * change[:n]
-    w = field.rates_of_momentum(p + h * change[n : 2 * n], Computed(u[k:]).start.pairs)
+    w = field.rates_of_momentum(u, p + h * change[n : 2 * n], Computed(u[k:]).start.pairs)
     difference = iterate - unknowns
     # Rates of u alone: those of p and z follow from them and have other units.
     rows = [size * i + row for i in range(stages) for row in range(n)]

@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import InputError
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
-from flexopt.plant.motion import Motion
 from flexopt.simulation.loop import closed_loop
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, start_states
-from flexopt.simulation.structure import N_TASK, LoopStructure
+from flexopt.simulation.structure import LoopStructure
 
 EQUILIBRIUM = 1e-9
 INVARIANT = 1e-8
@@ -87,7 +86,7 @@ class StabilityBorder:
         return self.intervals[0][1] if self.intervals else None
 
 
-def sampled_loop(machine: Machine, posture: Any = None, **options: Any) -> SampledLoop:
+def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> SampledLoop:
     """Multipliers of the loop that `simulate` runs, at its equilibrium.
 
     Limits, dead bands and rounding of measurements are left out: they do not exist for vanishing motions.
@@ -102,7 +101,7 @@ def sampled_loop(machine: Machine, posture: Any = None, **options: Any) -> Sampl
 
 
 def stability_border(
-    machine: Machine, posture: Any = None, *, ratio: float | None = None, **options: Any
+    machine: AnyMachine, posture: Any = None, *, ratio: float | None = None, **options: Any
 ) -> StabilityBorder:
     """Gains Kp for which the sampled linear loop is stable.
 
@@ -120,7 +119,8 @@ def stability_border(
 
     def growth(exponent: float) -> float:
         kp = 10.0**exponent
-        parts = {"kp": np.full(N_TASK, kp), "kv": np.full(N_TASK, ratio * kp if ratio is not None else kv)}
+        rows = scenario.loop.structure.n_task
+        parts = {"kp": np.full(rows, kp), "kv": np.full(rows, ratio * kp if ratio is not None else kv)}
         return linearised(replace(scenario, parts={**scenario.parts, **parts})).growth_rate
 
     low, high = math.log10(KP_LOW), math.log10(KP_HIGH)
@@ -156,10 +156,10 @@ def linearised(scenario: Scenario) -> SampledLoop:
     return SampledLoop(values[: len(values) - removed], s.period)
 
 
-def _scenario(machine: Machine, given: Mapping[str, Any], call: str) -> Scenario:
+def _scenario(machine: AnyMachine, given: Mapping[str, Any], call: str) -> Scenario:
     """A scenario without what vanishing motions do not feel."""
     options = checked_options(call, machine, given)
-    bare = {"torque_limit": None, "dead_band": None, "rate_limit": None}
+    bare = {"torque_limit": None, "dead_band": None, "rate_limit": None, "levers": None}
     exact = {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0}
     still = options.model_copy(
         update={
@@ -190,8 +190,8 @@ def _derivative(structure: LoopStructure) -> ca.Function:
 def _self_motions(scenario: Scenario, x: Vector, c: Vector) -> list[Vector]:
     """Bases of the states that the end-point neither sees nor moves: the arm's self-motion, then its rate."""
     loop = scenario.loop
-    motion = Motion(loop.structure.motion, {})
-    n, excess = motion.n, len(motion.joints) - N_TASK
+    motion = loop.shape
+    n, excess = motion.n, motion.n_joints - motion.n_task
     if excess <= 0:
         return []
     rows = loop.outputs.name_out().index("end_point")
@@ -199,8 +199,8 @@ def _self_motions(scenario: Scenario, x: Vector, c: Vector) -> list[Vector]:
     jacobian = ca.jacobian(loop.outputs.call(symbol)[rows], symbol[0])
     by_u = np.array(ca.Function("J", symbol, [jacobian]).call([x, _still(scenario), c])[0])[:, :n]
     # Columns of the actuated joints, in u.
-    joints = np.linalg.inv(loop.to_q)[:, n - len(motion.joints) :]
-    kernel = np.linalg.svd(by_u @ joints)[2][N_TASK:].T
+    joints = np.linalg.inv(loop.to_q)[:, motion.n_passive :]
+    kernel = np.linalg.svd(by_u @ joints)[2][motion.n_task :].T
     position, rate = np.zeros((len(x), excess)), np.zeros((len(x), excess))
     position[:n], rate[n : 2 * n] = joints @ kernel, joints @ kernel
     return [position, rate]

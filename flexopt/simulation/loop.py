@@ -14,13 +14,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.motion import Motion
 from flexopt.simulation.directions import Carried, Computed, stacked
 from flexopt.simulation.feedback import FeedbackLaw
 from flexopt.simulation.flow import Flow
 from flexopt.simulation.integrators import State, classical_step, explicit_step, gauss_step
 from flexopt.simulation.sample import Layouts, Sample
-from flexopt.simulation.structure import N_TASK, Layout, LoopStructure, constant_sizes, signal_sizes, state_sizes
+from flexopt.simulation.structure import Layout, LoopStructure, constant_sizes, signal_sizes, state_sizes
 from flexopt.simulation.tableaus import dormand_prince, gauss
 
 
@@ -37,7 +38,7 @@ class ClosedLoop:
     def law(self) -> FeedbackLaw:
         """The feedback law."""
         s = self.structure
-        return FeedbackLaw(s.law, N_TASK, s.order, s.sampled)
+        return FeedbackLaw(s.law, s.n_task, s.order, s.sampled)
 
     @cached_property
     def layouts(self) -> Layouts:
@@ -45,8 +46,9 @@ class ClosedLoop:
         return Layouts(self.law, self.states, self.signals, self.constants)
 
     @cached_property
-    def _shape(self) -> Motion:
-        return Motion(self.structure.motion, {})
+    def shape(self) -> Motion:
+        """The equations of motion without numbers."""
+        return motion_of(self.structure.motion, {})
 
     @cached_property
     def constants(self) -> Layout:
@@ -66,12 +68,12 @@ class ClosedLoop:
     @property
     def to_q(self) -> NDArray[np.float64]:
         """A (n_q, n_q) of q = A u + constant."""
-        return self._shape.to_q.full()
+        return self.shape.to_q.full()
 
     @cached_property
     def directions(self) -> int:
         """Entries of d: cosine and sine of every body that turns."""
-        return 2 * (self._shape.n - self._shape.n_translations)
+        return 2 * (self.shape.n - self.shape.n_translations)
 
     @cached_property
     def step(self) -> ca.Function:
@@ -94,33 +96,33 @@ class ClosedLoop:
     def refresh(self) -> ca.Function:
         """Directions d of a state. Inputs x, c."""
         x, c = ca.SX.sym("x", self.states.total), ca.SX.sym("c", self.constants.total)
-        angles = self._shape.angles(self.states.split(x)["u"])
+        angles = self.shape.angles(self.states.split(x)["u"])
         return ca.Function("refresh", [x, c], [stacked(Computed(angles).start.pairs)], ["x", "c"], ["d"])
 
     @cached_property
     def outputs(self) -> ca.Function:
         """What a state shows. Inputs x, e, c.
 
-        Outputs q, v (n_q,); end_point, error = r_d − r, error_rate (n_task,), m; torque (n,) of the joints, N m;
+        Outputs q, v (n_q,); end_point, error = r_d − r, error_rate (n_task,), m; torque (n,) of the joints, N m or N;
         energy, J: kinetic, springs and weight; deflection (n_p,): passive coordinates less their design values;
         monitor: see `Sample.monitor`.
         """
         x, e, c = self._symbols()
-        at = Sample(self.structure, self.layouts, x, e, c, Computed(self._shape.angles(self.states.split(x)["u"])))
+        at = Sample(self.structure, self.layouts, x, e, c, Computed(self.shape.angles(self.states.split(x)["u"])))
         u, w = at.x["u"], at.x["w"]
-        motion, a = at.motion, ca.SX(self._shape.to_q)
-        point, place = motion.end_point(u, at.along, at.base), ca.vertcat(at.of["base"], 0)
-        shift = ca.SX.zeros(motion.n, 1)
-        if "x" in self.structure.motion.translations:
-            shift[0] = at.of["base"]
-        rate = motion.end_point_rate(w, at.along)
-        energy = motion.kinetic_energy(w, at.along) + motion.spring_energy(u, at.base)
+        motion, a = at.motion, ca.SX(self.shape.to_q)
+        point, nothing = motion.end_point(u, at.along, at.base), ca.SX(0)
+        place = ca.vertcat(*motion.on_rows(ca.vertsplit(at.of["base"]), nothing))
+        rate = motion.end_point_rate(u, w, at.along, at.base)
+        energy = motion.kinetic_energy(u, w, at.along) + motion.spring_energy(u, at.base)
         if self.structure.gravity:
             energy += motion.potential(u, at.along)
+        if motion.follows:
+            u, w = u - motion.carried(at.base), w - motion.carried(at.base_rate)
         outputs = {
-            "q": a @ u + motion.offset + shift, "v": a @ w, "end_point": point + place, "error": at.target - point,
-            "error_rate": at.target_rate - rate, "torque": at.applied(at.command()), "energy": energy,
-            "deflection": at.deflection, "monitor": at.monitor(),
+            "q": a @ u + motion.origin(at.of["base"]), "v": a @ w, "end_point": point + place,
+            "error": at.target - point, "error_rate": at.target_rate - rate, "torque": at.applied(at.command()),
+            "energy": energy, "deflection": at.deflection, "monitor": at.monitor(),
         }  # fmt: skip
         dense = [ca.densify(value) for value in outputs.values()]
         return ca.Function("outputs", [x, e, c], dense, ["x", "e", "c"], list(outputs), {"cse": True})
@@ -131,7 +133,7 @@ class ClosedLoop:
         return x, e, c
 
     def _frame(self, x: ca.SX, d: ca.SX | None) -> Computed | Carried:
-        return Computed(self._shape.angles(self.states.split(x)["u"])) if d is None else Carried(d)
+        return Computed(self.shape.angles(self.states.split(x)["u"])) if d is None else Carried(d)
 
     def _sampling(self, *, carried: bool) -> ca.Function:
         """The start of a sample: command to hold, what the discrete states become, monitor."""
@@ -151,7 +153,7 @@ class ClosedLoop:
         """One integration step by an explicit method. Inputs s = [u, w, z], d, command, t, e, c."""
         s, d, command, t, e, c = self._substep_symbols(carried=carried)
         state = self._state(s)
-        frame: Computed | Carried = Carried(d) if carried else Computed(self._shape.angles(state.u))
+        frame: Computed | Carried = Carried(d) if carried else Computed(self.shape.angles(state.u))
         flow = Flow(self.structure, self.layouts, command, e, c)
         if self.structure.method == "rk4":
             after, heading = classical_step(flow, flow.of["h"], t, state, frame)
@@ -183,7 +185,7 @@ class ClosedLoop:
         _, e, c = self._symbols()
         s = ca.SX.sym("s", self._n_continuous)
         d = ca.SX.sym("d", self.directions if carried else 0)
-        command = ca.SX.sym("command", len(self._shape.joints) if self.structure.sampled else 0)
+        command = ca.SX.sym("command", self.shape.n_joints if self.structure.sampled else 0)
         return s, d, command, ca.SX.sym("t"), e, c
 
     @property
@@ -192,7 +194,7 @@ class ClosedLoop:
         return sizes["u"] + sizes["w"] + sizes["torque"] + (0 if self.structure.sampled else sizes["law"])
 
     def _state(self, s: ca.SX) -> State:
-        n = self._shape.n
+        n = self.shape.n
         return State(s[:n], s[n : 2 * n], s[2 * n :])
 
     @property

@@ -10,8 +10,8 @@ from functools import lru_cache
 
 import casadi as ca
 
-from flexopt.model import Machine
-from flexopt.plant.motion import Motion, constants, full_structure
+from flexopt.model import AnyMachine
+from flexopt.plant.machine_motion import constants_at, full_structure, motion_of
 from flexopt.simulation.directions import Computed
 from flexopt.simulation.flow import Flow
 from flexopt.simulation.integrators import State, classical_step
@@ -20,7 +20,7 @@ from flexopt.simulation.structure import LoopStructure
 
 
 @lru_cache(maxsize=16)
-def machine_step(machine: Machine, *, gravity: bool = False) -> ca.Function:
+def machine_step(machine: AnyMachine, *, gravity: bool = False) -> ca.Function:
     """M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = [0; τ_a] over one step of classical RK4, τ_a held.
 
     Args:
@@ -28,25 +28,24 @@ def machine_step(machine: Machine, *, gravity: bool = False) -> ca.Function:
         gravity: whether the weight acts.
 
     Returns:
-        Function of q, v (n_q,), torque (n,), N m, base (n_b,), m, p (n_par,) and h, s, with outputs q_next and v_next.
+        Function of q, v (n_q,), torque (n,), N m or N, base (n_b,), m or rad, p (n_par,) and h, s, with outputs q_next
+        and v_next.
     """
     structure = LoopStructure(full_structure(machine), law="none", gravity=gravity)
     loop = closed_loop(structure)
-    shape = Motion(structure.motion, {})
-    n, m = shape.n, len(shape.joints)
+    shape = loop.shape
+    n, m = shape.n, shape.n_joints
     q, v, torque = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("torque", m)
-    base, p, h = ca.SX.sym("base", 1), ca.SX.sym("p", len(machine.parameters)), ca.SX.sym("h")
+    base, h = ca.SX.sym("base", structure.n_base), ca.SX.sym("h")
+    p = ca.SX.sym("p", len(machine.parameters))
 
-    function = constants(machine)
-    values = dict(zip(function.name_out(), function.call([p]), strict=True))
+    values = constants_at(machine, p)
     sizes = loop.constants.sizes
-    entries = [values[name] if name in values else h if name == "h" else ca.SX.zeros(sizes[name], 1) for name in sizes]
+    given = values | {"h": h}
+    entries = [given.get(name, ca.SX.zeros(size, 1)) for name, size in sizes.items()]
     flow = Flow(structure, loop.layouts, torque, ca.SX(0, 1), ca.vertcat(*entries))
 
-    motion = Motion(structure.motion, values)
-    shift = ca.SX(motion.offset)
-    if "x" in structure.motion.translations:
-        shift[0] += base
+    shift = motion_of(structure.motion, values).origin(base)
     to_q = shape.to_q
     to_u = ca.inv(to_q)
     start = State(ca.SX(to_u) @ (q - shift), ca.SX(to_u) @ v, ca.SX(0, 1))

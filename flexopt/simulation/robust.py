@@ -11,14 +11,14 @@ from functools import lru_cache
 import numpy as np
 
 from flexopt.coprime import StateSpace, optimal_controller
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.problem import Control
 from flexopt.robustness.margin import build_margin
 
 
 @lru_cache(maxsize=64)
 def robust_law(
-    machine: Machine,
+    machine: AnyMachine,
     posture: tuple[float, ...],
     base: tuple[float, ...],
     control: Control,

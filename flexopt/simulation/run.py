@@ -12,10 +12,10 @@ import numpy as np
 
 from flexopt.compiled import Batch, Recurrence, batch, recurrence
 from flexopt.errors import FlexoptWarning, NoSolutionFound
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import provenance
-from flexopt.model.problem import Control, Elbow
+from flexopt.model.problem import Control, Elbow, control_damping
 from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
@@ -31,7 +31,7 @@ NEAR_SINGULAR = 1e-3
 
 
 def simulate(
-    machine: Machine,
+    machine: AnyMachine,
     posture: Any = None,
     *,
     end_point: Any = None,
@@ -68,17 +68,17 @@ def simulate(
 
     Args:
         machine: from `flexopt.load`.
-        posture: actuated joints (n,), rad, about which to work; or give `end_point` and `elbow`.
-        end_point: (n_task,), m, inertial frame; for arms with two joints.
+        posture: actuated joints (n,), rad or m, about which to work; or give `end_point`, and `elbow` of a planar arm.
+        end_point: (n_task,), m, inertial frame; for arms with no more joints than task rows.
         elbow: `"up"` (default) or `"down"`.
-        base: placement x, m; 0 by default.
-        control: `"inverse"` (default) or `"transpose"`.
+        base: placement (n_b,), m or rad: of a planar machine x alone; 0 by default.
+        control: `"inverse"` (default), `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.
         feedback: `"pd"` (default), `"pid"`, `"robust"` (the controller that attains ε_max) or `"none"`.
-        kp, kv, ki: gains, one number or one for each axis; 1e5, 2e3 and 0 by default (N/m, N s/m, N/(m s) for transpose
-            control).
+        kp, kv, ki: gains, one number or one for each task row; 1e5, 2e3 and 0 by default (N/m, N s/m, N/(m s) for
+            transpose control).
         integral_limit: largest |∫ ki e dt| for each axis.
         gain: servo gain kr for which `"robust"` is designed; 5e5 by default.
-        offset: displacement of the joints at the start (n,), rad; +0.05, −0.05, … by default.
+        offset: displacement of the joints at the start (n,), rad or m; +0.05, −0.05, … by default.
         duration: s; 10 by default.
         rate: of the samples, Hz; 200 by default.
         hold: True (default): the command is computed at each sample and held; False: at every stage of the integrator.
@@ -88,10 +88,11 @@ def simulate(
         gravity: False (default): the weight is taken to be compensated in all coordinates, as in the article; True: it
             acts, and the machine hangs in its springs.
         gravity_compensation: whether the command carries the arm's weight (default), where it acts.
-        nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad.
+        nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad or N s/m.
         sensor: noise, resolution, delay; see `flexopt.Sensor`.
         actuator: limits, dead band, servo; see `flexopt.Actuator`.
-        base_path: where the operator drives the base, `flexopt.Path` or a `BaseTrajectory`'s `path`.
+        base_path: where the operator drives the base, `flexopt.Path` of placements or a `BaseTrajectory`'s `path`; the
+            springs must give in the directions of its x and y, and its yaw must stay.
         target_path: where the end-point shall be, `flexopt.Path`; by default where it is in the posture.
         seed: of the noise.
         baked: fold this machine's and controller's numbers into code of their own: a little faster, compiled anew for
@@ -247,7 +248,7 @@ def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behavio
         sentences.append(f"the run left the finite numbers at {ended:.4g} s; what follows is not a number")
     m = plant.n_passive
     near, at = _closest_to_singular(s, plant, outputs["q"][m:])
-    if near < NEAR_SINGULAR:
+    if control_damping(s.options.control) is None and near < NEAR_SINGULAR:
         sentences.append(
             f"the arm came close to a singular posture at {at:.4g} s (sine squared {near:.2g} of its start)"
         )
@@ -271,5 +272,5 @@ def _closest_to_singular(s: Scenario, plant: Plant, joints: Vector) -> tuple[flo
 
 
 @lru_cache(maxsize=16)
-def _singularity(machine: Machine) -> Batch:
+def _singularity(machine: AnyMachine) -> Batch:
     return batch(build_plant(machine).singularity_sine_squared)

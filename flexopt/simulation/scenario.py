@@ -11,23 +11,26 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, cast
 
+import casadi as ca
 import numpy as np
 
-from flexopt.errors import InputError, NoSolutionFound, raise_if_any
-from flexopt.model import Machine
+from flexopt.errors import Fault, InputError, NoSolutionFound, raise_if_any
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.faults import validated
+from flexopt.model.problem import Control, control_damping, control_method
 from flexopt.model.simulation import Path, SimulationOptions
 from flexopt.plant import Plant, build_plant, inverse_kinematics
-from flexopt.plant.motion import Motion, constant_values, structure_of
+from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
+from flexopt.plant.motion import Motion
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.simulation.behaviour import STILL, Grounds
 from flexopt.simulation.loop import ClosedLoop, closed_loop
 from flexopt.simulation.robust import robust_law
-from flexopt.simulation.structure import MODEL, N_TASK, LoopStructure
+from flexopt.simulation.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 
-OFFSET = 0.05  # rad
+OFFSET = 0.05  # rad or m
 # Steps of the accurate methods, as shares of the fastest mode's radian.
 ACCURATE_STEP = 0.3
 # Where RK4 leaves the imaginary axis: |R(iy)| > 1 beyond √8.
@@ -48,7 +51,7 @@ class Scenario:
         posture, base: design configuration.
         q_design: all coordinates at equilibrium, (n_q,).
         target: end-point there, (n_task,), m.
-        offset: of the joints at the start, (n,), rad.
+        offset: of the joints at the start, (n,), rad or m.
         frequencies_hz, modes: undamped modes with the joints held by nothing, ascending, (m,) and (n_q, m).
         parts: constants by name, for `ClosedLoop.constants`.
         start: states x (n_x,).
@@ -56,7 +59,7 @@ class Scenario:
         samples: how many.
     """
 
-    machine: Machine
+    machine: AnyMachine
     options: SimulationOptions
     loop: ClosedLoop
     posture: Vector
@@ -84,7 +87,10 @@ class Scenario:
 
     def along(self, name: str, path: Path, times: Vector) -> Vector:
         """Points of a path as the loop takes them, from where the base stands at first."""
-        return path.at(times) - (self.base if name == "base" else _place(self.base))
+        points = path.at(times)
+        if name == "target":
+            return points - _place(self.loop.shape, self.base)
+        return moved(self.loop.shape, points, self.base)
 
     @property
     def still(self) -> Vector:
@@ -98,7 +104,7 @@ class Scenario:
         paths = [path for path in (self.options.base_path, self.options.target_path) if path is not None]
         return Grounds(
             slowest_hz=float(self.frequencies_hz[0]),
-            turns=self.loop.structure.motion.rotation,
+            turns=bool(self.loop.shape.base_hinges),
             still=self.still,
             undisturbed_from=max((path.times[-1] for path in paths), default=0.0),
             noisy=self.loop.structure.noisy,
@@ -116,29 +122,72 @@ class Scenario:
                 columns |= {name: points[:-1], f"{name}_rate": np.diff(points, axis=0) / self.period}
         if "noise" in layout.sizes:
             generator = rng or np.random.default_rng(options.seed)
-            size = np.repeat([options.sensor.noise, options.sensor.rate_noise], N_TASK)
-            columns["noise"] = generator.standard_normal((self.samples, 2 * N_TASK)) * size
+            rows = self.loop.structure.n_task
+            size = np.repeat([options.sensor.noise, options.sensor.rate_noise], rows)
+            columns["noise"] = generator.standard_normal((self.samples, 2 * rows)) * size
         return np.concatenate([columns[name] for name in layout.sizes], axis=1)
 
 
-def _place(base: Vector) -> Vector:
-    """Where the base stands, (n_task,), m."""
-    place: Vector = np.zeros(N_TASK)
-    place[: len(base)] = base
-    return place
+def _place(motion: Motion, base: Vector) -> Vector:
+    """What a placement adds to the end-point, (n_task,), m."""
+    return np.array(motion.on_rows(base.tolist(), 0.0))
+
+
+def moved(motion: Motion, points: Vector, base: Vector) -> Vector:
+    """Placements (K, n_b) as `Motion` takes them: x and y from `base`, in the axes in which it stands."""
+    names, result = motion.placement, points - base
+    if "yaw" in names:
+        yaw = base[names.index("yaw")]
+        x, y = (result[:, names.index(name)].copy() if name in names else np.zeros(len(points)) for name in ("x", "y"))
+        turned = {"x": x * math.cos(yaw) + y * math.sin(yaw), "y": y * math.cos(yaw) - x * math.sin(yaw)}
+        for name in turned.keys() & set(names):
+            result[:, names.index(name)] = turned[name]
+    return result
 
 
 def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
     """Options of a call, or one error with every fault."""
     plain = {name: _plain(value) for name, value in given.items() if value is not None}
-    machine = Arguments(call).planar(machine)
+    machine = Arguments(call).machine(machine)
     options = validated(SimulationOptions, plain, call, (), InputError)
-    raise_if_any(InputError, call, options.faults(machine))
+    raise_if_any(InputError, call, options.faults(machine) + _path_faults(machine, options))
     return options
 
 
+def _path_faults(machine: AnyMachine, options: SimulationOptions) -> list[Fault]:
+    """Base paths that would jerk the machine along, or turn it with the ground."""
+    path, base = options.base_path, np.array(options.placement(machine))
+    if path is None or any(len(point) != len(base) for point in path.points):
+        return []
+    motion, found = motion_of(structure_of(machine), {}), list[Fault]()
+    points = np.array(path.points)
+    if "yaw" in motion.placement:
+        column = points[:, motion.placement.index("yaw")]
+        yaw = float(base[motion.placement.index("yaw")])
+        if np.any(column != yaw):
+            sentence = f"must keep yaw at that of base, {yaw:g} rad: a ground that turns is not simulated"
+            found.append(Fault("base_path.points", sentence))
+        if yaw and not {"x", "y"} <= set(motion.placement):
+            sentence = (
+                f"needs a machine placed by both x and y where yaw is not 0, not by {', '.join(motion.placement)}"
+            )
+            return [*found, Fault("base_path", sentence)]
+    local = moved(motion, points, base)
+    # Where the anchor frame is turned, a rounding error is left over of what cancels.
+    rounding = 1e-12 * (1.0 + float(np.abs(points).max()))
+    rigid = [
+        name
+        for k, name in enumerate(motion.placement)
+        if name in ("x", "y") and name not in motion.absorbed and np.any(np.abs(local[:, k]) > rounding)
+    ]
+    if rigid:
+        sentence = f"needs a base that gives in {' and '.join(rigid)}; a rigid one would jerk the machine along"
+        found.append(Fault("base_path", sentence))
+    return found
+
+
 def build_scenario(
-    machine: Machine, options: SimulationOptions, zeros: frozenset[str] | None = None, *, watched: bool = False
+    machine: AnyMachine, options: SimulationOptions, zeros: frozenset[str] | None = None, *, watched: bool = False
 ) -> Scenario:
     """The scenario of checked options.
 
@@ -155,7 +204,15 @@ def build_scenario(
         InputError: the springs do not hold the machine; the step is too long for RK4.
         NoSolutionFound: the static deflection did not converge.
     """
-    design = _design(machine, options.posture, options.end_point, options.elbow, options.base, options.gravity)
+    design = _design(
+        machine,
+        options.posture,
+        options.end_point,
+        options.elbow,
+        options.placement(machine),
+        options.gravity,
+        options.control,
+    )
     period = 1 / options.rate
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
     substeps, iterations = _stepping(options, fastest, 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,)))
@@ -165,19 +222,22 @@ def build_scenario(
         structure = replace(structure, motion=replace(structure.motion, zeros=zeros), own_model=True)
     parts: dict[str, Any] = dict(constant_values(machine))
     parts |= {f"{MODEL}{name}": value for name, value in parts.items()}
-    n = len(machine.joints)
+    shape = motion_of(structure.motion, {})
+    n, rows = shape.n_joints, shape.n_task
     parts |= {
         "h": period / substeps,
         "design": design.passive,
         "base": design.base,
-        "target": design.target - _place(design.base),
+        "target": design.target - _place(shape, design.base),
     }
-    hinges = design.passive[len(structure.motion.translations) :]
+    hinges = design.passive[shape.hinges]
     parts["design_directions"] = np.stack([np.cos(hinges), np.sin(hinges)], axis=1).ravel()
-    parts |= {name: np.broadcast_to(getattr(options, name), N_TASK) for name in ("kp", "kv", "ki")}
+    parts |= {name: np.broadcast_to(getattr(options, name), rows) for name in ("kp", "kv", "ki")}
+    parts |= {"servo_gain": options.actuator.servo_gain}
     parts |= {"integral_limit": options.integral_limit, "nullspace_damping": options.nullspace_damping}
-    parts |= {"resolution": [options.sensor.resolution] * N_TASK}
-    parts |= {"rate_resolution": [options.sensor.rate_resolution] * N_TASK}
+    parts |= {JACOBIAN_DAMPING: control_damping(options.control) or 0.0}
+    parts |= {"resolution": [options.sensor.resolution] * rows}
+    parts |= {"rate_resolution": [options.sensor.rate_resolution] * rows}
     actuator = options.actuator
     for name, value in (
         ("torque_limit", actuator.torque_limit),
@@ -216,7 +276,7 @@ def build_scenario(
     )
 
 
-def _modal(loop: ClosedLoop, machine: Machine, design: _Design, parts: Mapping[str, Any]) -> dict[str, Any]:
+def _modal(loop: ClosedLoop, machine: AnyMachine, design: _Design, parts: Mapping[str, Any]) -> dict[str, Any]:
     """What projects states on the flexible modes: Φᵀ M in the coordinates u, and ω²."""
     plant = build_plant(machine)
     mass = plant.mass(design.q, design.base, plant.parameter_values).full()
@@ -231,13 +291,8 @@ def _modal(loop: ClosedLoop, machine: Machine, design: _Design, parts: Mapping[s
 
 def _to_u(loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
     """Coordinates u (n_q, N) of configurations q."""
-    motion = Motion(loop.structure.motion, {})
-    shift = np.zeros((motion.n, 1))
-    if not loop.structure.motion.rotation:
-        shift[motion.n_translations + [*motion.hinges, *motion.joints].index(1)] = -parts["rest0"]
-    if "x" in loop.structure.motion.translations:
-        shift[0] = parts["base"]
-    u: Vector = np.asarray(np.linalg.solve(loop.to_q, q - shift), dtype=np.float64)
+    origin = motion_of(loop.structure.motion, parts).origin(ca.SX(parts["base"]))
+    u: Vector = np.asarray(np.linalg.solve(loop.to_q, q - ca.evalf(origin).full()), dtype=np.float64)
     return u
 
 
@@ -256,28 +311,29 @@ class _Design:
 
 @lru_cache(maxsize=256)
 def _design(
-    machine: Machine,
+    machine: AnyMachine,
     posture: tuple[float, ...] | None,
     end_point: tuple[float, ...] | None,
     elbow: Any,
     base: tuple[float, ...],
     gravity: bool,
+    control: Control,
 ) -> _Design:
     plant = build_plant(machine)
     if posture is None:
-        posture = tuple(inverse_kinematics(machine, end_point, base=base[0], gravity=gravity, elbow=elbow)[0])
+        elbow = elbow or ("up" if plant.closed_form else None)
+        posture = tuple(inverse_kinematics(machine, end_point, base=base, gravity=gravity, elbow=elbow)[0])
     angles, placement, p, m = np.array(posture), np.array(base), plant.parameter_values, plant.n_passive
     q = plant.rest(placement, angles, p).full().ravel()
-    check_regular(plant, q, placement)
+    check_regular(plant, q, placement, control)
     stiffness = plant.stiffness(p).full()
     if gravity:
         q[:m] = plant.deflected(placement, angles, p).full().ravel()
         _check_static(plant, q, placement)
         stiffness = check_held(plant, q, placement)
     frequencies, modes = _flexible_modes(stiffness, plant.mass.call([q, placement, p])[0].full(), m)
-    passive = q[:m].copy()
-    if "x" in machine.free_base_directions:
-        passive[0] -= placement[0]
+    motion = motion_of(structure_of(machine), {})
+    passive = q[:m] - ca.evalf(motion.drawn(ca.SX(placement))).full().ravel()[:m]
     target = plant.end_point.call([q, placement, p])[0].full().ravel()
     return _Design(angles, placement, q, passive, target, frequencies, modes)
 
@@ -330,12 +386,12 @@ def _stepping(options: SimulationOptions, mode: float, servo: float) -> tuple[in
     return substeps, max(6, math.ceil(-38.0 / math.log(shrink))) if options.integrator == "gauss" else 0
 
 
-def _structure(machine: Machine, options: SimulationOptions, substeps: int, iterations: int) -> LoopStructure:
+def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, iterations: int) -> LoopStructure:
     sensor, actuator = options.sensor, options.actuator
     laws: dict[str, Any] = {"robust": "state_space"}
     return LoopStructure(
         motion=structure_of(machine),
-        control=options.control,
+        control=control_method(options.control),
         law=laws.get(options.feedback, options.feedback),
         sampled=options.hold,
         method=options.integrator,
@@ -351,17 +407,19 @@ def _structure(machine: Machine, options: SimulationOptions, substeps: int, iter
         rate_limited=actuator.rate_limit is not None,
         dead_band=actuator.dead_band is not None,
         nullspace_damped=options.nullspace_damping > 0,
+        levers=actuator.levers,
+        hydraulic=None if actuator.levers is None else machine,
         moving_base=options.base_path is not None,
         moving_target=options.target_path is not None,
     )
 
 
 def default_offset(n: int) -> Vector:
-    """The displacement of the joints (n,) at the start where none is given: ±0.05 rad in turn."""
+    """The displacement of the joints (n,) at the start where none is given: ±0.05 rad or m in turn."""
     return np.array([OFFSET if k % 2 == 0 else -OFFSET for k in range(n)])
 
 
-def start_states(machine: Machine, loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
+def start_states(machine: AnyMachine, loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
     """States x (n_x, N) at rest in configurations q (n_q, N).
 
     Servos start with the torque that carries the weight, measurements on their way show the start.
@@ -373,7 +431,7 @@ def start_states(machine: Machine, loop: ClosedLoop, parts: Mapping[str, Any], q
         weight = plant.gravity(q, base, plant.parameter_values).full()
         x[loop.states.slices["torque"]] = weight[plant.n_passive :]
     if loop.structure.delay:
-        points = plant.end_point(q, base, plant.parameter_values).full() - _place(base)[:, None]
+        points = plant.end_point(q, base, plant.parameter_values).full() - _place(loop.shape, base)[:, None]
         measured = np.concatenate([points, np.zeros_like(points)])
         x[loop.states.slices["queue"]] = np.tile(measured, (loop.structure.delay, 1))
     return x

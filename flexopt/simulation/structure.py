@@ -15,13 +15,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.problem import Control
-from flexopt.plant.motion import Motion, Structure
+from flexopt.model import AnyMachine
+from flexopt.model.problem import DAMPED, Control
+from flexopt.plant.machine_motion import Structure, motion_of
 from flexopt.simulation.feedback import FeedbackLaw, Law
 
 Method = Literal["rk4", "dop853", "gauss"]
 METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
-N_TASK = 2
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class LoopStructure:
 
     Attributes:
         motion: the machine's structure.
-        control: how forces at the end-point become joint torques.
+        control: how forces at the end-point become joint torques, `"damped"` without its number.
         law, order: task-space feedback, and the number of states of a state-space law.
         sampled: the command is computed at the start of each sample and held; else at every stage of the integrator.
         method, substeps, iterations: integration; iterations of the implicit method.
@@ -41,6 +41,8 @@ class LoopStructure:
         nullspace_damped: whether a damper acts on the arm's self-motion.
         moving_base, moving_target: whether they come as signals instead of constants.
         watched: whether a step gives what is judged (see `Sample.monitor`); else it is taken from the samples.
+        levers, hydraulic: how joint rates that pass through levers are cut, and the machine whose levers they are: all
+            numbers of that map are part of the structure.
         own_model: whether the controller has constants of its own for geometry and weight, in place of the machine's.
     """
 
@@ -64,10 +66,23 @@ class LoopStructure:
     nullspace_damped: bool = False
     moving_base: bool = False
     moving_target: bool = False
+    levers: Literal["each", "uniform"] | None = None
+    hydraulic: AnyMachine | None = None
     own_model: bool = False
     watched: bool = False
 
+    @property
+    def n_task(self) -> int:
+        """Task rows."""
+        return len(self.motion.rows)
 
+    @property
+    def n_base(self) -> int:
+        """Placement coordinates."""
+        return len(self.motion.placement)
+
+
+JACOBIAN_DAMPING = "jacobian_damping"  # λ of a damped control
 MODEL = "model_"  # prefix of a controller's own constants
 
 
@@ -98,64 +113,39 @@ class Layout:
 
 def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:
     """Entries of c: the motion's constants, and those of controller, sensors and actuators."""
-    s, shape = structure, Motion(structure.motion, {})
-    n = len(shape.joints)
-    sizes = {name: 1 for name in motion_constant_names(shape) if name not in s.motion.zeros}
-    sizes |= {f"{MODEL}{name}": 1 for name in sizes if s.own_model and is_known(name)}
-    sizes |= {"h": 1, "design": shape.n_translations + len(shape.hinges), "design_directions": 2 * len(shape.hinges)}
-    m = shape.n_translations + len(shape.hinges)
+    s, shape = structure, motion_of(structure.motion, {})
+    n, m, hinges, known = shape.n_joints, shape.n_passive, len(shape.hinges), set(shape.known_names)
+    sizes = {name: 1 for name in shape.constant_names if name not in s.motion.zeros}
+    sizes |= {f"{MODEL}{name}": 1 for name in sizes if s.own_model and name in known}
+    sizes |= {"h": 1, "design": m, "design_directions": 2 * hinges}
     sizes |= {"u_design": shape.n, "modes": m * shape.n, "omega_squared": m}
-    sizes["base"] = 1
-    sizes |= {} if s.moving_target else {"target": N_TASK}
+    sizes["base"] = s.n_base
+    sizes |= {} if s.moving_target else {"target": s.n_task}
     sizes |= law.constants
-    sizes |= {"resolution": N_TASK, "rate_resolution": N_TASK} if s.quantised else {}
+    sizes |= {"resolution": s.n_task, "rate_resolution": s.n_task} if s.quantised else {}
     for part, name, size in (
         (s.limited, "torque_limit", n),
         (s.dead_band, "dead_band", n),
         (s.lagging, "bandwidth", n),
         (s.rate_limited, "rate_limit", n),
         (s.nullspace_damped, "nullspace_damping", 1),
+        (s.hydraulic is not None, "servo_gain", 1),
+        (s.control == DAMPED, JACOBIAN_DAMPING, 1),
     ):
         sizes |= {name: size} if part else {}
     return sizes
 
 
-def is_known(name: str) -> bool:
-    """Whether a controller uses this constant of the motion: for its Jacobian, or to carry the weight."""
-    return name == "gravity" or name.startswith("length") or (name[0] in "ab" and name[1:].isdigit())
-
-
 def state_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:
     """Entries of x: u, w, torque of lagging actuators, states of the law, measurements on their way."""
-    s, shape = structure, Motion(structure.motion, {})
-    n, torques = shape.n, len(shape.joints) if s.lagging else 0
-    return {"u": n, "w": n, "torque": torques, "law": law.n_states, "queue": 2 * N_TASK * s.delay}
+    s, shape = structure, motion_of(structure.motion, {})
+    n, torques = shape.n, shape.n_joints if s.lagging else 0
+    return {"u": n, "w": n, "torque": torques, "law": law.n_states, "queue": 2 * s.n_task * s.delay}
 
 
 def signal_sizes(structure: LoopStructure) -> dict[str, int]:
     """Entries of e: what changes from sample to sample."""
     s = structure
-    sizes = {"base": 1, "base_rate": 1} if s.moving_base else {}
-    sizes |= {"target": N_TASK, "target_rate": N_TASK} if s.moving_target else {}
-    return sizes | ({"noise": 2 * N_TASK} if s.noisy else {})
-
-
-def motion_constant_names(motion: Motion) -> list[str]:
-    """Names of all constants of a structure, in the order of `plant.motion.constants`."""
-    s = motion.structure
-    both = len(s.translations) == 2
-    names = ["total", "inverse_total", "inverse_root_total", "gravity"] + (
-        [] if s.rotation else ["base_cos", "base_sin"]
-    )
-    for direction in s.translations:
-        names += [f"{word}_{direction}{per}" for word in ("stiffness", "damping") for per in ("", "_m")]
-    for k in range(motion.n_bodies):
-        names += [f"a{k}", f"b{k}", f"length{k}", f"am{k}", f"bm{k}"]
-        for m in range(k + 1):
-            names += [f"s{k}_{m}"] + ([f"t{k}_{m}"] if m < k else [])
-    names += ["inverse_pivot"] if both else []
-    names += ["stiffness0", "damping0"] if s.rotation else []
-    names.append("rest0")
-    for k, passive in enumerate(s.passive, 1):
-        names += [f"stiffness{k}", f"rest{k}", f"damping{k}"] if passive else [f"damping{k}"]
-    return names
+    sizes = {"base": s.n_base, "base_rate": s.n_base} if s.moving_base else {}
+    sizes |= {"target": s.n_task, "target_rate": s.n_task} if s.moving_target else {}
+    return sizes | ({"noise": 2 * s.n_task} if s.noisy else {})

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready
 from flexopt.plant import build_plant
@@ -31,10 +31,10 @@ class Trajectory:
         time: (K,), s.
         q, v: coordinates and rates (K, n_q), passive first.
         end_point, error: r and r_d − r (K, n_task), m, inertial frame.
-        torque: that acts on the joints from each sample on (K, n), N m.
+        torque: that acts on the joints from each sample on (K, n), N m, or N on slides.
         energy: kinetic, of the springs and, where it acts, of the weight (K,), J.
         deflection: passive coordinates less their values at equilibrium (K, m).
-        base: anchor of the springs (K, n_b), m.
+        base: placement, the anchor of the springs (K, n_b), m or rad.
         target: of the end-point, (K, n_task), m.
         verdict: `"converges"` or `"grows"`, by the base's oscillation; see `simulation.behaviour`.
         growth_rate, growth_rate_error: of its amplitude and the standard error, 1/s; None where the base never moved.
@@ -42,11 +42,13 @@ class Trajectory:
         overshoot: how far the end-point went beyond its target, as a share of the error at the start; None where base
             or target move.
         end_error: |e| at the end, m; None where the run left the finite numbers.
-        peak_base_rotation: rad; None for a base that cannot turn.
+        peak_base_rotation: largest deflection from equilibrium of a hinge by which the base turns, rad: of a planar
+            machine the base's rotation, in space of any passive hinge that no actuated joint carries; None where there
+            is none.
         residual_oscillation: largest energy of each flexible mode in the last period of the slowest, (m,), J.
         frequencies_hz: of these modes, (m,).
         model: the machine.
-        skeleton: ground point, joints and end-point at each sample (K, n_bodies + 1, n_task), m.
+        skeleton: points as in `Plant.skeleton` at each sample (K, points, 2 or 3), m.
         warnings: sentences.
     """
 
@@ -76,7 +78,12 @@ class Trajectory:
     frequencies_hz: Vector
     warnings: tuple[str, ...]
     provenance: dict[str, Any] = field(repr=False)
-    model: Machine = field(repr=False)
+    model: AnyMachine = field(repr=False)
+
+    @property
+    def torque_units(self) -> tuple[str, ...]:
+        """Unit of each joint's torque, N m or N."""
+        return tuple("N m" if unit == "rad" else "N" for unit in self.model.joint_units)
 
     @cached_property
     def skeleton(self) -> Vector:
@@ -84,38 +91,38 @@ class Trajectory:
         return self.skeletons(self.q, self.base)
 
     def skeletons(self, q: Vector, base: Vector) -> Vector:
-        """Ground point, joints and end-point in K configurations (K, n_q) and placements (K, n_b).
+        """Points as in `Plant.skeleton` in K configurations (K, n_q) and placements (K, n_b).
 
         Returns:
-            (K, n_bodies + 1, n_task), m.
+            (K, points, 2 or 3), m.
         """
         plant, n = build_plant(self.model), len(q)
         p = np.repeat(plant.parameter_values.full(), n, axis=1)
         points = plant.skeleton.map(n).call([q.T, base.T, p])[0].full()
-        return points.T.reshape(n, -1, plant.n_task)
+        return points.T.reshape(n, -1, plant.skeleton.size1_out(0))
 
     @cached_property
     def dataset(self) -> xr.Dataset:
         """Every sample with named axes and units."""
         import xarray as xr  # noqa: PLC0415  (slow to import)
 
-        axes = ["x", "y", "z"][: self.end_point.shape[1]]
-        units = {"coordinate": "m or rad", "joint": "N m"}
+        axes, torque_units = list(self.model.task_rows), " or ".join(dict.fromkeys(self.torque_units))
+        units = {"coordinate": "m or rad", "joint": torque_units}
         passive = list(self.coordinates[: self.n_passive])
         variables = {
             "q": (("time", "coordinate"), self.q, {"units": units["coordinate"]}),
             "v": (("time", "coordinate"), self.v, {"units": "m/s or rad/s"}),
             "end_point": (("time", "axis"), self.end_point, {"units": "m", "frame": "inertial"}),
             "error": (("time", "axis"), self.error, {"units": "m"}),
-            "torque": (("time", "joint"), self.torque, {"units": "N m"}),
+            "torque": (("time", "joint"), self.torque, {"units": units["joint"]}),
             "energy": ("time", self.energy, {"units": "J"}),
             "deflection": (("time", "passive"), self.deflection, {"units": "m or rad"}),
-            "base": (("time", "placement"), self.base, {"units": "m"}),
+            "base": (("time", "placement"), self.base, {"units": " or ".join(dict.fromkeys(self.model.base_units))}),
             "target": (("time", "axis"), self.target, {"units": "m", "frame": "inertial"}),
         }
         labels = {
             "time": ("time", self.time, {"units": "s"}), "coordinate": list(self.coordinates), "axis": axes,
-            "joint": list(self.joints), "passive": passive, "placement": axes[: self.base.shape[1]],
+            "joint": list(self.joints), "passive": passive, "placement": list(self.model.base_coordinates),
         }  # fmt: skip
         return xr.Dataset(variables, labels, {"verdict": self.verdict, "machine": self.machine})
 
@@ -147,8 +154,9 @@ class Trajectory:
         """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them."""
         names = ["time_s", *(f"q_{c}" for c in self.coordinates), *(f"v_{c}" for c in self.coordinates)]
         for word in ("end_point", "error"):
-            names += [f"{word}_{axis}_m" for axis in ["x", "y", "z"][: self.end_point.shape[1]]]
-        names += [*(f"torque_{joint}_Nm" for joint in self.joints), "energy_J"]
+            names += [f"{word}_{axis}_m" for axis in self.model.task_rows]
+        names += [f"torque_{j}_{unit.replace(' ', '')}" for j, unit in zip(self.joints, self.torque_units, strict=True)]
+        names.append("energy_J")
         columns = [self.time[:, None], self.q, self.v, self.end_point, self.error, self.torque, self.energy[:, None]]
         lines = [",".join(names)]
         lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]

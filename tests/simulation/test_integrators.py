@@ -11,7 +11,7 @@ import pytest
 
 from flexopt import build_plant
 from flexopt.model import machine_from_dict
-from flexopt.plant.motion import Motion
+from flexopt.plant.machine_motion import motion_of
 from flexopt.simulation.scenario import Scenario
 from flexopt.simulation.tableaus import dormand_prince, gauss
 from tests.oracles.closed_loop_ode import Loop
@@ -150,15 +150,15 @@ def canonical(made: Scenario, method: str, h: float) -> tuple[ca.Function, ca.Fu
     """The step and its Jacobian in (u, p = M w), p in units that make u and p alike."""
     structure = replace(made.loop.structure, method=method, substeps=1, iterations=30)
     loop = replace(made.loop, structure=structure)
-    motion = Motion(structure.motion, {name: ca.SX(value) for name, value in made.parts.items() if np.ndim(value) == 0})
+    motion = motion_of(structure.motion, {name: ca.SX(x) for name, x in made.parts.items() if np.ndim(x) == 0})
     n = motion.n
     u, w, p = (ca.SX.sym(name, n) for name in "uwp")
     angles = motion.angles(u)
     along = motion.with_base([(ca.cos(angles[k]), ca.sin(angles[k])) for k in range(angles.shape[0])])
     plant = build_plant(made.machine)
     unit = float(np.trace(plant.mass(made.q_design, made.base, plant.parameter_values).full())) / n / h
-    to_rates = ca.Function("to_rates", [u, p], [motion.rates_of_momentum(unit * p, along)])
-    to_momentum = ca.Function("to_momentum", [u, w], [motion.momentum(w, along) / unit])
+    to_rates = ca.Function("to_rates", [u, p], [motion.rates_of_momentum(u, unit * p, along)])
+    to_momentum = ca.Function("to_momentum", [u, w], [motion.momentum(u, w, along) / unit])
     c = made.constants.copy()
     c[loop.constants.slices["h"]] = h
     start, here = ca.MX.sym("u", n), ca.MX.sym("p", n)

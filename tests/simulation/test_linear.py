@@ -25,10 +25,10 @@ STRUCTURES = [
 ]
 
 
-def held(machine, posture, control, kp, kv, period):
+def held(machine, posture, control, kp, kv, period, base=(0.0,)):
     """Eigenvalues of the sampled loop, held input: x = [v; q − q_d], f = −(Kp C + Kv C') x."""
     plant = build_plant(machine)
-    a, b, c = (x.full() for x in plant.linearisation(control).call([0.0, posture, plant.parameter_values]))
+    a, b, c = (x.full() for x in plant.linearisation(control).call([base, posture, plant.parameter_values]))
     n, r = len(a) // 2, b.shape[1]
     rate = np.hstack([c[:, n:], np.zeros((r, n))])
     block = np.zeros((2 * n + r, 2 * n + r))
@@ -53,7 +53,7 @@ def apart(a, b):
 
 
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
-@pytest.mark.parametrize("control", ["inverse", "transpose"])
+@pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.3"])
 def test_multipliers_are_those_of_the_held_linear_plant(structure, control):
     rng = np.random.default_rng(STRUCTURES.index(structure))
     data = draw_machine(NumpySource(rng), structure, spread=30.0, joint_damping=False)

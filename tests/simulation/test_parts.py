@@ -62,6 +62,8 @@ LIMITS = (600.0, 400.0)
 PARTS = {
     "inverse": ({}, {}),
     "transpose": ({"control": "transpose", "kp": 3e4, "kv": 3e3}, {"control": "transpose", "kp": 3e4, "kv": 3e3}),
+    "damped": ({"control": "damped:0.4"}, {"control": "damped:0.4"}),
+    "damped, continuous": ({"control": "damped:0.4", "hold": False}, {"control": "damped:0.4"}),
     "continuous": ({"hold": False}, {}),
     "no controller": ({"feedback": "none"}, {"open": True}),
     "pid": (
