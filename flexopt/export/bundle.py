@@ -23,7 +23,7 @@ from flexopt.export.naming import identifier
 from flexopt.export.operations import Field
 from flexopt.export.parts import PARTS
 from flexopt.export.sources import STATUSES, Library
-from flexopt.model import Machine, machine_from_dict
+from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
 from flexopt.model.arguments import Arguments
 from flexopt.model.documents import json_ready, package_version, provenance
 from flexopt.model.problem import Control, check_gain, check_margin_deg
@@ -81,7 +81,7 @@ class ExportReport:
 
 
 def export_c(
-    machine: Machine,
+    machine: AnyMachine,
     folder: str | Path,
     *,
     parts: Sequence[str] | None = None,
@@ -95,7 +95,8 @@ def export_c(
 ) -> ExportReport:
     """C for the controller of a machine: a folder with one file for each part.
 
-    Parts: kinematics, control step, measures w_i, nullspace step, ε_max, the posture optimiser, the machine's own step.
+    Parts: kinematics, control step, lever map, measures w_i, nullspace step, ε_max, the posture optimiser (of planar
+    machines), the machine's own step.
 
     The generated code is that of the CasADi Functions which `evaluate` and `select` use, wrapped in functions that
     check their inputs. Every number of the machine is a run-time parameter unless `baked`.
@@ -106,7 +107,8 @@ def export_c(
         parts: names from `flexopt.export.PARTS`; by default all that the machine allows. The optimiser brings the
             kinematics.
         real: `"double"`, or `"float"` for single precision throughout.
-        control: `"inverse"` or `"transpose"`: of the measures, the nullspace step and ε_max. The controller has both.
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`: of the measures, the nullspace step and ε_max. The
+            controller has both of the first, and the damped one if asked for.
         gain: servo gain k_r about which ε_max is tested; the C function takes it as an input.
         baked: whether the machine's parameters become constants: smaller and faster.
         singularity_margin_deg: how far the arm must be from singular postures, degrees.
@@ -118,7 +120,7 @@ def export_c(
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
     """
     arguments = Arguments("export_c")
-    machine = arguments.planar(machine)
+    machine = arguments.machine(machine)
     wanted = _checked_parts(arguments, parts)
     real = arguments.choice("real", real, REALS)
     control = arguments.control(control)
@@ -166,7 +168,7 @@ def export_c(
 
 
 def build_library(
-    machine: Machine,
+    machine: AnyMachine,
     parts: Sequence[str],
     *,
     real: Real,
@@ -197,7 +199,7 @@ def build_library(
     return library
 
 
-def render_bundle(machine: Machine, parts: Sequence[str], **options: Any) -> tuple[dict[str, str], dict[str, Any]]:
+def render_bundle(machine: AnyMachine, parts: Sequence[str], **options: Any) -> tuple[dict[str, str], dict[str, Any]]:
     """Path -> text of every file, manifest.json among them, and the manifest; options as of `build_library`."""
     library = build_library(machine, parts, **options)
     bundle_hash = hashlib.sha256(library.kernel_digest_text().encode()).hexdigest()
@@ -227,7 +229,13 @@ def library_of(manifest: dict[str, Any]) -> Library:
     """The library that a manifest describes, built again from the machine inside it."""
     options = dict(manifest["options"])
     parts = options.pop("parts")
-    return build_library(machine_from_dict(manifest["machine"]), parts, **options)
+    return build_library(machine_of(manifest), parts, **options)
+
+
+def machine_of(manifest: dict[str, Any]) -> AnyMachine:
+    """The machine inside a manifest, planar or spatial."""
+    data = manifest["machine"]
+    return tree_from_dict(data) if "bodies" in data else machine_from_dict(data)
 
 
 def changed_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
@@ -285,6 +293,7 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         "sizes": library.sizes,
         "statuses": {name: k for k, name in enumerate(STATUSES)},
         "parts": parts,
+        "left_out": {part: said for part in PARTS if (said := PARTS[part].refusal(machine))},
         "parameters": [dict(zip(("name", "unit", "value", "low", "high"), row, strict=True)) for row in listed],
         "compile_flags": list(COMPILE_FLAGS),
         "libraries": ["m"],

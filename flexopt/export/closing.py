@@ -53,7 +53,7 @@ def settling_start(at: Context) -> Start | None:
     """The first start, in order of the postures' robustness w, whose loop settles."""
     plant, p = at.plant, at.plant.parameter_values
     base = ca.DM.zeros(plant.n_base, 1)
-    m, length = plant.n_passive, float(plant.arm_segments.call([base, p])[1].full().sum())
+    m, length = plant.n_passive, at.arm_length
     postures = at.joint_angles.draw(np.random.default_rng(SEED), 128)
     sines = plant.singularity_sine_squared.call([base, ca.DM(postures.T), p])[0].full().ravel()
     regular = postures[sines > np.median(sines)].round(4)

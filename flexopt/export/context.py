@@ -6,30 +6,26 @@ In: a machine and the options of an export. Out: a `Context`, which turns graphs
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
 from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes
-from flexopt.model import AnyMachine, Machine
-from flexopt.model.machine import Parameter
+from flexopt.export.parameters import machine_parameters
+from flexopt.model import AnyMachine
 from flexopt.model.problem import Control
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX
+from flexopt.model.quantities import coordinate_max
 from flexopt.plant import Plant, build_plant
 from flexopt.robustness.measures import Measures, build_measures
 
-# Smallest positive normal number in single precision: what must be greater than 0 is at least this.
-POSITIVE = 1.1754944e-38
 # In single precision modes lose too many digits nearer than this to singular postures.
 SINGLE_SINE = math.sin(math.radians(10.0))
 
-_PARAMETER_RANGES = {
-    "length": (POSITIVE, LENGTH_MAX), "com": (-LENGTH_MAX, LENGTH_MAX), "com_offset": (-LENGTH_MAX, LENGTH_MAX),
-    "mass": (POSITIVE, 1e9), "inertia": (POSITIVE, 1e15), "stiffness": (POSITIVE, 1e15), "damping": (0.0, 1e12),
-    "joint_damping": (0.0, 1e12), "rest": (-ANGLE_MAX, ANGLE_MAX), "rest_angle": (-ANGLE_MAX, ANGLE_MAX),
-    "base.length": (0.0, LENGTH_MAX), "payload.mass": (0.0, 1e9), "gravity": (0.0, 1e3),
-}  # fmt: skip
+# Samples of a joint or a placement coordinate without limits: a turn, or as far each way, m.
+NEAR = {"rad": math.pi, "m": 2.0}
 
 
 @dataclass(frozen=True)
@@ -42,7 +38,7 @@ class Context:
         gain: servo gain kr about which ε_max is tested.
         single: whether the C code computes in single precision.
         baked: whether the machine's parameters become constants.
-        singularity_margin: smallest mean sine of the angles between the arm's segments.
+        singularity_margin: square root of the smallest `Plant.singularity_sine_squared`.
     """
 
     plant: Plant
@@ -75,10 +71,7 @@ class Context:
     @cached_property
     def parameters(self) -> Parameters:
         """The machine's parameters and their ranges."""
-        listed = self.machine.parameters
-        low, high = zip(*(parameter_range(p) for p in listed), strict=True)
-        names, values, units = zip(*listed, strict=True)
-        return Parameters(names, units, values, low, high, self.single)
+        return machine_parameters(self.machine.parameters, single=self.single)
 
     @cached_property
     def measures(self) -> Measures:
@@ -100,24 +93,58 @@ class Context:
     @cached_property
     def joint_angles(self) -> Field:
         """The actuated joints as an input."""
-        low, high = zip(*((max(a, -ANGLE_MAX), min(b, ANGLE_MAX)) for a, b in self.machine.limits), strict=True)
-        near = (tuple(max(a, -math.pi) for a in low), tuple(min(b, math.pi) for b in high))
-        text = "angles of the actuated joints, each relative to the body before it"
-        return self.sizes.field("joint_angles", "JOINTS", "rad", text, low=low, high=high, sample=near)
+        units = self.machine.joint_units
+        pairs = [
+            (max(low, -coordinate_max(unit)), min(high, coordinate_max(unit)))
+            for unit, (low, high) in zip(units, self.machine.limits, strict=True)
+        ]
+        low, high = zip(*pairs, strict=True)
+        near = _transposed([_near(unit, *pair) for unit, pair in zip(units, pairs, strict=True)])
+        text = "actuated joints, each relative to the body before it"
+        return self.sizes.field("joint_angles", "JOINTS", unit_list(units), text, low=low, high=high, sample=near)
 
     @cached_property
     def placement(self) -> Field:
-        """Where the base stands, as an input."""
+        """Where the base stands, as an input; only for machines that can be placed."""
+        units = self.machine.base_units
+        limit = tuple(coordinate_max(unit) for unit in units)
+        near = _transposed([_near(unit, -high, high) for unit, high in zip(units, limit, strict=True)])
         text = "where the base stands, inertial frame"
-        limit = COORDINATE_MAX
-        return self.sizes.field("placement", "PLACEMENT", "m", text, low=-limit, high=limit, sample=(-2.0, 2.0))
+        return self.sizes.field(
+            "placement", "PLACEMENT", unit_list(units), text, low=tuple(-x for x in limit), high=limit, sample=near
+        )
+
+    def coordinates(self, away: float, *, inside_limits: bool) -> Field:
+        """All coordinates q as an input; samples of the passive ones lie up to `away` (m or rad) from rest."""
+        plant, joints = self.plant, self.joint_angles
+        assert joints.sample is not None
+        m, units = plant.n_passive, plant.graph.coordinate_units
+        middle = np.mean(joints.sample, axis=0)
+        rest = plant.rest.call([ca.DM.zeros(plant.n_base, 1), ca.DM(middle), plant.parameter_values])[0]
+        passive = [float(x) for x in rest.full().ravel()[:m]]
+        high = tuple(coordinate_max(unit) for unit in units)
+        low = tuple(-x for x in high)
+        if inside_limits:
+            low, high = (*low[:m], *joints.low), (*high[:m], *joints.high)
+        near = tuple((*(x + side * away for x in passive), *joints.sample[side > 0]) for side in (-1, 1))
+        text = "q = [passive; actuated]: displacements in m, relative angles in rad"
+        sample = (near[0], near[1])
+        return self.sizes.field("coordinates", "COORDINATES", unit_list(units), text, low=low, high=high, sample=sample)
+
+    @cached_property
+    def arm_length(self) -> float:
+        """Length of the bodies from joint to joint with the joints at 0, m: a measure of the machine's size."""
+        plant, p, base = self.plant, self.plant.parameter_values, ca.DM.zeros(self.plant.n_base, 1)
+        rest = plant.rest.call([base, ca.DM.zeros(plant.n_actuated, 1), p])[0]
+        points = plant.skeleton.call([rest, base, p])[0].full()
+        return float(np.linalg.norm(np.diff(points[:, 1:], axis=1), axis=0).sum())
 
     def regular(self, *, modal: bool = False) -> Guard:
         """The arm is far enough from a singular posture; for what stands on modes, farther in single precision."""
         sine = SINGLE_SINE if modal and self.single else 0.0
         return Guard(
             "sine_squared",
-            "squared mean sine of the angles between the arm's segments, 0 where Jv loses rank",
+            "distance from singular postures as a squared mean sine: at most 1, and 0 where Jv loses rank",
             "SINGULAR_POSTURE",
             minimum=max(self.singularity_margin, sine) ** 2,
         )
@@ -160,16 +187,8 @@ class Context:
         return ca.Function(name, [*symbols, p], graphs, [*names, "p"], results, options)
 
 
-def parameter_range(parameter: Parameter) -> tuple[float, float]:
-    """Allowed range of a machine's parameter, as in a machine file."""
-    parts = parameter.name.split(".")
-    if parts[0] == "base" and len(parts) == 3:
-        return _PARAMETER_RANGES[parts[1]]
-    return _PARAMETER_RANGES.get(parameter.name) or _PARAMETER_RANGES[parts[-1]]
-
-
 def build_context(
-    machine: Machine, *, control: Control, gain: float, single: bool, baked: bool, singularity_margin_deg: float
+    machine: AnyMachine, *, control: Control, gain: float, single: bool, baked: bool, singularity_margin_deg: float
 ) -> Context:
     """What the parts of this machine are built from."""
     sine = math.sin(math.radians(singularity_margin_deg))
@@ -179,3 +198,21 @@ def build_context(
 def sine_squared(at: Context) -> ca.SX:
     """The plant's distance from singular postures, for `Context.regular`."""
     return at.plant.singularity_sine_squared(at.base, at.plant.graph.posture, at.plant.graph.p)
+
+
+def _near(unit: str, low: float, high: float) -> tuple[float, float]:
+    """The part of a range that is near 0, or near its own end."""
+    near = NEAR[unit]
+    below, above = max(low, -near), min(high, near)
+    if below < above:
+        return below, above
+    return (low, min(high, low + near)) if low > 0 else (max(low, high - near), high)
+
+
+def _transposed(pairs: list[tuple[float, float]]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return tuple(low for low, _ in pairs), tuple(high for _, high in pairs)
+
+
+def unit_list(units: Sequence[str], pattern: str = "{}") -> str:
+    """Units of a vector, each once."""
+    return ", ".join(pattern.format(unit) for unit in dict.fromkeys(units))

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import casadi as ca
 
-from flexopt.algebra import apply_pseudo_inverse
-from flexopt.export.context import Context, sine_squared
+from flexopt.export.context import Context, sine_squared, unit_list
 from flexopt.export.operations import Field, Operation
-from flexopt.model.problem import Control
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX
+from flexopt.model.problem import CONTROLS, Control, control_damping, control_method
+from flexopt.model.quantities import COORDINATE_MAX
 from flexopt.plant import Plant
+from flexopt.plant.control import task_to_joints
 from flexopt.simulation.feedback import joint_torque
 
 RATE_MAX = 1e4
@@ -20,7 +20,7 @@ GAIN_MAX = 1e12
 
 
 def task_space_torque(plant: Plant, control: Control) -> ca.Function:
-    """τ_a = Jvᵀ f (transpose) or Jv⁺ f (inverse) with f = Kp (r_target − r) + Kv (ṙ_target − ṙ); article, section 3.2.
+    """τ_a = Jvᵀ f (transpose), Jv⁺ f (inverse) or J⁺_λ f (damped), f = Kp (r_target − r) + Kv (ṙ_target − ṙ).
 
     Jv at the measured joints, passive coordinates at rest: the controller knows the arm on rigid ground alone. Inputs
     base, posture, r, r_rate, target, target_rate (n_task,), kp, kv, p; outputs torque (n,) and torque_size, an upper
@@ -33,48 +33,39 @@ def task_space_torque(plant: Plant, control: Control) -> ca.Function:
     error, error_rate = target - point, target_rate - rate
     force = kp * error + kv * error_rate
     torque = joint_torque(jv, force, control)
-    spread = jv if control == "transpose" else apply_pseudo_inverse(jv, ca.SX.eye(r))
+    spread = task_to_joints(jv, control, ca.SX.eye(r))
     size = ca.norm_fro(spread) * (kp * ca.norm_2(error) + kv * ca.norm_2(error_rate))
     inputs = [g.base, g.posture, point, rate, target, target_rate, kp, kv, g.p]
     names = ["base", "posture", "r", "r_rate", "target", "target_rate", "kp", "kv", "p"]
-    return ca.Function(f"torque_{control}", inputs, [torque, size], names, ["torque", "torque_size"])
+    return ca.Function(f"torque_{control_method(control)}", inputs, [torque, size], names, ["torque", "torque_size"])
 
 
 def kinematics(at: Context) -> tuple[Operation, ...]:
     """End-point and Jacobians."""
     plant, g, field = at.plant, at.plant.graph, at.sizes.field
-    m = plant.n_passive
     arguments = (g.q, g.base, g.p)
     end_point, jacobian, rigid = (f(*arguments) for f in (plant.end_point, plant.jacobian, plant.rigid_jacobian))
     skeleton = plant.skeleton(*arguments)
     size = ca.norm_2(skeleton[:, 0]) + sum(ca.norm_2(s) for s in ca.horzsplit(ca.diff(skeleton, 1, 1)))
-    units = plant.graph.coordinate_units
-    limit = tuple(COORDINATE_MAX if unit == "m" else ANGLE_MAX for unit in units)
-    rest = plant.rest(0, at.joint_angles.sample[0] if at.joint_angles.sample else 0, plant.parameter_values)
-    middle = [float(rest[k]) for k in range(m)]
-    near = [tuple(x + side * 0.1 for x in middle) for side in (-1, 1)]
-    assert at.joint_angles.sample is not None
-    sample = (near[0] + at.joint_angles.sample[0], near[1] + at.joint_angles.sample[1])
-    low = (*(-x for x in limit[:m]), *at.joint_angles.low)
-    high = (*limit[:m], *at.joint_angles.high)
-    text = "coordinates q = [passive; actuated]: displacements in m, inertial frame, relative angles in rad"
-    inputs = [(field("coordinates", "COORDINATES", "m, rad", text, low=low, high=high, sample=sample), g.q)]
+    inputs = [(at.coordinates(0.1, inside_limits=True), g.q)]
     if ca.depends_on(ca.veccat(end_point, jacobian), g.base):
         inputs.append((at.placement, g.base))
+    by_coordinate, by_joint = (unit_list(units, "m/{}") for units in (g.coordinate_units, at.machine.joint_units))
     outputs = [
         (field("end_point", "TASK", "m", "end-point r(q), inertial frame", scale="|ground point| + the bodies' "
                "lengths"), end_point, size),
-        (field("jacobian", "TASK COORDINATES", "m/m, m/rad", "J = dr/dq", scale="Frobenius norm"), jacobian,
+        (field("jacobian", "TASK COORDINATES", by_coordinate, "J = dr/dq", scale="Frobenius norm"), jacobian,
          ca.norm_fro(jacobian)),
-        (field("rigid_jacobian", "TASK JOINTS", "m/rad", "Jv = dr/dq_a, the arm on rigid ground",
+        (field("rigid_jacobian", "TASK JOINTS", by_joint, "Jv = dr/dq_a, the arm on rigid ground",
                scale="Frobenius norm"), rigid, ca.norm_fro(rigid)),
     ]  # fmt: skip
     return (at.operation("kinematics", "End-point and its Jacobians at any configuration.", inputs, outputs, []),)
 
 
 def controller(at: Context) -> tuple[Operation, ...]:
-    """The control step, Jacobian transpose and inverse."""
-    return (_torque(at, "transpose"), _torque(at, "inverse"))
+    """The control step, Jacobian transpose and inverse, and the damped inverse where the bundle's control is that."""
+    damped = () if at.control in CONTROLS else (_torque(at, at.control),)
+    return (_torque(at, "transpose"), _torque(at, "inverse"), *damped)
 
 
 def _torque(at: Context, control: Control) -> Operation:
@@ -104,14 +95,22 @@ def _torque(at: Context, control: Control) -> Operation:
         (kp, symbol["kp"]),
         (kv, symbol["kv"]),
     ]
-    matrix = "Jv^T" if control == "transpose" else "Jv^+"
-    output = field("torque", "JOINTS", "N m", f"torques of the actuated joints, {matrix} f", scale=f"|{matrix}| times "
-                   "(Kp |error| + Kv |error rate|)")  # fmt: skip
-    guards = [] if control == "transpose" else [(at.regular(), sine_squared(at))]
+    damping, method = control_damping(control), control_method(control)
+    matrix = {"transpose": "Jv^T", "inverse": "Jv^+"}.get(method, "Jv^T (Jv Jv^T + lambda^2 I)^-1")
+    scale = f"|{matrix}| times (Kp |error| + Kv |error rate|)"
+    output = field("torque", "JOINTS", torque_unit(at), f"of the actuated joints: {matrix} f", scale=scale)
+    guards = [(at.regular(), sine_squared(at))] if control == "inverse" else []
     text = (
-        f"Task-space controller, Jacobian {control}: torque = {matrix} f with f = Kp (target_point - measured_point) + "
+        f"Task-space controller, Jacobian {method}: torque = {matrix} f with f = Kp (target_point - measured_point) + "
         "Kv (target_rate - measured_rate). Jv at the measured joints, passive coordinates at rest."
     )
     if control == "inverse":
         text += " f is in N m^2: Jv^+ is in rad/m (Moore-Penrose where the arm is redundant)."
-    return at.operation(f"torque_{control}", text, inputs, [(output, torque, size)], guards)
+    if damping is not None:
+        text += f" f is in N m^2, and lambda = {damping:g} in the unit of Jv's entries. No posture is refused."
+    return at.operation(f"torque_{method}", text, inputs, [(output, torque, size)], guards)
+
+
+def torque_unit(at: Context) -> str:
+    """Units of what the joints give."""
+    return unit_list([{"rad": "N m", "m": "N"}[unit] for unit in at.machine.joint_units])

@@ -6,6 +6,8 @@ evaluated in CasADi's virtual machine.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
@@ -148,16 +150,9 @@ class Extras:
         return [*lines, f"const {name}_in in = {{{', '.join(members)}}};", f"{name}_out out;"]
 
     def _accepted(self, operation: Operation) -> Samples:
-        context = self.library.context
-        own = np.asarray(context.parameters.values)
-        samples = operation.draw(context.parameters, VECTOR_COUNT, VECTOR_SEED)
-        if self.library.baked:
-            return samples
-        rows = samples.inputs.copy()
-        rows[:, -len(own) :] = context.parameters.rounded(own)
-        again = operation.reference(rows)
-        keep = np.flatnonzero(again.accepted)[:1]
-        return Samples(again.inputs[keep], again.outputs[keep], again.scales[keep], again.accepted[keep])
+        parameters = self.library.context.parameters
+        own = replace(parameters, spread=(0.0,) * len(parameters.spread))
+        return operation.draw(own, 1, VECTOR_SEED)
 
     def _parameters_declaration(self) -> str:
         if self.library.baked:
@@ -174,9 +169,9 @@ class Extras:
             return self._example_machine(settling)
         posture, inertia, length = self._start()
         context, real = self.library.context, self.library.real
-        rest = context.plant.rest(0, posture, context.plant.parameter_values).full().ravel()
+        rest = context.plant.rest.call([np.zeros(context.plant.n_base), posture, context.plant.parameter_values])[0]
         kinematics = self.library.operations["kinematics"][0]
-        members = [f"{{{', '.join(number(v, real) for v in rest)}}}"]
+        members = [f"{{{', '.join(number(v, real) for v in rest.full().ravel())}}}"]
         members += ["{0}" for field in kinematics.inputs[1:] if field.dimensions]
         return self._template(
             "example_loop.c",
@@ -243,9 +238,24 @@ class Extras:
 
     def _ros2_node(self) -> str:
         posture, inertia, _ = self._start()
-        baked = self.library.baked
+        baked, context = self.library.baked, self.library.context
+        set_placement = declare_placement = ""
+        if context.placement_matters:
+            set_placement = (
+                f"  void set_placement(std::size_t k, double value) {{ input_.placement[k] = "
+                f"static_cast<{self.prefix}_real>(value); }}\n"
+            )
+            declare_placement = (
+                f"    // Where the base stands: {', '.join(context.machine.base_coordinates)}.\n"
+                f'    const auto placement = declare_parameter("placement", '
+                f"std::vector<double>({self.upper}_PLACEMENT, 0.0));\n"
+                f"    for (std::size_t k = 0; k < placement.size() && k < {self.upper}_PLACEMENT; ++k) {{\n"
+                f"      controller_.set_placement(k, placement[k]);\n    }}\n"
+            )
         return self._template(
             "ros2_node.cpp",
+            set_placement=set_placement,
+            declare_placement=declare_placement,
             joint_names=", ".join(f'"{text_of(j)}"' for j in self.library.context.machine.joints),
             load_parameters="" if baked else f"    {self.prefix}_default_parameters(&parameters_);\n",
             parameters_member="" if baked else f"  {self.prefix}_parameters parameters_{{}};\n",
@@ -265,8 +275,7 @@ class Extras:
         rest = plant.rest.call([base, ca.DM(posture), p])[0]
         mass = plant.mass.call([rest, base, p])[0].full()
         inertia = float(np.trace(mass[plant.n_passive :, plant.n_passive :])) / plant.n_actuated
-        length = float(plant.arm_segments.call([base, p])[1].full().sum())
-        return posture, float(f"{inertia:.4g}"), length
+        return posture, float(f"{inertia:.4g}"), context.arm_length
 
     # The README.
 

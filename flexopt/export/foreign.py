@@ -21,7 +21,7 @@ from flexopt.export.kernels import Real
 from flexopt.export.naming import listed, number, template
 from flexopt.export.operations import Array
 from flexopt.export.optimiser import BUDGET, BUDGET_MAX, STARTS, OptimiserSources, build_optimiser
-from flexopt.model import Machine
+from flexopt.model import AnyMachine, Machine
 from flexopt.model.documents import package_version
 from flexopt.model.problem import Control
 from flexopt.model.quantities import COORDINATE_MAX
@@ -231,13 +231,12 @@ class Foreign:
         }  # fmt: skip
 
 
-def optimiser_refusal(machine: Machine) -> str:
+def optimiser_refusal(machine: AnyMachine) -> str:
     """Why a machine can have no optimiser; empty where it can."""
-    plant = build_plant(machine)
+    if not isinstance(machine, Machine):
+        return "the optimiser takes planar machines: its own starts need their inverse kinematics in closed form"
     if len(machine.joints) < 2:
         return "the optimiser needs two actuated joints or more"
-    if (plant.n_base, plant.n_task) != (1, 2):
-        return "the optimiser takes planar machines: its own starts need their inverse kinematics in closed form"
     return ""
 
 

@@ -58,6 +58,23 @@ _PARAMETERS = {
 }
 
 
+# Where the first word stands in a line, the pattern is replaced: tests spelled out, assignments with spaces.
+_TIDIED = tuple(
+    (mark, re.compile(pattern), replacement)
+    for mark, pattern, replacement in (
+        ("?", r"\((\w+)\?(\w+):0\)", r"((\1 != 0.) ? \2 : 0.)"),
+        ("=(!", r"=\(!(\w+)\);", r"=((\1 == 0.) ? 1. : 0.);"),
+        ("=(", r"=\((\w+)(&&|\|\|)(\w+)\);", r"=(((\1 != 0.) \2 (\3 != 0.)) ? 1. : 0.);"),
+        ("=(", r"=(\(\w+(?:<|<=|==|!=)\w+\));", r"=(\1 ? 1. : 0.);"),
+        ("?", r"\b(arg\[\d+\]) ?\? ?", r"(\1 != NULL) ? "),
+        ("if (", r"if \((res\[\d+\])(?:!=0)?\) (.*)$", r"if (\1 != NULL) { \2 }"),
+        ("if (", r"if \((casadi_\w+\(.*\))\) return 1;", r"if (\1 != 0) { return 1; }"),
+        ("1[", r"\b(arg1|res1)\[(\d+)\]=0;", r"\1[\2]=NULL;"),
+        ("=", r"^(  [\w\[\]]+)=(?!=)", r"\1 = "),
+    )
+)
+
+
 class Unsupported(ValueError):
     """The generator has no C for a Function."""
 
@@ -182,24 +199,19 @@ def _declared(body: str) -> str:
     lines = body.splitlines()
     declarations = {k: m for k, line in enumerate(lines) if (m := re.match(r"  ((?:const )?casadi_\w+ )(.*);$", line))}
     known = {k: match[2].split(", ") for k, match in declarations.items()}
-    statements = "\n".join(line for k, line in enumerate(lines) if k not in declarations)
+    used = set(re.findall(r"\w+", "\n".join(line for k, line in enumerate(lines) if k not in declarations)))
     for k, match in declarations.items():
-        kept = [d for d in known[k] if re.search(rf"\b{d.lstrip('*').split('=')[0]}\b", statements)]
+        kept = [d for d in known[k] if re.split(r"[=\[]", d.lstrip("*"))[0] in used]
         lines[k] = f"  {match[1]}{', '.join(kept)};" if kept else ""
     return "\n".join(_statement(line) for line in lines if line)
 
 
 def _statement(line: str) -> str:
     """A line of the generator's with its tests spelled out: reals against 0, pointers against NULL."""
-    line = re.sub(r"\((\w+)\?(\w+):0\)", r"((\1 != 0.) ? \2 : 0.)", line)
-    line = re.sub(r"=\(!(\w+)\);", r"=((\1 == 0.) ? 1. : 0.);", line)
-    line = re.sub(r"=\((\w+)(&&|\|\|)(\w+)\);", r"=(((\1 != 0.) \2 (\3 != 0.)) ? 1. : 0.);", line)
-    line = re.sub(r"=(\(\w+(?:<|<=|==|!=)\w+\));", r"=(\1 ? 1. : 0.);", line)
-    line = re.sub(r"\b(arg\[\d+\]) ?\? ?", r"(\1 != NULL) ? ", line)
-    line = re.sub(r"if \((res\[\d+\])(?:!=0)?\) (.*)$", r"if (\1 != NULL) { \2 }", line)
-    line = re.sub(r"if \((casadi_\w+\(.*\))\) return 1;", r"if (\1 != 0) { return 1; }", line)
-    line = re.sub(r"\b(arg1|res1)\[(\d+)\]=0;", r"\1[\2]=NULL;", line)
-    return re.sub(r"^(  [\w\[\]]+)=(?!=)", r"\1 = ", line)
+    for mark, pattern, replacement in _TIDIED:
+        if mark in line:
+            line = pattern.sub(replacement, line)
+    return line
 
 
 def _tables(text: str) -> str:

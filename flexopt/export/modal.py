@@ -5,14 +5,13 @@ In: a `Context`. Out: operations whose graphs come from `flexopt.robustness`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 
 from flexopt.algebra import apply_pseudo_inverse
 from flexopt.algebra.riccati import riccati_pair, top_eigenpairs
-from flexopt.export.context import Context, sine_squared
+from flexopt.export.context import Context, unit_list
 from flexopt.export.control import GAIN_MAX
+from flexopt.export.modal_kernels import ModalKernels
 from flexopt.export.operations import Field, Guard, Operation
 from flexopt.robustness.margin import Margin, build_margin
 
@@ -21,6 +20,11 @@ SERVO_GAIN_RANGE = (1e-6, 1e15)
 # In single precision the w_i lose too many digits where a mode is hardly reached or seen; within this bound, and that
 # of `Context.regular`, errors stay below 1e-4 of |a_i||b_i|.
 SINGLE_SIGNIFICANCE = 4e-3
+# Modes whose frequencies are closer than this, relative, keep too few digits in single precision.
+SINGLE_GAP = 1e-2
+# Where the end-point is close to a node of a mode, a_i is a small difference of large terms: their rounding counts by
+# this share. Errors of modes are divided by the gap of their frequencies; clusters of equal ones are computed as such.
+TERMS_SHARE, GAP_MIN = 1e-3, 1e-6
 # ε_max in single and double precision: the most that the doublings may leave, and the largest X_ii Z_ii, which
 # multiplies rounding errors.
 LEFT_OVER = {True: 1e-3, False: 1e-6}
@@ -29,54 +33,54 @@ CONDITION = {True: 1e3, False: 1e8}
 
 def measures(at: Context) -> tuple[Operation, ...]:
     """The w_i, their weighted sum V and its gradient."""
-    g, field = at.plant.graph, at.sizes.field
-    weights, graphs = _weights(at)
+    field, choice = at.sizes.field, unit_list(_choice_units(at))
+    about = _Weighted(at)
+    graph, alpha, size = about.graph, about.alpha, about.size
+    frequency = ca.sqrt(graph.omega_squared)
     outputs = [
-        (field("angular_frequency", "MODES", "rad/s", "undamped, ascending", scale="itself"),
-         ca.sqrt(graphs["omega_squared"]), ca.sqrt(graphs["omega_squared"])),
+        (field("angular_frequency", "MODES", "rad/s", "undamped, ascending", scale="itself"), frequency, frequency),
         (field("w", "MODES", "m/(N s^2)" if at.control == "transpose" else "1/(kg m^2)", "w_i = lambda_min(R_i + "
-               "R_i^T) = a.b - |a||b|, at most 0", scale="|a_i||b_i|"), graphs["w"], graphs["size"]),
-        (field("w_size", "MODES", "as w", "|a_i||b_i|, the size of R_i = a_i b_i^T", scale="itself"), graphs["size"],
-         graphs["size"]),
-        (field("value", "", "as w", "V = sum of weights_i w_i", scale="sum of weights_i |a_i||b_i|"), graphs["V"],
-         graphs["V_size"]),
-        (field("gradient", "CHOICE", "V per m, V per rad", "dV/dz, z = [placement; joint_angles]",
-               scale="sum of weights_i (|a_i||b_i| + |dw_i/dz|)"), graphs["V_z"], graphs["V_z_size"]),
+               "R_i^T) = a.b - |a||b|, at most 0", scale=about.meaning), graph.w, size),
+        (field("w_size", "MODES", "as w", "|a_i||b_i|, the size of R_i = a_i b_i^T", scale="as of w_i"),
+         graph.size, size),
+        (field("value", "", "as w", "V = sum of weights_i w_i", scale="sum of weights_i times the scale of w_i"),
+         ca.dot(alpha, graph.w), ca.dot(alpha, size)),
+        (field("gradient", "CHOICE", f"V per {choice}", "dV/dz, z = [placement; joint_angles]",
+               scale="sum of weights_i (scale of w_i + |dw_i/dz|/gap_i)"), about.gradient, about.gradient_size),
     ]  # fmt: skip
     text = (
         f"Measures of a posture under Jacobian {at.control} control, passive coordinates at rest: w_i of every mode, "
         "their weighted sum V, and its exact gradient."
     )
-    guards = _modal_guards(at, graphs)
-    return (at.operation("measures", text, [(at.joint_angles, g.posture), weights], outputs, guards),)
+    return (about.operation("measures", text, [], outputs, []),)
 
 
 def nullspace(at: Context) -> tuple[Operation, ...]:
     """The step of placement and joints along the self-motion."""
     plant, g, field = at.plant, at.plant.graph, at.sizes.field
-    weights, graphs = _weights(at)
-    gain = ca.SX.sym("step_gain")
-    jacobian = plant.base_jacobian(at.base, g.posture, g.p)
-    slope = graphs["V_z"]
-    step = gain * (slope - apply_pseudo_inverse(jacobian, jacobian @ slope))
+    about = _Weighted(at)
+    slope, factor = ca.SX.sym("slope", plant.n_base + plant.n_actuated), ca.SX.sym("factor")
+    jacobian = plant.base_jacobian(g.base, g.posture, g.p)
+    projected = factor * (slope - apply_pseudo_inverse(jacobian, jacobian @ slope))
     gram = jacobian @ jacobian.T
     # 1 where all singular values of J_B are equal, 0 where one vanishes.
     isotropy = ca.det(gram) / (ca.trace(gram) / plant.n_task) ** plant.n_task
+    project = about.kernels.function("project", [slope, factor], [projected, isotropy])
+    gain = ca.MX.sym("step_gain")
+    step, regular = project.call([*about.machine_inputs, about.gradient, gain])
     limit = GAIN_MAX
     gain_field = field("step_gain", "", "z per dV/dz", "k_xi; a step along the gradient of V for k_xi > 0", low=-limit,
                        high=limit, sample=(1.0, 1e3))  # fmt: skip
-    output = field("step", "CHOICE", "m, rad", "change of z = [placement; joint_angles]",
+    output = field("step", "CHOICE", unit_list(_choice_units(at)), "change of z = [placement; joint_angles]",
                    scale="|k_xi| times the gradient's")  # fmt: skip
     placed = Guard("isotropy", "det(J_B J_B^T) relative to equal singular values, 0 where J_B loses rank",
                    "SINGULAR_POSTURE", minimum=at.singularity_margin**2)  # fmt: skip
-    guards = _modal_guards(at, graphs)
     text = (
         "Step of placement and joints that raises V and leaves the end-point where it is, to first order: "
         "(I - J_B^+ J_B) k_xi dV/dz. Metres and radians count alike in the projection."
     )
-    inputs = [(at.joint_angles, g.posture), weights, (gain_field, gain)]
-    outputs = [(output, step, ca.fabs(gain) * graphs["V_z_size"])]
-    return (at.operation("nullspace_step", text, inputs, outputs, [*guards, (placed, isotropy)]),)
+    outputs = [(output, step, ca.fabs(gain) * about.gradient_size)]
+    return (about.operation("nullspace_step", text, [(gain_field, gain)], outputs, [(placed, regular)]),)
 
 
 def margin(at: Context) -> tuple[Operation, ...]:
@@ -86,7 +90,7 @@ def margin(at: Context) -> tuple[Operation, ...]:
     posture, kr, p = ca.MX.sym("posture", plant.n_actuated), ca.MX.sym("servo_gain"), ca.MX.sym("p", g.p.shape[0])
     base = ca.MX.sym("base", plant.n_base) if at.placement_matters else ca.MX.zeros(plant.n_base, 1)
     values: ca.MX = ca.MX(plant.parameter_values) if at.baked else p
-    epsilon, *measured = _margin_of_end_point_states(margin).call([base, posture, values, kr])
+    epsilon, *measured = _margin_with_condition(margin).call([base, posture, values, kr])
     guards = [
         Guard("left_over", "what the doublings left", "NOT_ACCURATE", maximum=LEFT_OVER[at.single]),
         Guard("condition", "largest X_ii Z_ii of both Riccati solutions, by which rounding errors grow", "NOT_ACCURATE",
@@ -117,76 +121,78 @@ def margin(at: Context) -> tuple[Operation, ...]:
     )
 
 
-def _margin_of_end_point_states(margin: Margin) -> ca.Function:
-    """(base, posture, p, kr) -> epsilon (2, 1), what the doublings left, condition: `Margin.values` of other states.
-
-    With the end-point itself and its rate as states, in place of the arm's contribution r_a to it, the products
-    X_ii Z_ii, which amplify rounding errors, are some thirty times smaller: single precision needs that.
-    """
-    plant, n, k, m = margin.plant, margin.n_states, margin.n_rates, margin.plant.n_passive
-    r = plant.n_task
-    a, b, c = ca.SX.sym("A", n, n), ca.SX.sym("B", n, r), ca.SX.sym("C", r, n)
-    # y = Cp η + Ca r_a, and Ca is diagonal; rates of r_a are scaled like r_a itself unless all joint rates are kept.
-    share = ca.diag(1 / ca.diag(c[:, k + m :])) @ c[:, k : k + m]
-    rate_share = ca.SX.zeros(k - m, m) if margin.keeps_joint_rates else share
-    forward, back = (ca.diagcat(_lower(sign * rate_share, k), _lower(sign * share, n - k)) for sign in (1, -1))
-    into, out = forward @ b, ca.horzcat(ca.SX.zeros(r, k + m), c[:, k + m :])
-    outputs = [ca.densify(x) for x in (forward @ a @ back, into @ into.T, out.T @ out)]
-    change = ca.Function("end_point_states", [a, b, c], outputs, {"cse": True})
+def _margin_with_condition(margin: Margin) -> ca.Function:
+    """(base, posture, p, kr) -> epsilon (2, 1), what the doublings left, condition: the largest X_ii Z_ii."""
+    n, g = margin.n_states, margin.plant.graph
     x, z = (ca.SX.sym(name, n, n) for name in ("X", "Z"))
     condition = ca.Function("condition", [x, z], [ca.mmax(ca.diag(x) * ca.diag(z))])
-    g = plant.graph
+    b, c = ca.SX.sym("B", n, margin.plant.n_task), ca.SX.sym("C", margin.plant.n_task, n)
+    weights = ca.Function("weights", [b, c], [ca.densify(b @ b.T), ca.densify(c.T @ c)], {"cse": True})
     symbols = [ca.MX.sym("base", g.base.shape[0]), ca.MX.sym("posture", g.posture.shape[0]),
                ca.MX.sym("p", g.p.shape[0]), ca.MX.sym("kr")]  # fmt: skip
-    plant_matrices = margin.scaled_plant.call([*symbols, *margin.hold.call(symbols)])
-    solution = riccati_pair(n, margin.doublings, compact=True).call(change.call(plant_matrices))
+    plant_a, *others = margin.scaled_plant.call([*symbols, *margin.hold.call(symbols)])
+    solution = riccati_pair(n, margin.doublings, compact=True).call([plant_a, *weights.call(others)])
     values = top_eigenpairs(n).call(solution[:2])[0]
-    outputs_of = [1 / ca.sqrt(1 + values), solution[2], *condition.call(solution[:2])]
-    return ca.Function("margin", symbols, outputs_of)
+    outputs = [1 / ca.sqrt(1 + values), solution[2], *condition.call(solution[:2])]
+    return ca.Function("margin", symbols, outputs)
 
 
-def _lower(block: ca.SX, size: int) -> ca.SX:
-    """The identity with `block` in its lower left corner."""
-    matrix = ca.SX.eye(size)
-    rows, columns = block.shape
-    matrix[size - rows :, :columns] = block
-    return matrix
+def _choice_units(at: Context) -> tuple[str, ...]:
+    """Units of z = [placement; joints]."""
+    return (*at.machine.base_units, *at.machine.joint_units)
 
 
-def _weights(at: Context) -> tuple[tuple[Field, ca.SX], Mapping[str, ca.SX]]:
-    """The input α, and graphs of w, V = Σ α_i w_i, its gradient and their sizes."""
-    g, measures = at.plant.graph, at.measures
-    arguments = {"base": at.base, "posture": g.posture, "p": g.p}
-    alpha = ca.SX.sym("weights", at.plant.n_passive)
-    values, slopes = measures.w(**arguments), measures.gradients(**arguments)["w_z"]
-    w, size, all_values = values["w"], values["scale"], measures.values(**arguments)
-    graphs = {
-        "modes": all_values["modes"],
-        "w": w,
-        "size": size,
-        "omega_squared": all_values["omega_squared"],
-        "V": ca.dot(alpha, w),
-        "V_size": ca.dot(alpha, size),
-        "V_z": slopes.T @ alpha,
-        "V_z_size": ca.dot(alpha, size + ca.sqrt(ca.sum2(slopes**2))),
-    }
-    field = at.sizes.field("weights", "MODES", "", "alpha_i of V, one for each mode", high=WEIGHT_MAX,
-                           sample=(0.0, 1.0))  # fmt: skip
-    return (field, alpha), graphs
+class _Weighted:
+    """V = Σ α_i w_i at a posture: the inputs that its operations share, and graphs of V's gradient and its size."""
 
+    meaning = (
+        f"|a_i||b_i|, or {TERMS_SHARE:g} of the terms it is summed from where that is more; over gap_i, the distance "
+        "of omega_i^2 from the next one relative to their mean, where that is below 1"
+    )
 
-def _modal_guards(at: Context, graphs: Mapping[str, ca.SX]) -> list[tuple[Guard, ca.SX]]:
-    """Where the w_i can be computed accurately enough."""
-    guards = [] if at.control == "transpose" and not at.single else [(at.regular(modal=True), sine_squared(at))]
-    if not at.single:
-        return guards
-    # |a_i||b_i| relative to the terms that a_i = J φ_i and b_i are summed from.
-    plant, g, m = at.plant, at.plant.graph, at.plant.n_passive
-    arguments = (plant.rest(at.base, g.posture, g.p), at.base, g.p)
-    jacobian, rigid, modes = plant.jacobian(*arguments), plant.rigid_jacobian(*arguments), graphs["modes"]
-    into = rigid if at.control == "transpose" else apply_pseudo_inverse(rigid, ca.SX.eye(plant.n_task)).T
-    sizes = [ca.sqrt(ca.sum1(matrix**2)) for matrix in (jacobian, into)]
-    terms = (sizes[0] @ ca.fabs(modes)) * (sizes[1] @ ca.fabs(modes[m:, :]))
-    guard = Guard("significance", "smallest |a_i||b_i| relative to the terms it is summed from", "NOT_ACCURATE",
-                  minimum=SINGLE_SIGNIFICANCE)  # fmt: skip
-    return [*guards, (guard, ca.mmin(graphs["size"] / terms.T))]
+    def __init__(self, at: Context) -> None:
+        plant = at.plant
+        weights = at.sizes.field("weights", "MODES", "", "alpha_i of V, one for each mode", high=WEIGHT_MAX,
+                                 sample=(0.0, 1.0))  # fmt: skip
+        self.at, self.kernels = at, ModalKernels(at)
+        self.alpha, posture = ca.MX.sym("weights", plant.n_passive), ca.MX.sym("posture", plant.n_actuated)
+        self.inputs = [(at.joint_angles, posture), (weights, self.alpha)]
+        base = ca.MX.sym("base", plant.n_base)
+        self.placed = [(at.placement, base)] if at.placement_matters else []
+        self.p = [] if at.baked else [ca.MX.sym("p", plant.graph.p.shape[0])]
+        self.machine_inputs = [*(symbol for _, symbol in self.placed), posture, *self.p]
+        self.graph = self.kernels.graph(self.machine_inputs)
+        self.gradient = self.graph.gradient(self.alpha)
+        gap = ca.fmax(self.graph.gap, GAP_MIN)
+        self.size = ca.fmax(self.graph.size, TERMS_SHARE * self.graph.terms) / gap
+        self.gradient_size = ca.dot(self.alpha, self.size + self.graph.gradient_sizes() / gap)
+
+    def operation(
+        self,
+        name: str,
+        text: str,
+        inputs: list[tuple[Field, ca.MX]],
+        outputs: list[tuple[Field, ca.MX, ca.MX]],
+        guards: list[tuple[Guard, ca.MX]],
+    ) -> Operation:
+        """An operation of the shared inputs and `inputs`; guards of the modes come before `guards`."""
+        fields, symbols = zip(*self.inputs, *inputs, *self.placed, strict=True)
+        checked, measured = zip(*self._guards(), *guards, strict=True) if [*self._guards(), *guards] else ((), ())
+        names = [*(field.name for field in fields), *(["p"] if self.p else [])]
+        results = [*(field.name for field, _, _ in outputs), *(guard.name for guard in checked)]
+        kernel = ca.Function(name, [*symbols, *self.p], [*(x for _, x, _ in outputs), *measured], names, results)
+        sizes = [size for _, _, size in outputs]
+        scales = ca.Function(f"{name}_scales", [*symbols, *self.p], sizes, names, results[: len(sizes)])
+        return Operation(name, text, fields, tuple(field for field, _, _ in outputs), checked, kernel, scales)
+
+    def _guards(self) -> list[tuple[Guard, ca.MX]]:
+        """Where the w_i can be computed accurately enough."""
+        at = self.at
+        guards = [(at.regular(modal=True), self.graph.sine_squared)] if at.control == "inverse" or at.single else []
+        if not at.single:
+            return guards
+        guard = Guard("significance", "smallest |a_i||b_i| relative to the terms it is summed from", "NOT_ACCURATE",
+                      minimum=SINGLE_SIGNIFICANCE)  # fmt: skip
+        apart = Guard("gap", "smallest distance of two squared frequencies relative to their mean", "NOT_ACCURATE",
+                      minimum=SINGLE_GAP)  # fmt: skip
+        return [*guards, (guard, self.graph.significance), (apart, self.graph.least_gap)]

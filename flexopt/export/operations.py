@@ -177,6 +177,7 @@ class Parameters:
     Attributes:
         names, units, values: one each.
         low, high: allowed ranges.
+        spread: how far from its value each is drawn.
         single: whether numbers are rounded to single precision before either side sees them.
     """
 
@@ -185,11 +186,19 @@ class Parameters:
     values: tuple[float, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
+    spread: tuple[float, ...]
     single: bool
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """Values up to 20 % from the machine's own (count, n_par)."""
-        return np.asarray(self.values) * rng.uniform(0.8, 1.2, (count, len(self.values)))
+        """Values around the machine's own, (count, n_par)."""
+        away = np.asarray(self.spread) * rng.uniform(-1, 1, (count, len(self.values)))
+        return np.clip(np.asarray(self.values) + away, self.low, self.high)
+
+    def near(self, rows: Array) -> NDArray[np.bool_]:
+        """Whether all values of a row (count, n_par) are as close to the machine's own as those drawn."""
+        with np.errstate(invalid="ignore"):
+            close = np.abs(rows - np.asarray(self.values)) <= 1.05 * np.asarray(self.spread)
+        return np.asarray(close.all(axis=1))
 
     def rounded(self, rows: Array) -> Array:
         """Numbers as the C code will see them."""

@@ -15,10 +15,10 @@ from importlib.resources import files
 from typing import Any
 
 from flexopt.errors import Fault
-from flexopt.export.context import parameter_range
 from flexopt.export.kernels import Kernel, Real, kernel_text, single_precision
 from flexopt.export.naming import constants, number, text_of
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
+from flexopt.export.parameters import parameter_range
 from flexopt.model import Machine
 from flexopt.model.arguments import Arguments
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_margin_deg, check_weights

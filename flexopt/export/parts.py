@@ -11,18 +11,19 @@ from dataclasses import dataclass
 from flexopt.export.context import Context
 from flexopt.export.control import controller, kinematics
 from flexopt.export.foreign import Foreign, optimiser, optimiser_refusal
+from flexopt.export.hydraulic import levers, levers_refusal
 from flexopt.export.kernels import Real
 from flexopt.export.modal import margin, measures, nullspace
 from flexopt.export.operations import Operation
 from flexopt.export.simulator import simulator
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 
 
 def _nothing(_: Context) -> tuple[Operation, ...]:
     return ()
 
 
-def _takes_all(_: Machine) -> str:
+def _takes_all(_: AnyMachine) -> str:
     return ""
 
 
@@ -40,12 +41,13 @@ class Part:
     title: str
     build: Callable[[Context], tuple[Operation, ...]] = _nothing
     foreign: Callable[[Context, str, Real], Foreign] | None = None
-    refusal: Callable[[Machine], str] = _takes_all
+    refusal: Callable[[AnyMachine], str] = _takes_all
 
 
 PARTS: dict[str, Part] = {
     "kinematics": Part("end-point and Jacobians", kinematics),
     "controller": Part("task-space controller step", controller),
+    "levers": Part("lever commands of hydraulic cylinders", levers, refusal=levers_refusal),
     "measures": Part("measures w_i, V and its gradient", measures),
     "nullspace": Part("nullspace update of base and joints", nullspace),
     "margin": Part("robust stability margin", margin),

@@ -8,9 +8,10 @@ from __future__ import annotations
 import casadi as ca
 
 from flexopt.algebra import solve_spd
-from flexopt.export.context import POSITIVE, Context
+from flexopt.export.context import Context, unit_list
+from flexopt.export.control import torque_unit
 from flexopt.export.operations import Operation
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX
+from flexopt.export.parameters import POSITIVE
 from flexopt.plant import Plant
 from flexopt.simulation.machine_step import machine_step
 
@@ -20,32 +21,26 @@ RATE_MAX, TORQUE_MAX, STEP_MAX = 1e4, 1e12, 0.1
 def simulator(at: Context) -> tuple[Operation, ...]:
     """One step of classical RK4 with held joint torques."""
     plant, g, field = at.plant, at.plant.graph, at.sizes.field
-    n, m = plant.n_coordinates, plant.n_passive
-    v, torque, h = ca.SX.sym("v", n), ca.SX.sym("torque", plant.n_actuated), ca.SX.sym("h")
+    v, torque, h = ca.SX.sym("v", plant.n_coordinates), ca.SX.sym("torque", plant.n_actuated), ca.SX.sym("h")
     result = machine_step(at.machine)(q=g.q, v=v, torque=torque, base=g.base, p=g.p, h=h)
     size_q, size_v = _sizes(plant, v, torque, h)
 
-    limit = tuple(COORDINATE_MAX if unit == "m" else ANGLE_MAX for unit in g.coordinate_units)
-    assert at.joint_angles.sample is not None
-    rest = plant.rest(0, at.joint_angles.sample[0], plant.parameter_values).full().ravel()[:m]
-    low, high = (tuple(float(x) + side * 0.02 for x in rest) + at.joint_angles.sample[0 if side < 0 else 1]
-                 for side in (-1, 1))  # fmt: skip
-    text = "coordinates q = [passive; actuated]: displacements in m, inertial frame, relative angles in rad"
+    units = g.coordinate_units
+    placed = [(at.placement, g.base)] if plant.n_base else []
     inputs = [
-        (field("coordinates", "COORDINATES", "m, rad", text, low=tuple(-x for x in limit), high=limit,
-               sample=(low, high)), g.q),
-        (field("rates", "COORDINATES", "m/s, rad/s", "rates v = dq/dt", low=-RATE_MAX, high=RATE_MAX,
+        (at.coordinates(0.02, inside_limits=False), g.q),
+        (field("rates", "COORDINATES", unit_list(units, "{}/s"), "rates v = dq/dt", low=-RATE_MAX, high=RATE_MAX,
                sample=(-0.3, 0.3)), v),
-        (field("torque", "JOINTS", "N m", "torques of the actuated joints, held during the step", low=-TORQUE_MAX,
+        (field("torque", "JOINTS", torque_unit(at), "of the actuated joints, held during the step", low=-TORQUE_MAX,
                high=TORQUE_MAX, sample=(-1e3, 1e3)), torque),
-        (at.placement, g.base),
+        *placed,
         (field("step", "", "s", "length h of the step; well below 2.8/(largest angular frequency)", low=POSITIVE,
                high=STEP_MAX, sample=(1e-4, 2e-3), logarithmic=True), h),
     ]  # fmt: skip
     outputs = [
-        (field("next_coordinates", "COORDINATES", "m, rad", "q at the end of the step",
+        (field("next_coordinates", "COORDINATES", unit_list(units), "q at the end of the step",
                scale="|q| + |placement| + h times the rates' scale"), result["q_next"], size_q),
-        (field("next_rates", "COORDINATES", "m/s, rad/s", "v at the end of the step",
+        (field("next_rates", "COORDINATES", unit_list(units, "{}/s"), "v at the end of the step",
                scale="|v| + h times a bound of the acceleration's terms"), result["v_next"], size_v),
     ]  # fmt: skip
     about = (

@@ -38,7 +38,6 @@ SIZE_TEXTS = {
     "MODES": "vibration modes, as many as passive coordinates, ordered by frequency",
     "PARAMETERS": "machine parameters",
 }
-AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -168,19 +167,19 @@ class Library:
 
     def _enums(self) -> str:
         plant = self.context.plant
-        axes = AXES[: plant.n_task]
+        axes = plant.machine.task_rows
         groups = [
             ("Rows of points and rates, inertial frame.", "AXIS", axes, [""] * len(axes)),
-            ("Actuated joints, from the base outwards.", "JOINT", plant.machine.joints, ["rad"] * plant.n_actuated),
+            ("Actuated joints, from the base outwards.", "JOINT", plant.machine.joints, plant.machine.joint_units),
             ("Coordinates q: passive ones, then actuated ones.", "COORDINATE", plant.coordinates,
              plant.graph.coordinate_units),
             ("Placement of the base, which the operator chooses.", "PLACEMENT", plant.machine.base_coordinates,
-             ["m"] * plant.n_base),
+             plant.machine.base_units),
         ]  # fmt: skip
         if not self.baked:
             p = self.context.parameters
             groups.append(("Machine parameters.", "PARAMETER", p.names, p.units))
-        return "\n".join(self._enum(text, kind, names, units) for text, kind, names, units in groups)
+        return "\n".join(self._enum(text, kind, names, units) for text, kind, names, units in groups if names)
 
     def _enum(self, text: str, kind: str, names: tuple[str, ...], units: list[str] | tuple[str, ...]) -> str:
         lines = [

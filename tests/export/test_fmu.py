@@ -5,17 +5,11 @@ FMPy is the importer in all tests; its CVode integrates model exchange.
 
 from __future__ import annotations
 
-import csv
-import ctypes
 import json
-import math
 import shutil
 import subprocess
 import warnings
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -24,15 +18,6 @@ import fmpy
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import (
-    FMU2Slave,
-    fmi2CallbackAllocateMemoryTYPE,
-    fmi2CallbackFreeMemoryTYPE,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-)
-from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -42,18 +27,26 @@ from flexopt.cli.bundles import export_command
 from flexopt.compiled import compilers
 from flexopt.errors import CompilerNotFound, InputError, NoSolutionFound, SingularPosture
 from flexopt.export.fmu import FmuReport
-from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.units import unit_of
 from flexopt.model import Machine, machine_from_dict
-from flexopt.simulation.scenario import RK4_LIMIT, RK4_REAL_LIMIT, build_scenario, checked_options
+from flexopt.simulation.scenario import build_scenario, checked_options
+from tests.export.fmu_library import (
+    TOLERANCE,
+    VERSIONS,
+    WARNINGS,
+    Slave,
+    check_setup,
+    opened,
+    reference,
+    run,
+    shown,
+    sources,
+    worst,
+)
 from tests.oracles.machines import random_machine, regular_posture, seeds
 
 EXCAVATOR = flexopt.load("excavator")
 POSTURE = [0.0448, -2.0499]  # the article's B, where the loop converges
-VERSIONS = ("2.0", "3.0")
-WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"]
-# Trajectories of one loop by two orders of operations: rounding, not amplified where the loop converges.
-TOLERANCE = 1e-10
 
 
 def three_joints() -> Machine:
@@ -96,39 +89,6 @@ def export(folder: Path, machine: Machine = EXCAVATOR, name: str = "model", **op
     return flexopt.export_fmu(machine, folder / f"{name}.fmu", **{"posture": POSTURE, **options})
 
 
-def reference(report: FmuReport) -> np.ndarray:
-    with report.reference.open(newline="", encoding="utf-8") as file:
-        names, *rows = csv.reader(file)
-    return np.array([tuple(map(float, row)) for row in rows], dtype=[(name, "f8") for name in names])
-
-
-def run(report: FmuReport, **options: Any) -> np.ndarray:
-    settings = {"output": list(report.outputs), "output_interval": report.period} | options
-    return fmpy.simulate_fmu(str(report.path), **settings)
-
-
-def difference(a: Any, b: Any, names: Any) -> dict[str, float]:
-    """Largest difference of each variable as a share of its size, or of 1 where that is larger."""
-    return {n: float(np.abs(a[n] - b[n]).max() / max(1.0, np.abs(b[n]).max())) for n in names}
-
-
-def worst(a: Any, b: Any, names: Any) -> float:
-    found = difference(a, b, names)
-    print(max(found.items(), key=lambda pair: pair[1]))
-    return max(found.values())
-
-
-def shown(trajectory: flexopt.Trajectory) -> dict[str, np.ndarray]:
-    """A trajectory by the names of an FMU's outputs."""
-    t = trajectory
-    columns = {f"q.{name}": t.q[:, k] for k, name in enumerate(t.coordinates)}
-    columns |= {f"v.{name}": t.v[:, k] for k, name in enumerate(t.coordinates)}
-    columns |= {f"torque.{name}": t.torque[:, k] for k, name in enumerate(t.joints)}
-    columns |= {f"{g}.{axis}": getattr(t, g)[:, k] for g in ("end_point", "error") for k, axis in enumerate("xy")}
-    columns |= {f"deflection.{name}": t.deflection[:, k] for k, name in enumerate(t.coordinates[: t.n_passive])}
-    return columns | {"energy": t.energy}
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("fmu")
@@ -137,88 +97,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module", params=VERSIONS)
 def report(folder: Path, request: pytest.FixtureRequest) -> FmuReport:
     return export(folder, name=f"excavator-{request.param}", version=request.param)
-
-
-@dataclass
-class Slave:
-    """An instance of an FMU with its log, called as FMPy calls it."""
-
-    fmu: Any
-    log: list[str]
-    references: dict[str, int]
-    keep: Any
-
-    def real(self, *names: str) -> list[float]:
-        get = self.fmu.getReal if isinstance(self.fmu, FMU2Slave) else self.fmu.getFloat64
-        return list(get([self.references[name] for name in names]))
-
-    def set(self, **values: float) -> None:
-        self.set_many({name.replace("__", "."): value for name, value in values.items()})
-
-    def set_many(self, values: dict[str, float]) -> None:
-        put = self.fmu.setReal if isinstance(self.fmu, FMU2Slave) else self.fmu.setFloat64
-        put([self.references[name] for name in values], list(values.values()))
-
-    def start(self, at: float = 0.0) -> Slave:
-        if isinstance(self.fmu, FMU2Slave):
-            self.fmu.setupExperiment(startTime=at)
-            self.fmu.enterInitializationMode()
-        else:
-            self.fmu.enterInitializationMode(startTime=at)
-        self.fmu.exitInitializationMode()
-        return self
-
-    def step(self, at: float, size: float) -> None:
-        self.fmu.doStep(currentCommunicationPoint=at, communicationStepSize=size)
-
-    def refuses(self, words: str, call: Any, *arguments: Any, **named: Any) -> None:
-        """That a call ends with fmi2Error or fmi3Error, and one message that holds these words."""
-        self.log.clear()
-        with pytest.raises(FMICallException) as refused:
-            call(*arguments, **named)
-        assert refused.value.status == 3
-        assert len(self.log) == 1
-        assert words in self.log[0]
-
-
-LIBC = ctypes.CDLL(None)
-LIBC.calloc.restype = ctypes.c_void_p
-LIBC.calloc.argtypes = [ctypes.c_size_t, ctypes.c_size_t]
-LIBC.free.argtypes = [ctypes.c_void_p]
-
-
-@contextmanager
-def opened(report: FmuReport, folder: Path, token: str | None = None) -> Iterator[Slave]:
-    description = fmpy.read_model_description(str(report.path))
-    unzipped = folder / f"{report.path.stem}-unzipped"
-    if not unzipped.exists():
-        fmpy.extract(str(report.path), str(unzipped))
-    log: list[str] = []
-    settings = {
-        "guid": token or description.guid, "unzipDirectory": str(unzipped), "instanceName": "one",
-        "modelIdentifier": description.coSimulation.modelIdentifier,
-    }  # fmt: skip
-    references = {v.name: v.valueReference for v in description.modelVariables}
-    if report.version == "2.0":
-        fmu: Any = FMU2Slave(**settings)
-        callbacks = fmi2CallbackFunctions()
-        # The message is variadic: "%s" comes first, and the text is in the next argument's register.
-        logger = ctypes.CFUNCTYPE(
-            None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p, ctypes.c_char_p
-        )(lambda _, name, status, category, form, text: log.append(text.decode()))
-        callbacks.logger = ctypes.cast(logger, fmi2CallbackLoggerTYPE)
-        callbacks.allocateMemory = ctypes.cast(LIBC.calloc, fmi2CallbackAllocateMemoryTYPE)
-        callbacks.freeMemory = ctypes.cast(LIBC.free, fmi2CallbackFreeMemoryTYPE)
-        keep: Any = (callbacks, logger)
-        fmu.instantiate(callbacks=callbacks, loggingOn=True)
-    else:
-        fmu = FMU3Slave(**settings)
-        keep = lambda env, status, category, text: log.append(text.decode())  # noqa: E731
-        fmu.instantiate(loggingOn=True, logMessage=keep)
-    try:
-        yield Slave(fmu, log, references, keep)
-    finally:
-        fmu.freeInstance()
 
 
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
@@ -554,13 +432,6 @@ def test_an_unknown_unit_is_no_unit() -> None:
         unit_of("furlong/s")
 
 
-def sources(report: FmuReport, folder: Path) -> Path:
-    with zipfile.ZipFile(report.path) as archive:
-        text = archive.read("sources/fmu.c")
-    (folder / "fmu.c").write_bytes(text)
-    return folder / "fmu.c"
-
-
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("version", VERSIONS)
@@ -774,20 +645,7 @@ def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
         scenario = build_scenario(machine, options)
     except (InputError, SingularPosture, NoSolutionFound):
         assume(False)  # the springs do not hold it, or the posture is singular
-    model: Any = FmuModel(scenario, "co-simulation", None)
-    a = [v.start for v in model.parameters] + [scenario.base[0]] * model.placement_moves
-    c, x, point, guards = (part.full().ravel() for part in model.setup.call([a]))
-    for name, where in model.loop.constants.slices.items():
-        if name not in {"u_design", "modes", "omega_squared"}:
-            expected = np.ravel(scenario.parts[name])
-            np.testing.assert_allclose(c[where], expected, rtol=1e-12, atol=1e-13, err_msg=name)
-    np.testing.assert_allclose(x, scenario.start, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(point, scenario.target, rtol=1e-12, atol=1e-12)
-    for guard, value in zip(model.guards, guards, strict=True):
-        assert guard.low <= value <= guard.high, guard.text
-    # The bound on the fastest mode is one, and a close one.
-    fastest = 2 * math.pi * max(scenario.frequencies_hz[-1], 5.0 * RK4_LIMIT / RK4_REAL_LIMIT)
-    assert 1 - 1e-9 < guards[-1] * RK4_LIMIT / (fastest * scenario.parts["h"]) < 1.005
+    check_setup(scenario, 5.0)
 
 
 def test_any_name_of_a_link_will_do(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from flexopt.export.context import build_context
 from flexopt.export.modal import margin
 from flexopt.robustness.margin import build_margin
 from tests.export.bundle_library import BundleLibrary
+from tests.oracles.controls import task_map
 from tests.oracles.machines import Structure, arm_at_rest, random_machine
 
 pytestmark = pytest.mark.usefixtures("tools")
@@ -38,7 +39,7 @@ def rigid_jacobian(machine: flexopt.Machine, posture: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("make", [excavator, redundant])
-@pytest.mark.parametrize("control", ["inverse", "transpose"])
+@pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.25"])
 def test_c_agrees_with_formulas_and_with_evaluate(make, control: str, tmp_path: Path) -> None:
     machine = make()
     library = BundleLibrary(
@@ -59,7 +60,9 @@ def test_c_agrees_with_formulas_and_with_evaluate(make, control: str, tmp_path: 
             "joint_angles": posture, "measured_point": point, "measured_rate": rate, "target_point": target,
             "target_rate": target_rate, "proportional_gain": 3e3, "derivative_gain": 200.0,
         }  # fmt: skip
-        for law, matrix in (("transpose", jv.T), ("inverse", np.linalg.pinv(jv))):
+        laws = {"transpose": "transpose", "inverse": "inverse", control.partition(":")[0]: control}
+        for law, meant in laws.items():
+            matrix = task_map(jv, meant)
             status, out = library(f"torque_{law}", **inputs)
             assert status == "OK"
             size = np.linalg.norm(matrix) * np.linalg.norm(force)

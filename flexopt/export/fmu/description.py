@@ -10,10 +10,10 @@ import re
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from flexopt.export.fmu.interface import Variable, printable
 from flexopt.export.fmu.model import FmuModel, dependencies
 from flexopt.export.fmu.source import Version, references
 from flexopt.export.fmu.units import unit_of
+from flexopt.export.fmu.variable import Variable, printable
 from flexopt.model.documents import package_version
 
 _LOG = {"logStatusError": "what was refused, and why", "logStatusWarning": "what needs care"}

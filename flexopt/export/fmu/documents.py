@@ -11,9 +11,9 @@ from string import Template
 
 import numpy as np
 
-from flexopt.export.fmu.interface import Variable
 from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import Version, template
+from flexopt.export.fmu.variable import Variable
 from flexopt.model.arguments import Vector
 
 
@@ -31,12 +31,15 @@ def reference_table(model: FmuModel) -> str:
 
 def _column(model: FmuModel, variable: Variable) -> Vector:
     """An input at every sample of the run; a rate is that of the sample which begins."""
-    run = model.run
+    run, machine = model.run, model.scenario.machine
     group, _, axis = variable.name.partition(".")
-    points = {"placement": run.base, "target": run.target}.get(group)
-    if points is None:
+    names, points = {
+        "placement": (machine.base_coordinates, run.base),
+        "target": (machine.task_rows, run.target),
+    }.get(group, ((), run.base))
+    if not names:
         return np.zeros(len(run.time))
-    column: Vector = points[:, "xyz".index(axis[0])]
+    column: Vector = points[:, names.index(axis.removesuffix("_rate"))]
     if axis.endswith("_rate"):
         rates = np.diff(column) / model.scenario.period
         return np.append(rates, rates[-1])

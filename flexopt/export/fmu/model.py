@@ -15,29 +15,15 @@ from typing import Any
 
 import casadi as ca
 
+from flexopt.export.fmu.guards import Configuration, Guard, Guarded
 from flexopt.export.fmu.interface import Interface
-from flexopt.plant.motion import Motion, constants
-from flexopt.plant.singularity import CONDITION_MAX
+from flexopt.plant.machine_motion import constants_at, motion_of
+from flexopt.plant.motion import Motion
 from flexopt.simulation.directions import Computed
 from flexopt.simulation.flow import Flow
 from flexopt.simulation.integrators import State
 from flexopt.simulation.run import RESIDUAL_MAX
-from flexopt.simulation.scenario import RK4_LIMIT, RK4_REAL_LIMIT, STATIC_TOLERANCE
-from flexopt.simulation.structure import N_TASK, Layout
-
-# Squarings of M⁻¹K: its trace then bounds the fastest mode from above, within a fifth of a percent for 3 modes.
-SQUARINGS = 8
-# The bound's excess and rounding must not refuse what `simulate` accepts.
-STEP_SLACK = 1.01
-
-
-@dataclass(frozen=True)
-class Guard:
-    """A number that the parameters give, and the range in which the model may be used."""
-
-    text: str
-    low: float = -math.inf
-    high: float = math.inf
+from flexopt.simulation.structure import JACOBIAN_DAMPING, Layout
 
 
 @dataclass(frozen=True)
@@ -47,103 +33,86 @@ class FmuModel(Interface):
     @property
     def n_values(self) -> int:
         """Entries of a."""
-        return len(self.parameters) + self.placement_moves
+        return len(self.parameters) + len(self.moving)
 
     @cached_property
     def guards(self) -> tuple[Guard, ...]:
         """When the parameters are refused, in the order of `setup`'s."""
-        found = [Guard("the posture is singular: the end-point can only move along one line", low=CONDITION_MAX**-2)]
-        if self.loop.structure.gravity:
-            found += [
-                Guard("the springs do not hold the machine in this posture", low=0.0),
-                Guard("the static deflection under gravity did not converge", high=STATIC_TOLERANCE),
-            ]
-        if self.kind == "co-simulation" and self.loop.structure.method == "rk4":
-            text = "RK4 is unstable for the fastest mode or servo: softer springs, or export with more substeps"
-            found.append(Guard(text, high=STEP_SLACK))
-        return tuple(found)
+        return tuple(guard for guard, _ in self._setup[1])
 
     @property
     def residual_max(self) -> float:
         """Largest monitor of a step that converged."""
         return RESIDUAL_MAX**2
 
-    @cached_property
+    @property
     def setup(self) -> ca.Function:
         """What the parameters give. Input a; outputs c, x (at the start), point (rest end-point), guards."""
-        s, plant, loop = self.scenario, self.plant, self.loop
-        sizes = {"p": len(s.machine.parameters)} | {name: len(group) for name, group in self.settings.items()}
-        layout = Layout(sizes | ({"placement": 1} if self.placement_moves else {}))
+        return self._setup[0]
+
+    @cached_property
+    def _setup(self) -> tuple[ca.Function, Guarded]:
+        s, plant, loop, machine = self.scenario, self.plant, self.loop, self.scenario.machine
+        sizes = {"p": self.n_machine} | {name: len(group) for name, group in self.settings.items()}
+        layout = Layout(sizes | {"moving": len(self.moving)})
         a = ca.SX.sym("a", layout.total)
         of = layout.split(a)
-        p, posture, base, m = of["p"], of["posture"], of["placement"], plant.n_passive
+        # Pins of cylinders end the list of parameters; see `Interface.parameters`.
+        p = ca.vertcat(of["p"], ca.SX([parameter.value for parameter in machine.parameters[self.n_machine :]]))
+        posture, m = of["posture"], plant.n_passive
+        base = self._assembled(ca.vertsplit(of["moving"]), ca.vertsplit(of.get("placement", ca.SX(0, 1))))
         rest = plant.rest(base, posture, p)
         passive = plant.deflected(base, posture, p) if loop.structure.gravity else rest[:m]
         design = ca.vertcat(passive, posture)
-        value = constants(s.machine)
-        parts: dict[str, Any] = dict(zip(value.name_out(), value.call([p]), strict=True))
-        motion = Motion(loop.structure.motion, parts)
-        hinges = passive[motion.n_translations :]
-        relative = ca.SX(passive)
-        if "x" in loop.structure.motion.translations:
-            relative[0] -= base
+        parts: dict[str, Any] = dict(constants_at(machine, p))
+        motion = motion_of(loop.structure.motion, parts)
+        hinges = passive[motion.hinges]
+        relative = passive - motion.drawn(base)[:m]
         parts |= {"h": s.parts["h"], "base": base, "design": relative}
         parts["design_directions"] = ca.vec(ca.horzcat(ca.cos(hinges), ca.sin(hinges)).T)
         parts |= {name: of[name] for name in loop.constants.sizes if name in of}
-        parts |= {name: ca.repmat(of[name], N_TASK, 1) for name in ("resolution", "rate_resolution") if name in of}
+        resolutions = {name: of[name] for name in ("resolution", "rate_resolution") if name in of}
+        parts |= {name: ca.repmat(value, plant.n_task, 1) for name, value in resolutions.items()}
         if "bandwidth_hz" in of:
             parts["bandwidth"] = 2 * math.pi * of["bandwidth_hz"]
-        parts |= {name: ca.SX(s.parts[name]) for name in "ABCD" if name in loop.constants.sizes}
+        parts |= {name: ca.SX(s.parts[name]) for name in (*"ABCD", JACOBIAN_DAMPING) if name in loop.constants.sizes}
         # What judges a run is not computed here.
         parts |= {name: ca.SX.zeros(loop.constants.sizes[name], 1) for name in ("u_design", "modes", "omega_squared")}
         c = ca.vertcat(*[ca.SX(parts[name]) for name in loop.constants.sizes])
         q = ca.vertcat(passive, posture + of["offset"])
-        point = plant.end_point(design, base, p)
-        outputs = [c, self._start(motion, q, base, p), point, self._checks(of, design, base, p)]
-        dense = [ca.densify(output) for output in outputs]
-        return ca.Function("setup", [a], dense, ["a"], ["c", "x", "point", "guards"], {"cse": True})
+        limited = self.kind == "co-simulation" and loop.structure.method == "rk4"
+        at = Configuration(plant, loop.structure, design, base, p)
+        guarded = at.guarded(float(s.parts["h"]) if limited else None, of.get("bandwidth_hz"))
+        outputs = [c, self._start(motion, q, base, p), plant.end_point(design, base, p)]
+        outputs = [ca.densify(output) for output in (*outputs, ca.vertcat(*(number for _, number in guarded)))]
+        names = ["c", "x", "point", "guards"]
+        return ca.Function("setup", [a], outputs, ["a"], names, {"cse": True}), guarded
+
+    def _assembled(self, moving: list[ca.SX], still: list[ca.SX]) -> ca.SX:
+        """The placement (n_b,) from its coordinates that are inputs and those that are not."""
+        names = self.scenario.machine.base_coordinates
+        rest = [name for name in names if name not in self.moving]
+        at = dict(zip((*self.moving, *rest), (*moving, *still), strict=True))
+        return ca.vertcat(ca.SX(0, 1), *(at[name] for name in names))
 
     def _start(self, motion: Motion, q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
         """States at rest in q; see `simulation.scenario.start_states`."""
         loop, plant = self.loop, self.plant
-        shift = ca.SX(motion.offset)
-        if "x" in loop.structure.motion.translations:
-            shift[0] += base
-        u = ca.inv(motion.to_q) @ (q - shift)
+        u = ca.inv(motion.to_q) @ (q - motion.origin(base))
         parts = {name: ca.SX.zeros(size, 1) for name, size in loop.states.sizes.items()} | {"u": u}
         if loop.structure.compensated and loop.structure.lagging:
             parts["torque"] = plant.gravity(q, base, p)[plant.n_passive :]
         if loop.structure.delay:
-            measured = plant.end_point(q, base, p) - ca.vertcat(base, ca.SX.zeros(N_TASK - 1, 1))
-            parts["queue"] = ca.repmat(ca.vertcat(measured, ca.SX.zeros(N_TASK, 1)), loop.structure.delay, 1)
+            still = ca.SX.zeros(plant.n_task, 1)
+            measured = plant.end_point(q, base, p) - ca.vertcat(*motion.on_rows(ca.vertsplit(base), ca.SX(0)))
+            parts["queue"] = ca.repmat(ca.vertcat(measured, still), loop.structure.delay, 1)
         return ca.vertcat(*parts.values())
-
-    def _checks(self, of: dict[str, ca.SX], q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
-        """The numbers behind `guards`."""
-        plant, structure, m = self.plant, self.loop.structure, self.plant.n_passive
-        jacobian = plant.rigid_jacobian(q, base, p)
-        gram = jacobian @ jacobian.T
-        found = [ca.det(gram) / ca.trace(gram) ** N_TASK]
-        stiffness = ca.SX(plant.stiffness(p))
-        if structure.gravity:
-            springs = stiffness[:m, :m]
-            stiffness[:m, :m] += plant.gravity_stiffness(q, base, p)
-            pivots = ca.densify(ca.ldl(ca.densify(stiffness[:m, :m]), False)[0])
-            weight = plant.gravity(q, base, p)[:m]
-            left = springs @ (q - plant.rest(base, q[m:], p))[:m] + weight
-            found += [ca.mmin(pivots), ca.norm_inf(left) / (1 + ca.norm_inf(weight))]
-        if self.kind == "co-simulation" and structure.method == "rk4":
-            h = float(self.scenario.parts["h"])
-            mode = h * ca.sqrt(_largest_eigenvalue(ca.solve(plant.mass(q, base, p), stiffness))) / RK4_LIMIT
-            servo = ca.mmax(of["bandwidth_hz"]) * (2 * math.pi * h / RK4_REAL_LIMIT) if "bandwidth_hz" in of else 0
-            found.append(ca.fmax(mode, servo))
-        return ca.vertcat(*found)
 
     @cached_property
     def step(self) -> ca.Function:
         """One sample. Inputs x, i, c; outputs x_next and residual, the implicit method's, else 0."""
         function = self.loop.step
-        sizes = (self.loop.states.total, self.loop.signals.total, self.loop.constants.total)
+        sizes = (self.loop.states.total, self.given.total, self.loop.constants.total)
         x, i, c = (ca.MX.sym(name, size) for name, size in zip("xic", sizes, strict=True))
         x_next, monitor = function(x, self.signals(i, c), c)
         residual = monitor[-1] if self.loop.structure.method == "gauss" else ca.MX(0)
@@ -181,30 +150,35 @@ class FmuModel(Interface):
         loop = self.loop
         return (
             ca.SX.sym("x", loop.states.total),
-            ca.SX.sym("i", loop.signals.total),
+            ca.SX.sym("i", self.given.total),
             ca.SX.sym("c", loop.constants.total),
         )
 
     @cached_property
     def signals(self) -> ca.Function:
-        """The loop's signals, x from where the base stands at first. Inputs i, c; output e."""
+        """The loop's signals, which count from where the base stands at first. Inputs i, c; output e."""
         _, i, c = self._symbols
-        layout, e = self.loop.signals, ca.SX(i)
-        for name in ("base", "target"):
-            if name in layout.slices:
-                e[layout.slices[name].start] -= c[self.loop.constants.slices["base"]]
+        of, start = self.given.split(i), c[self.loop.constants.slices["base"]]
+        parts = {name: of.get(name, ca.SX(0, 1)) for name in self.loop.signals.sizes}
+        if self.moving:
+            still = [start[k] for k, name in enumerate(self.motion.placement) if name not in self.moving]
+            nothing = [ca.SX(0)] * len(still)
+            moved = self._assembled(ca.vertsplit(of["placement"]), still) - start
+            rates = self._assembled(ca.vertsplit(of["placement_rate"]), nothing)
+            parts |= {"base": self._turned(moved, start), "base_rate": self._turned(rates, start)}
+        parts["target"] = of["target"] - ca.vertcat(*self.motion.on_rows(ca.vertsplit(start), ca.SX(0)))
+        e = ca.vertcat(*(parts[name] for name in self.loop.signals.sizes))
         return ca.Function("signals", [i, c], [e], ["i", "c"], ["e"])
 
-
-def _largest_eigenvalue(a: ca.SX) -> ca.SX:
-    """Of a matrix whose eigenvalues are not negative, a bound from above: tr(A^k)^(1/k), k = 2^`SQUARINGS`."""
-    logarithm, share = ca.SX(0), 1.0
-    for _ in range(SQUARINGS):
-        size = ca.trace(a)
-        logarithm += share * ca.log(size)
-        a = (a / size) @ (a / size)
-        share *= 0.5
-    return ca.exp(logarithm + share * ca.log(ca.trace(a)))
+    def _turned(self, column: ca.SX, start: ca.SX) -> ca.SX:
+        """A change of placement in the axes in which the anchor frame stands; see `simulation.scenario.moved`."""
+        names = self.motion.placement
+        if "yaw" not in names:
+            return column
+        yaw, (x, y) = start[names.index("yaw")], (column[names.index(name)] for name in "xy")
+        c, s = ca.cos(yaw), ca.sin(yaw)
+        turned = {"x": x * c + y * s, "y": y * c - x * s, "yaw": ca.SX(0)}
+        return ca.vertcat(*(turned[name] for name in names))
 
 
 def dependencies(function: ca.Function, output: int, inputs: Sequence[int]) -> list[list[list[int]]]:

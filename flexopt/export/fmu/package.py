@@ -20,15 +20,16 @@ from flexopt.compiled.compilers import CompilationFailed, find_compiler, library
 from flexopt.errors import CompilerNotFound, ExportError, Fault, InputError, raise_if_any
 from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
-from flexopt.export.fmu.interface import KINDS, Kind
+from flexopt.export.fmu.interface import KINDS, Kind, moving_placement
 from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import VERSIONS, Version, body, source
 from flexopt.export.kernels import Unsupported
 from flexopt.export.naming import identifier
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, shown
 from flexopt.model.documents import json_ready, package_version, provenance
 from flexopt.model.simulation import Sensor, SimulationOptions
+from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.run import simulate_checked
 from flexopt.simulation.scenario import build_scenario, checked_options
 from flexopt.simulation.trajectory import Trajectory
@@ -85,7 +86,7 @@ class FmuReport:
 
 
 def export_fmu(
-    machine: Machine,
+    machine: AnyMachine,
     path: str | Path,
     posture: Any = None,
     *,
@@ -96,8 +97,10 @@ def export_fmu(
     """An FMU of the closed loop that `flexopt.simulate` runs, with its parameters exposed.
 
     Parameters are those of the machine, the posture, the displacement at the start, gains, and what sensors and
-    actuators have; inputs are target and placement with their rates (and the measurement's errors, where the sensor has
-    noise). The controller that attains ε_max (`feedback="robust"`) stays the one designed for this machine and posture.
+    actuators have; inputs are the target and, as far as the base gives in them, x and y of the placement, with their
+    rates (and the measurement's errors, where the sensor has noise). Other placement coordinates are parameters. Levers
+    and the controller that attains ε_max (`feedback="robust"`) stay those of this machine and posture. Gains of an arm
+    of hinges and slides have no unit where its Jacobian's inverse is used: the same f becomes torques and forces.
 
     Co-simulation takes whole samples: a communication step shows the last sample that ends within it, and inputs move
     on at their rates through a step. Model exchange gives the derivatives of the continuous loop (`hold=False`).
@@ -120,7 +123,7 @@ def export_fmu(
         CompilerNotFound: there is no C compiler, so the FMU holds sources alone.
     """
     arguments = Arguments("export_fmu")
-    machine = arguments.planar(machine)
+    machine = arguments.machine(machine)
     version = arguments.choice("version", version, VERSIONS)
     kind = arguments.choice("kind", kind, KINDS)
     target = _checked_path(arguments, path)
@@ -134,6 +137,7 @@ def export_fmu(
     if kind == "model-exchange":
         options |= {"hold": False, "integrator": options.get("integrator") or "dop853"}
     checked = checked_options("export_fmu", machine, {"posture": posture} | options)
+    _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)
     model = FmuModel(build_scenario(machine, checked), kind, _quiet(machine, checked))
@@ -176,6 +180,23 @@ def _checked_path(arguments: Arguments, path: Any) -> Path:
     return Path(path)
 
 
+def _check_base_path(machine: AnyMachine, options: SimulationOptions) -> None:
+    """Raise where the reference would drive the base along what is no input of the FMU."""
+    if options.base_path is None:
+        return
+    inputs, base = moving_placement(motion_of(full_structure(machine), {})), options.placement(machine)
+    driven = [
+        name
+        for k, name in enumerate(machine.base_coordinates)
+        if name not in inputs and any(point[k] != base[k] for point in options.base_path.points)
+    ]
+    sentence = (
+        f"drives {' and '.join(driven)}, which the FMU cannot: a base that may be turned must give in both x and y for "
+        "them to be inputs"
+    )
+    raise_if_any(InputError, "export_fmu", [Fault("base_path", sentence)] if driven else [])
+
+
 def _check_replaceable(path: Path, reference: Path) -> None:
     """Raise where something else than an FMU of ours would be lost."""
     sentence = ""
@@ -191,7 +212,7 @@ def _check_replaceable(path: Path, reference: Path) -> None:
     raise_if_any(InputError, "export_fmu", [Fault("path", sentence, repr(str(path)))] if sentence else [])
 
 
-def _quiet(machine: Machine, options: SimulationOptions) -> Trajectory:
+def _quiet(machine: AnyMachine, options: SimulationOptions) -> Trajectory:
     """The run that the FMU reproduces: without the noise, which a master gives."""
     sensor = Sensor(**options.sensor.model_dump(exclude={"noise", "rate_noise"}))
     quiet = options.model_copy(update={"sensor": sensor})

@@ -12,8 +12,8 @@ from typing import Literal
 
 import casadi as ca
 
-from flexopt.export.fmu.interface import Variable
 from flexopt.export.fmu.model import FmuModel
+from flexopt.export.fmu.variable import Variable
 from flexopt.export.kernels import Kernel, kernel_text
 from flexopt.export.naming import text_of, wrapped
 
@@ -63,7 +63,6 @@ def body(model: FmuModel) -> str:
     text = kernel_text(model.functions, "double", "double")
     exchange = model.kind == "model-exchange"
     widest = max(kernel.sz_w for kernel in text.kernels.values())
-    names = [variable.name for variable in model.inputs]
     sizes = {
         "MODEL_EXCHANGE": int(exchange),
         "N_PARAMETERS": len(model.parameters),
@@ -76,7 +75,7 @@ def body(model: FmuModel) -> str:
         "N_CONSTANTS": model.loop.constants.total,
         "N_GUARDS": len(model.guards),
         "N_WORK": max(1, widest),
-        "PLACEMENT_INPUT": names.index("placement.x") if "placement.x" in names else -1,
+        "N_PLACEMENT_INPUTS": len(model.moving),
     }
     sizes |= {f"FIRST_{name}": at for name, at in references(model).items() if name != "PARAMETER"}
     lines = [f"#define {name} {value}" for name, value in sizes.items()]
@@ -89,7 +88,7 @@ def body(model: FmuModel) -> str:
     if exchange:
         lines.append(_numbers("state_nominal", [variable.nominal for variable in model.states]))
     else:
-        lines.append(_table("int input_rate", len(names), ", ".join(map(str, model.rate_of))))
+        lines.append(_table("int input_rate", len(model.inputs), ", ".join(map(str, model.rate_of))))
     lines.append(_texts("output_name", [variable.name for variable in model.outputs]))
     lines.append(_numbers("guard_low", [guard.low for guard in model.guards]))
     lines.append(_numbers("guard_high", [guard.high for guard in model.guards]))

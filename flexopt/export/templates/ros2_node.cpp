@@ -31,7 +31,7 @@ class Controller {
 $load_parameters  }
 
   void set_joint(std::size_t joint, double angle) { input_.joint_angles[joint] = static_cast<${prefix}_real>(angle); }
-  void set_target(std::size_t axis, double value) { input_.target_point[axis] = static_cast<${prefix}_real>(value); }
+$set_placement  void set_target(std::size_t axis, double value) { input_.target_point[axis] = static_cast<${prefix}_real>(value); }
 
   // The rate comes from two measurements, `elapsed` seconds apart.
   void set_measured(const std::array<double, kTask>& point, double elapsed) {
@@ -72,6 +72,7 @@ $parameters_member  std::array<${prefix}_real, ${PREFIX}_TORQUE_INVERSE_WORKSPAC
 #include <rclcpp/rclcpp.hpp>
 #include <sensor_msgs/msg/joint_state.hpp>
 #include <std_msgs/msg/float64_multi_array.hpp>
+#include <vector>
 
 class ControllerNode : public rclcpp::Node {
  public:
@@ -79,7 +80,7 @@ class ControllerNode : public rclcpp::Node {
       : Node("${prefix}_controller"),
         controller_(declare_parameter("proportional_gain", $kp), declare_parameter("derivative_gain", $kv)),
         timeout_(rclcpp::Duration::from_seconds(declare_parameter("timeout", 0.05))) {
-    torques_ = create_publisher<std_msgs::msg::Float64MultiArray>("joint_torques", 1);
+$declare_placement    torques_ = create_publisher<std_msgs::msg::Float64MultiArray>("joint_torques", 1);
     joints_ = create_subscription<sensor_msgs::msg::JointState>(
         "joint_states", rclcpp::SensorDataQoS(), [this](const sensor_msgs::msg::JointState& m) { on_joints(m); });
     measured_ = create_subscription<geometry_msgs::msg::PointStamped>(

@@ -233,7 +233,4 @@ def _judged(bench: Bench, b: replay.Block, a: replay.Answers) -> tuple[tuple[obj
 def _sound_parameters(bench: Bench, b: replay.Block, n_in: int) -> NDArray[np.bool_]:
     if b.operation.baked:
         return np.ones(len(b.rows), bool)
-    p = bench.library.context.parameters
-    with np.errstate(invalid="ignore"):
-        near = np.abs(b.rows[:, n_in:] - np.asarray(p.values)) <= 0.21 * np.abs(p.values)
-    return np.asarray(near.all(axis=1))
+    return bench.library.context.parameters.near(b.rows[:, n_in:])

@@ -14,7 +14,15 @@ from pathlib import Path
 from typing import Any, cast
 
 from flexopt.errors import InputError
-from flexopt.export.bundle import MANIFEST, VERIFICATION, changed_files, library_of, read_manifest, render_bundle
+from flexopt.export.bundle import (
+    MANIFEST,
+    VERIFICATION,
+    changed_files,
+    library_of,
+    machine_of,
+    read_manifest,
+    render_bundle,
+)
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import TARGETS, Check, Finding, Target, attempt
 from flexopt.export.verify.host import check_host
@@ -23,7 +31,6 @@ from flexopt.export.verify.objects import check_objects
 from flexopt.export.verify.report import report_html
 from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
-from flexopt.model import machine_from_dict
 from flexopt.model.arguments import Arguments
 from flexopt.model.documents import json_ready, package_version
 
@@ -190,7 +197,7 @@ def _files(bench: Bench) -> Finding:
         f"{name} was changed after the export, or is missing" for name in changed_files(bench.folder, bench.manifest)
     ]
     options = dict(bench.manifest["options"])
-    texts, _ = render_bundle(machine_from_dict(bench.manifest["machine"]), options.pop("parts"), **options)
+    texts, _ = render_bundle(machine_of(bench.manifest), options.pop("parts"), **options)
     here = {name: package_version(name) for name in ("flexopt", "casadi")}
     there = {name: bench.manifest["provenance"][name] for name in here}
     sentence = f"{len(bench.manifest['files'])} files unchanged"

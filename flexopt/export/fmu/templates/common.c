@@ -85,8 +85,8 @@ static void restart(Core *core) {
   memcpy(core->values, parameter_start, sizeof(double) * N_PARAMETERS);
   memcpy(core->inputs, input_start, sizeof core->inputs);
   memcpy(core->held, input_start, sizeof core->held);
-#if PLACEMENT_INPUT >= 0
-  core->values[N_PARAMETERS] = input_start[PLACEMENT_INPUT];
+#if N_PLACEMENT_INPUTS > 0
+  memcpy(core->values + N_PARAMETERS, input_start, sizeof(double) * N_PLACEMENT_INPUTS);
 #endif
   core->mode = INSTANTIATED;
   core->setup_due = core->outputs_due = core->derivatives_due = 1;
@@ -247,9 +247,9 @@ static int set_reals(Instance *m, const unsigned int *reference, size_t n, const
     }
   }
   if (changed) {
-#if PLACEMENT_INPUT >= 0
-    if (!core->begun) {
-      core->values[N_PARAMETERS] = core->inputs[PLACEMENT_INPUT];
+#if N_PLACEMENT_INPUTS > 0
+    if (!core->begun) { /* the placement comes first among the inputs */
+      memcpy(core->values + N_PARAMETERS, core->inputs, sizeof(double) * N_PLACEMENT_INPUTS);
       core->setup_due = 1;
     }
 #endif

@@ -1,0 +1,166 @@
+"""When a master's parameters are refused: numbers that they give, and the ranges in which the model may be used.
+
+In: a machine's plant, structure and parameters as graphs. Out: `Guard`s with the graphs of their numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+
+from flexopt.algebra import solve_spd
+from flexopt.model.machine import Parameter
+from flexopt.model.problem import DAMPED
+from flexopt.plant import Plant
+from flexopt.plant.singularity import CONDITION_MAX
+from flexopt.simulation.scenario import RK4_LIMIT, RK4_REAL_LIMIT, STATIC_TOLERANCE
+from flexopt.simulation.structure import LoopStructure
+
+# Squarings of M⁻¹K: its trace then bounds the fastest mode from above, for m modes by m^(1/512).
+SQUARINGS = 8
+# The bound's excess and rounding must not refuse what `simulate` accepts.
+STEP_SLACK = 1.01
+# How far matrices that may be singular can be off by rounding, in units of their diagonal or of their trace.
+SEMIDEFINITE, INERTIA_ROUNDING = 1e-11, 1e-9
+
+
+@dataclass(frozen=True)
+class Guard:
+    """A number that the parameters give, and the range in which the model may be used."""
+
+    text: str
+    low: float = -math.inf
+    high: float = math.inf
+
+
+Guarded = list[tuple[Guard, ca.SX]]
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Where the machine is examined: q at equilibrium (n_q,), placement (n_b,) and parameters p (n_par,), as graphs."""
+
+    plant: Plant
+    structure: LoopStructure
+    q: ca.SX
+    base: ca.SX
+    p: ca.SX
+
+    @property
+    def springs(self) -> ca.SX:
+        """K_p (m, m)."""
+        m = self.plant.n_passive
+        return ca.sparsify(self.plant.stiffness(self.p)[:m, :m])
+
+    def guarded(self, period: float | None, bandwidth: ca.SX | None) -> Guarded:
+        """All guards.
+
+        Args:
+            period: of an integration step, s, where RK4 limits it.
+            bandwidth: of the servos (n,), Hz.
+        """
+        found = [self._regular(), *self._matrices(), *self._held()]
+        if period is not None:
+            text = "RK4 is unstable for the fastest mode or servo: softer springs, or export with more substeps"
+            found.append((Guard(text, high=STEP_SLACK), self._step(period, bandwidth)))
+        return found
+
+    def _regular(self) -> tuple[Guard, ca.SX]:
+        """1/(tr G tr G⁻¹) of G = Jv Jvᵀ, which lies between 1/(r cond Jv)² and 1/(cond Jv)²."""
+        plant, rows = self.plant, self.plant.n_task
+        if self.structure.control == DAMPED:  # its inverse exists in singular postures, too
+            return Guard("the posture is singular"), ca.SX(1)
+        stuck = {1: "the joints do not move the task row", 2: "the end-point can only move along one line"}
+        text = f"the posture is singular: {stuck.get(rows, f'the joints do not move all {rows} task rows')}"
+        jacobian = plant.rigid_jacobian(self.q, self.base, self.p)
+        gram = ca.densify(jacobian @ jacobian.T)
+        if rows == 1:  # one number alone is compared with what moves the position
+            moving = ca.jacobian(plant.graph.skeleton[:, -1], plant.graph.q)[:, plant.n_passive :]
+            position = ca.substitute(ca.sumsqr(moving), _known(plant), ca.vertcat(self.q, self.base, self.p))
+            return Guard(text, low=(3 * CONDITION_MAX) ** -2), gram / ca.fmax(gram, position)
+        value = ca.if_else(least_pivot(gram) > 0, 1 / (ca.trace(gram) * ca.trace(solve_spd(gram, ca.SX.eye(rows)))), 0)
+        return Guard(text, low=(rows * CONDITION_MAX) ** -2), value
+
+    def _matrices(self) -> Guarded:
+        """What no range of a single entry can hold: coupled springs and dampers, inertias with all six entries."""
+        found: Guarded = []
+        m = self.plant.n_passive
+        if not self.springs.sparsity().is_diag():
+            text = "the stiffness matrix of the springs is not positive definite"
+            found.append((Guard(text, low=0.0), least_pivot(_scaled(self.springs))))
+        dampers = ca.sparsify(self.plant.damping(self.p)[:m, :m])
+        if not dampers.sparsity().is_diag():
+            text = "the damping matrix is not positive semidefinite"
+            found.append((Guard(text, low=0.0), least_pivot(_scaled(dampers) + SEMIDEFINITE * ca.SX.eye(m))))
+        tensors = _inertias(self.plant.machine.parameters, self.p)
+        if tensors:
+            least = [least_pivot(i + (INERTIA_ROUNDING * ca.trace(i) + 1e-30) * ca.SX.eye(3)) for i in tensors]
+            text = "the inertia of a body has a negative principal moment"
+            found.append((Guard(text, low=0.0), ca.mmin(ca.vertcat(*least))))
+        return found
+
+    def _held(self) -> Guarded:
+        """Under gravity: the springs hold the machine, and its static deflection is found."""
+        plant, m = self.plant, self.plant.n_passive
+        if not self.structure.gravity:
+            return []
+        weight = plant.gravity(self.q, self.base, self.p)[:m]
+        away = (self.q - plant.rest(self.base, self.q[m:], self.p))[:m]
+        left = ca.norm_inf(self.springs @ away + weight) / (1 + ca.norm_inf(weight))
+        return [
+            (Guard("the springs do not hold the machine in this posture", low=0.0), least_pivot(self._tangent)),
+            (Guard("the static deflection under gravity did not converge", high=STATIC_TOLERANCE), left),
+        ]
+
+    @property
+    def _tangent(self) -> ca.SX:
+        """K_p with what gravity adds (m, m)."""
+        if not self.structure.gravity:
+            return self.springs
+        return self.springs + self.plant.gravity_stiffness(self.q, self.base, self.p)
+
+    def _step(self, period: float, bandwidth: ca.SX | None) -> ca.SX:
+        """The fastest mode and the fastest servo as shares of what RK4 can take."""
+        m, n = self.plant.n_passive, self.plant.n_coordinates
+        right = ca.vertcat(ca.densify(self._tangent), ca.SX.zeros(n - m, m))
+        mode = period * ca.sqrt(largest_eigenvalue(solve_spd(self.plant.mass(self.q, self.base, self.p), right)[:m, :]))
+        servo = 0 if bandwidth is None else ca.mmax(bandwidth) * (2 * math.pi * period / RK4_REAL_LIMIT)
+        return ca.fmax(mode / RK4_LIMIT, servo)
+
+
+def _known(plant: Plant) -> ca.SX:
+    g = plant.graph
+    return ca.vertcat(g.q, g.base, g.p)
+
+
+def _inertias(parameters: tuple[Parameter, ...], p: ca.SX) -> list[ca.SX]:
+    """Tensors (3, 3) among the parameters."""
+    at: dict[str, ca.SX] = {parameter.name: p[k] for k, parameter in enumerate(parameters)}
+    owners = [name.removesuffix(".xx") for name in at if name.endswith(".inertia.xx")]
+    rows = (("xx", "xy", "xz"), ("xy", "yy", "yz"), ("xz", "yz", "zz"))
+    return [ca.vertcat(*(ca.horzcat(*(at[f"{owner}.{ab}"] for ab in row)) for row in rows)) for owner in owners]
+
+
+def _scaled(matrix: ca.SX) -> ca.SX:
+    """In units of its diagonal, where metres and radians do not show."""
+    diagonal = ca.diag(ca.densify(matrix))
+    scale = ca.sqrt(ca.if_else(diagonal > 0, diagonal, 1))
+    return ca.densify(matrix) / (scale @ scale.T)
+
+
+def least_pivot(matrix: ca.SX) -> ca.SX:
+    """Of L D Lᵀ: positive where the matrix is positive definite, else negative or no number."""
+    return ca.mmin(ca.ldl(ca.densify(matrix), False)[0])
+
+
+def largest_eigenvalue(a: ca.SX) -> ca.SX:
+    """Of a matrix whose eigenvalues are not negative, a bound from above: tr(A^k)^(1/k), k = 2^`SQUARINGS`."""
+    logarithm, share = ca.SX(0), 1.0
+    for _ in range(SQUARINGS):
+        size = ca.trace(a)
+        logarithm += share * ca.log(size)
+        a = (a / size) @ (a / size)
+        share *= 0.5
+    return ca.exp(logarithm + share * ca.log(ca.trace(a)))

@@ -1,0 +1,119 @@
+"""What a master may set besides the machine's parameters: posture, start, controller, sensors, actuators.
+
+In: a `Scenario` and the structure of the FMU's loop. Out: groups of variables, named as the loop's constants where they
+become such.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from flexopt.export.fmu.variable import EFFORT, Variable, damper_unit, force_unit, gain_unit
+from flexopt.model.quantities import coordinate_max
+from flexopt.model.simulation import GAIN_MAX
+from flexopt.simulation.scenario import Scenario
+from flexopt.simulation.structure import LoopStructure
+
+TORQUE_MAX, NOISE_MAX = 1e12, 1e3
+Groups = dict[str, list[Variable]]
+
+
+def settings(scenario: Scenario, structure: LoopStructure) -> Groups:
+    """Entries of a after the machine's parameters but those of the placement."""
+    return (
+        _start(scenario)
+        | _controller(scenario, structure)
+        | _sensor(scenario, structure)
+        | _actuator(scenario, structure)
+    )
+
+
+def _start(scenario: Scenario) -> Groups:
+    machine, what = scenario.machine, {"rad": "angle", "m": "displacement"}
+    joints = list(zip(machine.joints, machine.joint_units, strict=True))
+    limits = [(coordinate_max(unit), low, high) for (_, unit), (low, high) in zip(joints, machine.limits, strict=True)]
+    posture = [
+        Variable(f"posture.{joint}", unit, f"{joint}: {what[unit]} about which the controller works", value,
+                 max(low, -most), min(high, most))
+        for (joint, unit), value, (most, low, high) in zip(joints, scenario.posture.tolist(), limits, strict=True)
+    ]  # fmt: skip
+    offset = [
+        Variable(f"start_offset.{joint}", unit, f"{joint}: displacement at the start", value, -most, most)
+        for (joint, unit), value, (most, _, _) in zip(joints, scenario.offset.tolist(), limits, strict=True)
+    ]
+    return {"posture": posture, "offset": offset}
+
+
+def _controller(scenario: Scenario, structure: LoopStructure) -> Groups:
+    options, machine, found = scenario.options, scenario.machine, Groups()
+    rows, force = machine.task_rows, force_unit(options.control, machine.joint_units)
+    gains: list[tuple[str, str, Literal["m", "v", "i"]]] = [
+        ("kp", "proportional gain", "m"),
+        ("kv", "derivative gain", "v"),
+        ("ki", "integral gain", "i"),
+    ]
+    for name, text, of in gains[: {"pd": 2, "pid": 3}.get(structure.law, 0)]:
+        found[name] = [
+            Variable(
+                f"controller.{name}.{row}", gain_unit(force, of), f"{text}, axis {row}", value, 0.0, GAIN_MAX, True
+            )
+            for row, value in zip(rows, spread(getattr(options, name), len(rows)), strict=True)
+        ]
+    if structure.law == "pid":
+        text, limit = "largest integral part of the force, each axis", options.integral_limit
+        found["integral_limit"] = [Variable("controller.integral_limit", force, text, limit, 0.0, GAIN_MAX, True)]
+    if structure.nullspace_damped:
+        text, unit, value = (
+            "damping of the arm's self-motion",
+            damper_unit(machine.joint_units),
+            options.nullspace_damping,
+        )
+        found["nullspace_damping"] = [
+            Variable("controller.nullspace_damping", unit, text, value, 0.0, TORQUE_MAX, True)
+        ]
+    return found
+
+
+def _sensor(scenario: Scenario, structure: LoopStructure) -> Groups:
+    found = Groups()
+    for name, unit, what in (("resolution", "m", "position"), ("rate_resolution", "m/s", "rate")):
+        if structure.quantised:
+            text = f"step to which the measured {what} is rounded; 0: not rounded"
+            value = float(getattr(scenario.options.sensor, name))
+            found[name] = [Variable(f"sensor.{name}", unit, text, value, 0.0, NOISE_MAX, True)]
+    return found
+
+
+def _actuator(scenario: Scenario, structure: LoopStructure) -> Groups:
+    actuator, machine, found = scenario.options.actuator, scenario.machine, Groups()
+    for name, per, text in (
+        ("torque_limit", "", "largest {} asked for"),
+        ("dead_band", "", "command below which nothing happens"),
+        ("rate_limit", "/s", "largest rate of the {}"),
+    ):
+        values = getattr(actuator, name)
+        if values is not None:
+            found[name] = [
+                Variable(f"actuator.{name}.{joint}", f"{EFFORT[unit][1]}{per}",
+                         f"{joint}: {text.format(EFFORT[unit][0])}", value, 0.0, TORQUE_MAX, True)
+                for joint, unit, value in _of_joints(machine.joints, machine.joint_units, values)
+            ]  # fmt: skip
+    if structure.hydraulic is not None:
+        text, unit = "torque or force of a joint rate behind the levers", damper_unit(machine.joint_units)
+        found["servo_gain"] = [Variable("actuator.servo_gain", unit, text, actuator.servo_gain, 1e-9, TORQUE_MAX, True)]
+    if actuator.bandwidth_hz is not None:
+        found["bandwidth_hz"] = [
+            Variable(f"actuator.bandwidth.{joint}", "Hz", f"{joint}: bandwidth of the servo", value, 1e-3, 1e6, True)
+            for joint, _, value in _of_joints(machine.joints, machine.joint_units, actuator.bandwidth_hz)
+        ]
+    return found
+
+
+def _of_joints(joints: Sequence[str], units: Sequence[str], values: Any) -> list[tuple[str, str, float]]:
+    return list(zip(joints, units, spread(values, len(joints)), strict=True))
+
+
+def spread(values: Sequence[float], count: int) -> list[float]:
+    """One number for each of `count`, from one for all or one for each."""
+    return [float(value) for value in (tuple(values) * count if len(values) == 1 else values)]

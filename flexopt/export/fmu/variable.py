@@ -1,0 +1,101 @@
+"""A variable of an FMU, and what its unit and description are made from.
+
+In: names and units of a machine. Out: `Variable`, units, words.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from flexopt.model.problem import Control
+from flexopt.model.tree import ORIENTATION_ROWS
+
+# What a joint gives, by the unit of its coordinate.
+EFFORT = {"rad": ("torque", "N m"), "m": ("force", "N")}
+# Parameters that are vectors or tensors of a body, and matrices over joints.
+_VECTORS, _COUPLED = ("position", "com", "inertia"), ("stiffness", "damping")
+_DAMPER = {"rad": "N m s/rad", "m": "N s/m"}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A real variable of an FMU.
+
+    Attributes:
+        name: structured.
+        unit: SI, as `units.unit_of` reads it; empty where there is none.
+        text: what it is.
+        start: of what the master sets.
+        low, high: its allowed range.
+        tunable: whether it may change during a run.
+        nominal: of a state, its size.
+    """
+
+    name: str
+    unit: str
+    text: str
+    start: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+    tunable: bool = False
+    nominal: float = 1.0
+
+    def __post_init__(self) -> None:
+        # Names of links come from machine files; XML and FMI's flat names know no control characters.
+        for field in ("name", "text"):
+            value: str = getattr(self, field)
+            object.__setattr__(self, field, printable(value))
+
+
+def printable(text: str) -> str:
+    """Text without control characters."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+def words(name: str) -> str:
+    """A parameter's name as a description."""
+    first, *others = name.split(".")
+    if first in _COUPLED and others:
+        return f"{first} of joints {'.'.join(others)}"
+    axis = f", {others.pop()}" if len(others) > 1 and others[-2] in _VECTORS else ""
+    *owner, last = [first, *others]
+    what = last.replace("_", " ").replace("com", "centre of mass")
+    return f"{' '.join(owner)}: {what}{axis}" if owner else what
+
+
+def row_text(row: str) -> str:
+    """Which coordinate of the end-point a task row is."""
+    if row in ORIENTATION_ROWS:
+        return f"{row}: rotation vector from the reference frame times a length, inertial frame"
+    return f"{row}, inertial frame"
+
+
+def common(units: Iterable[str]) -> str:
+    """The unit that all have; none where they differ."""
+    found = set(units)
+    return found.pop() if len(found) == 1 else ""
+
+
+def force_unit(control: Control, joints: Sequence[str]) -> str:
+    """Unit of the controller's f: N, or what Jacobian inverses make of it, N m² for hinges and N for slides.
+
+    An arm of both has none: τ = Jv⁺ f takes the same f for N m² and for N.
+    """
+    return "N" if control == "transpose" else common({"rad": "N m²", "m": "N"}[unit] for unit in joints)
+
+
+def gain_unit(force: str, of: Literal["m", "v", "i"]) -> str:
+    """Unit of a gain from error (m), its rate (v) or its integral (i) to f."""
+    units = {
+        "N": {"m": "N/m", "v": "N s/m", "i": "N/(m s)"},
+        "N m²": {"m": "N m", "v": "N m s", "i": "N m/s"},
+    }
+    return units[force][of] if force in units else ""
+
+
+def damper_unit(joints: Sequence[str]) -> str:
+    """Unit of a damping constant that all joints share."""
+    return common(_DAMPER[unit] for unit in joints)

@@ -1,0 +1,264 @@
+"""Bundles of machines in space: numbers against Pinocchio, NumPy and `evaluate`; what is written and refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.errors import InputError
+from flexopt.export import PARTS, export_c, verify_bundle
+from flexopt.export.bundle import machine_of
+from flexopt.export.parameters import machine_parameters, parameter_range
+from flexopt.model import shipped_names, tree_from_dict
+from flexopt.model.machine import Parameter
+from tests.export.bundle_library import BundleLibrary
+from tests.oracles.spatial import grounded, pinocchio_tree, random_tree
+
+tools = pytest.mark.usefixtures("tools")
+ZEROS = np.zeros(3)
+
+
+@tools
+def test_c_agrees_with_pinocchio_numpy_and_evaluate(tmp_path: Path) -> None:
+    data = grounded(4, 1)
+    machine, oracle = tree_from_dict(data), pinocchio_tree(data)
+    parts = ["kinematics", "controller", "measures", "nullspace", "margin", "simulator"]
+    library = BundleLibrary(export_c(machine, tmp_path / "b", prefix="m", parts=parts), tmp_path)
+    rng = np.random.default_rng(3)
+    for posture in ([0.4, -0.6, 1.3, -0.5], [-1.2, 0.3, 0.9, 0.7]):
+        base = rng.uniform(-2, 2, 3)
+        q = np.concatenate([rng.uniform(-0.1, 0.1, 6), posture])
+        r, jacobian, _ = oracle.task(q, base)
+        status, out = library("kinematics", coordinates=q, placement=base)
+        assert status == "OK"
+        np.testing.assert_allclose(out["end_point"], r, rtol=0, atol=1e-13 * 10)
+        turned = placed_jacobian(oracle, q, base)
+        np.testing.assert_allclose(out["jacobian"], turned, rtol=0, atol=1e-13 * np.linalg.norm(jacobian))
+        np.testing.assert_array_equal(out["jacobian"][:, 6:], out["rigid_jacobian"])
+
+        rest = np.concatenate([np.zeros(6), posture])
+        jv, point = placed_jacobian(oracle, rest, base)[:, 6:], oracle.task(rest, base)[0]
+        measured, target, rate, target_rate = rng.uniform(-1, 1, (4, 3))
+        force = 3e3 * (target - measured) + 200.0 * (target_rate - rate)
+        inputs = {
+            "joint_angles": posture, "measured_point": measured, "measured_rate": rate, "target_point": target,
+            "target_rate": target_rate, "proportional_gain": 3e3, "derivative_gain": 200.0, "placement": base,
+        }  # fmt: skip
+        for law, matrix in (("transpose", jv.T), ("inverse", np.linalg.pinv(jv))):
+            status, out = library(f"torque_{law}", **inputs)
+            assert status == "OK"
+            size = np.linalg.norm(matrix) * np.linalg.norm(force)
+            np.testing.assert_allclose(out["torque"], matrix @ force, rtol=0, atol=1e-13 * size)
+
+        evaluation = flexopt.evaluate(machine, posture, base=base)
+        weights, at = rng.uniform(0, 1, 6), {"joint_angles": posture, "placement": base}
+        status, out = library("measures", weights=weights, **at)
+        assert status == "OK"
+        np.testing.assert_allclose(out["angular_frequency"] / (2 * np.pi), evaluation.frequencies_hz, rtol=1e-12)
+        assert np.all(np.abs(out["w"] - evaluation.w) <= 1e-11 * evaluation.scale)
+        gradient = weights @ evaluation.gradient.w
+        np.testing.assert_allclose(out["gradient"], gradient, rtol=0, atol=1e-10 * np.linalg.norm(gradient))
+
+        status, step = library("nullspace_step", weights=weights, step_gain=2.0, **at)
+        assert status == "OK"
+        arm = point - np.array([*base[:2], 0.0])
+        whole = np.hstack([np.eye(3)[:, :2], [[-arm[1]], [arm[0]], [0.0]], jv])
+        projected = 2.0 * (np.eye(7) - np.linalg.pinv(whole) @ whole) @ gradient
+        np.testing.assert_allclose(step["step"], projected, rtol=0, atol=1e-10 * np.linalg.norm(gradient))
+
+        status, out = library("robust_margin", servo_gain=5e5, **at)
+        assert status == "OK"
+        assert out["epsilon_max"] == pytest.approx(evaluation.epsilon_max, abs=1e-9)
+
+        v, torque, h = rng.uniform(-0.2, 0.2, 10), rng.uniform(-1e4, 1e4, 4), 1e-3
+        inputs = {"coordinates": q, "rates": v, "torque": torque, "placement": ZEROS, "step": h}
+        status, out = library("machine_step", **inputs)
+        assert status == "OK"
+        next_q, next_v = one_step(data, q, v, torque, h)
+        np.testing.assert_allclose(out["next_coordinates"], next_q, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(out["next_rates"], next_v, rtol=0, atol=1e-11)
+
+
+def placed_jacobian(oracle, q: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """The oracle's Jacobian is that of the anchor frame; the placement turns it."""
+    c, s = np.cos(base[2]), np.sin(base[2])
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ oracle.task(q, ZEROS)[1]
+
+
+def one_step(data, q, v, torque, h) -> tuple[np.ndarray, np.ndarray]:
+    """Classical RK4 of M v̇ + h + K q + D v = [0; τ] by Pinocchio's forward dynamics, without weight."""
+    oracle = pinocchio_tree(data | {"gravity": 0.0})
+    stiffness, damping = np.zeros((10, 10)), np.zeros((10, 10))
+    stiffness[:6, :6], damping[:6, :6] = (np.array(data[f"{k}_matrix"]["matrix"]) for k in ("stiffness", "damping"))
+    force = np.concatenate([np.zeros(6), torque])
+
+    def rate(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([x[10:], oracle.forward(x[:10], x[10:], force - stiffness @ x[:10] - damping @ x[10:])])
+
+    x = np.concatenate([q, v])
+    k1 = rate(x)
+    k2 = rate(x + h / 2 * k1)
+    k3 = rate(x + h / 2 * k2)
+    k4 = rate(x + h * k3)
+    after = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return after[:10], after[10:]
+
+
+@tools
+def test_what_cannot_be_computed_is_refused(tmp_path: Path) -> None:
+    machine = tree_from_dict(grounded(4, 1))
+    library = BundleLibrary(export_c(machine, tmp_path / "b", parts=["controller", "nullspace"]), tmp_path)
+    inputs = {
+        "joint_angles": [0.5, 0.3, 1.5, 0.5], "measured_point": ZEROS, "measured_rate": ZEROS, "target_point": ZEROS,
+        "target_rate": ZEROS, "proportional_gain": 1.0, "derivative_gain": 1.0, "placement": [1.0, 2.0, 0.3],
+        "weights": np.ones(6), "step_gain": 1.0,
+    }  # fmt: skip
+
+    def call(name: str, parameters: list[float] | None = None, **changed) -> str:
+        wanted = {field["name"] for field in library.operations[name]["inputs"]}
+        given = {key: value for key, value in (inputs | changed).items() if key in wanted}
+        status, out = library(name, parameters=parameters, **given)
+        assert status == "OK" or all(np.all(value == -7.0) for value in out.values())
+        return status
+
+    assert call("torque_inverse") == call("nullspace_step") == "OK"
+    # The end-point above the slewing axis: slewing does not move it.
+    above = end_point_over_the_axis(machine)
+    assert (
+        call("torque_inverse", joint_angles=above) == call("nullspace_step", joint_angles=above) == "SINGULAR_POSTURE"
+    )
+    assert call("torque_transpose", joint_angles=above) == "OK"
+    assert call("torque_inverse", joint_angles=[0.5, 13.0, 1.5, 0.5]) == "OUT_OF_RANGE"
+    assert call("nullspace_step", placement=[0.0, 0.0, 13.0]) == "OUT_OF_RANGE"
+    assert call("nullspace_step", placement=[0.0, np.nan, 0.0]) == "NOT_FINITE"
+    names = [parameter.name for parameter in machine.parameters]
+    for name, value, status in (
+        ("arm2.mass", -1.0, "OUT_OF_RANGE"),
+        ("arm1.com.z", np.inf, "NOT_FINITE"),
+        ("stiffness.g0.g0", -4e7, "NUMERICAL_FAILURE"),  # no modes without a stable rest
+    ):
+        changed = list(library.defaults)
+        changed[names.index(name)] = value
+        assert call("nullspace_step", parameters=changed) == status
+
+
+def end_point_over_the_axis(machine) -> list[float]:
+    """A posture with the end-point on the slewing axis, by bisection on the boom."""
+    plant = flexopt.build_plant(machine)
+
+    def away(boom: float) -> float:
+        q = plant.rest(ZEROS, [0.0, boom, 0.3, 0.2], plant.parameter_values)
+        return float(plant.end_point(q, ZEROS, plant.parameter_values)[0])
+
+    low, high = 0.0, 2.5
+    assert away(low) > 0 > away(high)
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if away(middle) > 0 else (low, middle)
+    return [0.0, low, 0.3, 0.2]
+
+
+@tools
+@pytest.mark.parametrize("placement", [[], ["yaw"]])
+def test_placements_slides_and_orientation_rows(placement: list[str], tmp_path: Path) -> None:
+    rows = ("x", "y", "z", "roll", "pitch", "yaw")
+    data = random_tree(17, rows=rows, counts=(2, 7)) | {"placement": placement}
+    machine, oracle = tree_from_dict(data), pinocchio_tree(data)
+    library = BundleLibrary(export_c(machine, tmp_path / "b", parts=["kinematics", "controller"]), tmp_path)
+    header = (tmp_path / "b" / "include" / "tree17_control.h").read_text()
+    assert all(f"TREE17_AXIS_{row.upper()}" in header for row in rows)
+    assert ("TREE17_PLACEMENT_YAW" in header) == bool(placement)
+    units = re.search(r"Actuated joints.*?\}", header, flags=re.DOTALL)
+    assert units is not None
+    assert [f"/* {unit} */" for unit in machine.joint_units] == re.findall(r"/\* (?:m|rad) \*/", units[0])
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        q, yaw = rng.uniform(-1, 1, 9), rng.uniform(-0.3, 0.3)
+        base = np.array([0.0, 0.0, yaw if placement else 0.0])
+        r, _, angle = oracle.task(q, base)
+        if angle > 3.0:
+            continue
+        status, out = library("kinematics", coordinates=q, **({"placement": [yaw]} if placement else {}))
+        assert status == "OK"
+        np.testing.assert_allclose(out["end_point"], r, rtol=0, atol=1e-12)
+
+
+def test_only_the_optimiser_is_left_out(tmp_path: Path) -> None:
+    machine = flexopt.load("slewing-excavator")
+    report = export_c(machine, tmp_path / "a", parts=["kinematics"])
+    assert set(report.manifest["left_out"]) == {"optimiser"}
+    assert {part for part in PARTS if PARTS[part].refusal(machine)} == {"optimiser"}
+    with pytest.raises(InputError, match="optimiser takes planar machines"):
+        export_c(machine, tmp_path / "b", parts=["optimiser"])
+
+
+def test_the_manifest_carries_the_machine(tmp_path: Path) -> None:
+    machine = flexopt.load("slewing-excavator")
+    report = export_c(machine, tmp_path / "b", parts=["kinematics"])
+    assert machine_of(report.manifest) == machine
+    assert machine_of(report.manifest).content_hash == report.manifest["machine_sha256"]
+    assert flexopt.load("excavator") == machine_of({"machine": flexopt.load("excavator").to_dict()})
+
+
+@pytest.mark.parametrize("name", shipped_names("models"))
+def test_a_machines_own_parameters_are_allowed(name: str) -> None:
+    parameters = machine_parameters(flexopt.load(name).parameters, single=False)
+    own = np.array(parameters.values)
+    assert np.all((own >= parameters.low) & (own <= parameters.high))
+    drawn = parameters.draw(np.random.default_rng(0), 200)
+    assert np.all((drawn >= parameters.low) & (drawn <= parameters.high))
+    assert parameters.near(drawn).all()
+    lengths = np.array([unit == "m" for unit in parameters.units])
+    assert np.all(np.ptp(drawn, axis=0)[lengths] > 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "unit", "low", "high"),
+    [
+        ("a.b.mass", 3.0, "kg", 1.1754944e-38, 1e9),
+        ("a.b.mass", 0.0, "kg", 0.0, 1e9),
+        ("payload.mass", 3.0, "kg", 0.0, 1e9),
+        ("b.inertia.xx", 3.0, "kg m²", 0.0, 1e15),
+        ("b.inertia.xy", 3.0, "kg m²", -1e15, 1e15),
+        ("base.x.rest", 0.0, "m", -1e6, 1e6),
+        ("base.yaw.rest", 0.0, "rad", -4 * np.pi, 4 * np.pi),
+        ("base.stiffness.x", 1.0, "N/m", 1.1754944e-38, 1e15),
+        ("stiffness.base.x.base.y", 1.0, "N/m", -1e15, 1e15),
+        ("damping.base.x.base.y", 1.0, "N s/m", -1e12, 1e12),
+        ("b.position.z", 0.0, "m", -1e4, 1e4),
+    ],
+)
+def test_ranges_of_parameters(name: str, value: float, unit: str, low: float, high: float) -> None:
+    assert parameter_range(Parameter(name, value, unit)) == (low, high)
+
+
+@tools
+@pytest.mark.parametrize(
+    ("real", "parts"),
+    [("double", ["kinematics", "controller", "measures"]), ("float", ["kinematics", "simulator"])],
+)
+def test_everything_holds_on_the_host(real, parts: list[str], tmp_path: Path) -> None:
+    folder = export_c(flexopt.load("slewing-excavator"), tmp_path / "b", real=real, parts=parts).folder
+    result = verify_bundle(folder, target="host", inputs=1000, fuzz_calls=2_000)
+    assert result.passed and result.complete, repr(result)  # noqa: PT018
+
+
+@tools
+def test_everything_holds_on_an_emulated_processor(tmp_path: Path) -> None:
+    parts = [part for part in PARTS if part != "optimiser"]
+    folder = export_c(flexopt.load("slewing-excavator"), tmp_path / "b", parts=parts).folder
+    result = verify_bundle(folder, target="cortex-m7", inputs=60)
+    assert result.passed and result.complete, repr(result)  # noqa: PT018
+    tables = {
+        table.title.split(",")[0].split(" (")[0]: table.to_dict()["rows"] for c in result.checks for table in c.tables
+    }
+    counted = {row["function"]: row["instructions, most"] for row in tables["One call with its checks"]}
+    assert counted["torque_inverse"] < 4_000
+    assert counted["measures"] < 150_000
+    assert counted["machine_step"] < 50_000
+    flash = {row["part"]: row["flash, bytes"] for row in tables["Memory by part"]}
+    assert max(flash.values()) < 400_000
