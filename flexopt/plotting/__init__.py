@@ -6,6 +6,8 @@ In: result objects, which already hold every number that is drawn. Out: matplotl
 from flexopt.plotting.animation import animate_trajectory as animate_trajectory
 from flexopt.plotting.base_trajectory import plot_base_trajectory as plot_base_trajectory
 from flexopt.plotting.selection import plot_selection as plot_selection
+from flexopt.plotting.several import plot_plan as plot_plan
+from flexopt.plotting.several import plot_stand as plot_stand
 from flexopt.plotting.trajectory import plot_trajectories as plot_trajectories
 from flexopt.plotting.trajectory import plot_trajectory as plot_trajectory
 from flexopt.plotting.workspace import plot_workspace as plot_workspace

@@ -26,6 +26,7 @@ from flexopt.errors import Fault
 from flexopt.model.arguments import Arguments, shown
 from flexopt.model.quantities import check_number
 from flexopt.plotting.stage import Film, Stage
+from flexopt.plotting.stage_space import SpaceStage
 from flexopt.plotting.trajectory import check_runs
 from flexopt.simulation.trajectory import Trajectory
 
@@ -102,12 +103,12 @@ def _film(t: Trajectory, alive: NDArray[np.int64], seconds: float, rate: float, 
     caption = f"speed × {rate:g}; deflections " + ("in true size" if factor == 1 else f"× {factor:g}")
     skeleton = t.skeletons(q, base)
     frames = np.searchsorted(kept, shots)
-    return Film(t, t.time[rows], skeleton, anchor, t.target[rows], turn, frames, delay, caption)
+    return Film(t, t.time[rows], q, base, skeleton, anchor, t.target[rows], turn, frames, delay, caption)
 
 
 def _frames(film: Film) -> Iterator[Image.Image]:
     """The frames, with one palette for all."""
-    stage = Stage(film)
+    stage = Stage(film) if film.skeleton.shape[2] == 2 else SpaceStage(film)
 
     def shot(k: int) -> Image.Image:
         return Image.fromarray(stage.shot(k))

@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model.arguments import shown
-from flexopt.plotting.machine import draw_ground, draw_machine, reach
+from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.panels import Line, Panel, draw_panel
 from flexopt.plotting.selection import CHOSEN, PRESENT
+from flexopt.plotting.shape import Shape, View, shape_of, views
 from flexopt.plotting.trajectory import write
 from flexopt.selection.base_trajectory import BaseTrajectory
 
@@ -41,10 +42,14 @@ def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str
         sentence = "must be a BaseTrajectory, from flexopt.nullspace_trajectory for example"
         raise_if_any(InputError, "plot_base_trajectory", [Fault("trajectory", sentence, shown(trajectory))])
     t = trajectory
-    figure = Figure(figsize=(7.2, 4.9), layout="constrained")
+    start, end = (shape_of(t.model, evaluation) for evaluation in (t.initial, t.final))
+    seen = views(end)
+    figure = Figure(figsize=(7.2, 4.9 if len(seen) == 1 else 7.0), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1.0])
-    _draw_ends(figure.add_subplot(grid[:, 0]), t)
-    names = t.base_coordinates
+    scenes = grid[:, 0].subgridspec(len(seen), 1)
+    for k, view in enumerate(seen):
+        _draw_ends(figure.add_subplot(scenes[k, 0]), view, t, start, end)
+    names = tuple(f"{name}, rad" if unit == "rad" else name for name, unit in _coordinates(t))
     position: tuple[Line, ...] = tuple((name, t.time, row) for name, row in zip(names, t.base.T, strict=True))
     rate: tuple[Line, ...] = tuple((name, t.time, row) for name, row in zip(names, t.base_rate.T, strict=True))
     panels = [
@@ -71,28 +76,38 @@ def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str
     return figure
 
 
-def _draw_ends(axes: Axes, t: BaseTrajectory) -> None:
-    start, end = t.initial.skeleton, t.final.skeleton
-    points, size = np.hstack([start, end, t.target[:, None]]), reach(end)
+def _coordinates(t: BaseTrajectory) -> list[tuple[str, str]]:
+    return list(zip(t.base_coordinates, t.model.base_units, strict=True))
+
+
+def _draw_ends(axes: Axes, view: View, t: BaseTrajectory, start: Shape, end: Shape) -> None:
+    """Both ends in one view."""
+    target = view.of(end.skeleton[:, -1])
+    points, size = np.hstack([view.of(start.skeleton), view.of(end.skeleton)]), end.size
     low, high = float(points[0].min()) - 0.22 * size, float(points[0].max()) + 0.22 * size
-    draw_ground(axes, low, high, float(end[1, 0]) - 0.035 * size)
-    draw_machine(axes, start, PRESENT, ghost=True, label="start: " + _placement(t, 0))
-    draw_machine(axes, end, CHOSEN, label="end: " + _placement(t, -1))
-    axes.plot(*t.target, marker="+", color="black", markersize=11, markeredgewidth=1.4, linestyle="none", zorder=6)
+    foot = float(view.of(end.skeleton)[1, 0])
+    if view.upright:
+        draw_ground(axes, low, high, foot - (0.035 * size if end.support is None else 0.0))
+    draw_shape(axes, view, start, PRESENT, ghost=True, label="start: " + _placement(t, 0))
+    draw_shape(axes, view, end, CHOSEN, label="end: " + _placement(t, -1))
+    axes.plot(*target, marker="+", color="black", markersize=11, markeredgewidth=1.4, linestyle="none", zorder=6)
     axes.annotate(
-        "end-point", (float(t.target[0]), float(t.target[1])), xytext=(6, 6), textcoords="offset points", fontsize=8,
+        "end-point", (float(target[0]), float(target[1])), xytext=(6, 6), textcoords="offset points", fontsize=8,
         zorder=6,
     )  # fmt: skip
     axes.set_aspect("equal")
     axes.set_xlim(low, high)
-    axes.set_ylim(min(float(points[1].min()), float(end[1, 0])) - 0.12 * size, float(points[1].max()) + 0.35 * size)
-    axes.set_xlabel("x, m (inertial frame)", fontsize=8)
-    axes.set_ylabel("y, m", fontsize=8)
+    axes.set_ylim(
+        float(points[1].min()) - 0.12 * size, float(points[1].max()) + (0.35 if view.upright else 0.12) * size
+    )
+    axes.set_xlabel(view.labels[0], fontsize=8)
+    axes.set_ylabel(view.labels[1], fontsize=8)
     axes.tick_params(labelsize=7.5)
-    axes.set_title("(a)", loc="left", fontsize=8, pad=2.5)
-    axes.legend(loc="upper center", fontsize=7.5, framealpha=0.95, handlelength=1.2)
+    if view.upright:
+        axes.set_title("(a)", loc="left", fontsize=8, pad=2.5)
+        axes.legend(loc="upper center", fontsize=7.5, framealpha=0.95, handlelength=1.2)
 
 
 def _placement(t: BaseTrajectory, k: int) -> str:
-    places = ", ".join(f"{name} = {x:.2f} m" for name, x in zip(t.base_coordinates, t.base[k], strict=True))
+    places = ", ".join(f"{name} = {x:.2f} {unit}" for (name, unit), x in zip(_coordinates(t), t.base[k], strict=True))
     return f"{places}, V = {t.V[k]:.2e}".replace("-", "−")

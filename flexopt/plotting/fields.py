@@ -4,6 +4,7 @@
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -86,6 +87,16 @@ def label_plane(axes: Axes, plane: Plane, title: str, *, left: bool = True, bott
     axes.set_xlabel(plane.x_label if bottom else "", fontsize=8.5)
     axes.set_ylabel(plane.y_label if left else "", fontsize=8.5)
     axes.tick_params(labelsize=7.5)
+
+
+def draw_marks(axes: Axes, marks: Mapping[str, tuple[float, float]]) -> None:
+    """Named points: what is chosen a star, the end-point a cross, others rings."""
+    for name, point in marks.items():
+        marker, size = {"chosen": ("*", 10.0), "end-point": ("+", 9.0)}.get(name, ("o", 5.5))
+        axes.plot(
+            *point, marker=marker, color="white", markersize=size, markeredgecolor=POSTURE, markeredgewidth=1.2,
+            linestyle="none", label=name, zorder=5,
+        )  # fmt: skip
 
 
 def draw_arm(axes: Axes, arm: Values, name: str) -> None:

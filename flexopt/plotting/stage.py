@@ -1,4 +1,4 @@
-"""The scene of a film: the machine on its springs, its end-point's trace, error and base motion beside it.
+"""The scene of a film in the plane: the machine on its springs, its end-point's trace, error and base motion beside it.
 
 In: a `Film`, the rows of a run that are drawn. Out: pictures, one for each row. What does not move is drawn once.
 """
@@ -38,13 +38,17 @@ class Film:
     """What is drawn: `frames` are rows of `skeleton`, shown for `delay` hundredths of a second each.
 
     Attributes:
-        skeleton: deflections magnified (K, n_bodies + 1, 2);  anchor: where the ground point is at equilibrium (K, 2).
-        target: of the end-point (K, 2).
+        q: coordinates (K, n_q), deflections magnified;  base: placements (K, n_b).
+        skeleton: at these (K, points, d), d = 2 in the plane, 3 in space;  anchor: where the ground point is at
+            equilibrium (K, d).
+        target: of the end-point (K, n_task).
         turn: rotation of the base from equilibrium, magnified (K,), rad.
     """
 
     trajectory: Trajectory
     time: Vector
+    q: Vector
+    base: Vector
     skeleton: Vector
     anchor: Vector
     target: Vector
@@ -52,6 +56,12 @@ class Film:
     frames: NDArray[np.int64]
     delay: int
     caption: str
+
+
+def decimals(film: Film) -> int:
+    """Of the clock: as many as tell the frames apart."""
+    steps = np.diff(film.time[film.frames])
+    return max(1, math.ceil(-math.log10(float(steps[steps > 0].min()))))
 
 
 class Stage:
@@ -83,8 +93,7 @@ class Stage:
             self.cursors.append((axes, cursor))
         self.cursors[-1][0].set_xlabel("time, s", fontsize=8)
         self.figure.text(0.5, 0.975, title(t), fontsize=9.5, ha="center", va="top")
-        steps = np.diff(film.time[film.frames])
-        self.decimals = max(1, math.ceil(-math.log10(float(steps[steps > 0].min()))))
+        self.decimals = decimals(film)
         # In the order they are drawn.
         self.moving: list[Artist] = [self.springs, self.bodies, self.joints, self.trace, self.target, self.clock]
         self.moving += [cursor for _, cursor in self.cursors]

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model.arguments import shown
+from flexopt.plant import build_plant
 from flexopt.plotting.panels import Panel, draw_panel
 from flexopt.simulation.trajectory import Trajectory
 
@@ -39,7 +40,9 @@ def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None 
     """
     check_runs("plot_trajectory", {"trajectory": trajectory})
     t = trajectory
-    torques = Panel("torque, kN m", tuple((j, t.time, 1e-3 * row) for j, row in zip(t.joints, t.torque.T, strict=True)))
+    torques = Panel(
+        _torque_label(t), tuple((j, t.time, 1e-3 * row) for j, row in zip(t.joints, t.torque.T, strict=True))
+    )
     energy = Panel("energy, kJ", (("energy", t.time, 1e-3 * t.energy),), logarithmic=True)
     deflections = [deflection_panel({"deflection": t}, k, t.growth_rate) for k in range(t.n_passive)]
     left, right = [error_panel(t), torques, energy], deflections
@@ -133,8 +136,14 @@ def outcome(trajectory: Trajectory) -> str:
 
 
 def axis_names(trajectory: Trajectory) -> Sequence[str]:
-    """Task axes."""
-    return ("x", "y", "z")[: trajectory.error.shape[1]]
+    """Names of the task's rows."""
+    return trajectory.model.task_rows
+
+
+def _torque_label(trajectory: Trajectory) -> str:
+    units = list(dict.fromkeys(trajectory.torque_units))
+    word = " or ".join("torque" if unit == "N m" else "force" for unit in units)
+    return f"{word}, {' or '.join(f'k{unit}' for unit in units)}"
 
 
 def error_panel(trajectory: Trajectory) -> Panel:
@@ -145,9 +154,10 @@ def error_panel(trajectory: Trajectory) -> Panel:
 
 def deflection_panel(runs: Mapping[str, Trajectory], k: int, rate: float | None = None) -> Panel:
     """Passive coordinate k of every run."""
-    coordinate = next(iter(runs.values())).coordinates[k]
+    first = next(iter(runs.values()))
+    coordinate = first.coordinates[k]
     kind = "rotation" if coordinate == "base.rotation" else coordinate.removeprefix("base.")
-    unit = "mm" if coordinate in ("base.x", "base.y", "base.z") else "mrad"
+    unit = "m" + build_plant(first.model).graph.coordinate_units[k]
     name = f"base {kind}" if coordinate.startswith("base.") else kind
     lines = tuple((run, t.time, 1e3 * t.deflection[:, k]) for run, t in runs.items())
     return Panel(f"{name}, {unit}", lines, rate)

@@ -4,35 +4,44 @@
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from flexopt.plotting.fields import Plane, Values, draw_field, draw_regions, label_plane
+from flexopt.plotting.fields import Plane, Values, draw_field, draw_marks, draw_regions, label_plane
 
 
 def dataset_plane(dataset: Any) -> Plane:
     """The axes of a map's dataset."""
     rows, columns = dataset["reachable"].dims
-    if columns == "x":
+    if columns == "x" and dataset.attrs["frame"].startswith("workspace"):
         return Plane(_array(dataset, "x"), _array(dataset, "y"), "x, m (workspace frame)", "y, m (workspace frame)")
-    labels = [f"{dataset[name].attrs['long_name']}, rad" for name in (columns, rows)]
+    labels = [f"{dataset[name].attrs['long_name']}, {dataset[name].attrs['units']}" for name in (columns, rows)]
     return Plane(_array(dataset, columns), _array(dataset, rows), *labels)
 
 
-def plot_workspace(dataset: Any, path: str | os.PathLike[str] | None = None) -> Figure:
+def plot_workspace(
+    dataset: Any,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    marks: Mapping[str, tuple[float, float]] | None = None,
+) -> Figure:
     """Draw a map: a row for frequencies, w_i and in-phase regions, a column for each mode, and what concerns all.
 
     Args:
         dataset: the xarray.Dataset of a `WorkspaceMap`.
         path: file to write (`.png`, `.svg`, `.pdf`), or None.
+        marks: points of the plane to show, name -> (x, y); the dataset's own by default.
 
     Raises:
         OSError: the file cannot be written.
     """
     plane, panels = dataset_plane(dataset), _panels(dataset)
+    shown = json.loads(dataset.attrs.get("marks", "{}")) if marks is None else marks
     columns = max(len(row) for row in panels)
     width, height = np.ptp(plane.x), np.ptp(plane.y)
     each = 3.0 * (min(2.0, max(0.6, height / width)) if plane.aspect == "equal" else 0.8)
@@ -44,7 +53,10 @@ def plot_workspace(dataset: Any, path: str | os.PathLike[str] | None = None) -> 
                 draw_regions(axes, plane, values)
             else:
                 draw_field(axes, plane, values, label=label, clipped=kind == "clipped")
+            draw_marks(axes, shown)
             label_plane(axes, plane, title, left=column == 0, bottom=row == len(panels) - 1)
+    if shown:
+        figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=8.5)
     figure.suptitle(f"{dataset.attrs['title']}, kr = {float(dataset.attrs['gain']):.3g}", fontsize=11)
     if path is not None:
         figure.savefig(path, dpi=150)

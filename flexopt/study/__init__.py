@@ -1,6 +1,6 @@
-"""Studies on top of everything else: workspace maps, the article computed again, the examination of an installation.
+"""Studies on top of everything else: maps, reports on problems, the article computed again, the installation examined.
 
-In: machines. Out: result objects that carry printed and computed numbers side by side.
+In: machines and problems. Out: result objects that carry printed and computed numbers side by side.
 """
 
 from flexopt.study.article import ArticleTable as ArticleTable
@@ -10,6 +10,8 @@ from flexopt.study.curves import curve as curve
 from flexopt.study.findings import Finding as Finding
 from flexopt.study.gaps import GapSweep as GapSweep
 from flexopt.study.gaps import sweep_gaps as sweep_gaps
+from flexopt.study.problem_report import Report as Report
+from flexopt.study.problem_report import report as report
 from flexopt.study.reproduction import Reproduction as Reproduction
 from flexopt.study.reproduction import reproduce as reproduce
 from flexopt.study.workspace import map_workspace as map_workspace

@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model import Machine
+from flexopt.model import AnyMachine, Machine
 from flexopt.model.arguments import Vector
 from flexopt.robustness import Evaluation
 from flexopt.simulation import StabilityBorder, sampled_loop, simulate_ensemble, stability_border
 from flexopt.simulation.linear import linearised
 from flexopt.simulation.scenario import build_scenario, checked_options
-from flexopt.simulation.structure import N_TASK
 from flexopt.study.closed_loops import ACCURATE, hertz
 
 KP, KV = (1e2, 1e7), (1e1, 1e6)
@@ -157,9 +156,9 @@ class GainMap:
         return document | {"borders": [row.to_dict() for row in self.borders]}
 
 
-def held_words(ratio: float | None) -> str:
+def held_words(ratio: float | None, kv: float = KV_HELD) -> str:
     """What is held along a border, in words."""
-    return f"Kv = {KV_HELD:g}" if ratio is None else f"Kv/Kp = {ratio:g} s"
+    return f"Kv = {kv:g}" if ratio is None else f"Kv/Kp = {ratio:g} s"
 
 
 def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mapping[str, Any]) -> GainMap:
@@ -183,7 +182,7 @@ def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mappin
         grows = tested.result()
     methods = (str(given["integrator"]), ACCURATE)
     borders = tuple(
-        _border(machine, name, stands[name], given | {"integrator": method}, ratio)
+        border_row(machine, name, stands[name], given | {"integrator": method}, ratio)
         for method, ratio, name in product(methods, (None, *RATIOS), stands)
     )
     return GainMap(
@@ -217,19 +216,37 @@ def _verdicts(
 def _growth_rates(machine: Machine, options: Mapping[str, Any], kp: Vector, kv: Vector) -> Vector:
     """(l, k), 1/s. As `sampled_loop` at every pair, the scenario built once."""
     s = build_scenario(machine, checked_options("map_gains", machine, options))
+    rows = s.loop.structure.n_task
     rates = [
-        linearised(replace(s, parts={**s.parts, "kp": np.full(N_TASK, p), "kv": np.full(N_TASK, v)})).growth_rate
+        linearised(replace(s, parts={**s.parts, "kp": np.full(rows, p), "kv": np.full(rows, v)})).growth_rate
         for v, p in product(kv, kp)
     ]
     return np.array(rates).reshape(kv.size, kp.size)
 
 
-def _border(machine: Machine, name: str, stand: Evaluation, given: Mapping[str, Any], ratio: float | None) -> BorderRow:
-    options = {**given, "base": stand.base, "kv": KV_HELD}
+def border_row(
+    machine: AnyMachine,
+    name: str,
+    stand: Evaluation,
+    given: Mapping[str, Any],
+    ratio: float | None,
+    kv: float = KV_HELD,
+) -> BorderRow:
+    """Stable Kp of one posture, Kv held, or its ratio to Kp.
+
+    Args:
+        machine: the machine.
+        name: of the posture.
+        stand: the posture with its base.
+        given: options of `simulate` but posture, base and the two gains, the integrator among them.
+        ratio: Kv/Kp, s, or None.
+        kv: held where the ratio is not.
+    """
+    options = {**given, "base": stand.base, "kv": kv}
     border = stability_border(machine, stand.posture, ratio=ratio, **options)
     frequency, largest = None, border.largest
     if largest is not None and largest < border.searched[1]:
         kp = BEYOND * largest
-        kv = KV_HELD if ratio is None else ratio * kp
-        frequency = hertz(sampled_loop(machine, stand.posture, **options | {"kp": kp, "kv": kv}))
-    return BorderRow(name, held_words(ratio), str(given["integrator"]), border, frequency)
+        beyond = options | {"kp": kp, "kv": kv if ratio is None else ratio * kp}
+        frequency = hertz(sampled_loop(machine, stand.posture, **beyond))
+    return BorderRow(name, held_words(ratio, kv), str(given["integrator"]), border, frequency)

@@ -1,26 +1,32 @@
-"""The postures behind the points of a map.
+"""The postures and placements behind the points of a map.
 
-In: a machine, the range of the map and the number of points. Out: a `Grid` of postures with the axes' names and units.
+In: a machine, the range of the map and the number of points. Out: a `Grid` with the axes' names and units.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model import Machine
+from flexopt.model import AnyMachine, Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Elbow
-from flexopt.plant import build_plant
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits
-from flexopt.plant.reach import reach
+from flexopt.plant import Plant, build_plant
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
+from flexopt.plant.reach import arm_length, missed, outer_reach, reach, sampled_ranges
+from flexopt.study.follow import Cells, follow
 
-Over = Literal["end_point", "posture"]
+Over = Literal["end_point", "posture", "base"]
 Range = tuple[float, float]
+Pair = tuple[int, int]
+
+# Postures from which the extent of a workspace is told.
+SAMPLES = 4096
 
 
 @dataclass(frozen=True)
@@ -35,27 +41,65 @@ class Axis:
 
 @dataclass(frozen=True)
 class Grid:
-    """Postures on a grid of n_y rows and n_x columns.
+    """Postures and placements on a grid of n_y rows and n_x columns.
 
     Attributes:
         y, x: the axes.
-        posture: (n, n_y, n_x), rad; NaN where not reachable.
+        posture: (n, n_y, n_x), rad or m; NaN where not reachable.
         reachable: (n_y, n_x): within reach and inside the joint limits.
+        base: (n_b, n_y, n_x), m or rad.
     """
 
     y: Axis
     x: Axis
     posture: Vector
     reachable: NDArray[np.bool_]
+    base: Vector
 
 
-def default_ranges(machine: Machine, over: Over) -> tuple[Range, Range]:
-    """The square around all that the arm reaches, workspace frame, m; or the joint limits, a whole turn without."""
-    if over == "posture":
-        first, second = ((low, high) if math.isfinite(low) else (-math.pi, math.pi) for low, high in machine.limits[:2])
-        return first, second
+def closed_form(machine: AnyMachine) -> bool:
+    """Whether an end-point and an elbow name one posture: a planar arm of two joints."""
+    return build_plant(machine).closed_form and len(machine.joints) == 2
+
+
+def joint_ranges(machine: AnyMachine) -> list[Range]:
+    """The joint limits; a missing end is a whole turn from the other one, of a slide twice the arm's length."""
+    ends = sampled_ranges(machine, arm_length(build_plant(machine)))
+    return [(float(low), float(high)) for low, high in ends]
+
+
+def reach_ranges(machine: AnyMachine) -> tuple[Range, Range]:
+    """The square around all that a planar arm reaches, workspace frame, m."""
     outer = reach(build_plant(machine)).outer
     return (-outer, outer), (-outer, outer)
+
+
+def task_ranges(plant: Plant, base: Vector) -> list[Range]:
+    """What each task row takes over the joint ranges, m."""
+    r = plant.end_point.call(_sample(plant, base))[0].full()
+    return [(float(row.min()), float(row.max())) for row in r]
+
+
+def placement_ranges(plant: Plant, end_point: Vector, base: Vector) -> list[Range]:
+    """Placements around those from which an end-point may be reached: as far from it as the arm is long; a turn."""
+    machine = plant.machine
+    names, rows = machine.base_coordinates, machine.task_rows
+    center, radius = outer_reach(plant)
+    radius += float(np.linalg.norm(center[:2]))
+    ranges: list[Range] = []
+    for name, place in zip(names, base.tolist(), strict=True):
+        middle = float(end_point[rows.index(name)]) if name in rows else place
+        ranges.append((-math.pi, math.pi) if name == "yaw" else (middle - radius, middle + radius))
+    return ranges
+
+
+def _sample(plant: Plant, base: Vector) -> list[Vector]:
+    """Configurations (n_q, SAMPLES) at rest that fill the joint ranges, their placements and parameters."""
+    low, high = np.array(joint_ranges(plant.machine)).T[:, :, None]
+    posture = low + (high - low) * low_discrepancy(plant.n_actuated, SAMPLES, 0)
+    bases = np.repeat(base[:, None], SAMPLES, axis=1)
+    p = np.repeat(plant.parameter_values.full(), SAMPLES, axis=1)
+    return [plant.rest.call([bases, posture, p])[0].full(), bases, p]
 
 
 def end_point_grid(machine: Machine, x_range: Range, y_range: Range, points: tuple[int, int], elbow: Elbow) -> Grid:
@@ -73,21 +117,78 @@ def end_point_grid(machine: Machine, x_range: Range, y_range: Range, points: tup
         reachable[row] = reaches & inside_limits(machine, angles)
         posture[:, row, reachable[row]] = angles[:, reachable[row]]
     frame = "of the end-point at rest, workspace frame (origin at the first joint at rest)"
-    return Grid(Axis("y", y, "m", f"y {frame}"), Axis("x", x, "m", f"x {frame}"), posture, reachable)
+    axes = Axis("y", y, "m", f"y {frame}"), Axis("x", x, "m", f"x {frame}")
+    return Grid(*axes, posture, reachable, np.zeros((plant.n_base, y.size, x.size)))
 
 
-def posture_grid(machine: Machine, x_range: Range, y_range: Range, points: tuple[int, int], rest: Vector) -> Grid:
-    """The first joint along x, the second along y, the others (n − 2,) fixed at `rest`, rad."""
+def posture_grid(
+    machine: AnyMachine, x_range: Range, y_range: Range, points: tuple[int, int], joints: Pair, rest: Vector,
+    base: Vector,
+) -> Grid:  # fmt: skip
+    """The joints of the indices `joints` along x and y, the others (n − 2,), in order, fixed at `rest`, rad or m."""
     x, y = np.linspace(*x_range, points[0]), np.linspace(*y_range, points[1])
-    first, second = np.meshgrid(x, y)
-    fixed = np.broadcast_to(rest[:, None, None], (rest.size, *first.shape))
-    posture = np.concatenate([first[None], second[None], fixed])
-    reachable = inside_limits(machine, posture.reshape(posture.shape[0], -1)).reshape(first.shape)
+    posture = np.empty((len(machine.joints), y.size, x.size))
+    posture[[k for k in range(len(posture)) if k not in joints]] = rest[:, None, None]
+    posture[joints[0]], posture[joints[1]] = np.meshgrid(x, y)
+    reachable = inside_limits(machine, posture.reshape(posture.shape[0], -1)).reshape(posture.shape[1:])
     posture[:, ~reachable] = np.nan
-    names = machine.joints
-    return Grid(
-        Axis("angle_2", y, "rad", f"angle of {names[1]}"),
-        Axis("angle_1", x, "rad", f"angle of {names[0]}"),
-        posture,
-        reachable,
+    column, row = (_joint_axis(machine, k, values) for k, values in zip(joints, (x, y), strict=True))
+    return Grid(row, column, posture, reachable, np.broadcast_to(base[:, None, None], (base.size, y.size, x.size)))
+
+
+def _joint_axis(machine: AnyMachine, k: int, values: Vector) -> Axis:
+    word, what = ("angle", "angle") if machine.joint_units[k] == "rad" else ("slide", "position")
+    return Axis(f"{word}_{k + 1}", values, machine.joint_units[k], f"{what} of {machine.joints[k]}")
+
+
+def task_grid(
+    machine: AnyMachine, ranges: Sequence[Range], points: tuple[int, int], rows: Pair, end_point: Vector, base: Vector,
+    reference: Vector,
+) -> Grid:  # fmt: skip
+    """Postures followed over a plane of the task: the rows of the indices `rows` vary, the others are `end_point`'s."""
+    plant, names = build_plant(machine), machine.task_rows
+    x, y = (np.linspace(*span, count) for span, count in zip(ranges, points, strict=True))
+    shape = y.size, x.size
+    target = np.broadcast_to(end_point[:, None, None], (end_point.size, *shape)).copy()
+    target[rows[0]], target[rows[1]] = np.meshgrid(x, y)
+    bases = np.broadcast_to(base[:, None, None], (base.size, *shape))
+    here = end_point_at(plant, base, reference)
+    distance = np.hypot(*(target[k] - here[k] for k in rows))
+    posture, done, _ = follow(plant, Cells(target, bases, distance), reference)
+    column, row = (
+        Axis(names[k], values, "m", f"{names[k]} of the end-point at rest, inertial frame")
+        for k, values in zip(rows, (x, y), strict=True)
     )
+    return Grid(row, column, posture, done, bases)
+
+
+def placement_grid(
+    machine: AnyMachine, ranges: Sequence[Range], points: tuple[int, int], coordinates: Pair, end_point: Vector,
+    base: Vector, reference: Vector,
+) -> Grid:  # fmt: skip
+    """Postures followed over placements with the end-point held: two coordinates vary, the others are `base`'s.
+
+    Raises:
+        UnreachableTarget: no placement of the grid near to `base` reaches the end-point.
+    """
+    plant, names = build_plant(machine), machine.base_coordinates
+    x, y = (np.linspace(*span, count) for span, count in zip(ranges, points, strict=True))
+    shape = y.size, x.size
+    bases = np.broadcast_to(base[:, None, None], (base.size, *shape)).copy()
+    bases[coordinates[0]], bases[coordinates[1]] = np.meshgrid(x, y)
+    target = np.broadcast_to(end_point[:, None, None], (end_point.size, *shape))
+    distance = np.hypot(*(bases[k] - base[k] for k in coordinates))
+    posture, done, miss = follow(plant, Cells(target, bases, distance), reference)
+    if not done.any():
+        raise missed(plant, end_point, base, miss)
+    column, row = (
+        Axis(f"base_{names[k]}", values, machine.base_units[k], f"{names[k]} of the placement")
+        for k, values in zip(coordinates, (x, y), strict=True)
+    )
+    return Grid(row, column, posture, done, bases)
+
+
+def end_point_at(plant: Plant, base: Vector, posture: Vector) -> Vector:
+    """The end-point r (n_task,) at rest, m."""
+    p = plant.parameter_values
+    return plant.end_point(plant.rest(base, posture, p), base, p).full().ravel()

@@ -1,6 +1,6 @@
 """Measures and margins at many postures at once, on the compiled batched path.
 
-In: a machine and postures as columns. Out: arrays with one column for each posture.
+In: a machine, postures and placements as columns. Out: arrays with one column for each posture.
 """
 
 from __future__ import annotations
@@ -20,18 +20,21 @@ from numpy.typing import NDArray
 from flexopt.algebra import symmetric_eigen
 from flexopt.compiled import Batch, batch
 from flexopt.errors import FlexoptWarning
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
-from flexopt.plant.singularity import CONDITION_MAX
+from flexopt.plant.singularity import CONDITION_MAX, inverse_condition
 from flexopt.robustness import build_measures
 from flexopt.robustness.evaluation import SOLVE_TOLERANCE
 from flexopt.robustness.margin import RESIDUAL_TOLERANCE, Margin, build_margin, evaluate_margin
 from flexopt.robustness.measures import Measures
+from flexopt.study.interpreter import Interpreter
 
 Progress = Callable[[int, int], None]
 # Postures at a time, so that progress shows and memory stays small.
 CHUNK = 4096
+# Instructions of a graph from which on compiling takes longer than a map does without.
+COMPILED_MAX = 10_000
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,10 @@ def default_threads() -> int:
 
 
 def evaluate_points(
-    machine: Machine,
+    machine: AnyMachine,
     postures: Vector,
     *,
+    bases: Vector | None = None,
     control: Control = "inverse",
     gain: float = 5e5,
     gravity: bool = False,
@@ -73,23 +77,25 @@ def evaluate_points(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> PointValues:
-    """Everything about `postures` (n, N), rad, that a map or a curve shows; the base stands at 0.
+    """Everything about `postures` (n, N), rad or m, that a map or a curve shows, the base at `bases` (n_b, N) or at 0.
 
     The arguments are taken as they are; `map_workspace` checks them.
     """
     threads = default_threads() if threads is None else threads
     count = postures.shape[1]
     batches = _batches(machine, control, gravity, epsilon_max)
+    placed = np.zeros((len(machine.base_coordinates), count)) if bases is None else bases
     parts: list[tuple[Vector, ...]] = []
     if progress is not None:
         progress(0, count)
     for start in range(0, max(count, 1), CHUNK):
         chunk = postures[:, start : start + CHUNK]
-        values = _measured(batches, chunk, threads)
+        base = placed[:, start : start + CHUNK]
+        values = _measured(batches, base, chunk, threads)
         epsilon = np.full(chunk.shape[1], np.nan)
         sound = np.isfinite(values[-2])
         if epsilon_max and sound.any():
-            epsilon[sound] = _margins(batches, chunk[:, sound], gain, threads)
+            epsilon[sound] = _margins(batches, base[:, sound], chunk[:, sound], gain, threads)
         parts.append((*values, epsilon))
         if progress is not None and count:
             progress(min(start + CHUNK, count), count)
@@ -102,28 +108,44 @@ class _Batches:
 
     measures: Measures
     margin: Margin
-    values: Batch
-    margins: Batch | None
+    values: Batch | Interpreter
+    margins: Batch | Interpreter | None
 
 
 @lru_cache(maxsize=16)
-def _batches(machine: Machine, control: Control, gravity: bool, epsilon_max: bool) -> _Batches:
+def _batches(machine: AnyMachine, control: Control, gravity: bool, epsilon_max: bool) -> _Batches:
     measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
     # Compilers are programs of their own, so that threads suffice to run several.
     with ThreadPoolExecutor(2) as pool:
-        values = pool.submit(batch, _measure_function(measures))
-        margins = pool.submit(lambda: margin.batched) if epsilon_max else None
+        values = pool.submit(_many, _measure_function(measures))
+        margins = pool.submit(_many_margins, margin) if epsilon_max else None
         return _Batches(measures, margin, values.result(), margins and margins.result())
 
 
+def _many(function: ca.Function) -> Batch | Interpreter:
+    return batch(function) if function.n_instructions() <= COMPILED_MAX else Interpreter(function)
+
+
+def _many_margins(margin: Margin) -> Batch | Interpreter:
+    return margin.batched if margin.batched.compiled else Interpreter(margin.values)
+
+
 def _measure_function(measures: Measures) -> ca.Function:
-    """(base, posture, p) -> the measures as in `PointValues`, Jv, and what the static deflection left over."""
+    """(base, posture, p) -> the measures as in `PointValues`, Jv, and what the static deflection left over.
+
+    With a task of one row also the Jacobian of the position, with which the row is compared; see `plant.singularity`.
+    """
     g, plant = measures.plant.graph, measures.plant
     inputs = [g.base, g.posture, g.p]
     v = dict(zip(measures.values.name_out(), measures.values.call(inputs), strict=True))
     diagonals = (v["a"] * v["b"]) @ v["same"].T
     rigid, _ = symmetric_eigen(v["rigid"] + v["rigid"].T)
-    jv = plant.rigid_jacobian(plant.rest(*inputs), g.base, g.p)
+    rest = plant.rest(*inputs)
+    jv = plant.rigid_jacobian(rest, g.base, g.p)
+    position = ca.SX(0)
+    if plant.n_task == 1:
+        by_joints = ca.jacobian(g.skeleton[:, -1], g.q)[:, plant.n_passive :]
+        position = ca.Function("position_jacobian", [g.q, g.base, g.p], [by_joints])(rest, g.base, g.p)
     left_over, force = ca.SX(0), ca.SX(0)
     if measures.gravity:
         left_over = ca.norm_inf(v["static_residual"])
@@ -136,46 +158,52 @@ def _measure_function(measures: Measures) -> ca.Function:
         "least_diagonal": ca.vertcat(*(ca.mmin(diagonals[:, i]) for i in range(plant.n_passive))),
         "rigid": rigid[0],
         "jv": ca.vec(jv),
+        "position": ca.vec(position),
         "left_over": left_over / (1 + force),
     }
     dense = [ca.densify(output) for output in outputs.values()]
     return ca.Function("map_measures", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
 
 
-def _measured(batches: _Batches, postures: Vector, threads: int) -> tuple[Vector, ...]:
+def _measured(batches: _Batches, bases: Vector, postures: Vector, threads: int) -> tuple[Vector, ...]:
     """The fields of `PointValues` up to `condition`."""
     plant = batches.measures.plant
     p = np.array(plant.parameter_values).ravel()
-    frequency, w, scale, trace, least, rigid, jv, left_over = batches.values(
-        np.zeros(plant.n_base), postures, p, threads=threads
+    frequency, w, scale, trace, least, rigid, jv, position, left_over = batches.values(
+        bases, postures, p, threads=threads
     )
     jacobians = jv.T.reshape(-1, plant.n_actuated, plant.n_task)
-    condition = _conditions(jacobians)
-    sound = (condition <= CONDITION_MAX) & (left_over[0] <= SOLVE_TOLERANCE) & np.all(np.isfinite(w), axis=0)
+    condition, largest = _conditions(jacobians)
+    if plant.n_task == 1:
+        of_position = _conditions(position.T.reshape(-1, plant.n_actuated, position.shape[0] // plant.n_actuated))[1]
+        with np.errstate(divide="ignore"):
+            condition = np.maximum(largest, of_position) / largest
+        largest = np.maximum(largest, of_position)
+    inverted = inverse_condition(condition, largest, batches.measures.control)
+    sound = (inverted <= CONDITION_MAX) & (left_over[0] <= SOLVE_TOLERANCE) & np.all(np.isfinite(w), axis=0)
     sound &= np.all(np.isfinite(frequency), axis=0)
     fields = (frequency, w, scale, trace, least, rigid[0])
     return (*(np.where(sound, field, np.nan) for field in fields), condition)
 
 
-def _conditions(jacobians: Vector) -> Vector:
-    """Ratio of the extreme singular values of each (N, n, r); infinite where the smallest is zero or no number."""
+def _conditions(jacobians: Vector) -> tuple[Vector, Vector]:
+    """Ratio of the extreme singular values of each (N, n, r), infinite where it is no number, and the largest."""
     finite = np.all(np.isfinite(jacobians), axis=(1, 2))
     values = np.linalg.svd(np.where(finite[:, None, None], jacobians, 0.0), compute_uv=False)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio: NDArray[np.float64] = values[:, 0] / values[:, -1]
-    return np.where(np.isnan(ratio), np.inf, ratio)
+    return np.where(np.isnan(ratio), np.inf, ratio), values[:, 0]
 
 
-def _margins(batches: _Batches, postures: Vector, gain: float, threads: int) -> Vector:
+def _margins(batches: _Batches, bases: Vector, postures: Vector, gain: float, threads: int) -> Vector:
     """ε_max (N,); one by one, by the general solvers, where the batched equations are not solved."""
     assert batches.margins is not None
-    plant = batches.margin.plant
-    p, base = np.array(plant.parameter_values).ravel(), np.zeros(plant.n_base)
-    epsilon, rest, residual = batches.margins(base, postures, p, [gain], threads=threads)
+    p = np.array(batches.margin.plant.parameter_values).ravel()
+    epsilon, rest, residual = batches.margins(bases, postures, p, np.array([gain]), threads=threads)
     result = epsilon[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FlexoptWarning)  # of single points next to a singular posture
         for k in np.flatnonzero(~(np.fmax(rest[0], residual[0]) <= RESIDUAL_TOLERANCE)):
-            value = evaluate_margin(batches.margin, base, postures[:, k], gain).epsilon_max
+            value = evaluate_margin(batches.margin, bases[:, k], postures[:, k], gain).epsilon_max
             result[k] = np.nan if value is None else value
     return result

@@ -148,7 +148,7 @@ class Reproduction:
         Raises:
             OSError: a file cannot be written.
         """
-        from flexopt.study.report import write_report  # noqa: PLC0415  (imports what only reports need)
+        from flexopt.study.reproduction_page import write_report  # noqa: PLC0415  (imports what only reports need)
 
         return write_report(self, Path(folder))
 

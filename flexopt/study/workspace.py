@@ -8,20 +8,20 @@ from __future__ import annotations
 import json
 from typing import Any, cast
 
-import numpy as np
-
-from flexopt.errors import Fault
-from flexopt.model import AnyMachine, Machine
-from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Arguments
 from flexopt.model.documents import provenance
 from flexopt.model.problem import ELBOWS, Control, Elbow, check_gain
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, check_pair, range_sentence
-from flexopt.study.grid import Grid, Over, Range, default_ranges, end_point_grid, posture_grid
+from flexopt.plant import build_plant
+from flexopt.study.grid import Grid, Over
+from flexopt.study.planes import Plane, read_plane
 from flexopt.study.points import Progress, evaluate_points
 from flexopt.study.workspace_map import WorkspaceMap, workspace_dataset
 
-OVER: tuple[Over, ...] = ("end_point", "posture")
+OVER: tuple[Over, ...] = ("end_point", "posture", "base")
 POINTS_MAX = 10_000
+# Points by default, and of machines with more passive coordinates than the number between: each costs far more there.
+POINTS, MANY_PASSIVE, FEW_POINTS = (400, 400), 3, (60, 60)
 THREADS_MAX = 1024
 
 
@@ -32,33 +32,48 @@ def map_workspace(
     gain: float = 5e5,
     gravity: bool = False,
     over: Over = "end_point",
+    joints: Any = None,
+    rows: Any = None,
+    coordinates: Any = None,
+    posture: Any = None,
+    end_point: Any = None,
+    base: Any = None,
     x_range: Any = None,
     y_range: Any = None,
-    points: Any = (400, 400),
+    points: Any = None,
     elbow: Elbow = "up",
-    posture: Any = None,
     measures: bool = True,
     epsilon_max: bool = True,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> WorkspaceMap:
-    """Frequencies, w_i, in-phase regions and ε_max over a grid of end-points or of two joint angles.
+    """Frequencies, w_i, in-phase regions and ε_max over a plane of end-points, joints or placements.
 
-    End-points are those of the arm at rest in the *workspace frame*: the inertial frame's axes, origin at the first
-    joint at rest. Nothing in a map depends on the placement of the base, which stands at 0. Under gravity the springs
+    Over `"end_point"` a planar arm of two joints is mapped in closed form: end-points are those of the arm at rest in
+    the *workspace frame*, the inertial frame's axes with the origin at the first joint at rest; nothing depends on the
+    placement, which is 0. Any other machine needs a `posture` to start from: two task rows vary, in the inertial frame,
+    and the posture is followed from point to point (see `study.follow`): within the branch of `posture`, and of a
+    redundant arm the one nearest to it. Over `"posture"` two joints vary. Over `"base"` two placement coordinates vary
+    while the end-point is held, the posture followed likewise: the map tells where to stand. Under gravity the springs
     give way beneath the posture that belongs to the point at rest.
 
     Args:
         machine: from `flexopt.load`.
-        control: `"inverse"` or `"transpose"`.
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`.
         gain: servo gain kr of ε_max.
         gravity: measures under static deflection.
-        over: `"end_point"` (two actuated joints) or `"posture"`: the first joint along x, the second along y.
-        x_range, y_range: (low, high), m, workspace frame, by default the square around the arm's reach; or rad, by
-            default the joint limits, a whole turn without.
-        points: numbers of points (along x, along y).
-        elbow: which posture reaches an end-point.
-        posture: the joints from the third on, rad, when mapping over the posture of a longer arm.
+        over: `"end_point"`, `"posture"` or `"base"`: what varies, the first along x, the second along y.
+        joints, rows, coordinates: names of the two that vary over the posture, the end-point, the base; the first two
+            by default.
+        posture: over the posture the joints that do not vary, in order, rad or m; else the one to start from, (n,).
+        end_point: (n_task,), m, inertial frame: where it is held over the base; of the rows that do not vary over the
+            end-point. By default where `posture` has it.
+        base: placement (n_b,), m or rad: of the coordinates that do not vary, and where following starts; 0 by default.
+        x_range, y_range: (low, high), in the axis' unit. By default the square around the arm's reach (closed form);
+            what the task rows take over all postures; the joint limits, or without a whole turn or 1 m either way; as
+            far from the end-point as the arm is long, or a whole turn.
+        points: numbers of points (along x, along y); (400, 400), or with more than three passive coordinates (60, 60).
+        elbow: which posture reaches an end-point, in closed form.
         measures: include frequencies, w_i and in-phase regions.
         epsilon_max: include ε_max.
         threads: how many to compute with; all processors by default. The numbers do not depend on it.
@@ -66,34 +81,34 @@ def map_workspace(
 
     Raises:
         InputError: every unusable argument, in one message.
+        UnreachableTarget: over the base, the end-point is not reached from the placements next to `base`.
     """
     arguments = Arguments("map_workspace")
-    machine = arguments.planar(machine)
+    machine = arguments.machine(machine)
     control = arguments.control(control)
     kr = arguments.checked("gain", gain, check_gain, 1.0)
     for name, flag in (("gravity", gravity), ("measures", measures), ("epsilon_max", epsilon_max)):
         arguments.flag(name, flag)
     noted = len(arguments.faults)
     over = arguments.choice("over", over, OVER)
-    is_over = len(arguments.faults) == noted
+    usable = over if len(arguments.faults) == noted else None
     elbow = arguments.choice("elbow", elbow, ELBOWS)
-    size = arguments.checked("points", points, _check_points, (2, 2))
+    size = arguments.checked("points", _default_points(machine) if points is None else points, _check_points, (2, 2))
     workers = arguments.checked("threads", threads, _check_threads, None)
-    rest = _other_joints(arguments, machine, over, posture) if is_over else np.zeros(0)
-    ranges = _ranges(arguments, machine, over, x_range, y_range)
+    given = {"joints": joints, "rows": rows, "coordinates": coordinates, "posture": posture, "end_point": end_point}
+    plane = read_plane(arguments, machine, usable, given | {"base": base, "x_range": x_range, "y_range": y_range})
     arguments.done()
-    if over == "end_point":
-        grid = end_point_grid(machine, *ranges, size, elbow)
-    else:
-        grid = posture_grid(machine, *ranges, size, rest)
     options: dict[str, Any] = {"control": control, "gain": kr, "gravity": gravity, "over": over}
-    options |= {"x_range": ranges[0], "y_range": ranges[1], "points": size}
-    options |= {"elbow": elbow} if over == "end_point" else {"posture": rest.tolist()}
-    return _computed(machine, grid, options, measures=measures, margins=epsilon_max, threads=workers, progress=progress)
+    options |= {"x_range": plane.ranges[0], "y_range": plane.ranges[1], "points": size} | plane.options(elbow)
+    grid = plane.grid(machine, size, elbow)
+    return _computed(
+        machine, plane, grid, options, measures=measures, margins=epsilon_max, threads=workers, progress=progress
+    )
 
 
 def _computed(
-    machine: Machine,
+    machine: AnyMachine,
+    plane: Plane,
     grid: Grid,
     options: dict[str, Any],
     *,
@@ -104,27 +119,32 @@ def _computed(
 ) -> WorkspaceMap:
     where = grid.reachable
     values = evaluate_points(
-        machine, grid.posture[:, where], control=options["control"], gain=options["gain"], gravity=options["gravity"],
-        epsilon_max=margins, threads=threads, progress=progress,
+        machine, grid.posture[:, where], bases=grid.base[:, where], control=options["control"], gain=options["gain"],
+        gravity=options["gravity"], epsilon_max=margins, threads=threads, progress=progress,
     )  # fmt: skip
     dataset = workspace_dataset(grid, values, machine, measures=measures, margins=margins, control=options["control"])
-    dataset.attrs |= _attributes(machine, options)
+    dataset.attrs |= _attributes(machine, plane, options)
     return WorkspaceMap(machine.name, options, dataset, provenance(machine, **options))
 
 
-def _attributes(machine: Machine, options: dict[str, Any]) -> dict[str, Any]:
-    frame = "workspace: axes of the inertial frame, origin at the first joint at rest, base at 0"
+def _attributes(machine: AnyMachine, plane: Plane, options: dict[str, Any]) -> dict[str, Any]:
+    what = {"end_point": "end-point", "posture": "posture", "base": "placement"}[plane.over]
     return {
-        "title": f"{machine.name}: Jacobian {options['control']} control over its {options['over'].replace('_', '-')}",
+        "title": f"{machine.name}: Jacobian {options['control']} control over its {what}",
         "machine": machine.name,
         "control": options["control"],
         "gain": options["gain"],
         "gravity": str(options["gravity"]).lower(),
         "over": options["over"],
         "elbow": options.get("elbow", ""),
-        "frame": frame if options["over"] == "end_point" else "joint angles, relative, counter-clockwise positive",
+        "frame": plane.frame,
+        "marks": json.dumps(plane.marks),
         "provenance": json.dumps(provenance(machine, **options)),
     }
+
+
+def _default_points(machine: AnyMachine) -> tuple[int, int]:
+    return FEW_POINTS if build_plant(machine).n_passive > MANY_PASSIVE else POINTS
 
 
 def _check_points(value: Any) -> tuple[int, int]:
@@ -139,48 +159,3 @@ def _check_threads(value: Any) -> int | None:
     if value is not None and (type(value) is not int or not 1 <= value <= THREADS_MAX):
         raise ValueError(f"must be a whole number between 1 and {THREADS_MAX}, or None for all processors")
     return value
-
-
-def _ranges(arguments: Arguments, machine: Machine, over: Over, x_range: Any, y_range: Any) -> tuple[Range, Range]:
-    if arguments.faults and over == "posture" and len(machine.joints) < 2:
-        return (0.0, 1.0), (0.0, 1.0)
-    x, y = default_ranges(machine, over)
-    unit, most = ("m", COORDINATE_MAX) if over == "end_point" else ("rad", ANGLE_MAX)
-
-    def check(value: Any) -> Range:
-        try:
-            return check_pair(value, unit, -most, most)
-        except ValueError as error:
-            raise ValueError(f"{error}; both ends {range_sentence(unit, None, -most, most)}") from None
-
-    x = x if x_range is None else arguments.checked("x_range", x_range, check, x)
-    return x, y if y_range is None else arguments.checked("y_range", y_range, check, y)
-
-
-def _note(arguments: Arguments, field: str, sentence: str, value: Any) -> None:
-    arguments.faults.append(Fault(field, sentence, shown(value)))
-
-
-def _other_joints(arguments: Arguments, machine: Machine, over: Over, posture: Any) -> Vector:
-    """Angles of the third joint and those after it."""
-    names, nothing = machine.joints, np.zeros(0)
-    if over == "end_point":
-        if len(names) != 2:
-            sentence = f"needs two actuated joints, not {len(names)} ({', '.join(names)}): an end-point does not name "
-            _note(arguments, "over", sentence + "one posture; map over the posture", over)
-        if posture is not None:
-            _note(arguments, "posture", "goes with over = 'posture' only", posture)
-        return nothing
-    if len(names) < 2:
-        _note(arguments, "over", f"needs two actuated joints, not {len(names)}", over)
-        return nothing
-    others = names[2:]
-    if posture is None and not others:
-        return nothing
-    given = [] if posture is None else list(np.ravel(posture).tolist())
-    if len(given) != len(others):
-        sentence = f"needs {len(others)} angles in rad, for the joints that do not vary ({', '.join(others) or 'none'})"
-        _note(arguments, "posture", sentence, posture)
-        return np.zeros(len(others))
-    low = [max(limits[0], -ANGLE_MAX) for limits in machine.limits[:2]]
-    return arguments.posture(machine, [*low, *given])[2:]

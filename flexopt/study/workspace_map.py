@@ -6,7 +6,7 @@ xarray is imported when the first map is made: it takes longer to import than al
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from flexopt.errors import InputError
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready
 from flexopt.study.grid import Grid
@@ -35,8 +35,11 @@ class WorkspaceMap:
         dataset: variables with the dimensions (mode, y, x): `frequency_hz`, `w`, `scale` (|a_i||b_i|), `in_phase`
             (1 where trace R_i > 0, else 0), `in_phase_strict` (1 where each diagonal element of R_i ≥ 0); (y, x):
             `rigid` (λmin(R_0 + R_0ᵀ)), `epsilon_max`, `condition` (cond Jv), `reachable`; (joint, y, x): `posture`.
-            Over the posture the dimensions are called `angle_2` and `angle_1` in place of y and x. Each variable has
-            `units`, `long_name` and `description`.
+            Over the posture the dimensions are called `angle_2` and `angle_1` in place of y and x (joint k: `angle_k`,
+            or `slide_k`), over the base `base_y` and `base_x` (or `base_yaw`), over a plane of the task by its rows.
+            Each variable has `units` (of `posture`, where they differ, one for each joint), `long_name` and
+            `description`. Attributes: `title`, `machine`, `control`, `gain`, `gravity`, `over`, `elbow`, `frame`,
+            `marks` (JSON, name -> point of the plane), `provenance`.
         provenance: machine, versions and options.
     """
 
@@ -76,15 +79,21 @@ class WorkspaceMap:
             raise InputError(f"to_netcdf: {os.fspath(path)!r}: the name must end in .nc")
         cast(Any, self.dataset).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+    def plot(
+        self, path: str | os.PathLike[str] | None = None, *, marks: Mapping[str, tuple[float, float]] | None = None
+    ) -> Figure:
         """Frequencies, w_i, in-phase regions and ε_max; written to `path` (`.png`, `.svg`, `.pdf`) where one is given.
+
+        Args:
+            path: the file.
+            marks: points of the plane to show, name -> (x, y), in place of the map's own.
 
         Raises:
             OSError: the file cannot be written.
         """
         from flexopt.plotting.workspace import plot_workspace  # noqa: PLC0415  (matplotlib is slow to import)
 
-        return plot_workspace(self.dataset, path)
+        return plot_workspace(self.dataset, path, marks=marks)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready summary: ranges, means and shares of the area, with provenance; the arrays go to netCDF."""
@@ -182,7 +191,7 @@ DESCRIPTIONS = {
     "in_phase_strict": ("1", "strictly in phase", "1 where every diagonal element of R_i is at least 0, 0 where not"),
     "rigid": ("{residue}", "passivity of the rigid part", "λmin(R_0 + R_0ᵀ); negative where R_0/s² is not passive"),
     "epsilon_max": ("1", "robust stability margin ε_max", "of the damped plant times the servo gain kr"),
-    "posture": ("rad", "posture", "angles of the actuated joints, relative, counter-clockwise positive"),
+    "posture": ("rad", "posture", "actuated joints; angles relative, counter-clockwise positive"),
     "reachable": ("1", "reachable", "whether a posture within the joint limits belongs to the point"),
     "condition": ("1", "condition of Jv", "ratio of the singular values of the rigid-body Jacobian"),
 }
@@ -191,7 +200,7 @@ RESIDUE_UNITS = {"transpose": "1/kg", "inverse": "1/(kg m2)"}
 
 
 def workspace_dataset(
-    grid: Grid, values: PointValues, machine: Machine, *, measures: bool, margins: bool, control: str
+    grid: Grid, values: PointValues, machine: AnyMachine, *, measures: bool, margins: bool, control: str
 ) -> xr.Dataset:
     """Arrays with their axes, units and descriptions."""
     import xarray as xr  # noqa: PLC0415  (slow to import)
@@ -217,7 +226,7 @@ def workspace_dataset(
     fields["posture"] = (joint + plane, grid.posture)
     fields["reachable"] = (plane, grid.reachable)
     fields["condition"] = (plane, spread(values.condition))
-    variables = {name: (*entry, _attributes(name, control)) for name, entry in fields.items()}
+    variables = {name: (*entry, _attributes(name, control, machine.joint_units)) for name, entry in fields.items()}
     coordinates: dict[str, Any] = {
         axis.name: ((axis.name,), axis.values, {"units": axis.unit, "long_name": axis.long_name})
         for axis in (grid.y, grid.x)
@@ -229,10 +238,16 @@ def workspace_dataset(
     return xr.Dataset(variables, coordinates)
 
 
-def _attributes(name: str, control: str) -> dict[str, str]:
+def _attributes(name: str, control: str, joint_units: tuple[str, ...]) -> dict[str, str]:
     units, long_name, description = DESCRIPTIONS[name]
+    alike = len(set(joint_units)) == 1
+    residue = RESIDUE_UNITS.get(control, RESIDUE_UNITS["inverse"])
+    if control != "transpose" and "m" in joint_units:
+        # What a force on a slide and a torque on a hinge become is not one unit.
+        residue = "1/kg" if alike else "mixed"
+    of_posture = joint_units[0] if alike else ", ".join(joint_units)
     return {
-        "units": units.replace("{residue}", RESIDUE_UNITS[control]),
+        "units": of_posture if name == "posture" else units.replace("{residue}", residue),
         "long_name": long_name,
         "description": description,
     }

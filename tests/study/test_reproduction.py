@@ -10,7 +10,7 @@ import pytest
 import flexopt
 from flexopt.study import reproduce
 from flexopt.study.gaps import RIGID_MARGIN
-from flexopt.study.report import report_html
+from flexopt.study.reproduction_page import report_html
 from tests.cli.command import strict_json
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")

@@ -1,37 +1,23 @@
-"""One HTML file that needs no other, and one JSON file.
+"""The report of `flexopt reproduce`: one HTML file that needs no other, and one JSON file.
 
 In: a `Reproduction`. Out: `report.html` with its pictures inside, `report.json`.
 """
 
 from __future__ import annotations
 
-import base64
 import html
-import io
-import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flexopt.study.closed_loops import hertz
 from flexopt.study.findings import Finding
 from flexopt.study.gains import BorderRow
+from flexopt.study.page import page, picture, table, write_files
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from flexopt.study.reproduction import Reproduction
 
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 1080px; margin: 2em auto; padding: 0 1em; color: #1d2126; }
-h1 { font-size: 1.5em } h2 { font-size: 1.2em; margin-top: 2em; border-bottom: 1px solid #d5d9de }
-table { border-collapse: collapse; margin: 1em 0; font-size: 0.9em }
-th, td { padding: 0.25em 0.7em; border-bottom: 1px solid #e3e6ea; text-align: left; vertical-align: top }
-td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
-.holds { color: #1b7a4b; font-weight: 600 } .fails { color: #b3261e; font-weight: 600 }
-figure { margin: 1em 0 } img { max-width: 100%; height: auto } figcaption { font-size: 0.9em; color: #4a5058 }
-footer { margin-top: 3em; font-size: 0.8em; color: #6b7178; overflow-wrap: anywhere }
-"""
 CAPTIONS = {
     "figure5": "Fig. 5. In-phase (yellow) and out-of-phase (blue) regions, Jacobian inverse control: trace R_i > 0. "
     "(d) is drawn as the intersection, which the caption's “union” must mean (see below). Red: Table 2's postures.",
@@ -53,18 +39,13 @@ CAPTIONS = {
 
 def write_report(result: Reproduction, folder: Path) -> tuple[Path, Path]:
     """Write both files into `folder`, made if missing."""
-    folder.mkdir(parents=True, exist_ok=True)
-    page, data = folder / "report.html", folder / "report.json"
-    data.write_text(json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    page.write_text(report_html(result), encoding="utf-8")
-    return page, data
+    return write_files(folder, report_html(result), result.to_dict())
 
 
 def report_html(result: Reproduction) -> str:
     """The page."""
-    pictures = {name: _picture(figure, CAPTIONS[name]) for name, figure in result.figures().items()}
+    pictures = {name: picture(figure, CAPTIONS[name]) for name, figure in result.figures().items()}
     body = [
-        "<h1>The article, computed again</h1>",
         "<p>Configuration Optimization for End-Point Stabilization of Redundant Manipulators With Base Flexibility, "
         "ASME Letters in Dynamic Systems and Control 1(2), 021001: its Table 2, Figs. 5 to 12, mean frequencies and "
         "claims beside what flexopt computes.</p>",
@@ -90,30 +71,8 @@ def report_html(result: Reproduction) -> str:
         f"<p>{html.escape(result.gaps.sentence)}</p>",
         _gaps(result),
         pictures["gaps"],
-        f"<footer>{html.escape(json.dumps(result.to_dict()['provenance']))}</footer>",
     ]
-    head = f'<meta charset="utf-8"><title>The article, computed again</title><style>{STYLE}</style>'
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>\n' + "\n".join(body) + "\n</body></html>\n"
-
-
-def _picture(figure: Figure, caption: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)  # pyright: ignore[reportUnknownMemberType]
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    text = html.escape(caption)
-    return f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
-
-
-def _grid(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; cells that read as numbers are set right."""
-
-    def cell(text: str) -> str:
-        number = text[:1] in tuple("+-−0123456789–") and len(text) < 32
-        return f"<td{' class=number' if number else ''}>{html.escape(text)}</td>"
-
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
-    lines = "\n".join("<tr>" + "".join(cell(text) for text in row) + "</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>\n{lines}\n</tbody></table>"
+    return page("The article, computed again", body, result.to_dict()["provenance"])
 
 
 def _table2(result: Reproduction) -> list[str]:
@@ -132,7 +91,7 @@ def _table2(result: Reproduction) -> list[str]:
         f"ε_max, but B is. kr = {gain.other:.4g} would suit A, too, but makes B {gain.other_epsilon_b:.4f}."
     )
     header = ("posture and its input", "measure", "printed", "computed", "deviation (ε_max: difference)")
-    return [f"<p>{html.escape(sentence)}</p>", _grid(header, rows), f"<p>{html.escape(result.table.note)}</p>"]
+    return [f"<p>{html.escape(sentence)}</p>", table(header, rows), f"<p>{html.escape(result.table.note)}</p>"]
 
 
 def _frequencies(result: Reproduction) -> str:
@@ -140,7 +99,7 @@ def _frequencies(result: Reproduction) -> str:
     rows: list[tuple[str, ...]] = [("printed", *(f"{v:.4f}" for v in f.printed))]
     for name, values in f.means.items():
         rows.append((name, *(f"{v:.4f} ({d:+.2%})" for v, d in zip(values, f.deviation[name], strict=True))))
-    return _grid(("mean, Hz", *(f"mode {i + 1}" for i in range(len(f.printed)))), rows)
+    return table(("mean, Hz", *(f"mode {i + 1}" for i in range(len(f.printed)))), rows)
 
 
 def _findings(group: Sequence[Finding]) -> str:
@@ -167,7 +126,7 @@ def _loops(result: Reproduction) -> str:
         rows.append((row.stand, f"{row.kp:g}", f"{row.kv:g}", stated, accurate, words, turn, off))
     header = ("posture", "Kp", "Kv", "linear, RK4, 1/s", "linear, accurate, 1/s", "nonlinear run, 1/s",
               "largest base rotation, mrad", "end-point at the end, mm off")  # fmt: skip
-    return _grid(header, rows)
+    return table(header, rows)
 
 
 def _borders(result: Reproduction) -> str:
@@ -179,7 +138,7 @@ def _borders(result: Reproduction) -> str:
         for row in g.borders
         if row.integrator == methods[0]
     ]
-    return _grid(("stable Kp", "held", *(f"{method} at 200 Hz" for method in methods)), rows)
+    return table(("stable Kp", "held", *(f"{method} at 200 Hz" for method in methods)), rows)
 
 
 def _border(row: BorderRow) -> str:
@@ -197,4 +156,4 @@ def _gaps(result: Reproduction) -> str:
         rows.append((name, f"{g.w1[k]:.3e}", *cells))
     rows.append(("nearer than sin(π/8)", "", *(f"{n} of {len(g.names)}" for n in g.within)))
     rows.append(("rank correlation, ν-gap with ε_max", "", *(f"{c:+.2f}" for c in g.correlation_epsilon)))
-    return _grid(("ν-gap / gap / ε_max", "w1", *(f"damping × {f:g}" for f in g.factors)), rows)
+    return table(("ν-gap / gap / ε_max", "w1", *(f"damping × {f:g}" for f in g.factors)), rows)

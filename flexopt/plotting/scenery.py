@@ -1,0 +1,140 @@
+"""What stands around a machine: obstacles, ground, and where it may stand.
+
+In: the constraints of a problem. Out: artists in a view.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import Any, cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Polygon
+
+from flexopt.model.constraints import Area, Box, Constraints, HalfPlane, Obstacle, Sphere
+from flexopt.plotting.shape import Points, View
+
+AREAS = ("may stand here", "kept out")
+OBSTACLE, ALLOWED, FORBIDDEN = "#8c564b", "#2a7f3f", "#b3261e"
+# Below this share a plane's normal is seen end-on: it has no trace in the view.
+TRACE = 0.05
+
+
+def draw_scenery(axes: Axes, view: View, constraints: Constraints, height: float) -> None:
+    """Obstacles of the clearance, and the areas of the placement, on the ground at `height`, m, where seen upright."""
+    clearance = constraints.clearance
+    for obstacle in clearance.obstacles if clearance is not None else ():
+        _draw_obstacle(axes, view, obstacle)
+    for areas, color, label in (
+        (constraints.region, ALLOWED, AREAS[0]),
+        (constraints.keep_out, FORBIDDEN, AREAS[1]),
+    ):
+        for k, area in enumerate(areas or ()):
+            _draw_area(axes, view, area, color, label if k == 0 else "_", height)
+
+
+def scenery_points(view: View, constraints: Constraints) -> Points:
+    """Points (2, K) of what has an end and shall be in the picture."""
+    found: list[Points] = []
+    clearance = constraints.clearance
+    for obstacle in clearance.obstacles if clearance is not None else ():
+        if isinstance(obstacle, Sphere):
+            center = view.of(np.array(obstacle.center))[:, None]
+            found += [center - obstacle.radius, center + obstacle.radius]
+        elif isinstance(obstacle, Box):
+            found.append(view.of(_corners(obstacle)))
+    if not view.upright:
+        for area in constraints.region or ():
+            found.append(np.array(area, dtype=np.float64).T)
+    return np.hstack(found) if found else np.zeros((2, 0))
+
+
+def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:
+    if isinstance(obstacle, Sphere):
+        middle = view.of(np.array(obstacle.center))
+        style = _style(view, np.array(obstacle.center)[:, None], obstacle.radius)
+        axes.add_patch(Circle((float(middle[0]), float(middle[1])), obstacle.radius, **style))
+    elif isinstance(obstacle, Box):
+        corners = _corners(obstacle)
+        axes.add_patch(Polygon(_hull(view.of(corners)).T, closed=True, **_style(view, corners)))
+        middle = view.of(np.array(obstacle.center))
+    else:
+        middle = _draw_half_plane(axes, view, obstacle)
+        if middle is None:
+            return
+    if obstacle.name:
+        axes.annotate(
+            obstacle.name, (float(middle[0]), float(middle[1])), fontsize=7.5, ha="center", va="center", zorder=7,
+            clip_on=True,
+        )  # fmt: skip
+
+
+def _style(view: View, points: Points, radius: float = 0.0) -> dict[str, Any]:
+    """Fainter and dashed what stands beside the arm's plane, seen from the side."""
+    beside = view.upright and not view.cuts(points, radius)
+    return {
+        "facecolor": OBSTACLE, "edgecolor": "black", "linewidth": 0.8, "alpha": 0.2 if beside else 0.55,
+        "linestyle": "--" if beside else "-", "zorder": 1.5,
+    }  # fmt: skip
+
+
+def _draw_half_plane(axes: Axes, view: View, obstacle: HalfPlane) -> Points | None:
+    """The trace of the obstacle's plane in the view's, and the side that is filled; None where it is seen face-on."""
+    normal = view.of(np.array(obstacle.normal))
+    length = float(np.hypot(*normal))
+    if length < TRACE:
+        return None
+    away = float(np.dot(obstacle.normal, np.array(obstacle.point) - view.origin))
+    point, normal = view.of(view.origin) + normal * away / length**2, normal / length
+    along, far = np.array([-normal[1], normal[0]]), 1e3
+    corners = [point + far * along, point - far * along, point - far * along - far * normal]
+    corners.append(point + far * along - far * normal)
+    axes.add_patch(
+        Polygon(
+            np.array(corners), closed=True, facecolor=OBSTACLE, edgecolor="black", linewidth=0.8, alpha=0.3, zorder=1.2
+        )
+    )
+    return point
+
+
+def _corners(box: Box) -> Points:
+    """Corners (d, 2^d), m, inertial frame."""
+    half = np.array(box.size) / 2
+    signs = np.array(list(product((-1.0, 1.0), repeat=half.size))).T
+    local = half[:, None] * signs
+    c, s = math.cos(box.yaw), math.sin(box.yaw)
+    local[:2] = np.array([[c, -s], [s, c]]) @ local[:2]
+    return np.array(box.center)[:, None] + local
+
+
+def _hull(points: Points) -> Points:
+    """Corners of the convex hull (2, k) in order."""
+    from scipy.spatial import ConvexHull  # noqa: PLC0415  (slow to import)
+
+    order = cast(list[int], ConvexHull(points.T).vertices.tolist())
+    return points[:, order]
+
+
+def _draw_area(axes: Axes, view: View, area: Area, color: str, label: str, height: float) -> None:
+    """A polygon seen from above; seen upright, what it covers of the ground."""
+    corners = np.array(area, dtype=np.float64)
+    if corners.ndim == 2 and not view.upright:
+        axes.add_patch(
+            Polygon(
+                corners,
+                closed=True,
+                facecolor=color,
+                edgecolor=color,
+                linewidth=1.2,
+                alpha=0.13,
+                zorder=0.5,
+                label=label,
+            )
+        )
+        axes.add_patch(Polygon(corners, closed=True, fill=False, edgecolor=color, linewidth=1.2, zorder=1.0))
+    elif corners.ndim == 1:
+        axes.plot(corners, [height, height], color=color, linewidth=4.0, solid_capstyle="butt", label=label, zorder=1.6)

@@ -1,0 +1,168 @@
+"""The scene of a film of a machine in space: seen from the side and from above, error and a deflection beside it.
+
+In: a `Film`. Out: pictures, one for each row, as from `stage.Stage`. What does not move is drawn once.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from flexopt.model.arguments import Vector
+from flexopt.plant import build_plant
+from flexopt.plotting.machine import draw_ground
+from flexopt.plotting.panels import draw_panel
+from flexopt.plotting.selection import CHOSEN, PRESENT
+from flexopt.plotting.shape import Shape, View, bars_of, capsule_outline, shape_at, views
+from flexopt.plotting.stage import DPI, USUAL, Film, decimals
+from flexopt.plotting.trajectory import deflection_panel, error_panel, title
+from flexopt.simulation.trajectory import Trajectory
+
+SIZE = (8.6, 6.4)
+SCENES = ((0.075, 0.545, 0.46, 0.36), (0.075, 0.08, 0.46, 0.35))
+PANELS = ((0.63, 0.56, 0.345, 0.32), (0.63, 0.11, 0.345, 0.32))
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """One view: its axes, and what moves in it."""
+
+    axes: Axes
+    view: View
+    capsules: PolyCollection
+    bars: PolyCollection
+    joints: Any
+    trace: Any
+    target: Any
+
+    @property
+    def moving(self) -> list[Artist]:
+        """In the order they are drawn."""
+        return [self.capsules, self.bars, self.joints, self.trace, self.target]
+
+
+class SpaceStage:
+    """The figure: what stays in it, and the artists that move."""
+
+    def __init__(self, film: Film) -> None:
+        self.film = film
+        t = film.trajectory
+        self.shapes = {int(k): shape_at(t.model, film.q[k], film.base[k]) for k in np.unique(film.frames)}
+        self.target = _target_points(t, film)
+        self.figure = Figure(figsize=SIZE, dpi=DPI)
+        self.canvas = FigureCanvasAgg(self.figure)
+        first = self.shapes[int(film.frames[0])]
+        seen = views(first)
+        self.scenes = [self._scene(place, view, first) for place, view in zip(SCENES, seen, strict=True)]
+        self.clock = self.scenes[0].axes.text(
+            0.03, 0.955, "", transform=self.scenes[0].axes.transAxes, fontsize=9, va="top"
+        )
+        panels = [error_panel(t), *([deflection_panel({"deflection": t}, _widest(t))] if t.n_passive else [])]
+        self.cursors: list[tuple[Axes, Any]] = []
+        for place, panel in zip(PANELS, panels, strict=False):
+            axes = self.figure.add_axes(place)
+            draw_panel(axes, panel)
+            (cursor,) = axes.plot([], [], color="black", linewidth=1.0, zorder=5)
+            self.cursors.append((axes, cursor))
+        self.cursors[-1][0].set_xlabel("time, s", fontsize=8)
+        self.figure.text(0.5, 0.985, title(t), fontsize=9.5, ha="center", va="top")
+        self.decimals = decimals(film)
+        self.moving: list[Artist] = [artist for scene in self.scenes for artist in scene.moving]
+        self.moving += [self.clock, *(cursor for _, cursor in self.cursors)]
+        for artist in self.moving:
+            artist.set_animated(True)
+        self.canvas.draw()
+        self.background: Any = self.canvas.copy_from_bbox(self.figure.bbox)
+
+    def _scene(self, place: tuple[float, float, float, float], view: View, first: Shape) -> _Scene:
+        axes = self.figure.add_axes(place)
+        self._set_limits(axes, place, view, first)
+        color = to_rgb(PRESENT)
+        capsules = PolyCollection(
+            [], facecolors=[(*color, 0.12)], edgecolors=[(*color, 0.6)], linewidths=0.7, zorder=2.7
+        )
+        bars = PolyCollection([], facecolors=[PRESENT], edgecolors="black", linewidths=0.6, zorder=3)
+        for collection in (capsules, bars):
+            axes.add_collection(collection, autolim=False)
+        (joints,) = axes.plot([], [], "o", color="white", markeredgecolor="black", markersize=3.5, zorder=4)
+        (trace,) = axes.plot([], [], color=CHOSEN, linewidth=0.8, zorder=5)
+        (target,) = axes.plot([], [], "+", color="black", markersize=10, markeredgewidth=1.3, zorder=6)
+        return _Scene(axes, view, capsules, bars, joints, trace, target)
+
+    def _set_limits(self, axes: Axes, place: tuple[float, float, float, float], view: View, first: Shape) -> None:
+        """Limits that hold the machine's usual motion, not a run that flies away; the same scale on both axes."""
+        film, size = self.film, first.size
+        points = np.einsum("ij,kpj->kpi", view.axes, film.skeleton)
+        center = view.of(film.anchor.T).T[:, None]
+        near = np.clip(points, center - 1.1 * size, center + 1.1 * size)
+        ends = np.quantile(near, [1 - USUAL, USUAL], axis=0)
+        low, high = ends[0].min(axis=0), ends[1].max(axis=0)
+        for start, end, radius in first.capsules:
+            both = view.of(np.column_stack([start, end]))
+            low, high = np.minimum(low, both.min(axis=1) - radius), np.maximum(high, both.max(axis=1) + radius)
+        low, high = low - 0.06 * size, high + np.array([0.06, 0.14 if view.upright else 0.06]) * size
+        if view.upright:
+            ground = float(view.of(film.anchor[0])[1])
+            draw_ground(axes, low[0] - 9 * size, high[0] + 9 * size, ground)
+        frame = np.array([place[2] * SIZE[0], place[3] * SIZE[1]])
+        more = frame * np.max((high - low) / frame) - (high - low)
+        low, high = low - more / 2, high + more / 2
+        axes.set_xlim(float(low[0]), float(high[0]))
+        axes.set_ylim(float(low[1]), float(high[1]))
+        axes.set_xlabel(view.labels[0], fontsize=8)
+        axes.set_ylabel(view.labels[1], fontsize=8)
+        axes.tick_params(labelsize=7.5)
+        axes.set_title(f"{view.name}; {film.caption}" if view.upright else view.name, fontsize=8, pad=3)
+
+    def shot(self, k: int) -> NDArray[np.uint8]:
+        """The picture at row k, (height, width, 3)."""
+        self.canvas.restore_region(self.background)
+        for scene in self.scenes:
+            self._move(scene, k)
+        self.clock.set_text(f"t = {self.film.time[k]:.{self.decimals}f} s")
+        for axes, cursor in self.cursors:
+            cursor.set_data([self.film.time[k]] * 2, axes.get_ylim())
+        for artist in self.moving:
+            artist.draw(self.canvas.get_renderer())
+        picture: Any = self.canvas.buffer_rgba()
+        rgba: NDArray[np.uint8] = np.array(picture)
+        return rgba[..., :3].copy()
+
+    def _move(self, scene: _Scene, k: int) -> None:
+        """Put everything where it is in row k."""
+        shape, view = self.shapes[k], scene.view
+        scene.capsules.set_verts([capsule_outline(view.of(a), view.of(b), radius) for a, b, radius in shape.capsules])
+        scene.bars.set_verts(bars_of(shape, view))
+        joints, tips = view.of(shape.skeleton[:, 1:-1]), view.of(self.film.skeleton[: k + 1, -1].T)
+        scene.joints.set_data(joints[0], joints[1])
+        scene.trace.set_data(tips[0], tips[1])
+        target = view.of(self.target[k])
+        scene.target.set_data(target[:1], target[1:])
+
+
+def _target_points(t: Trajectory, film: Film) -> Vector:
+    """Where the end-point shall be (K, 3); of position rows that are no part of the task, where it is."""
+    points = film.skeleton[:, -1].copy()
+    for k, row in enumerate(t.model.task_rows):
+        if row in ("x", "y", "z"):
+            points[:, "xyz".index(row)] = film.target[:, k]
+    return points
+
+
+def _widest(t: Trajectory) -> int:
+    """The passive coordinate shown: the hinge that turns most, or else the slide that moves most."""
+    units = build_plant(t.model).graph.coordinate_units[: t.n_passive]
+    size = np.nanmax(np.where(np.isfinite(t.deflection), np.abs(t.deflection), 0.0), axis=0)
+    hinges = [k for k, unit in enumerate(units) if unit == "rad"]
+    return max(hinges or range(t.n_passive), key=lambda k: float(size[k]))

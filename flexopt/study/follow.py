@@ -1,0 +1,186 @@
+"""Postures followed from cell to cell over a grid of targets and placements, where no closed form names them.
+
+In: a plant, a target and a placement for each cell, and a reference posture. Out: a posture for each cell, at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.compiled import Batch, batch
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Vector
+from flexopt.plant import Plant, build_plant
+
+Mask = NDArray[np.bool_]
+
+ITERATIONS = 60
+# Largest step of a coordinate, rad or m; what is left over where a cell counts as reached, and of the nearest posture.
+STEP, TOLERANCE, STILL = 0.3, 1e-11, 1e-9
+# Singular values below this share of the largest count as lost directions.
+LOST = 1e-10
+# How many of the cells nearest to the reference are tried as the first.
+SEEDS = 64
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Where the end-point and the base are in each cell of n_y rows and n_x columns.
+
+    Attributes:
+        target: (n_task, n_y, n_x), m.
+        base: (n_b, n_y, n_x), m or rad.
+        distance: from the reference, by which the first cell is chosen (n_y, n_x).
+    """
+
+    target: Vector
+    base: Vector
+    distance: Vector
+
+
+def follow(plant: Plant, cells: Cells, reference: Vector) -> tuple[Vector, Mask, float]:
+    """The posture of each cell: on its target, inside the joint limits, at rest.
+
+    The first cell is the one nearest to the reference; every other starts from a neighbour that is done. An arm
+    without redundancy stays in the reference's branch: the sign of det Jv is kept. A redundant arm takes the posture
+    nearest to the reference, |q_a − q_ref|² least over the postures on the target (rad and m alike), at least locally:
+    each step is Jv⁺ (r_d − r) + α (I − Jv⁺ Jv)(q_ref − q_a), joints that rest against their limits left out.
+
+    Returns:
+        postures (n, n_y, n_x), NaN where none was found; a mask of those found; the least error in m of the first cell
+        where it was not reached, else 0.
+    """
+    shape = cells.distance.shape
+    solver = _Solver(plant, reference)
+    posture, done = np.full((reference.size, *shape), np.nan), np.zeros(shape, dtype=bool)
+    nearest = np.unravel_index(np.argsort(cells.distance, axis=None, kind="stable")[:SEEDS], shape)
+    starts = np.repeat(reference[:, None], nearest[0].size, axis=1)
+    found, reached, error = solver.solve(cells.target[:, *nearest], cells.base[:, *nearest], starts)
+    if not reached.any():
+        return posture, done, float(error.min())
+    first = int(np.argmax(reached))
+    at = nearest[0][first : first + 1], nearest[1][first : first + 1]
+    posture[:, *at], done[at] = found[:, first : first + 1], True
+    fresh = done.copy()
+    while fresh.any():
+        rows, columns, starts = _beside(fresh, done, posture)
+        if rows.size == 0:
+            break
+        found, reached, _ = solver.solve(cells.target[:, rows, columns], cells.base[:, rows, columns], starts)
+        fresh = np.zeros(shape, dtype=bool)
+        fresh[rows[reached], columns[reached]] = True
+        posture[:, rows[reached], columns[reached]] = found[:, reached]
+        done |= fresh
+    return posture, done, 0.0
+
+
+def _beside(fresh: Mask, done: Mask, posture: Vector) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
+    """Rows and columns of the cells beside fresh ones that are not done, and postures of those neighbours (n, k)."""
+    start = np.full_like(posture, np.nan)
+    wanted = np.zeros_like(done)
+    for axis, shift in ((1, 1), (1, -1), (0, 1), (0, -1)):
+        towards = np.roll(fresh, shift, axis)
+        # What was rolled over the edge is no neighbour.
+        towards[(slice(None),) * axis + (0 if shift == 1 else -1,)] = False
+        new = towards & ~done & ~wanted
+        start[:, new] = np.roll(posture, shift, axis + 1)[:, new]
+        wanted |= new
+    rows, columns = np.nonzero(wanted)
+    return rows, columns, start[:, rows, columns]
+
+
+class _Solver:
+    """Many targets at once, N columns each."""
+
+    def __init__(self, plant: Plant, reference: Vector) -> None:
+        self.plant, self.reference = plant, reference
+        self.p = plant.parameter_values.full().ravel()
+        self.function = _task_at_rest(plant.machine)
+        low, high = np.array(plant.machine.limits).T
+        self.low, self.high = low[:, None], high[:, None]
+        self.redundant = plant.n_actuated > plant.n_task
+        self.sign = 0.0 if self.redundant else float(np.sign(np.linalg.det(self._jacobian(reference)[0])))
+
+    def _jacobian(self, posture: Vector) -> Vector:
+        """(1, n_task, n); of the placement it has the sign of no determinant."""
+        return self._task(np.zeros((self.plant.n_base, 1)), posture[:, None])[1]
+
+    def _task(self, base: Vector, posture: Vector) -> tuple[Vector, Vector]:
+        """Task r (n_task, N) and Jv (N, n_task, n)."""
+        r, flat = self.function(base, posture, self.p)
+        return r, flat.T.reshape(-1, self.plant.n_actuated, self.plant.n_task).transpose(0, 2, 1)
+
+    def solve(self, target: Vector, base: Vector, start: Vector) -> tuple[Vector, Mask, Vector]:
+        """Postures (n, N), which of them reach, and the errors left over (N,), m."""
+        q, share = start.clip(self.low, self.high), np.ones(target.shape[1])
+        left, pull = np.full(target.shape[1], np.inf), np.full(target.shape[1], np.inf)
+        scale = 1 + np.abs(target).max(axis=0)
+        active = np.arange(target.shape[1], dtype=np.int64)
+        for _ in range(ITERATIONS):
+            r, jacobian = self._task(base[:, active], q[:, active])
+            error = target[:, active] - r
+            left[active] = np.abs(error).max(axis=0)
+            towards, along = self._step(jacobian, error, q[:, active])
+            size = np.abs(along).max(axis=0)
+            # A pull towards the reference that grows was too strong for the curvature of the way there.
+            share[active] = np.where(size > pull[active], np.maximum(0.5 * share[active], 0.02), share[active])
+            pull[active] = size
+            step = towards + share[active] * along
+            step *= np.minimum(1.0, STEP / np.maximum(np.abs(step).max(axis=0), 1e-300))
+            moving: NDArray[np.int64] = np.flatnonzero(
+                (left[active] > TOLERANCE * scale[active]) | (pull[active] > STILL)
+            )
+            if moving.size == 0:
+                break
+            active, step = active[moving], step[:, moving]
+            q[:, active] = (q[:, active] + step).clip(self.low, self.high)
+        self._finish(target, base, q, active[left[active] > TOLERANCE * scale[active]])
+        r, jacobian = self._task(base, q)
+        left = np.abs(target - r).max(axis=0)
+        reached = left <= 100 * TOLERANCE * scale
+        if self.sign:
+            reached &= np.sign(np.linalg.det(jacobian)) == self.sign
+        return q, reached, left
+
+    def _finish(self, target: Vector, base: Vector, q: Vector, late: NDArray[np.int64]) -> None:
+        """Those that the pull towards the reference kept from their target: shortest steps alone, in place."""
+        for _ in range(ITERATIONS if late.size and self.redundant else 0):
+            r, jacobian = self._task(base[:, late], q[:, late])
+            step, _ = self._step(jacobian, target[:, late] - r, q[:, late])
+            step *= np.minimum(1.0, STEP / np.maximum(np.abs(step).max(axis=0), 1e-300))
+            q[:, late] = (q[:, late] + step).clip(self.low, self.high)
+
+    def _step(self, jacobian: Vector, error: Vector, q: Vector) -> tuple[Vector, Vector]:
+        """The shortest step to the targets, and the one towards the reference that leaves the end-point, (n, N)."""
+        free = np.ones(q.shape, dtype=bool)
+        towards, along = np.zeros_like(q), np.zeros_like(q)
+        for _ in range(q.shape[0]):
+            left = jacobian * free.T[:, None, :]
+            inverse = np.linalg.pinv(left, rcond=LOST)
+            towards = np.einsum("knr,rk->nk", inverse, error)
+            if self.redundant:
+                wish = np.where(free, self.reference[:, None] - q, 0.0)
+                along = wish - np.einsum("knr,krm,mk->nk", inverse, left, wish)
+            step = towards + along
+            stuck = free & (((q <= self.low) & (step < 0)) | ((q >= self.high) & (step > 0)))
+            if not stuck.any():
+                break
+            free &= ~stuck
+        return towards, along
+
+
+@lru_cache(maxsize=16)
+def _task_at_rest(machine: AnyMachine) -> Batch:
+    """(base, posture, p) -> r and the stacked columns of Jv."""
+    plant = build_plant(machine)
+    g = plant.graph
+    inputs = [g.base, g.posture, g.p]
+    rest = plant.rest(*inputs)
+    outputs = [plant.end_point(rest, g.base, g.p), ca.vec(plant.rigid_jacobian(rest, g.base, g.p))]
+    dense = [ca.densify(output) for output in outputs]
+    return batch(ca.Function("task_at_rest", inputs, dense, ["base", "posture", "p"], ["r", "Jv"], {"cse": True}))

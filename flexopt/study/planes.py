@@ -1,0 +1,264 @@
+"""What varies over a map and what is held: the arguments of `map_workspace`, checked.
+
+In: a machine and what a caller passes. Out: a `Plane`, from which the grid is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.errors import Fault
+from flexopt.model import AnyMachine, Machine
+from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.problem import Elbow
+from flexopt.model.quantities import (
+    ANGLE_MAX,
+    COORDINATE_MAX,
+    check_pair,
+    coordinate_max,
+    range_sentence,
+)
+from flexopt.plant import build_plant
+from flexopt.study.grid import (
+    Grid,
+    Over,
+    Pair,
+    Range,
+    closed_form,
+    end_point_at,
+    end_point_grid,
+    joint_ranges,
+    placement_grid,
+    placement_ranges,
+    posture_grid,
+    reach_ranges,
+    task_grid,
+    task_ranges,
+)
+
+# Argument -> the maps that it belongs to; of end-points those that are followed.
+BELONGS: dict[str, tuple[Over, ...]] = {
+    "joints": ("posture",),
+    "rows": ("end_point",),
+    "coordinates": ("base",),
+    "end_point": ("end_point", "base"),
+}
+
+
+@dataclass
+class Plane:
+    """A map's plane.
+
+    Attributes:
+        over: what varies.
+        followed: whether postures are found by following them from `posture`.
+        varies: indices of the two joints, task rows or placement coordinates along x and y.
+        names: their names.
+        posture: reference (n,), or over the posture the joints that do not vary (n − 2,).
+        end_point: (n_task,), m, where it is held or partly held.
+        base: placement (n_b,).
+        ranges: along x and y.
+        rows: names of the task rows.
+    """
+
+    over: Over
+    followed: bool
+    varies: Pair = (0, 1)
+    names: tuple[str, str] = ("x", "y")
+    posture: Vector = field(default_factory=lambda: np.zeros(0))
+    end_point: Vector = field(default_factory=lambda: np.zeros(0))
+    base: Vector = field(default_factory=lambda: np.zeros(0))
+    ranges: tuple[Range, Range] = ((0.0, 1.0), (0.0, 1.0))
+    rows: tuple[str, ...] = ()
+
+    def grid(self, machine: AnyMachine, points: tuple[int, int], elbow: Elbow) -> Grid:
+        """Postures and placements at every point."""
+        if self.over == "posture":
+            return posture_grid(machine, *self.ranges, points, self.varies, self.posture, self.base)
+        if self.followed:
+            make = task_grid if self.over == "end_point" else placement_grid
+            return make(machine, self.ranges, points, self.varies, self.end_point, self.base, self.posture)
+        return end_point_grid(cast(Machine, machine), *self.ranges, points, elbow)
+
+    def options(self, elbow: Elbow) -> dict[str, Any]:
+        """What a map's options and provenance say of it."""
+        if self.over == "end_point" and not self.followed:
+            return {"elbow": elbow}
+        word = {"posture": "joints", "end_point": "rows", "base": "coordinates"}[self.over]
+        said: dict[str, Any] = {"posture": self.posture.tolist(), word: list(self.names), "base": self.base.tolist()}
+        return said | ({"end_point": self.end_point.tolist()} if self.followed else {})
+
+    @property
+    def marks(self) -> dict[str, tuple[float, float]]:
+        """Points of the plane to show: name -> (x, y)."""
+        if not self.followed:
+            return {}
+        i, j = self.varies
+        if self.over == "end_point":
+            return {"end-point": (float(self.end_point[i]), float(self.end_point[j]))}
+        found = {"reference": (float(self.base[i]), float(self.base[j]))}
+        if set(self.names) <= set(self.rows):
+            at = [float(self.end_point[self.rows.index(name)]) for name in self.names]
+            found["end-point"] = (at[0], at[1])
+        return found
+
+    @property
+    def frame(self) -> str:
+        """In which frame the axes are."""
+        if self.over == "posture":
+            return "joint angles, relative, counter-clockwise positive"
+        if self.over == "base":
+            return f"placement in the inertial frame, end-point held at {_listed(self.end_point)} m"
+        if self.followed:
+            return f"inertial, base at {_listed(self.base)}"
+        return "workspace: axes of the inertial frame, origin at the first joint at rest, base at 0"
+
+
+def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, given: dict[str, Any]) -> Plane:
+    """Check what belongs to a map's plane.
+
+    Args:
+        arguments: of the call; notes the faults.
+        machine: the machine.
+        over: what varies; None where it is not usable.
+        given: joints, rows, coordinates, posture, end_point, base, x_range, y_range as they were passed.
+    """
+    followed = over == "base" or (over == "end_point" and not closed_form(machine))
+    plane = Plane(over or "end_point", followed, base=np.zeros(len(machine.base_coordinates)), rows=machine.task_rows)
+    if over is None:
+        return plane
+    for name, maps in BELONGS.items():
+        if given[name] is not None and (over not in maps or (over == "end_point" and not followed)):
+            sentence = "goes with over = " + " or ".join(f"'{each}'" for each in maps)
+            _note(arguments, name, sentence + (" where postures are followed" if over in maps else ""), given[name])
+    if given["base"] is not None:
+        if over == "end_point" and not followed:
+            _note(arguments, "base", "does not matter here: the workspace frame moves with the base", given["base"])
+        plane.base = arguments.base(machine, given["base"])
+    _read_varying(arguments, machine, plane, given)
+    if over == "posture":
+        plane.posture = _other_joints(arguments, machine, plane.varies, given["posture"])
+    elif followed:
+        _read_reference(arguments, machine, plane, given)
+    elif given["posture"] is not None:
+        _note(arguments, "posture", "goes with over = 'posture' only", given["posture"])
+    _read_ranges(arguments, machine, plane, given)
+    return plane
+
+
+def _note(arguments: Arguments, name: str, sentence: str, value: Any) -> None:
+    arguments.faults.append(Fault(name, sentence, shown(value)))
+
+
+def _listed(values: Vector) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in values) + ")"
+
+
+def _read_varying(arguments: Arguments, machine: AnyMachine, plane: Plane, given: dict[str, Any]) -> None:
+    """The two that vary."""
+    word, what, names = {
+        "posture": ("joints", "actuated joints", machine.joints),
+        "end_point": ("rows", "task rows", machine.task_rows),
+        "base": ("coordinates", "placement coordinates", machine.base_coordinates),
+    }[plane.over]
+    if len(names) < 2:
+        listed = f" ({', '.join(names)})" if names else ""
+        _note(arguments, "over", f"needs two {what}, not {len(names)}{listed}", plane.over)
+        return
+
+    def check(value: Any) -> Pair:
+        chosen = list(cast(Sequence[Any], value)) if isinstance(value, list | tuple) else [value]
+        if len(chosen) != 2 or not all(isinstance(name, str) for name in chosen):
+            raise ValueError(f"must be two names of {what}: {', '.join(names)}")
+        unknown = [repr(name) for name in chosen if name not in names]
+        if unknown:
+            raise ValueError(f"{' and '.join(unknown)} not among the {what}: {', '.join(names)}")
+        if chosen[0] == chosen[1]:
+            raise ValueError(f"names the same one twice; two of {', '.join(names)} are wanted")
+        return names.index(chosen[0]), names.index(chosen[1])
+
+    if given[word] is not None:
+        plane.varies = arguments.checked(word, given[word], check, (0, 1))
+    plane.names = names[plane.varies[0]], names[plane.varies[1]]
+
+
+def _other_joints(arguments: Arguments, machine: AnyMachine, varies: Pair, posture: Any) -> Vector:
+    """The joints that do not vary."""
+    names = machine.joints
+    if len(names) < 2:
+        return np.zeros(0)
+    others = [k for k in range(len(names)) if k not in varies]
+    if posture is None and not others:
+        return np.zeros(0)
+    values = [] if posture is None else list(np.ravel(posture).tolist())
+    if len(values) != len(others):
+        rest = ", ".join(names[k] for k in others)
+        angles = "angles in rad" if set(machine.joint_units) == {"rad"} else "numbers in rad or m"
+        sentence = f"needs {len(others)} {angles}, for the joints that do not vary ({rest or 'none'})"
+        _note(arguments, "posture", sentence, posture)
+        return np.zeros(len(others))
+    # The two that vary stand where no fault is found.
+    whole = [max(low, -coordinate_max(u)) for (low, _), u in zip(machine.limits, machine.joint_units, strict=True)]
+    for k, value in zip(others, values, strict=True):
+        whole[k] = value
+    return arguments.posture(machine, whole)[others]
+
+
+def _read_reference(arguments: Arguments, machine: AnyMachine, plane: Plane, given: dict[str, Any]) -> None:
+    """The posture to start from and the end-point."""
+    names = machine.joints
+    if given["posture"] is None:
+        if plane.over == "base":
+            sentence = (
+                f"is missing: {len(names)} numbers ({', '.join(names)}), the posture from which others are followed"
+            )
+            arguments.faults.append(Fault("posture", sentence))
+            return
+        wanted = "an end-point does not name one posture; give the posture to start from, or map over the posture"
+        if isinstance(machine, Machine):
+            wanted = f"needs two actuated joints, not {len(names)} ({', '.join(names)}): {wanted}"
+        _note(arguments, "over", wanted, plane.over)
+        return
+    noted = len(arguments.faults)
+    plane.posture = arguments.posture(machine, given["posture"])
+    if len(arguments.faults) == noted:
+        plane.end_point = end_point_at(build_plant(machine), plane.base, plane.posture)
+    if given["end_point"] is not None:
+        plane.end_point = arguments.point(given["end_point"], "end_point", machine)
+
+
+def _read_ranges(arguments: Arguments, machine: AnyMachine, plane: Plane, given: dict[str, Any]) -> None:
+    """Ranges along x and y; where other faults stand the defaults are left aside."""
+    unit_of = {"posture": machine.joint_units, "base": machine.base_units}.get(plane.over, ("m",) * 6)
+    if max(plane.varies) >= len(unit_of):
+        return
+    units = [unit_of[k] for k in plane.varies]
+    defaults = plane.ranges if arguments.faults else _default_ranges(machine, plane)
+    read: list[Range] = []
+    for name, unit, default in zip(("x_range", "y_range"), units, defaults, strict=True):
+        most = ANGLE_MAX if unit == "rad" else COORDINATE_MAX
+
+        def check(value: Any, unit: str = unit, most: float = most) -> Range:
+            try:
+                return check_pair(value, unit, -most, most)
+            except ValueError as error:
+                raise ValueError(f"{error}; both ends {range_sentence(unit, None, -most, most)}") from None
+
+        read.append(default if given[name] is None else arguments.checked(name, given[name], check, default))
+    plane.ranges = read[0], read[1]
+
+
+def _default_ranges(machine: AnyMachine, plane: Plane) -> tuple[Range, Range]:
+    if plane.over == "end_point" and not plane.followed:
+        return reach_ranges(machine)
+    if plane.over == "posture":
+        every = joint_ranges(machine)
+    elif plane.over == "end_point":
+        every = task_ranges(build_plant(machine), plane.base)
+    else:
+        every = placement_ranges(build_plant(machine), plane.end_point, plane.base)
+    return every[plane.varies[0]], every[plane.varies[1]]

@@ -1,0 +1,228 @@
+"""The page of a `Report`: one HTML file that needs no other.
+
+In: a report. Out: HTML.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from flexopt.plant import build_plant
+from flexopt.study.closed_loops import hertz
+from flexopt.study.page import heading, page, paragraph, picture, table
+
+if TYPE_CHECKING:
+    from flexopt.study.problem_report import Report
+
+CAPTIONS = {
+    "selection": "The machine in the chosen and the present configuration, and its measures; 0 is best.",
+    "map": "Around the chosen configuration: frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust "
+    "stability margin and the rigid part. Rings: present and chosen configuration; cross: the end-point.",
+    "loops": "Nonlinear closed loops with the same gains and the same displacement at the start.",
+}
+# Candidates in the table; all are in the JSON document.
+SHOWN = 12
+# A mode is named by coordinates that hold at least so much of its strain energy.
+NAMED = 0.15
+
+
+def report_html(report: Report) -> str:
+    """The page."""
+    pictures = {n: picture(f, CAPTIONS.get(n, f"Nonlinear {n}.")) for n, f in report.figures().items()}
+    selection = report.selection
+    machine = report.machine
+    runs = [name for name in pictures if name.startswith("run ")]
+    body = [
+        paragraph(report.description),
+        paragraph(report.source),
+        paragraph(f"{_sentence(report)} {selection.status}."),
+        heading("The choice"),
+        pictures["selection"],
+        _candidates(report),
+        _constraints(report),
+        heading("The machine"),
+        paragraph(f"{machine.name}. {machine.description}".strip()),
+        paragraph(machine.source),
+        _coordinates(report),
+        _parameters(report, ("kg",), "mass"),
+        _parameters(report, ("N/m", "N m/rad", "N"), "spring"),
+        heading("Modes at rest"),
+        *(_modes(report, name) for name in report.stands),
+        heading("The surroundings of the chosen configuration"),
+        paragraph("" if report.map is None else f"{report.map.dataset.attrs['frame']}."),
+        pictures.get("map", ""),
+        heading("The closed loop"),
+        paragraph(_gains(report)),
+        _loops(report),
+        *([pictures["loops"]] if "loops" in pictures else []),
+        *(pictures[name] for name in runs),
+        heading("The gains that a configuration allows"),
+        _borders(report),
+    ]
+    if report.notes:
+        body += [heading("Notes"), *(paragraph(note) for note in report.notes)]
+    return page(f"Report: {report.name}", body, report.provenance)
+
+
+def _number(value: float | None, digits: int = 5) -> str:
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def _sentence(report: Report) -> str:
+    problem = report.selection.problem
+    target = ", ".join(f"{row} = {_number(x)}" for row, x in zip(report.machine.task_rows, problem.target, strict=True))
+    weight = ", under gravity" if problem.gravity else ""
+    return f"Target of the end-point: {target} m. Objective {problem.name}, Jacobian {problem.control} control{weight}:"
+
+
+def _candidates(report: Report) -> str:
+    selection = report.selection
+    best = selection.best.evaluation
+    modes = range(1, best.w.size + 1)
+    header = [
+        "", *_with_units(best.base_coordinates, best.base_units), *_with_units(best.joints, best.joint_units),
+        *(f"w{i}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes), "rests on",
+    ]  # fmt: skip
+    listed = [(str(k), c.evaluation, ", ".join(c.active)) for k, c in enumerate(selection.candidates[:SHOWN], start=1)]
+    if selection.initial is not None:
+        listed.insert(0, ("present", selection.initial, ""))
+    rows = [
+        [
+            name, *(_number(x) for x in (*e.base, *e.posture)), *(_number(w, 4) for w in e.w), _number(e.epsilon_max),
+            *(_number(f, 4) for f in e.frequencies_hz), active,
+        ]
+        for name, e, active in listed
+    ]  # fmt: skip
+    more = len(selection.candidates) - SHOWN
+    return table(header, rows) + paragraph(f"And {more} more." if more > 0 else "")
+
+
+def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
+    return [f"{name}, {unit}" for name, unit in zip(names, units, strict=True)]
+
+
+def _constraints(report: Report) -> str:
+    """Values of every constraint at the candidates."""
+    shown = report.selection.candidates[:SHOWN]
+    names = list(shown[0].constraints)
+    if not names:
+        return ""
+    rows: list[list[str]] = []
+    for name in names:
+        values = [candidate.constraints[name] for candidate in shown]
+        rows.append(
+            [
+                name,
+                _allowed(values[0].lower, values[0].upper, values[0].unit),
+                *(_number(value.value) for value in values),
+            ]
+        )
+    return table(["constraint", "allowed", *(f"{k}" for k in range(1, len(shown) + 1))], rows)
+
+
+def _allowed(low: float, high: float, unit: str) -> str:
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{_number(low)} to {_number(high)} {unit}" if low < high else f"{_number(low)} {unit}"
+    return f"at least {_number(low)} {unit}" if math.isfinite(low) else f"at most {_number(high)} {unit}"
+
+
+def _coordinates(report: Report) -> str:
+    machine, plant = report.machine, build_plant(report.machine)
+    rows: list[list[str]] = []
+    limits = dict(zip(machine.joints, machine.limits, strict=True))
+    efforts = dict(zip(machine.joints, machine.efforts, strict=True))
+    for k, (name, unit) in enumerate(zip(plant.coordinates, plant.graph.coordinate_units, strict=True)):
+        low, high = limits.get(name, (math.nan, math.nan))
+        bounded = math.isfinite(low) or math.isfinite(high)
+        effort = _number(efforts.get(name))
+        rows.append(
+            [
+                name, unit, "passive" if k < plant.n_passive else "actuated",
+                f"{_number(low)} to {_number(high)}" if bounded else "",
+                "" if effort == "–" else f"{effort} {'N m' if unit == 'rad' else 'N'}",
+            ]
+        )  # fmt: skip
+    return table(["coordinate", "unit", "kind", "limits", "effort"], rows)
+
+
+def _parameters(report: Report, units: tuple[str, ...], what: str) -> str:
+    rows = [
+        [parameter.name, _number(parameter.value, 6), parameter.unit]
+        for parameter in report.machine.parameters
+        if parameter.unit in units and parameter.value != 0
+    ]
+    if what == "mass":
+        total = sum(p.value for p in report.machine.parameters if p.unit in units)
+        rows.append(["total", _number(total, 6), "kg"])
+    return table([what, "value", "unit"], rows) if rows else ""
+
+
+def _modes(report: Report, name: str) -> str:
+    stand = report.stands[name]
+    shares, names = report.mode_shares(stand), build_plant(report.machine).coordinates
+    rows: list[list[str]] = []
+    for i, w in enumerate(stand.w):
+        moving = [k for k in np.argsort(-shares[:, i]) if shares[k, i] >= NAMED]
+        share = w / stand.scale[i] if stand.scale[i] > 0 else 0.0
+        phase = "strictly" if stand.in_phase_strict[i] else "yes" if stand.in_phase[i] else "no"
+        rows.append(
+            [
+                str(i + 1), _number(stand.frequencies_hz[i]), _number(stand.damping_ratios[i], 3), _number(w),
+                _number(share, 4), phase, ", ".join(f"{names[k]} {100 * shares[k, i]:.0f} %" for k in moving),
+            ]
+        )  # fmt: skip
+    header = [f"mode, {name}", "frequency, Hz", "damping ratio", "w", "w/|a||b|", "in phase", "strain energy in"]
+    return table(header, rows)
+
+
+def _gains(report: Report) -> str:
+    given = report.simulation
+    told = ", ".join(f"{name} = {_told(value)}" for name, value in given.items())
+    return f"Options of flexopt.simulate: {told}; all others are its defaults." if told else ""
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        parts = [_told(part) for part in cast(list[Any], value)]
+        return parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
+    if hasattr(value, "model_dump"):
+        return str(value.model_dump(exclude_defaults=True))
+    return _number(value, 6) if isinstance(value, float) else str(value)
+
+
+def _loops(report: Report) -> str:
+    rows: list[list[str]] = []
+    for name, loop in report.loops.items():
+        run, linear = loop.run, loop.linear
+        poles = "–" if linear is None else f"{_number(linear.growth_rate, 4)} at {_number(hertz(linear), 4)} Hz"
+        turn = "–" if run.peak_base_rotation is None else _number(1e3 * run.peak_base_rotation, 4)
+        off = "–" if run.end_error is None else _number(1e3 * run.end_error, 4)
+        rows.append(
+            [
+                name, run.verdict, _number(run.growth_rate, 4), poles, _number(run.settling_time, 4), turn, off,
+                f"{run.time[-1]:g}",
+            ]
+        )  # fmt: skip
+    header = ["configuration", "verdict", "growth rate of the run, 1/s", "linear loop, 1/s", "settles in, s",
+              "largest base rotation, mrad", "end-point at the end, mm off", "duration, s"]  # fmt: skip
+    return table(header, rows) if rows else ""
+
+
+def _borders(report: Report) -> str:
+    rows = [
+        [
+            row.stand,
+            row.held,
+            row.integrator,
+            row.text,
+            "" if row.frequency_hz is None else _number(row.frequency_hz, 4),
+        ]
+        for row in report.borders
+    ]
+    return table(["configuration", "held", "integrator", "stable Kp", "then grows, Hz"], rows) if rows else ""

@@ -1,0 +1,88 @@
+"""The map around a chosen configuration, and where configurations are in it.
+
+In: a selection. Out: a `WorkspaceMap` and the marks to draw in it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import shown
+from flexopt.model.problem import Elbow
+from flexopt.plant import build_plant
+from flexopt.robustness import Evaluation
+from flexopt.selection import Selection
+from flexopt.study.grid import closed_form
+from flexopt.study.workspace import map_workspace
+from flexopt.study.workspace_map import WorkspaceMap
+
+CHOSEN, PRESENT = "chosen", "present"
+# Of the map along each axis, and with more than three passive coordinates.
+POINTS, MANY_PASSIVE, FEW_POINTS = 160, 3, 48
+
+
+def stands_of(selection: Selection) -> dict[str, Evaluation]:
+    """The present configuration, where it is known, and the chosen one."""
+    present = {} if selection.initial is None else {PRESENT: selection.initial}
+    return present | {CHOSEN: selection.best.evaluation}
+
+
+def map_points(machine: AnyMachine, points: Any) -> int:
+    """How many along each axis, checked."""
+    if points is None:
+        return FEW_POINTS if build_plant(machine).n_passive > MANY_PASSIVE else POINTS
+    if type(points) is not int or not 2 <= points <= 1000:
+        sentence = "must be a whole number between 2 and 1000"
+        raise_if_any(InputError, "report", [Fault("points", sentence, shown(points))])
+    return cast(int, points)
+
+
+def surroundings(selection: Selection, points: int) -> WorkspaceMap | None:
+    """The map that tells most: where to stand, else what the end-point can do."""
+    problem, best = selection.problem, selection.best.evaluation
+    machine, rows = problem.machine, problem.machine.task_rows
+    given: dict[str, Any] = {"control": problem.control, "gain": problem.gain, "gravity": problem.gravity}
+    given["points"] = (points, points)
+    if len(machine.base_coordinates) > 1:
+        end_point = problem.target.tolist()
+        return map_workspace(machine, over="base", posture=best.posture, base=best.base, end_point=end_point, **given)
+    if closed_form(machine):
+        return map_workspace(machine, elbow=elbow_of(best), **given)
+    if len(rows) > 1:
+        upright = ("x", "z") if {"x", "z"} <= set(rows) else rows[:2]
+        return map_workspace(machine, over="end_point", rows=upright, posture=best.posture, base=best.base, **given)
+    if len(machine.joints) > 1:
+        return map_workspace(machine, over="posture", posture=best.posture[2:], base=best.base, **given)
+    return None
+
+
+def elbow_of(stand: Evaluation) -> Elbow:
+    """Branch of a two-joint planar arm."""
+    return "up" if stand.posture[1] < 0 else "down"
+
+
+def marks_in(selection: Selection, drawn: WorkspaceMap) -> dict[str, tuple[float, float]]:
+    """Where the configurations are in the map's plane."""
+    rows, columns = drawn.axes
+    machine = selection.problem.machine
+    marks: dict[str, tuple[float, float]] = {}
+    for name, stand in stands_of(selection).items():
+        at: dict[str, float] = {}
+        if drawn.options["over"] == "base":
+            at = {f"base_{n}": float(x) for n, x in zip(stand.base_coordinates, stand.base, strict=True)}
+        elif drawn.options["over"] == "posture":
+            at = {n: float(x) for n, x in zip((columns, rows), stand.posture[:2], strict=True)}
+        elif closed_form(machine):
+            if drawn.options["elbow"] != elbow_of(stand):
+                continue
+            # The first actuated joint stands before the last two points: its link ends and the end-point.
+            at = dict(zip("xy", (stand.skeleton[:, -1] - stand.skeleton[:, -3]).tolist(), strict=True))
+        else:
+            at = {n: float(x) for n, x in zip(machine.task_rows, stand.end_point, strict=True)}
+        marks[name] = at[columns], at[rows]
+    target = dict(zip(machine.task_rows, selection.problem.target.tolist(), strict=True))
+    if drawn.options["over"] == "base" and all(axis.removeprefix("base_") in target for axis in drawn.axes):
+        marks["end-point"] = target[columns.removeprefix("base_")], target[rows.removeprefix("base_")]
+    return marks

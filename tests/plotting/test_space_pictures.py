@@ -1,0 +1,226 @@
+"""Pictures of machines in space: what is drawn lies where the machine is."""
+
+import io
+import math
+import warnings
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+import flexopt
+from flexopt.model.constraints import read_constraints
+from flexopt.model.tree import tree_from_dict
+from flexopt.plant import build_plant
+from flexopt.plotting.scenery import draw_scenery
+from flexopt.plotting.shape import capsule_outline, machine_segments, shape_at, shape_of, views
+from flexopt.plotting.trajectory import deflection_panel
+from tests.oracles.spatial import grounded, in_space, pinocchio_tree, random_tree
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
+CAPSULES = [
+    {"body": "base.rotation", "start": [-0.2, 0.3, 0.1], "end": [0.4, -0.3, 0.1], "radius": 0.25},
+    {"body": "stick", "start": [0.0, 0.0, 0.0], "end": [1.0, 0.0, 0.0], "radius": 0.1},
+]
+
+
+@pytest.fixture(scope="module")
+def machine():
+    """The excavator sent through space, with volumes and ground to stand on."""
+    data = in_space({"gravity": 9.81} | flexopt.load("excavator").to_dict())
+    return tree_from_dict(data | {"capsules": CAPSULES, "support": {"polygon": [[-1, -1], [1, -1], [1, 1], [-1, 1]]}})
+
+
+@pytest.fixture(scope="module")
+def selection(machine):
+    constraints = {
+        "region": [[[-2.5, -1.0], [1.0, -1.0], [1.0, 1.0], [-2.5, 1.0]]],
+        "clearance": {
+            "distance": 0.05,
+            "obstacles": [
+                {"kind": "sphere", "name": "tank", "center": [4.0, 0.2, 0.5], "radius": 0.5},
+                {"kind": "box", "name": "hut", "center": [-6.0, 3.0, 1.0], "size": [1.0, 2.0, 2.0], "yaw": 0.5},
+            ],
+        },
+    }
+    return flexopt.select(machine, (0.0, 1.6), base=0.0, posture=[0.9929, -2.6306], constraints=constraints, starts=3)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_capsules_follow_their_bodies(seed):
+    """Ends of capsules against Pinocchio's frames, at random coordinates and placements."""
+    data = random_tree(seed, counts=(2, 3))
+    rng = np.random.default_rng(seed)
+    last = data["bodies"][-1]["name"]
+    ends = rng.uniform(-1, 1, (2, 3))
+    capsule = {"body": last, "start": ends[0].tolist(), "end": ends[1].tolist(), "radius": 0.1}
+    machine = tree_from_dict(data | {"capsules": [capsule]})
+    # The oracle knows the end-point's frame: put that on the capsule's end.
+    q, base = rng.uniform(-1, 1, 5), rng.uniform(-1, 1, 3)
+    (start, end, radius), *others = shape_at(machine, q, base).capsules
+    assert not others
+    assert radius == 0.1
+    for point, own in ((start, ends[0]), (end, ends[1])):
+        data["end_point"] |= {"body": last, "position": own.tolist()}
+        # The absorbed slides of the plant count from the inertial origin; a yaw leaves none, so that both count alike.
+        np.testing.assert_allclose(point, pinocchio_tree(data).frame(q, base)[0], atol=1e-12)
+
+
+def test_views_are_orthogonal_projections():
+    machine = tree_from_dict(grounded(3, 0))
+    plant = build_plant(machine)
+    q = plant.rest(np.array([0.4, -0.2, 0.3]), np.array([0.9, -0.4, 0.8]), plant.parameter_values).full().ravel()
+    shape = shape_at(machine, q, np.array([0.4, -0.2, 0.3]))
+    side, above = views(shape)
+    for view in (side, above):
+        np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(2), atol=1e-15)
+    tip, foot = shape.skeleton[:, -1], shape.skeleton[:, 0]
+    # From the side the arm is seen in its full extent; from above the placement is where it is.
+    assert side.of(tip)[0] - side.of(foot)[0] == pytest.approx(math.hypot(*(tip - foot)[:2]))
+    assert side.of(tip)[1] == tip[2]
+    np.testing.assert_allclose(above.of(foot), [0.4, -0.2], atol=1e-15)
+    assert machine_segments(machine) == shape.segments
+    assert side.cuts(tip[:, None])
+    assert not side.cuts((tip + 3 * np.cross(side.axes[0], side.axes[1]))[:, None], radius=2.9)
+    assert side.cuts((tip + 3 * np.cross(side.axes[0], side.axes[1]))[:, None], radius=3.1)
+
+
+def test_capsule_outline():
+    start, end = np.array([0.0, 1.0]), np.array([2.0, 2.0])
+    outline = capsule_outline(start, end, 0.5)
+    along = (end - start) / np.linalg.norm(end - start)
+    for point in outline:
+        nearest = start + along * np.clip((point - start) @ along, 0, np.linalg.norm(end - start))
+        assert np.linalg.norm(point - nearest) == pytest.approx(0.5)
+    ball = capsule_outline(start, start, 0.5)
+    np.testing.assert_allclose(np.linalg.norm(ball - start, axis=1), 0.5)
+
+
+def lines(axes):
+    return {line.get_label(): line.get_xydata() for line in axes.lines}
+
+
+def test_selection_picture(selection, tmp_path):
+    figure = selection.plot(tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    side, above, measures, shares, ranks = figure.axes
+    best, initial, machine = selection.best.evaluation, selection.initial, selection.problem.machine
+    chosen = shape_of(machine, best)
+    for axes, view in zip((side, above), views(chosen), strict=True):
+        outlines = [patch.get_path().vertices for patch in axes.patches if hasattr(patch, "get_xy")]
+        drawn = np.vstack(outlines)
+        for shape in (chosen, shape_of(machine, initial)):
+            tip = view.of(shape.skeleton[:, -1])
+            assert np.linalg.norm(drawn - tip, axis=1).min() < 0.2
+            for start, end, radius in shape.capsules:
+                outline = capsule_outline(view.of(start), view.of(end), radius)
+                assert any(o.shape[0] >= len(outline) and np.allclose(o[: len(outline)], outline) for o in outlines)
+        target = [line.get_xydata()[0] for line in axes.lines if line.get_marker() == "+"]
+        np.testing.assert_allclose(target, [view.of(best.skeleton[:, -1])], atol=1e-7)
+        (low, high), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+        points = view.of(chosen.skeleton)
+        assert low < points[0].min()
+        assert points[0].max() < high
+        assert bottom < points[1].min()
+        assert points[1].max() < top
+    # Bars: first the chosen configuration's, then the present one's.
+    heights = [[bar.get_height() for bar in axes.patches] for axes in (measures, shares)]
+    np.testing.assert_allclose(heights[0], [*best.w, *initial.w])
+    np.testing.assert_allclose(heights[1], [*(best.w / best.scale), *(initial.w / initial.scale)])
+    np.testing.assert_allclose(
+        [point for line in ranks.lines[:2] for point in line.get_ydata()],
+        [candidate.objective for candidate in (*selection.candidates[1:], selection.candidates[0])],
+    )
+    assert {text.get_text() for text in side.texts} >= {"tank", "hut", "target"}
+    assert "may stand here" in above.get_legend_handles_labels()[1]
+
+
+def test_scenery_in_both_views(selection):
+    chosen = shape_of(selection.problem.machine, selection.best.evaluation)
+    wall = {"kind": "half_plane", "point": [3.0, 1.0, 0.0], "normal": [-1.0, 0.0, 0.0]}
+    ceiling = {"kind": "half_plane", "point": [0.0, 0.0, 5.0], "normal": [0.0, 0.0, -1.0]}
+    tank = {"kind": "sphere", "center": [1.0, 2.0, 3.0], "radius": 0.5}
+    asked = read_constraints({"clearance": {"distance": 0.1, "obstacles": [wall, ceiling, tank]},
+                              "keep_out": [[[0, 0], [1, 0], [0, 1]]]})  # fmt: skip
+    for view in views(chosen):
+        axes = Figure().add_subplot()
+        draw_scenery(axes, view, asked, 0.0)
+        circles = [patch for patch in axes.patches if patch.__class__.__name__ == "Circle"]
+        np.testing.assert_allclose(circles[0].center, view.of(np.array(tank["center"])))
+        # The arm works in the plane y = 0: the tank stands beside it.
+        assert (circles[0].get_linestyle() == "--") == view.upright
+        edges = [patch.get_path().vertices for patch in axes.patches if patch is not circles[0]]
+        assert np.isclose(edges[0][:2, 0], 3.0).all()
+        # Seen from above a ceiling has no edge; an area is seen from above only.
+        assert len(edges) == (2 if view.upright else 3)
+        if view.upright:
+            np.testing.assert_allclose(edges[1][:2, 1], 5.0)
+
+
+def test_planar_machine_with_volumes_and_obstacles():
+    data = flexopt.load("excavator").to_dict()
+    data |= {"capsules": [{"body": "boom", "start": [0.0, 0.0], "end": [1.9, 0.0], "radius": 0.2}]}
+    data |= {"support": {"span": [-1.0, 1.2]}}
+    asked = {"region": [[-2.0, 3.0]], "clearance": {"distance": 0.1, "obstacles": [
+        {"kind": "sphere", "center": [-3.0, 1.0], "radius": 0.4}]}}  # fmt: skip
+    selection = flexopt.select(flexopt.machine_from_dict(data), (0.0, 1.6), base=0.0, constraints=asked)
+    axes = selection.plot().axes[0]
+    best = selection.best.evaluation
+    boom = best.skeleton[:, 1:3]
+    along = (boom[:, 1] - boom[:, 0]) / np.linalg.norm(boom[:, 1] - boom[:, 0])
+    outline = capsule_outline(boom[:, 0], boom[:, 0] + 1.9 * along, 0.2)
+    assert any(np.allclose(patch.get_path().vertices[: len(outline)], outline) for patch in axes.patches
+               if patch.get_path().vertices.shape[0] > len(outline))  # fmt: skip
+    drawn = lines(axes)
+    np.testing.assert_allclose(drawn["may stand here"][:, 0], [-2.0, 3.0])
+    spans = [line.get_xdata() for line in axes.lines if line.get_marker() == "|"]
+    assert any(np.allclose(span, best.base[0] + np.array([-1.0, 1.2])) for span in spans)
+
+
+@pytest.fixture(scope="module")
+def run(machine):
+    return flexopt.simulate(machine, [0.0448, -2.0499], duration=1.0)
+
+
+def test_run_in_space(run, tmp_path):
+    figure = run.plot(tmp_path / "run.png")
+    shown = {axes.get_ylabel(): {line.get_label(): line.get_ydata() for line in axes.lines} for axes in figure.axes}
+    for k, row in enumerate(("x", "z")):
+        np.testing.assert_array_equal(shown["end-point error, mm"][row], 1e3 * run.error[:, k])
+    for k, label in enumerate(("base x, mm", "base y, mm", "base rotation, mrad")):
+        np.testing.assert_array_equal(shown[label]["deflection"], 1e3 * run.deflection[:, k])
+    assert deflection_panel({"a": run}, 1).label == "base y, mm"
+
+
+def test_film_in_space(run, tmp_path):
+    run.animate(tmp_path / "run.gif", magnify=2.0)
+    image = Image.open(io.BytesIO((tmp_path / "run.gif").read_bytes()))
+    assert image.n_frames == 25
+    first = np.asarray(image.convert("RGB"), dtype=int)
+    image.seek(3)
+    later = np.asarray(image.convert("RGB"), dtype=int)
+    # The machine moves in both views, and the cursor in the panels.
+    changed = np.abs(later - first).max(axis=2) > 60
+    height, width = changed.shape
+    for part in (changed[: height // 2, : width // 2], changed[height // 2 :, : width // 2], changed[:, width // 2 :]):
+        assert part.sum() > 20
+    run.animate(tmp_path / "run.html", magnify=2.0)
+    assert "deflections × 2" in (tmp_path / "run.html").read_text(encoding="utf-8")
+
+
+def test_map_marks(machine):
+    plane = {"x_range": (-1.0, 1.0), "y_range": (0.5, 2.0), "points": (4, 3), "epsilon_max": False}
+    result = flexopt.map_workspace(machine, posture=[0.9, -2.0], **plane)
+    figure = result.plot(marks={"chosen": (0.25, 1.5), "present": (-0.5, 1.0)})
+    for axes in figure.axes:
+        if axes.images:
+            np.testing.assert_array_equal(lines(axes)["chosen"], [[0.25, 1.5]])
+            np.testing.assert_array_equal(lines(axes)["present"], [[-0.5, 1.0]])
+    e = flexopt.evaluate(machine, [0.9, -2.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        own = result.plot()
+    np.testing.assert_allclose(lines(own.axes[0])["end-point"], [e.end_point])
+    labels = {axes.get_xlabel() for axes in own.axes}
+    assert "x of the end-point at rest, inertial frame, m" in labels

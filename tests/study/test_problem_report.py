@@ -1,0 +1,184 @@
+"""The report on a problem carries the numbers of the calls that it is made of."""
+
+import base64
+import html
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import flexopt
+from flexopt.model.tree import tree_from_dict
+from flexopt.study.problem_page import report_html
+from tests.cli.command import Command
+from tests.oracles.spatial import in_space
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+
+
+def made(problem, **options):
+    return flexopt.report(problem, points=9, **options)
+
+
+@pytest.fixture(scope="module")
+def article():
+    """The article's problem with the gains of its experiment."""
+    stages = []
+    result = made(
+        flexopt.load_problem("article"), experiment=flexopt.load_experiment("article-a"),
+        progress=lambda done, total: stages.append((done, total)),
+    )  # fmt: skip
+    assert [done for done, _ in stages] == list(range(1, stages[0][1] + 1))
+    return result
+
+
+def text_of(page):
+    return html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>", "", page, flags=re.S)))
+
+
+def test_choice_and_loops_are_those_of_the_calls(article):
+    best, initial = article.selection.best.evaluation, article.selection.initial
+    expected = flexopt.solve_problem(flexopt.load_problem("article"))
+    np.testing.assert_allclose(best.posture, expected.best.evaluation.posture, atol=1e-9)
+    assert list(article.loops) == ["present", "chosen"]
+    stated = flexopt.run_experiment(flexopt.load_experiment("article-a"))
+    np.testing.assert_allclose(article.loops["present"].run.error, stated.error, atol=1e-9)
+    assert article.loops["present"].run.verdict == "grows"
+    chosen = flexopt.simulate(
+        flexopt.load("excavator"), best.posture, base=best.base, kp=1e5, kv=2e3, offset=[0.05, -0.05], duration=10.0
+    )
+    np.testing.assert_allclose(article.loops["chosen"].run.q, chosen.q, atol=1e-9)
+    assert article.loops["chosen"].run.verdict == "converges"
+    linear = flexopt.sampled_loop(flexopt.load("excavator"), initial.posture, base=initial.base)
+    assert article.loops["present"].linear.growth_rate == pytest.approx(linear.growth_rate, rel=1e-9)
+    held = {(row.stand, row.held): row for row in article.borders}
+    assert set(held) == {(s, w) for s in ("present", "chosen") for w in ("Kv = 2000", "Kv/Kp = 0.02 s")}
+    border = held["chosen", "Kv = 2000"].border
+    for kp, stable in ((0.99 * border.largest, True), (1.01 * border.largest, False)):
+        loop = flexopt.sampled_loop(flexopt.load("excavator"), best.posture, base=best.base, kp=kp, kv=2e3)
+        assert loop.stable == stable
+    assert article.notes == ()
+
+
+def test_document(article):
+    document = json.loads(json.dumps(article.to_dict(), allow_nan=False))
+    machine = flexopt.load("excavator")
+    assert document["machine"]["sha256"] == machine.content_hash
+    assert {p["name"]: p["value"] for p in document["machine"]["parameters"]}["boom.mass"] == 766.6
+    assert document["selection"]["best"]["posture"] == article.selection.best.evaluation.posture.tolist()
+    assert document["map"]["marks"].keys() == {"present", "chosen"}
+    assert document["loops"]["present"]["run"]["verdict"] == "grows"
+    assert document["simulation"]["kp"] == [1e5]
+    assert len(document["gains"]) == 4
+    shares = np.array(document["mode_shares"]["chosen"])
+    np.testing.assert_allclose(shares.sum(axis=0), 1.0)
+    # The first mode is the base's rotation: its strain energy by hand.
+    chosen = article.selection.best.evaluation
+    v = flexopt.build_measures(machine).values(
+        base=chosen.base, posture=chosen.posture, p=flexopt.build_plant(machine).parameter_values
+    )
+    energy = np.array([4e7, 4e7, 1.112e6]) * v["modes"].full()[:3, 0] ** 2
+    np.testing.assert_allclose(shares[:, 0], energy / energy.sum())
+
+
+def test_marks_are_where_the_machine_is(article):
+    for name, stand in article.stands.items():
+        joint, tip = stand.skeleton[:, 1], stand.skeleton[:, -1]
+        np.testing.assert_allclose(article.marks[name], tip - joint, atol=1e-12)
+
+
+def test_files(article, tmp_path):
+    page, data = article.write(tmp_path / "new" / "folder")
+    assert json.loads(data.read_text(encoding="utf-8")) == json.loads(json.dumps(article.to_dict()))
+    markup = page.read_text(encoding="utf-8")
+    assert "http" not in re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", markup).replace("https://", "")
+    pictures = re.findall(r'src="data:image/png;base64,([A-Za-z0-9+/=]+)"', markup)
+    assert len(pictures) == len(article.figures()) == 5
+    for picture in pictures:
+        assert np.asarray(Image.open(io.BytesIO(base64.b64decode(picture))).convert("L")).std() > 5
+    words = text_of(markup)
+    best = article.selection.best.evaluation
+    for expected in ("The article's target", "766.6", "1.112e+06", f"{best.posture[0]:.5g}", "grows", "Kv/Kp = 0.02 s",
+                     "base.rotation 96 %", "singularity margin", "at least 0.030154 sin²", "kp = 100000"):  # fmt: skip
+        assert expected in words, expected
+    repr(article)
+
+
+def test_machine_in_space():
+    machine = tree_from_dict(in_space({"gravity": 9.81} | flexopt.load("excavator").to_dict()))
+    asked = {"region": [[[-3.0, -1.0], [3.0, -1.0], [3.0, 1.0], [-3.0, 1.0]]]}
+    problem = flexopt.build_selection(
+        machine, (0.0, 1.6), base=0.0, posture=[0.9929, -2.6306], constraints=asked, starts=3
+    )
+    result = made(problem, simulation={"duration": 2.0, "feedback": "pid", "ki": 1e3})
+    assert result.map.options["over"] == "end_point"
+    np.testing.assert_allclose(result.marks["chosen"], result.selection.best.evaluation.end_point)
+    assert {name: loop.run.time[-1] for name, loop in result.loops.items()} == {"present": 2.0, "chosen": 2.0}
+    # Borders are those of two gains.
+    assert result.borders == ()
+    words = text_of(report_html(result))
+    assert "distance inside region" in words
+    assert result.to_dict()["constraints"]["region"] is not None
+
+
+def test_what_cannot_be_run_is_noted():
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
+    result = made(problem, simulation={"rate": 20.0, "integrator": "rk4", "substeps": 1})
+    assert list(result.loops) == []
+    assert len(result.notes) == 1
+    assert result.notes[0].startswith("the closed loop, chosen:")
+    words = text_of(report_html(result))
+    assert "Notes" in words
+    assert result.notes[0].split(":")[0] in words
+
+
+def test_faults():
+    problem = flexopt.load_problem("article")
+    with pytest.raises(flexopt.InputError, match="must be a problem"):
+        flexopt.report("article")
+    with pytest.raises(flexopt.InputError, match="points = 1"):
+        flexopt.report(problem, points=1)
+    with pytest.raises(flexopt.InputError, match="must be an Experiment"):
+        flexopt.report(problem, experiment="article-a")
+    with pytest.raises(flexopt.InputError, match="2 faults") as caught:
+        flexopt.report(problem, simulation={"posture": [0, 1], "control": "inverse"})
+    assert {fault.field for fault in caught.value.faults} == {"simulation.posture", "simulation.control"}
+    with pytest.raises(flexopt.InputError, match="kp"):
+        flexopt.report(problem, simulation={"kp": -1.0})
+
+
+def test_command(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = Command(capsys, tmp_path)
+    outcome = command(
+        "report", "excavator", "--end-point", "0,1.6", "--base", "0", "--points", "5", "--duration", "1", "--kp", "1e4",
+        "--out", "folder", "--json",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.stderr
+    assert outcome.document == json.loads((tmp_path / "folder" / "report.json").read_text(encoding="utf-8"))
+    assert outcome.document["simulation"] == {"duration": 1.0, "kp": [1e4], "control": "inverse", "gravity": False}
+    assert (tmp_path / "folder" / "report.html").exists()
+    for arguments, words in (
+        (("excavator",), "needs --end-point"),
+        (("article", "--end-point", "0,1"), "--end-point = 0,1: goes with a machine"),
+        (("article", "--points", "0"), "--points = 0"),
+        (("article", "--kp", "x"), "kp"),
+        (("article", "--experiment", "article"), "article"),
+        (("nothing",), "nothing"),
+    ):
+        outcome = command("report", *arguments)
+        assert outcome.code == 2
+        assert words in outcome.stderr
+
+
+def test_a_run_too_short_for_its_verdict_is_noted():
+    """Next to the border of stability ten seconds do not tell; the eigenvalues do."""
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), base=0.0)
+    result = made(problem, simulation={"duration": 10.0, "kp": 3200.0, "kv": 64.0})
+    for name, loop in result.loops.items():
+        noted = any(note.startswith(f"the closed loop, {name}: the run of 10 s") for note in result.notes)
+        assert noted == (loop.linear.stable != (loop.run.verdict == "converges"))
+    assert any("too short" in note for note in result.notes)
