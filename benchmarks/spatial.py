@@ -29,10 +29,10 @@ from benchmarks.simulation.peers import STRICT, Missing, _built, _folder
 from benchmarks.timing import table
 from flexopt.compiled import recurrence
 from flexopt.model.tree import tree_from_dict
-from flexopt.plant import motion as planar
+from flexopt.plant.machine_motion import constant_values, structure_of
+from flexopt.plant.planar_motion import PlanarMotion
 from flexopt.plant.plant import Plant
 from flexopt.plant.spatial import build_spatial
-from flexopt.plant.tree_constants import constant_values, own_skeleton
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.simulation.directions import Carried, Computed, stacked
 from flexopt.simulation.integrators import State, classical_step
@@ -94,14 +94,14 @@ class _Flow:
     def rates(self, t: ca.SX, state: State, along: Any) -> State:  # noqa: ARG002 - nothing depends on time
         base = ca.SX.zeros(3, 1)
         given = (self.torque, base, base)
-        if isinstance(self.motion, planar.Motion):
+        if isinstance(self.motion, PlanarMotion):
             given = (self.torque, base[0], base[0])
         acceleration = self.motion.acceleration(state.u, state.w, along, *given, gravity=True)
         return State(state.w, acceleration, state.z)
 
 
 class Ours:
-    """The compiled loop of a `Motion` or a `TreeMotion`, by any builder of accelerations that has their interface."""
+    """The compiled loop of a `Motion`, by any builder of accelerations that has their interface."""
 
     def __init__(
         self, build: Callable[[Any], Any], values: dict[str, float], zeros: frozenset[str], case: Case
@@ -208,14 +208,14 @@ class Mujoco:
 
 def spatial(tree: Any, case: Case, build: Callable[..., Any] = TreeMotion) -> Ours:
     """A tree through the spatial path."""
-    structure = own_skeleton(tree)
+    structure = structure_of(tree)
     return Ours(lambda value: build(structure, value), constant_values(tree), structure.zeros, case)
 
 
 def closed_form(machine: Any, case: Case) -> Ours:
     """A planar machine by its own closed form."""
-    structure = planar.structure_of(machine)
-    return Ours(lambda value: planar.Motion(structure, value), planar.constant_values(machine), structure.zeros, case)
+    structure = structure_of(machine)
+    return Ours(lambda value: PlanarMotion(structure, value), constant_values(machine), structure.zeros, case)
 
 
 def case_of(plant: Any, posture: np.ndarray, base: Any, offset: float = 0.03) -> Case:

@@ -22,11 +22,15 @@ from flexopt.errors import UnreachableTarget as UnreachableTarget
 from flexopt.model import Experiment as Experiment
 from flexopt.model import Machine as Machine
 from flexopt.model import Problem as Problem
+from flexopt.model import Tree as Tree
 from flexopt.model import load as load
 from flexopt.model import load_experiment as load_experiment
 from flexopt.model import load_problem as load_problem
 from flexopt.model import machine_from_dict as machine_from_dict
+from flexopt.model import tree_from_dict as tree_from_dict
+from flexopt.plant import Hydraulics as Hydraulics
 from flexopt.plant import Plant as Plant
+from flexopt.plant import build_hydraulics as build_hydraulics
 from flexopt.plant import build_plant as build_plant
 from flexopt.plant import inverse_kinematics as inverse_kinematics
 from flexopt.robustness import Evaluation as Evaluation
@@ -34,13 +38,17 @@ from flexopt.robustness import Measures as Measures
 from flexopt.robustness import build_measures as build_measures
 from flexopt.robustness import evaluate as evaluate
 from flexopt.robustness import evaluate_w as evaluate_w
+from flexopt.selection import BasePlan as BasePlan
 from flexopt.selection import BaseTrajectory as BaseTrajectory
 from flexopt.selection import Candidate as Candidate
 from flexopt.selection import Selection as Selection
 from flexopt.selection import SelectionProblem as SelectionProblem
+from flexopt.selection import Stand as Stand
 from flexopt.selection import build_selection as build_selection
 from flexopt.selection import nullspace_trajectory as nullspace_trajectory
+from flexopt.selection import plan_base as plan_base
 from flexopt.selection import select as select
+from flexopt.selection import select_stand as select_stand
 from flexopt.selection import solve_problem as solve_problem
 from flexopt.selection import solve_selection as solve_selection
 
@@ -51,6 +59,7 @@ if TYPE_CHECKING:
     from flexopt.export import verify_bundle as verify_bundle
     from flexopt.export.fmu import FmuReport as FmuReport
     from flexopt.export.fmu import export_fmu as export_fmu
+    from flexopt.model.robots import load_robot as load_robot
     from flexopt.simulation import Actuator as Actuator
     from flexopt.simulation import Ensemble as Ensemble
     from flexopt.simulation import Path as Path
@@ -61,8 +70,10 @@ if TYPE_CHECKING:
     from flexopt.simulation import simulate as simulate
     from flexopt.simulation import simulate_ensemble as simulate_ensemble
     from flexopt.simulation import stability_border as stability_border
+    from flexopt.study import Report as Report
     from flexopt.study import WorkspaceMap as WorkspaceMap
     from flexopt.study import map_workspace as map_workspace
+    from flexopt.study import report as report
 
 # What is imported when first asked for, and from where.
 _LATER: dict[str, str] = {
@@ -71,13 +82,16 @@ _LATER: dict[str, str] = {
     "ExportReport": "export",
     "FmuReport": "export.fmu",
     "Path": "simulation",
+    "Report": "study",
     "Sensor": "simulation",
     "Trajectory": "simulation",
     "Verification": "export",
     "WorkspaceMap": "study",
     "export_c": "export",
     "export_fmu": "export.fmu",
+    "load_robot": "model.robots",
     "map_workspace": "study",
+    "report": "study",
     "run_experiment": "simulation",
     "sampled_loop": "simulation",
     "simulate": "simulation",

@@ -1,4 +1,4 @@
-"""The command line: `flexopt evaluate | select | simulate | map | reproduce | export | verify | doctor`.
+"""The command line: `flexopt evaluate | select | simulate | map | report | reproduce | export | verify | doctor`.
 
 In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
 go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
@@ -15,7 +15,7 @@ from flexopt.cli.analysis import evaluate_command, select_command
 from flexopt.cli.bundles import export_command, verify_command
 from flexopt.cli.common import FAILED, print_json
 from flexopt.cli.simulation import simulate_command
-from flexopt.cli.studies import doctor_command, map_command, reproduce_command
+from flexopt.cli.studies import doctor_command, map_command, report_command, reproduce_command
 from flexopt.errors import FlexoptError, InputError
 from flexopt.model.documents import json_ready, package_version
 
@@ -33,6 +33,7 @@ for command in (
     select_command,
     simulate_command,
     map_command,
+    report_command,
     reproduce_command,
     export_command,
     verify_command,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from flexopt.model.arguments import Arguments
 from flexopt.model.problem import ELBOWS
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import evaluate
-from flexopt.selection import Selection, select
+from flexopt.selection import BasePlan, Selection, Stand, plan_base, select, select_stand
 
 
 @click.command("evaluate")
@@ -76,20 +77,20 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
         faults.append(Fault("--posture, --end-point", "give one of the two"))
     if posture is not None and options["elbow"] is not None:
         faults.append(Fault("--elbow", "goes with --end-point only", options["elbow"]))
-    joints = machine.joints
-    if end_point is not None and not isinstance(machine, Machine):
-        faults.append(Fault("--end-point", "is for planar machines; give --posture", options["end_point"]))
-    elif end_point is not None and len(joints) > 2:
+    joints, planar = machine.joints, isinstance(machine, Machine)
+    if end_point is not None and len(joints) > len(machine.task_rows):
         sentence = f"does not name one posture of {len(joints)} actuated joints; use select, or --posture"
         faults.append(Fault("--end-point", sentence, options["end_point"]))
+    if options["elbow"] is not None and not planar:
+        faults.append(Fault("--elbow", "names a branch of planar arms only", options["elbow"]))
     raise_if_any(InputError, "evaluate", faults)
     if posture is not None:
         return posture
     arguments = Arguments("evaluate")
-    elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS)
-    arguments.point(end_point, "end-point")
-    base = 0.0 if base is None else base
-    arguments.base(machine, base)
+    elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS) if planar else None
+    arguments.point(end_point, "end-point", machine)
+    if base is not None:
+        arguments.base(machine, base)
     arguments.control(options["control"] or "inverse")
     arguments.done()
     return inverse_kinematics(machine, end_point, base=base, gravity=gravity, elbow=elbow)[0]
@@ -100,7 +101,12 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
 @END_POINT
 @ELBOW
 @BASE
-@option("--base-range", metavar="LO,HI", help="Placements allowed, m; all that reach by default.")
+@option("--posture", metavar="A,B,…", help="How the arm is held now, rad (slides: m), with --base.")
+@option(
+    "--base-range",
+    metavar="LO,HI|x=LO,HI;yaw=…",
+    help="Placements allowed, m and rad: of x, or by name; all that reach by default.",
+)
 @CONTROL
 @option(
     "--objective",
@@ -109,20 +115,24 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
 )
 @option("--weights", metavar="A1,A2,…", help="Weights α of the objective V = Σ αi wi, and β of ε_max after them.")
 @option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (10 by default).")
-@option("--starts", metavar="N", help="Starts at most (every peak of the scan by default).")
-@option("--seed", metavar="N", help="Seed of the scan.")
+@option("--starts", metavar="N", help="Starts at most (32 by default; in the plane every peak of the scan).")
+@option("--seed", metavar="N", help="Seed of the starts.")
+@option("--workers", metavar="N", help="Processes at most (one for each core by default); the result is the same.")
 @GAIN
 @GRAVITY
 @option("--plot", metavar="PATH", help="Draw the choice: .png, .svg or .pdf.")
 @option("--out", metavar="PATH", help="Write the JSON document to a file, too.")
 @JSON
 def select_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
-    """Best placement and posture for a target, of MACHINE: a machine with --end-point, or a problem (name or file)."""
+    """Best placement and posture for a target, of MACHINE: a machine with --end-point, or a problem (name or file).
+
+    A problem may ask for one placement for several targets, or for a way of the base along a path of them.
+    """
     check_output("--plot", plot, PICTURES)
     check_output("--out", out, (".json",))
     settings = _selection_settings(machine, options)
     with option_names(options), warnings_to_stderr(as_json), progress_bar() as progress:
-        result = select(**settings, progress=progress)
+        result = _solver(settings)(**settings, progress=progress)
     if plot is not None:
         write_file("--plot", plot, lambda: result.plot(plot))
     if out is not None:
@@ -131,18 +141,24 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
     if as_json:
         print_json(result.to_dict())
     else:
-        click.echo(_selection_text(result))
+        click.echo(_selection_text(result) if isinstance(result, Selection) else repr(result))
 
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given."""
     loaded = load_any(machine)
     settings: dict[str, Any] = loaded.select_arguments() if isinstance(loaded, Problem) else {"machine": loaded}
+    if isinstance(loaded, Problem) and loaded.target.kind != "end_point":
+        single = [name for name in ("end_point", "elbow", "gain") if options[name] is not None]
+        sentence = f"goes with a single target; {loaded.name} has target.{loaded.target.kind}"
+        faults = [Fault(f"--{name.replace('_', '-')}", sentence, options[name]) for name in single]
+        raise_if_any(InputError, "select", faults)
     margin = options["singularity_margin_deg"]
     given = {
         "target": numbers(options["end_point"]),
         "base": placement(options["base"]),
-        "base_range": numbers(options["base_range"]),
+        "posture": numbers(options["posture"]),
+        "base_range": _ranges(options["base_range"]),
         "elbow": options["elbow"],
         "control": options["control"],
         "objective": options["objective"],
@@ -150,22 +166,41 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]
         "singularity_margin_deg": None if margin is None else number(margin),
         "starts": whole(options["starts"]),
         "seed": whole(options["seed"]),
+        "workers": whole(options["workers"]),
         "gain": None if options["gain"] is None else number(options["gain"]),
         "gravity": True if options["gravity"] else None,
     }
     if given["objective"] not in (None, "V") and given["weights"] is None:
         settings.pop("weights", None)
     settings |= {name: value for name, value in given.items() if value is not None}
-    if "target" not in settings:
-        raise InputError("select: a machine needs --end-point X,Y (m, inertial frame); a problem file brings its own")
+    if not {"target", "targets", "path"} & set(settings):
+        rows = ",".join(row.upper() for row in settings["machine"].task_rows)
+        raise InputError(
+            f"select: a machine needs --end-point {rows} (m, inertial frame); a problem file brings its own"
+        )
     return settings
+
+
+def _solver(settings: dict[str, Any]) -> Callable[..., Selection | Stand | BasePlan]:
+    return select_stand if "targets" in settings else plan_base if "path" in settings else select
+
+
+def _ranges(text: str | None) -> Any:
+    """`LO,HI`, or `x=LO,HI;yaw=LO,HI` as a table."""
+    if text is None or "=" not in text:
+        return numbers(text)
+    named = (part.partition("=") for part in text.split(";") if part.strip())
+    return {name.strip(): numbers(pair) for name, _, pair in named}
 
 
 def _selection_text(result: Selection) -> str:
     best, problem = result.best.evaluation, result.problem
-    base = ", ".join(f"{name} = {x:.4f} m" for name, x in zip(best.base_coordinates, best.base, strict=True))
-    angles = ", ".join(f"{name} {a:.4f} rad" for name, a in zip(best.joints, best.posture, strict=True))
-    lines = [repr(result), "", f"Stand at {base} and hold {angles}.", repr(best)]
+    placed = zip(best.base_coordinates, best.base, best.base_units, strict=True)
+    base = ", ".join(f"{name} = {x:.4f} {unit}" for name, x, unit in placed)
+    held = zip(best.joints, best.posture, best.joint_units, strict=True)
+    angles = ", ".join(f"{name} {a:.4f} {unit}" for name, a, unit in held)
+    stand = f"Stand at {base} and hold" if base else "Hold"
+    lines = [repr(result), "", f"{stand} {angles}.", repr(best)]
     if result.initial is not None:
         first = problem.objectives[0]
         before, after = (first.value(e.w, e.epsilon_max) for e in (result.initial, best))

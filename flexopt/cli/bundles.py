@@ -53,7 +53,7 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
         return
     from flexopt.export import export_c  # noqa: PLC0415  (only this command needs it)
 
-    loaded = Arguments("export").planar(load(machine))
+    loaded = Arguments("export").machine(load(machine))
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)

@@ -13,7 +13,7 @@ from typing import Any, cast
 import click
 
 from flexopt.errors import Fault, FlexoptWarning, InputError, raise_if_any
-from flexopt.model.problem import CONTROLS, ELBOWS
+from flexopt.model.problem import CONTROLS, DAMPED, ELBOWS
 
 FAILED = 3
 FILE_NAME_MAX = 255
@@ -28,12 +28,17 @@ def option(*names: str, **settings: Any) -> Decorator:
 
 
 JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-CONTROL = option("--control", metavar="|".join(CONTROLS), help="Jacobian inverse (default) or transpose control.")
+CONTROL = option(
+    "--control", metavar="|".join((*CONTROLS, f"{DAMPED}:LAMBDA")),
+    help="Jacobian inverse (default), transpose, or damped inverse control with LAMBDA > 0 in the unit of Jv's entries.",
+)  # fmt: skip
 GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
 GAIN = option("--gain", metavar="KR", help="Servo gain of the margin ε_max (5e5 by default).")
 BASE = option("--base", metavar="X[,Y,YAW]", help="Placement of the base, m and rad; for select, where it stands now.")
-END_POINT = option("--end-point", metavar="X,Y", help="Target of the end-point, inertial frame, m.")
-ELBOW = option("--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch (up by default).")
+END_POINT = option("--end-point", metavar="X,Y[,Z]", help="Target of the end-point, inertial frame, m.")
+ELBOW = option(
+    "--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch of a planar arm (up by default)."
+)
 
 
 def print_json(document: dict[str, Any]) -> None:

@@ -11,7 +11,6 @@ from flexopt.cli.common import BASE, ELBOW, END_POINT, option, option_names, pri
 from flexopt.cli.simulation import simulate_arguments
 from flexopt.errors import InputError
 from flexopt.model import load
-from flexopt.model.arguments import Arguments
 
 _OPTIONS = (
     option(
@@ -21,7 +20,7 @@ _OPTIONS = (
     option(
         "--kind", metavar="co-simulation|model-exchange", help="With --fmu: who integrates (co-simulation by default)."
     ),
-    option("--posture", metavar="A,B,…", help="With --fmu: angles of the actuated joints about which to work, rad."),
+    option("--posture", metavar="A,B,…", help="With --fmu: actuated joints about which to work, rad or m."),
     END_POINT,
     ELBOW,
     BASE,
@@ -32,7 +31,7 @@ _OPTIONS = (
     option("--duration", metavar="S", help="With --fmu: of the reference trajectory, s."),
     option("--rate", metavar="HZ", help="With --fmu: sampling rate (200 by default)."),
     option("--continuous", is_flag=True, help="With --fmu: a continuous controller."),
-    option("--offset", metavar="A,B,…", help="With --fmu: displacement of the joints at the start, rad."),
+    option("--offset", metavar="A,B,…", help="With --fmu: displacement of the joints at the start, rad or m."),
     option("--integrator", metavar="rk4|dop853|gauss", help="With --fmu: integration method."),
     option("--substeps", metavar="N", help="With --fmu: integration steps in a sample."),
     option("--gravity", is_flag=True, help="With --fmu: the weight acts."),
@@ -50,7 +49,7 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     """Write the FMU that `options` (with `control` and `gain`) ask for, and say what was written."""
     from flexopt.export.fmu import export_fmu  # noqa: PLC0415  (only this command needs it)
 
-    loaded, given = Arguments("export").planar(load(machine)), simulate_arguments(options | {"seed": None})
+    loaded, given = load(machine), simulate_arguments(options | {"seed": None})
     if "posture" not in given and "end_point" not in given:
         raise InputError("export: an FMU needs --posture or --end-point")
     named = {"version": options["fmi"], "kind": options["kind"]}

@@ -28,7 +28,6 @@ from flexopt.cli.common import (
 )
 from flexopt.errors import InputError
 from flexopt.model import Experiment, load_simulated
-from flexopt.model.arguments import Arguments
 from flexopt.simulation import run_experiment, simulate
 
 FILMS = (".gif", ".html")
@@ -36,20 +35,22 @@ FILMS = (".gif", ".html")
 
 @click.command("simulate")
 @click.argument("machine")
-@option("--posture", metavar="A,B,…", help="Angles of the actuated joints about which to work, rad.")
+@option("--posture", metavar="A,B,…", help="Actuated joints about which to work, rad or m.")
 @END_POINT
 @ELBOW
 @BASE
 @CONTROL
 @option("--feedback", metavar="pd|pid|robust|none", help="Task-space feedback (pd by default); robust attains ε_max.")
-@option("--kp", metavar="KP", help="Gain on the end-point error, one number or one for each axis (1e5 by default).")
+@option("--kp", metavar="KP", help="Gain on the end-point error, one number or one for each task row (1e5 by default).")
 @option("--kv", metavar="KV", help="Gain on its rate (2e3 by default).")
 @option("--ki", metavar="KI", help="With pid: gain on its integral.")
 @GAIN
 @option("--duration", metavar="S", help="Seconds (10 by default).")
 @option("--rate", metavar="HZ", help="Sampling rate (200 by default).")
 @option("--continuous", is_flag=True, help="A continuous controller instead of a sampled one that holds its command.")
-@option("--offset", metavar="A,B,…", help="Displacement of the joints at the start, rad (+0.05, −0.05, … by default).")
+@option(
+    "--offset", metavar="A,B,…", help="Displacement of the joints at the start, rad or m (+0.05, −0.05, … by default)."
+)
 @option("--integrator", metavar="rk4|dop853|gauss", help="Integration method (rk4, the article's, by default).")
 @option("--substeps", metavar="N", help="Integration steps in a sample.")
 @option("--gravity", is_flag=True, help="The weight acts; the command carries the arm's.")
@@ -70,7 +71,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
         else:
             if "posture" not in given and "end_point" not in given:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")
-            result = simulate(Arguments("simulate").planar(loaded), **given)
+            result = simulate(loaded, **given)
     out, plot, film = options["out"], options["plot"], options["animate"]
     if out is not None:
         save = result.to_netcdf if Path(out).suffix.lower() == ".nc" else result.to_csv
