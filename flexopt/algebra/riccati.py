@@ -9,7 +9,9 @@ other way round, so there one step is written out (`compact=False`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 
@@ -57,24 +59,36 @@ def lyapunov(size: int, *, compact: bool = False) -> ca.Function:
 
 
 @lru_cache(maxsize=8)
-def top_eigenpairs(size: int) -> ca.Function:
+def top_eigenpairs(size: int, clustered: int = 2) -> ca.Function:
     """(X, Z) -> the two largest eigenvalues of X Z, descending (2, 1), and their vectors R (size, 2), Rᵀ Z R = I.
 
-    X Z is self-adjoint in the inner product of Z, so the left eigenvectors are Z R. Two vectors, by powers of X Z and
-    of its deflation, then the exact 2 × 2 problem in their span: right also where the two nearly coincide, which one
-    vector alone is not.
+    X Z is self-adjoint in the inner product of Z, so the left eigenvectors are Z R. As many vectors as eigenvalues may
+    nearly coincide at the top, by powers of X Z and of its deflations, then the exact small problem in their span:
+    right also where they do coincide, which one vector after the other is not. `rest` is |X Z r − λ r| / λ of the
+    first, in the norm of Z; λ is wrong by its square.
+
+    Args:
+        size: of X and Z.
+        clustered: how many of the largest eigenvalues may lie within a tenth of each other; of a plant whose rigid part
+            rules, one for each output.
     """
     x, z = ca.MX.sym("X", size, size), ca.MX.sym("Z", size, size)
-    power, times, second_step = _high_power(size), _product(size), _second_vector(size)
+    power, times, count = _high_power(size), _product(size), max(2, clustered)
     product = times(x, z)
-    first = _normalised(power(product) @ _generic(size, 0), z)
-    # The projection I − r (Z r)ᵀ before and after X Z leaves everything but the first eigenvector.
-    image, dual = product @ first, z @ first
-    deflated = product - image @ dual.T
-    deflated = deflated - first @ (dual.T @ deflated)
-    second = power(deflated) @ _generic(size, 1)
-    values, vectors = second_step.call([z, product, first, second])
-    return ca.Function("top_eigenpairs", [x, z], [values, vectors], ["X", "Z"], ["values", "R"])
+    deflated, vectors = product, list[ca.MX]()
+    for k in range(count):
+        raw = power(deflated) @ _generic(size, k)
+        if k == count - 1:
+            vectors.append(raw)
+            break
+        vector = _normalised(_across(raw, vectors, z), z)
+        # The projection I − r (Z r)ᵀ before and after X Z leaves everything but the eigenvectors found.
+        image, dual = deflated @ vector, z @ vector
+        deflated = deflated - image @ dual.T
+        deflated = deflated - vector @ (dual.T @ deflated)
+        vectors.append(vector)
+    values, top, rest = _within(size, count).call([z, product, *vectors])
+    return ca.Function("top_eigenpairs", [x, z], [values, top, rest], ["X", "Z"], ["values", "R", "rest"])
 
 
 @lru_cache(maxsize=8)
@@ -113,17 +127,27 @@ def _high_power(size: int) -> ca.Function:
     return ca.Function("high_power", [s], [power])
 
 
-def _second_vector(size: int) -> ca.Function:
-    """(Z, X Z, first vector, raw second one) -> both eigenvalues and vectors."""
+def _within(size: int, count: int) -> ca.Function:
+    """(Z, X Z, orthonormal vectors, a raw last one) -> the two largest eigenvalues in their span, vectors, and rest."""
     z, product = ca.SX.sym("Z", size, size), ca.SX.sym("XZ", size, size)
-    first, second = ca.SX.sym("first", size), ca.SX.sym("second", size)
-    across = second - first @ ((z @ first).T @ second)
-    basis = ca.horzcat(first, across / ca.sqrt(ca.dot(across, z @ across)))
+    vectors = [ca.SX.sym(f"vector{k}", size) for k in range(count)]
+    across = _across(vectors[-1], vectors[:-1], z)
+    basis = ca.horzcat(*vectors[:-1], across / ca.sqrt(ca.dot(across, z @ across)))
     inner = (z @ basis).T @ (product @ basis)
     values, turn = symmetric_eigen((inner + inner.T) / 2)
-    vectors = basis @ turn
-    outputs = [ca.vertcat(values[1], values[0]), ca.horzcat(vectors[:, 1], vectors[:, 0])]
-    return ca.Function("second_vector", [z, product, first, second], outputs)
+    turned = basis @ turn
+    first = turned[:, -1]
+    left = product @ first - values[-1] * first
+    rest = ca.sqrt(ca.fmax(ca.dot(left, z @ left), 0)) / values[-1]
+    outputs = [ca.vertcat(values[-1], values[-2]), ca.horzcat(first, turned[:, -2]), rest]
+    return ca.Function("within", [z, product, *vectors], outputs)
+
+
+def _across(vector: Any, vectors: Sequence[Any], z: Any) -> Any:
+    """What is left of a vector without its components along orthonormal ones, in the inner product of Z."""
+    for other in vectors:
+        vector = vector - other @ ((z @ other).T @ vector)
+    return vector
 
 
 def _doubling(size: int) -> ca.Function:

@@ -44,7 +44,7 @@ def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str
     t = trajectory
     start, end = (shape_of(t.model, evaluation) for evaluation in (t.initial, t.final))
     seen = views(end)
-    figure = Figure(figsize=(7.2, 4.9 if len(seen) == 1 else 7.0), layout="constrained")
+    figure = Figure(figsize=(7.2, 4.9) if len(seen) == 1 else (10.0, 7.0), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1.0])
     scenes = grid[:, 0].subgridspec(len(seen), 1)
     for k, view in enumerate(seen):
@@ -83,7 +83,8 @@ def _coordinates(t: BaseTrajectory) -> list[tuple[str, str]]:
 def _draw_ends(axes: Axes, view: View, t: BaseTrajectory, start: Shape, end: Shape) -> None:
     """Both ends in one view."""
     target = view.of(end.skeleton[:, -1])
-    points, size = np.hstack([view.of(start.skeleton), view.of(end.skeleton)]), end.size
+    parts = [points for shape in (start, end) for points in (shape.skeleton, shape.support) if points is not None]
+    points, size = np.hstack([view.of(part) for part in parts]), end.size
     low, high = float(points[0].min()) - 0.22 * size, float(points[0].max()) + 0.22 * size
     foot = float(view.of(end.skeleton)[1, 0])
     if view.upright:
@@ -105,7 +106,9 @@ def _draw_ends(axes: Axes, view: View, t: BaseTrajectory, start: Shape, end: Sha
     axes.tick_params(labelsize=7.5)
     if view.upright:
         axes.set_title("(a)", loc="left", fontsize=8, pad=2.5)
-        axes.legend(loc="upper center", fontsize=7.5, framealpha=0.95, handlelength=1.2)
+        axes.legend(
+            loc="upper center", fontsize=7.5 if end.skeleton.shape[0] == 2 else 6.5, framealpha=0.95, handlelength=1.2
+        )
 
 
 def _placement(t: BaseTrajectory, k: int) -> str:

@@ -195,12 +195,13 @@ class Margin:
         """(base, posture, p, kr) -> epsilon (2, 1), rest, residual.
 
         `epsilon` holds (1 + λ)^(−1/2) of the two largest eigenvalues λ of X Z, ε_max first; `rest` is what the doubling
-        had left to do and `residual` the largest relative Riccati residual, both near 1e-14 where it converged.
+        had left to do and `residual` the largest relative residual of the Riccati equations and of the
+        eigenvalue, all near 1e-14 where it converged.
         """
         symbols, (a, b, c), x, z, rest = self._solved()
-        values, _ = top_eigenpairs(self.n_states).call([x, z])
+        values, _, away = top_eigenpairs(self.n_states, self.plant.n_task).call([x, z])
         residuals = [_relative(*_residual(a, b, c, x)), _relative(*_residual(a.T, c.T, b.T, z))]
-        residual = ca.fmax(*residuals)
+        residual = ca.fmax(ca.fmax(*residuals), away)
         return self._function(
             "margin", symbols, [1 / ca.sqrt(1 + values), rest, residual], ["epsilon", "rest", "residual"]
         )
@@ -223,7 +224,7 @@ class Margin:
         """
         symbols, (a, b, c), x, z, _ = self._solved()
         n = self.n_states
-        values, vectors = top_eigenpairs(n).call([x, z])
+        values, vectors = top_eigenpairs(n, self.plant.n_task).call([x, z])[:2]
         solve, sweep, held = lyapunov(n, compact=self.compact), self._reverse_sweep, self.hold.call(symbols)[0]
         loop_x, loop_z = a - b @ (b.T @ x), a.T - c.T @ (c @ z)
         left = _residual(a, b, c, x)[0], _residual(a.T, c.T, b.T, z)[0]

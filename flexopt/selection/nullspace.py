@@ -134,9 +134,7 @@ def nullspace_trajectory(
     start = np.concatenate([placement, angles])
     initial = _evaluated(functions, start)
     size = float(np.dot(goal.alpha, initial.scale)) + goal.beta or 1.0
-    length = outer_reach(functions.measures.plant)[1] or 1.0
-    if k_xi is None:
-        k_xi = np.eye(len(names)) * (length**2 / (size * CLIMB_TIME * hertz))
+    k_xi = _climbing_gain(functions, size, hertz) if k_xi is None else k_xi
     least = GAIN_SHARE * size if min_gain is None else min_gain
     law = NullspaceLaw(
         functions=functions,
@@ -171,6 +169,13 @@ def nullspace_trajectory(
     options |= {"base_range": None if base_range is None else ends}
     options |= {"singularity_margin_deg": math.degrees(margin), "min_gain": least, "duration": seconds}
     return _trajectory(law, points, stop, initial, size, provenance(machine, **options, on_descent=on_descent))
+
+
+def _climbing_gain(functions: Quantities, size: float, rate: float) -> Vector:
+    """The default kξ (n_z, n_z) for each sample."""
+    plant = functions.measures.plant
+    length = outer_reach(plant)[1] or 1.0
+    return np.eye(plant.n_base + plant.n_actuated) * (length**2 / (size * CLIMB_TIME * rate))
 
 
 def _trajectory(

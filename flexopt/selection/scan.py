@@ -153,12 +153,12 @@ def _inside(limits: Vector, postures: Vector) -> NDArray[np.bool_]:
 
 
 def _violation(constraint_set: ConstraintSet | None, bases: Vector, postures: Vector, p: ca.DM) -> Vector:
-    if constraint_set is None or not postures.shape[1]:
-        return np.zeros(postures.shape[1])
+    count: int = postures.shape[1]
+    if constraint_set is None or not count:
+        return np.zeros(count)
     rows = constraint_set.function.call([bases, postures, p, constraint_set.constants])[0].full().T
     beyond = np.maximum(constraint_set.lower - rows, rows - constraint_set.upper) / constraint_set.scales
-    worst: Vector = np.maximum(beyond, 0.0).max(axis=1)
-    return worst
+    return cast(Vector, np.maximum(beyond, 0.0).max(axis=1))
 
 
 def _sample(intervals: list[Interval], leading: int, seed: int) -> tuple[Vector, Vector, Vector, NDArray[np.int64]]:

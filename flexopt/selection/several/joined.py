@@ -18,7 +18,8 @@ from flexopt.selection.several.postures import value_of
 from flexopt.selection.several.program import Goal, Joint, build_joint_solver, layout
 
 TARGET_TOLERANCE = BOUND_TOLERANCE = 1e-8
-ACTIVE_TOLERANCE = 1e-6
+# The interior point leaves a gap of about its barrier over the multiplier: more than 1e-6 where a multiplier is small.
+ACTIVE_TOLERANCE = 1e-5
 STATIONARITY_TOLERANCE = 1e-5
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 # V this near to what no configuration exceeds, relative to its scale, is a maximum whatever its derivatives.
@@ -32,7 +33,7 @@ class Joined:
     Attributes:
         problems: with the same machine, objective, scales and constraints; their targets differ.
         joint: how they share x.
-        steps: greatest |x_j − x_i| for each of the pairs.
+        steps: greatest |x_j − x_i| for each of the pairs, ∞ where nothing bounds it.
         share: weights of the targets, (K,), their sum 1.
         goal: what is sought;  level: V_k / size that "motion" keeps.
         fixed: indices of x that stay where a start has them.
@@ -84,6 +85,15 @@ class Joined:
         """What is maximised: the worst V_k, or Σ share_k V_k."""
         values = self.values(x)
         return float(self.share @ values) if self.goal == "weighted" else float(values.min())
+
+    def length(self, x: Vector) -> float:
+        """What "motion" makes smallest: Σ (x_j − x_i)² over the pairs."""
+        return float(sum((x[j] - x[i]) ** 2 for i, j in self.joint.pairs))
+
+    def unwound(self, x: Vector) -> Vector:
+        """The same way, all of it turned by whole turns so that it begins within half a turn of the present angles."""
+        turns = self.first.wrapped(self.of(x, 0)) - self.of(x, 0)
+        return self.packed([self.of(x, k) + turns for k in range(self.joint.count)])
 
     def solve(self, start: Vector) -> tuple[Vector, int, str]:
         """The point that IPOPT reaches from x = start, its iterations and its status."""

@@ -29,7 +29,7 @@ from flexopt.selection.several.joined import Joined
 from flexopt.selection.several.postures import EDGE, Reached, reached_from, value_of
 from flexopt.selection.several.program import Joint
 from flexopt.selection.several.results import BasePlan, Still
-from flexopt.selection.several.solving import Progress, end_from, ends_from, places_at, verified
+from flexopt.selection.several.solving import End, Progress, end_from, ends_from, places_at, verified
 from flexopt.selection.several.standing import best_placements, one_placement
 from flexopt.selection.several.targets import build_problems, entries, read_targets, sample_bases
 from flexopt.selection.several.ways import coarse_ways, nodes_of
@@ -127,7 +127,7 @@ def plan_base(
         raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
     ends = ends_from(joined, begins, count, progress)
     good = verified(joined, ends, "way")
-    best, stationarity = _shortest(joined, good[0].x, good[0].stationarity)
+    best, stationarity = _shortest(joined, good)
     places = places_at(joined, best)
     stated = {"path": points.tolist(), "times": due.tolist(), "max_base_rate": base_rates.tolist()}
     stated |= {"max_joint_rate": joint_rates.tolist(), "start": None if begin is None else begin.tolist()}
@@ -199,9 +199,8 @@ def _along(problems: tuple[SelectionProblem, ...], due: Vector, rates: Vector, b
     """The joined problem with a placement for each target, and steps that keep to the rates."""
     n_z, count, scale = problems[0].scale.size, len(problems), problems[0].scale
     places = tuple(tuple(range(k * n_z, (k + 1) * n_z)) for k in range(count))
-    bounded = np.flatnonzero(np.isfinite(rates))
-    pairs = tuple((k * n_z + int(i), (k + 1) * n_z + int(i)) for k in range(count - 1) for i in bounded)
-    steps = np.array([rates[i] * (due[k + 1] - due[k]) / scale[i] for k in range(count - 1) for i in bounded])
+    pairs = tuple((k * n_z + i, (k + 1) * n_z + i) for k in range(count - 1) for i in range(n_z))
+    steps = np.concatenate([rates * seconds / scale for seconds in np.diff(due)])
     fixed = () if begin is None else tuple(range(begin.size))
     return Joined(problems, Joint(places, pairs), steps, np.full(count, 1 / count), "worst", fixed=fixed)
 
@@ -236,13 +235,18 @@ def _still(joined: Joined, zs: list[Vector]) -> Still:
     return Still(base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=joined.values(joined.packed(zs)))
 
 
-def _shortest(joined: Joined, x: Vector, stationarity: float) -> tuple[Vector, float]:
-    """The shortest way near x that keeps the worst V, or x itself where none is proved."""
-    level = joined.worth(x) / joined.size - SLACK
-    shorter = replace(joined.kept(level), fixed=joined.fixed)
-    end = end_from(shorter, x)
-    kept = not end.violations and joined.worth(end.x) / joined.size >= level - EDGE
-    return (end.x, end.stationarity) if kept else (x, stationarity)
+def _shortest(joined: Joined, good: list[End]) -> tuple[Vector, float]:
+    """The shortest of the ways near the verified ones that keep the best worst V, and its stationarity."""
+    level = joined.worth(good[0].x) / joined.size - SLACK
+    shorter = joined.kept(level)
+    ways: list[End] = []
+    for end in good:
+        if joined.worth(end.x) / joined.size >= level:
+            moved = end_from(shorter, end.x)
+            kept = not moved.violations and joined.worth(moved.x) / joined.size >= level - EDGE
+            ways.append(moved if kept else end)
+    best = min(ways, key=lambda end: joined.length(end.x))
+    return joined.unwound(best.x), best.stationarity
 
 
 def _between(problems: tuple[SelectionProblem, ...], due: Vector, zs: list[Vector]) -> tuple[float, float]:

@@ -127,7 +127,8 @@ def test_bad_input(excavator: flexopt.Machine, given: dict[str, object], words: 
 def test_every_unreachable_target_is_named(excavator: flexopt.Machine) -> None:
     with pytest.raises(UnreachableTarget) as caught:
         select_stand(excavator, [[0.0, 1.6], [0.0, 30.0], [0.0, -30.0]])
-    assert "targets[1]" in str(caught.value) and "targets[2]" in str(caught.value)
+    assert "targets[1]" in str(caught.value)
+    assert "targets[2]" in str(caught.value)
     assert "targets[0]" not in str(caught.value)
 
 
