@@ -39,7 +39,7 @@ from flexopt.robustness import evaluate
 from flexopt.selection import BasePlan, Selection, Stand, plan_base, select, select_stand
 
 
-@click.command("evaluate")
+@click.command("evaluate", short_help="Frequencies, measures w_i and gradients in one posture.")
 @click.argument("machine")
 @option("--posture", metavar="A,B,…", help="Actuated joints, rad (slides: m).")
 @END_POINT
@@ -96,7 +96,7 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
     return inverse_kinematics(machine, end_point, base=base, gravity=gravity, elbow=elbow)[0]
 
 
-@click.command("select")
+@click.command("select", short_help="Best placement and posture for a target, or for several.")
 @click.argument("machine")
 @END_POINT
 @ELBOW

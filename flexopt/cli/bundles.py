@@ -27,7 +27,7 @@ from flexopt.model import load
 from flexopt.model.arguments import Arguments
 
 
-@click.command("export")
+@click.command("export", short_help="C for the machine's controller, or an FMU of its loop.")
 @click.argument("machine")
 @option("--out", metavar="DIR", help="Folder to write; one that exists is replaced if it is an unchanged bundle.")
 @option("--parts", metavar="A,B,…", help="Some of those named above; by default all that the machine allows.")
@@ -89,7 +89,7 @@ def _check_kind(options: dict[str, Any]) -> None:
     raise_if_any(InputError, "export", faults)
 
 
-@click.command("verify")
+@click.command("verify", short_help="Examine exported C: numbers, compilers, processors.")
 @click.argument("folder", metavar="DIR")
 @option("--target", metavar="host|cortex-m4f|cortex-m7", help="One target (all by default).")
 @option("--inputs", metavar="N", help="Random inputs for each function (1000 by default).")

@@ -30,11 +30,11 @@ def option(*names: str, **settings: Any) -> Decorator:
 JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 CONTROL = option(
     "--control", metavar="|".join((*CONTROLS, f"{DAMPED}:LAMBDA")),
-    help="Jacobian inverse (default), transpose, or damped inverse control with LAMBDA > 0 in the unit of Jv's entries.",
+    help="Jacobian inverse (default), transpose, or damped inverse with LAMBDA > 0 in the unit of Jv's entries.",
 )  # fmt: skip
 GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
 GAIN = option("--gain", metavar="KR", help="Servo gain of the margin ε_max (5e5 by default).")
-BASE = option("--base", metavar="X[,Y,YAW]", help="Placement of the base, m and rad; for select, where it stands now.")
+BASE = option("--base", metavar="X[,Y,YAW]", help="Placement of the base, m and rad: in a choice, where it stands now.")
 END_POINT = option("--end-point", metavar="X,Y[,Z]", help="Target of the end-point, inertial frame, m.")
 ELBOW = option(
     "--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch of a planar arm (up by default)."

@@ -33,7 +33,7 @@ from flexopt.simulation import run_experiment, simulate
 FILMS = (".gif", ".html")
 
 
-@click.command("simulate")
+@click.command("simulate", short_help="The nonlinear closed loop, run and judged.")
 @click.argument("machine")
 @option("--posture", metavar="A,B,…", help="Actuated joints about which to work, rad or m.")
 @END_POINT

@@ -37,7 +37,7 @@ from flexopt.selection import SelectionProblem, build_selection
 REPORT_FOLDER, PROBLEM_FOLDER = "flexopt-reproduce", "flexopt-report"
 
 
-@click.command("map")
+@click.command("map", short_help="Measures over end-points, two joints or placements.")
 @click.argument("machine")
 @option("--points", metavar="N,M", help="Points along x and y (400,400; 60,60 with four passive coordinates and more).")
 @CONTROL
@@ -107,7 +107,7 @@ def _names(text: str | None) -> list[str] | None:
     return None if text is None else [part.strip() for part in text.split(",")]
 
 
-@click.command("reproduce")
+@click.command("reproduce", short_help="The article computed again and checked.")
 @option("--out", metavar="DIR", help="Folder of report.html and report.json (flexopt-reproduce by default).")
 @JSON
 def reproduce_command(as_json: bool, out: str | None) -> None:
@@ -128,7 +128,7 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
         click.echo(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
 
 
-@click.command("report")
+@click.command("report", short_help="Everything about a problem on one page.")
 @click.argument("problem")
 @option("--end-point", metavar="X,Y[,Z]", help="Of a machine: target of the end-point, inertial frame, m.")
 @option("--posture", metavar="A,B,…", help="Of a machine: how it is held now, with --base.")
@@ -194,7 +194,7 @@ def _problem(name: str, options: dict[str, Any]) -> Problem | SelectionProblem:
     return build_selection(loaded, numbers(options["end_point"]), **settings)
 
 
-@click.command("doctor")
+@click.command("doctor", short_help="What this installation can do.")
 @JSON
 def doctor_command(as_json: bool) -> None:
     """What this installation can do: versions, solver, compiler, shipped machines and problems."""

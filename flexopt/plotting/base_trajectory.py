@@ -19,7 +19,7 @@ from flexopt.model.arguments import shown
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.panels import Line, Panel, draw_panel
 from flexopt.plotting.selection import CHOSEN, PRESENT
-from flexopt.plotting.shape import Shape, View, shape_of, views
+from flexopt.plotting.shape import Points, Shape, View, shape_of, views
 from flexopt.plotting.trajectory import write
 from flexopt.selection.base_trajectory import BaseTrajectory
 
@@ -82,7 +82,7 @@ def _coordinates(t: BaseTrajectory) -> list[tuple[str, str]]:
 
 def _draw_ends(axes: Axes, view: View, t: BaseTrajectory, start: Shape, end: Shape) -> None:
     """Both ends in one view."""
-    target = view.of(end.skeleton[:, -1])
+    target = view.of(_target_point(t, end))
     parts = [points for shape in (start, end) for points in (shape.skeleton, shape.support) if points is not None]
     points, size = np.hstack([view.of(part) for part in parts]), end.size
     low, high = float(points[0].min()) - 0.22 * size, float(points[0].max()) + 0.22 * size
@@ -109,6 +109,15 @@ def _draw_ends(axes: Axes, view: View, t: BaseTrajectory, start: Shape, end: Sha
         axes.legend(
             loc="upper center", fontsize=7.5 if end.skeleton.shape[0] == 2 else 6.5, framealpha=0.95, handlelength=1.2
         )
+
+
+def _target_point(t: BaseTrajectory, end: Shape) -> Points:
+    """Where the end-point stays, (d,); of position rows that are no part of the task, where it ends."""
+    point = end.skeleton[:, -1].copy()
+    for row, value in zip(t.model.task_rows, t.target, strict=True):
+        if row in "xyz"[: point.size]:
+            point["xyz".index(row)] = value
+    return point
 
 
 def _placement(t: BaseTrajectory, k: int) -> str:
