@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import TypeVar
 
 import casadi as ca
 
 from flexopt.algebra.dense import solve_general
 from flexopt.algebra.eigen import symmetric_eigen
 
+Graph = TypeVar("Graph", ca.SX, ca.MX)
 # Doublings square the convergence factor; 22 of them reach 1e-13 where the slowest closed-loop pole lies 1e-5 from the
 # axis, relative to the scaled time.
 DOUBLINGS = 22
@@ -143,7 +144,7 @@ def _within(size: int, count: int) -> ca.Function:
     return ca.Function("within", [z, product, *vectors], outputs)
 
 
-def _across(vector: Any, vectors: Sequence[Any], z: Any) -> Any:
+def _across(vector: Graph, vectors: Sequence[Graph], z: Graph) -> Graph:
     """What is left of a vector without its components along orthonormal ones, in the inner product of Z."""
     for other in vectors:
         vector = vector - other @ ((z @ other).T @ vector)

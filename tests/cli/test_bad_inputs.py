@@ -227,7 +227,10 @@ PROBLEM_ROWS = [
     problem("seed-negative", {"selection.seed": "-1"}, "selection.seed = -1", "whole number", "between 0 and"),
     problem("elbow-sideways", {"selection.elbow": '"sideways"'}, "selection.elbow = 'sideways'", "must be up or down"),
     problem(
-        "control-unknown", {"selection.control": '"pid"'}, "selection.control = 'pid'", "must be inverse, transpose or damped"
+        "control-unknown",
+        {"selection.control": '"pid"'},
+        "selection.control = 'pid'",
+        "must be inverse, transpose or damped",
     ),
     problem("gravity-text", {"selection.gravity": '"yes"'}, "selection.gravity = 'yes'", "true or false"),
     problem("base-text", {"selection.base": '"here"'}, "selection.base = 'here'", "number, not text", "m"),
@@ -327,7 +330,9 @@ OPTION_ROWS = [
     call("elbow-with-posture", f"{EVALUATE_EXCAVATOR} --elbow down", "--elbow = down", "--end-point"),
     call("elbow-unknown", "evaluate excavator --end-point 0,1.6 --elbow left", "elbow = 'left'", "up or down"),
     call("select-elbow-unknown", f"{SELECT} --elbow left", "elbow = 'left'", "up or down"),
-    call("control-pid", f"{EVALUATE_EXCAVATOR} --control pid", "control = 'pid'", "inverse, transpose or damped:LAMBDA"),
+    call(
+        "control-pid", f"{EVALUATE_EXCAVATOR} --control pid", "control = 'pid'", "inverse, transpose or damped:LAMBDA"
+    ),
     call("select-control-pid", f"{SELECT} --control PID", "control = 'PID'", "inverse, transpose or damped:LAMBDA"),
     call("gain-zero", f"{EVALUATE_EXCAVATOR} --gain 0", "gain = 0.0", "greater than 0"),
     call("gain-negative", f"{EVALUATE_EXCAVATOR} --gain -5e5", "gain = -500000.0", "greater than 0"),

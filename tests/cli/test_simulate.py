@@ -57,7 +57,12 @@ def test_divergence_is_an_answer_and_valid_json(command: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in shipped_names("problems") if "[simulation]" in (shipped_folder("problems") / f"{name}.toml").read_text()]
+    "name",
+    [
+        name
+        for name in shipped_names("problems")
+        if "[simulation]" in (shipped_folder("problems") / f"{name}.toml").read_text()
+    ],
 )
 def test_shipped_experiments(command: Command, name: str) -> None:
     verdict = command.json("simulate", name)["verdict"]

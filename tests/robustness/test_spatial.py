@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -382,4 +381,3 @@ def test_commands_take_a_robot(command, tmp_path, capsys, monkeypatch):
     name, *options = command.split()
     main([name, str(path), *options, "--json"])
     assert json.loads(capsys.readouterr().out)["provenance"]
-

@@ -2,7 +2,8 @@
 
 A coarse way is found by dynamic programming over placements and postures for each target, once for the highest worst
 value and once for the shortest way that keeps it; IPOPT then moves all configurations together. Standing still at the
-best single placement is one of the starts, so that moving is never worse than not moving.
+best single placement is one of the starts, so that moving is never worse than not moving, and so is driving along in
+each of the best configurations for the middle target.
 """
 
 from __future__ import annotations
@@ -33,12 +34,15 @@ from flexopt.selection.several.solving import End, Progress, end_from, ends_from
 from flexopt.selection.several.standing import best_placements, one_placement
 from flexopt.selection.several.targets import build_problems, entries, read_targets, sample_bases
 from flexopt.selection.several.ways import coarse_ways, nodes_of
+from flexopt.selection.solve import solve_selection
 
 # Placements that are looked at, for one coordinate and for more: from which all targets may be reached, and for each
 # target alone.
 COMMON, OWN = (401, 256), (201, 256)
 # Starts of IPOPT: ways, and placements that stand still.
 WAYS, STANDS = 3, 6
+# Ways that follow from the middle target alone, and the starts of its selection.
+CARRIED, CARRIED_STARTS = 4, 16
 # What the second, shortest way may give up, relative to the objective's scale.
 SLACK = 1e-4
 # Points looked at between two targets.
@@ -120,6 +124,7 @@ def plan_base(
     still = _standing_still(problems, common, found, begin, count)
     layers = [nodes_of(reached) for reached in _with_own(problems, found, begin, seed)]
     begins = coarse_ways(joined, layers, starts or WAYS)
+    begins += _carried(joined, begin, count)
     if still is not None:
         begins.append(joined.packed(still))
     if not begins:
@@ -203,6 +208,29 @@ def _along(problems: tuple[SelectionProblem, ...], due: Vector, rates: Vector, b
     steps = np.concatenate([rates * seconds / scale for seconds in np.diff(due)])
     fixed = () if begin is None else tuple(range(begin.size))
     return Joined(problems, Joint(places, pairs), steps, np.full(count, 1 / count), "worst", fixed=fixed)
+
+
+def _carried(joined: Joined, begin: Vector | None, workers: int) -> list[Vector]:
+    """Ways on which the machine is driven along with its posture kept: the best configurations of the middle target."""
+    middle = joined.problems[len(joined.problems) // 2]
+    rows, coordinates = middle.machine.task_rows, middle.machine.base_coordinates
+    try:
+        selection = solve_selection(replace(middle, starts=CARRIED_STARTS), workers=workers)
+    except NoSolutionFound:
+        return []
+    ways: list[Vector] = []
+    for candidate in selection.candidates[:CARRIED]:
+        zs: list[Vector] = []
+        for problem in joined.problems:
+            z = candidate.z.copy()
+            for k, name in enumerate(coordinates):
+                if name in rows:
+                    z[k] += (problem.target - middle.target)[rows.index(name)]
+            zs.append(z)
+        if begin is not None:
+            zs[0][: begin.size] = begin
+        ways.append(joined.packed(zs))
+    return ways
 
 
 def _standing_still(
