@@ -40,7 +40,7 @@ IPOPT_OPTIONS: dict[str, Any] = QUIET | {
 # that is good to these tolerances is left to the proof, and refined where that fails. Solves that take longer are cut
 # short, and resumed where they are ahead of the best.
 QUICK_OPTIONS: dict[str, Any] = {
-    "max_iter": 25,
+    "max_iter": 20,
     "mu_init": 1e-8,
     "first_hessian_perturbation": 1e-2,
     "acceptable_iter": 1,

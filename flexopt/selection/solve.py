@@ -36,6 +36,9 @@ NEARLY = 1e-3
 # equally robust.
 KEPT_SLACK = 1e-4
 
+# How often a solve that was cut short is taken up again.
+RESUMED = 3
+
 Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
 Found = tuple[Vector, Proof, int]
@@ -150,7 +153,7 @@ def _optima(
     unfinished = _promising(problem, solved)
     points = [solved[number][0] for number in unfinished]
     for number, (z, proof, more, status) in zip(
-        unfinished, in_parallel(partial(_finish, problem, points), len(points), workers), strict=True
+        unfinished, in_parallel(partial(_resume, problem, points), len(points), workers), strict=True
     ):
         solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
@@ -198,6 +201,17 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
 
 def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
     z, iterations, status = _run_solver(problem, starts[number])
+    return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
+
+
+def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Solved:
+    """A solve that was cut short, taken up again a few times: what wanders for longer does not settle."""
+    z, iterations, status = points[number], 0, CUT_SHORT
+    for _ in range(RESUMED):
+        z, more, status = _run_solver(problem, z, quick=True)
+        iterations += more
+        if status != CUT_SHORT:
+            break
     return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
 
 

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 STARTS_OF_SCAN = 64
 STARTS = 32
 # Points of the sample for each start, and in all at least.
-SAMPLES_EACH, SAMPLES_MIN, SAMPLES_MAX = 32, 256, 40_000
+SAMPLES_EACH, SAMPLES_MIN, SAMPLES_MAX = 48, 256, 40_000
 # Calls of `feasible_steps`; what is not done then is a start only where nothing better is found.
 ROUNDS = 4
 # Feasible points for each start that are enough to choose from.
-ENOUGH = 4
+ENOUGH = 3
 # Share of the sample, the best of it, that starts are taken from.
 BEST_SHARE = 1 / 3
 # Largest violation, in units of the rows' scales, of a point that counts as feasible.
