@@ -11,7 +11,7 @@ from flexopt.algebra import solve_spd
 from flexopt.export.context import Context, unit_list
 from flexopt.export.control import torque_unit
 from flexopt.export.operations import Operation
-from flexopt.export.parameters import POSITIVE
+from flexopt.model.parameter_ranges import POSITIVE
 from flexopt.plant import Plant
 from flexopt.simulation.machine_step import machine_step
 

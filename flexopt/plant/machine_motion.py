@@ -13,9 +13,10 @@ from functools import lru_cache
 import casadi as ca
 
 from flexopt.model import AnyMachine, Machine, Tree
-from flexopt.plant import planar_motion, tree_constants
+from flexopt.plant import planar_constants, tree_constants
 from flexopt.plant.motion import Motion
-from flexopt.plant.planar_motion import PlanarMotion, PlanarStructure
+from flexopt.plant.planar_constants import PlanarStructure
+from flexopt.plant.planar_motion import PlanarMotion
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.plant.tree_structure import Skeleton, skeleton
 
@@ -41,7 +42,7 @@ def full_structure(machine: AnyMachine) -> Structure:
         zeros = frozenset(name for name, graph in _graphs(machine)[1].items() if graph.is_zero())
         return replace(skeleton(machine), zeros=zeros, local=True)
     assert isinstance(machine, Machine)
-    return planar_motion.full_structure(machine)
+    return planar_constants.full_structure(machine)
 
 
 @lru_cache(maxsize=64)
@@ -83,4 +84,4 @@ def _graphs(machine: AnyMachine) -> tuple[ca.SX, dict[str, ca.SX]]:
     if isinstance(machine, Tree):
         return p, tree_constants.constant_graphs(machine, value)
     assert isinstance(machine, Machine)
-    return p, planar_motion.constant_graphs(machine, value)
+    return p, planar_constants.constant_graphs(machine, value)

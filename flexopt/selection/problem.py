@@ -177,17 +177,18 @@ class SelectionProblem:
         """
         n_base = len(self.machine.base_coordinates)
         values, gradients = self.quantities.branches(objective, z[:n_base], z[n_base:])
-        cost, slope = self._travel_cost(objective, z)
+        cost, slope = self.travel_cost(objective, z)
         gradients = gradients.copy()
         gradients[: values.size] -= slope
         return values - cost, gradients
 
-    def _travel_cost(self, objective: Objective, z: Vector) -> tuple[float, Vector]:
+    def travel_cost(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
+        """What V of an objective is less by at z (…, n_z), and its gradient."""
         if self.travel is None:
-            return 0.0, np.zeros(z.size)
+            return np.zeros(z.shape[:-1]), np.zeros(z.shape)
         size = self.travel.cost * self.objective_scales[self.objectives.index(objective)]
         away = (z - self.travel.now) / self.scale
-        return float(size * np.dot(away, away)), 2 * size * away / self.scale
+        return size * np.sum(away**2, axis=-1), 2 * size * away / self.scale
 
     def wrapped(self, z: Vector) -> Vector:
         """The same configurations (…, n_z) with unlimited angles within half a turn of the present ones, or of 0."""

@@ -104,7 +104,7 @@ def sample_configurations(
     if not reaches.any():
         return empty_scan(plant, reached=False), float(np.nanmin(off) * region.row_scale[0])
     z, unit = z[:, reaches], unit[:, reaches]
-    left = _violated(configuration, region, z)
+    left = violated(configuration, region, z)
     missing = ENOUGH * starts - int(np.sum(left <= FEASIBLE))
     if missing > 0:
         # Those that break the constraints least. Where that fails too, the point on the target shows what is broken.
@@ -144,7 +144,7 @@ def _count(starts: int) -> int:
     return int(np.clip(SAMPLES_EACH * starts, SAMPLES_MIN, SAMPLES_MAX))
 
 
-def _violated(configuration: Configuration, region: Region, z: Vector) -> Vector:
+def violated(configuration: Configuration, region: Region, z: Vector) -> Vector:
     """The largest violation of any row at points z (n_z, N), in units of the scales; infinite where it is no number."""
     plant = configuration.measures.plant
     at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values, region.constants]

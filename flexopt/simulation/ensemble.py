@@ -22,6 +22,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready, provenance
+from flexopt.model.parameter_ranges import parameter_range
 from flexopt.plant import build_plant
 from flexopt.plant.machine_motion import constant_names, constants
 from flexopt.simulation.behaviour import Behaviour, behaviour
@@ -378,23 +379,12 @@ def _range_faults(machine: AnyMachine, name: str, array: Vector) -> list[Fault]:
     parameter = next((parameter for parameter in machine.parameters if parameter.name == name), None)
     if parameter is None:
         return []
-    positive, zero_allowed = _signs(name)
-    if positive and not (zero_allowed or parameter.value == 0) and np.any(array <= 0):
+    low, high = parameter_range(parameter)
+    if low > 0 and np.any(array <= 0):
         return [Fault(f"vary[{name!r}]", f"must be greater than 0 {parameter.unit}", f"{array.min():g}")]
-    if positive and np.any(array < 0):
+    if low == 0 and np.any(array < 0):
         return [Fault(f"vary[{name!r}]", f"must not be negative ({parameter.unit})", f"{array.min():g}")]
+    if np.any(np.abs(array) > high):
+        sentence = f"must be at most {high:g} {parameter.unit} in size"
+        return [Fault(f"vary[{name!r}]", sentence, f"{np.abs(array).max():g}")]
     return []
-
-
-def _signs(name: str) -> tuple[bool, bool]:
-    """Whether a parameter must be positive, and whether it may be zero."""
-    word, _, pair = name.partition(".")
-    half = len(pair) // 2
-    if word in ("stiffness", "damping") and pair[:half] != pair[half + 1 :]:  # an entry beside a matrix' diagonal
-        return False, True
-    last = name.rsplit(".", 1)[-1]
-    if "stiffness" in name:
-        return True, False
-    if "damping" in name or last in ("gravity", "armature") or name in ("payload.mass", "base.length"):
-        return True, True
-    return last in ("mass", "inertia", "length", "xx", "yy", "zz"), last in ("xx", "yy", "zz")

@@ -16,8 +16,8 @@ import numpy as np
 from flexopt.export.control import RATE_MAX
 from flexopt.export.fmu.settings import NOISE_MAX, Groups, settings
 from flexopt.export.fmu.variable import EFFORT, Variable, row_text, words
-from flexopt.export.parameters import parameter_range
 from flexopt.model.arguments import Vector
+from flexopt.model.parameter_ranges import parameter_range
 from flexopt.model.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.machine_motion import full_structure, motion_of

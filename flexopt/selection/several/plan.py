@@ -139,8 +139,6 @@ def plan_base(
     return BasePlan(
         time=due,
         places=places,
-        worst=int(np.argmin([place.objective for place in places])),
-        worth=float(min(place.objective for place in places)),
         still=None if still is None else _still(joined, still),
         between=_between(problems, due, [joined.of(best, k) for k in range(len(problems))]),
         travelled=_travelled(machine, np.array([place.evaluation.base for place in places])),

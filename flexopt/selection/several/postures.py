@@ -15,6 +15,7 @@ from flexopt.model.arguments import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
 from flexopt.plant.reaching import joint_box, solve_postures
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.starts import violated
 
 # Postures tried from each placement: coordinates of a longer planar arm for each elbow; starts of the iteration.
 REDUNDANT, NEAR, FAR = 24, 4, 3
@@ -81,11 +82,7 @@ def value_of(problem: SelectionProblem, z: Vector) -> Vector:
     """V (N,) of configurations z (n_z, N), the cost of travel taken off."""
     plant, n_b = problem.measures.plant, problem.measures.plant.n_base
     w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
-    value: Vector = np.array(problem.objective.alpha) @ w
-    if problem.travel is None:
-        return value
-    away = (z - problem.travel.now[:, None]) / problem.scale[:, None]
-    return value - problem.travel.cost * problem.objective_scale * np.sum(away**2, axis=0)
+    return np.array(problem.objective.alpha) @ w - problem.travel_cost(problem.objective, z.T)[0]
 
 
 def _starts(problem: SelectionProblem, bases: Vector, seed: int, finer: int) -> Vector:
@@ -105,16 +102,6 @@ def _starts(problem: SelectionProblem, bases: Vector, seed: int, finer: int) -> 
 
 
 def _violation(problem: SelectionProblem, z: Vector) -> Vector:
-    """Largest violation of bounds and rows of z (n_z, N), the target left out, in units of the scales."""
-    plant, n_b = problem.measures.plant, problem.measures.plant.n_base
-    at = [z[:n_b], z[n_b:], plant.parameter_values]
-    rows = [plant.singularity_sine_squared.call(at)[0].full()]
-    if problem.constraint_set is not None:
-        rows.append(problem.constraint_set.function.call([*at, problem.constraint_set.constants])[0].full())
-    values = np.vstack(rows)
-    asked = problem.constraints[problem.target.size :]
-    lower, upper, scale = (np.array([getattr(c, key) for c in asked])[:, None] for key in ("lower", "upper", "scale"))
-    beyond = np.maximum(lower - values, values - upper) / scale
+    """Largest violation of bounds and rows of z (n_z, N), in units of the scales."""
     outside = np.maximum(problem.lower[:, None] - z, z - problem.upper[:, None]) / problem.scale[:, None]
-    worst = np.maximum(beyond.max(axis=0), outside.max(axis=0))
-    return np.where(np.isfinite(worst), np.maximum(worst, 0.0), np.inf)
+    return np.maximum(violated(problem.configuration, problem.region, z), outside.max(axis=0))

@@ -43,25 +43,17 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Stand:
-    """One placement for several targets, and a posture for each.
+class Together:
+    """Configurations of K targets that were chosen together.
 
     Attributes:
-        base: (n_b,), m or rad.
         places: one for each target, in order.
-        worst: index of the target with the smallest V.
-        worth: what was maximised: the worst V, or Σ share_k V_k.
-        alternatives: worth and placement of the other local optima found, best first.
         stationarity: of the solution, relative to the objective's scale.
         attempts: starts, and how many led to a verified optimum.
         problems: the configuration problem of each target.
     """
 
-    base: Vector
     places: tuple[Place, ...]
-    worst: int
-    worth: float
-    alternatives: tuple[tuple[float, Vector], ...]
     stationarity: float
     attempts: tuple[int, int]
     problems: tuple[SelectionProblem, ...] = field(repr=False)
@@ -69,32 +61,66 @@ class Stand:
 
     @property
     def converged(self) -> bool:
-        """True: a choice that did not converge raises `NoSolutionFound` instead."""
+        """True: what did not converge raises `NoSolutionFound` instead."""
         return True
+
+    @property
+    def V(self) -> Vector:  # noqa: N802 - the article's letter
+        """The objective at each target, (K,)."""
+        return np.array([place.objective for place in self.places])
+
+    @property
+    def worst(self) -> int:
+        """Index of the target with the smallest V."""
+        return int(self.V.argmin())
+
+    def _found(self, what: str) -> str:
+        tried, done = self.attempts
+        return f"{done} of {tried} starts led to a verified {what} {len(self.places)} targets"
+
+    def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
+        """What both kinds say, around their own keys; `targets` is what the problem calls them."""
+        document = {"status": status, "converged": self.converged}
+        document |= own | {"worst": self.worst, "places": [place.to_dict() for place in self.places]}
+        document |= {"base_coordinates": self.places[0].evaluation.base_coordinates}
+        document |= {"stationarity": self.stationarity, "provenance": self.provenance}
+        problem = self.problems[0].to_dict() | {targets: [place.target for place in self.places]}
+        return json_ready(document | {"problem": problem})
+
+    def _lines(self, what: str, status: str) -> list[str]:
+        """A heading, and a line for each target."""
+        first = self.problems[0]
+        how = f"Jacobian {first.control} control, objective {first.name}: {status}"
+        return [f"{first.machine.name}: {what}, {how}", *_table(self.places, self.worst)]
+
+
+@dataclass(frozen=True)
+class Stand(Together):
+    """One placement for several targets, and a posture for each; see `Together`.
+
+    Attributes:
+        worth: what was maximised: the worst V, or Σ share_k V_k.
+        alternatives: worth and placement of the other local optima found, best first.
+    """
+
+    worth: float
+    alternatives: tuple[tuple[float, Vector], ...]
+
+    @property
+    def base(self) -> Vector:
+        """The placement (n_b,), m or rad."""
+        return self.places[0].evaluation.base
 
     @property
     def status(self) -> str:
         """A sentence."""
-        done, tried = self.attempts[::-1]
-        return f"{done} of {tried} starts led to a verified placement for {len(self.places)} targets"
+        return self._found("placement for")
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary."""
-        return json_ready(
-            {
-                "status": self.status,
-                "converged": self.converged,
-                "base": self.base,
-                "base_coordinates": self.places[0].evaluation.base_coordinates,
-                "worth": self.worth,
-                "worst": self.worst,
-                "places": [place.to_dict() for place in self.places],
-                "alternatives": [{"worth": worth, "base": base} for worth, base in self.alternatives],
-                "stationarity": self.stationarity,
-                "problem": self.problems[0].to_dict() | {"targets": [place.target for place in self.places]},
-                "provenance": self.provenance,
-            }
-        )
+        others = [{"worth": worth, "base": base} for worth, base in self.alternatives]
+        own = {"base": self.base, "worth": self.worth, "alternatives": others}
+        return self._document(self.status, own, "targets")
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the machine at every target, and V and w at each.
@@ -110,12 +136,9 @@ class Stand:
         return plot_stand(self, path)
 
     def __repr__(self) -> str:
-        first = self.problems[0]
-        base = ", ".join(
-            f"{name} = {x:.4f}" for name, x in zip(self.places[0].evaluation.base_coordinates, self.base, strict=True)
-        )
-        heading = f"{first.machine.name}: {len(self.places)} targets from {base}, Jacobian {first.control} control, "
-        return "\n".join([f"{heading}objective {first.name}: {self.status}", *_table(self.places, self.worst)])
+        names = self.places[0].evaluation.base_coordinates
+        base = ", ".join(f"{name} = {x:.4f}" for name, x in zip(names, self.base, strict=True))
+        return "\n".join(self._lines(f"{len(self.places)} targets from {base}", self.status))
 
 
 @dataclass(frozen=True)
@@ -134,36 +157,26 @@ class Still:
 
 
 @dataclass(frozen=True)
-class BasePlan:
-    """A motion of base and arm along a path of targets that keeps the worst V as high as possible. K targets.
+class BasePlan(Together):
+    """A motion of base and arm along a path of targets that keeps the worst V as high as possible; see `Together`.
 
     Attributes:
         time: when each target is due, (K,), s.
-        places: the configuration at each.
-        worst: index of the target with the smallest V;  worth: that V.
         still: the best single placement, or the given start; None where it does not reach all targets.
         between: the smallest V between the targets, where base and end-point move along straight lines, and the time
             at which it is met;  −∞ where the end-point cannot be kept on its line.
         travelled: length of the base's way, m, (first in the plane of the ground), and its turning, rad.
-        stationarity, attempts, problems: as in `Stand`.
     """
 
     time: Vector
-    places: tuple[Place, ...]
-    worst: int
-    worth: float
     still: Still | None
     between: tuple[float, float]
     travelled: tuple[float, float]
-    stationarity: float
-    attempts: tuple[int, int]
-    problems: tuple[SelectionProblem, ...] = field(repr=False)
-    provenance: dict[str, Any] = field(repr=False)
 
     @property
-    def converged(self) -> bool:
-        """True: a plan that did not converge raises `NoSolutionFound` instead."""
-        return True
+    def worth(self) -> float:
+        """The smallest V."""
+        return float(self.V.min())
 
     @property
     def standing(self) -> float:
@@ -181,11 +194,6 @@ class BasePlan:
         return np.array([place.evaluation.posture for place in self.places])
 
     @property
-    def V(self) -> Vector:  # noqa: N802 - the article's letter
-        """The objective at each target, (K,)."""
-        return np.array([place.objective for place in self.places])
-
-    @property
     def base_path(self) -> Path:
         """The base's motion as `flexopt.simulate` takes it."""
         return _path(self.time, self.base)
@@ -198,31 +206,15 @@ class BasePlan:
     @property
     def status(self) -> str:
         """A sentence."""
-        return f"{self.attempts[1]} of {self.attempts[0]} starts led to a verified way along {len(self.places)} targets"
+        return self._found("way along")
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary."""
-        return json_ready(
-            {
-                "status": self.status,
-                "converged": self.converged,
-                "time": self.time,
-                "base": self.base,
-                "base_coordinates": self.places[0].evaluation.base_coordinates,
-                "posture": self.posture,
-                "V": self.V,
-                "worth": self.worth,
-                "worst": self.worst,
-                "standing": self.standing,
-                "still": self.still and vars(self.still),
-                "between": {"V": self.between[0], "time": self.between[1]},
-                "travelled": {"m": self.travelled[0], "rad": self.travelled[1]},
-                "places": [place.to_dict() for place in self.places],
-                "stationarity": self.stationarity,
-                "problem": self.problems[0].to_dict() | {"path": [place.target for place in self.places]},
-                "provenance": self.provenance,
-            }
-        )
+        own = {"time": self.time, "base": self.base, "posture": self.posture, "V": self.V, "worth": self.worth}
+        own |= {"standing": self.standing, "still": self.still and vars(self.still)}
+        own |= {"between": {"V": self.between[0], "time": self.between[1]}}
+        own |= {"travelled": {"m": self.travelled[0], "rad": self.travelled[1]}}
+        return self._document(self.status, own, "path")
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the machine at every target; over time V, moving and standing still, and the placement.
@@ -238,12 +230,9 @@ class BasePlan:
         return plot_plan(self, path)
 
     def __repr__(self) -> str:
-        first = self.problems[0]
-        still = "no placement reaches them all" if self.standing == -np.inf else f"{self.standing:.4e} standing still"
+        still = "no placement reaches them all" if self.still is None else f"{self.standing:.4e} standing still"
         lines = [
-            f"{first.machine.name}: a way of the base along {len(self.places)} targets in {self.time[-1]:.4g} s, "
-            f"Jacobian {first.control} control, objective {first.name}: {self.status}",
-            *_table(self.places, self.worst),
+            *self._lines(f"a way of the base along {len(self.places)} targets in {self.time[-1]:.4g} s", self.status),
             f"  worst V {self.worth:.4e} ({still}); between the targets at least {self.between[0]:.4e}",
             f"  the base travels {self.travelled[0]:.4g} m and turns {self.travelled[1]:.4g} rad",
         ]

@@ -87,9 +87,7 @@ def select_stand(
     places = places_at(joined, best)
     stated = {"combine": combine, "shares": share.tolist(), "targets": points.tolist()}
     return Stand(
-        base=places[0].evaluation.base,
         places=places,
-        worst=int(np.argmin([place.objective for place in places])),
         worth=joined.worth(best),
         alternatives=tuple(_alternatives(joined, [end.x for end in good])),
         stationarity=good[0].stationarity,
