@@ -115,6 +115,7 @@ BAD = [
     ({"offset": [[0.1, 0.2, 0.3]]}, "(members, 2)"),
     ({"offset": [[0.1, 0.2]], "kp": [1.0, 2.0]}, "one number of members"),
     ({"payload.mass": [-1.0]}, "must not be negative"),
+    ({"payload.mass": [1e12]}, "must be at most"),
     ({"boom.mass": [0.0]}, "greater than 0 kg"),
     ({"base.stiffness.x": [math.inf]}, "must be finite"),
 ]
