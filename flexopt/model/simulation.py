@@ -131,7 +131,9 @@ class Actuator(_Option):
         levers: pass the joint rates that Jacobian inverse control asks for through the machine's levers, and cut what
             exceeds full lever: of `"each"` by itself, or of all by one factor, `"uniform"`, so that the end-point's
             velocity keeps its direction. See `flexopt.plant.Hydraulics`.
-        servo_gain: with levers, the torque that follows from a joint rate, N m s/rad, or force, N s/m; the article's 1.
+        servo_gain: with levers, the torque that follows from a joint rate, N m s/rad, or force, N s/m; by default the
+            largest at which no full lever asks a joint for more than its effort, in the design posture, and the
+            article's 1 where the machine names no effort.
     """
 
     torque_limit: Torques | None = None

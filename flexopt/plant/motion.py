@@ -23,7 +23,7 @@ class Motion(ABC):
     """Graph builders of the equations of motion. All take and return SX.
 
     Shapes: u, w (n_q,) are coordinates and rates, `along` the directions of all bodies as `with_base` gives them,
-    `base` (n_b,) the placement, whose x and y count in the axes in which the anchor frame stands.
+    `base` (n_d,) what places the anchor frame, by `drive`: x and y count in the axes in which it stands at first.
     """
 
     @property
@@ -45,6 +45,11 @@ class Motion(ABC):
     @abstractmethod
     def placement(self) -> tuple[str, ...]:
         """Names of the placement coordinates."""
+
+    @property
+    def drive(self) -> tuple[str, ...]:
+        """Names of the n_d entries of `base`: the placement, and what a motion along it drives besides."""
+        return self.placement
 
     @property
     @abstractmethod
@@ -152,7 +157,7 @@ class Motion(ABC):
             u, w: coordinates and their rates.
             along: (cos, sin) of every body that turns.
             torque: of the actuated joints, (n,), N m or N.
-            base, base_rate: the placement and its rate, (n_b,). What no spring absorbs moves the ground itself, whose
+            base, base_rate: the placement and its rate, (n_d,). What no spring absorbs moves the ground itself, whose
                 own acceleration is left out.
             gravity: whether it acts.
         """
@@ -196,8 +201,24 @@ class Motion(ABC):
         """By how much a placement moves the springs' rest, (n_q,), in u."""
         column = ca.SX.zeros(self.n, 1)
         for name, (entry, sign) in self.absorbed.items():
-            column[entry] = sign * base[self.placement.index(name)]
+            column[entry] = sign * base[self.drive.index(name)]
         return column
+
+    def relative(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """Coordinates (n_q,), as u, that count from the anchor where it is, in its axes: what springs feel."""
+        return u - self.carried(base)
+
+    def relative_rates(self, u: ca.SX, w: ca.SX, base: ca.SX, base_rate: ca.SX) -> ca.SX:
+        """Rates of `relative` (n_q,): what dampers feel."""
+        at, placed = ca.SX.sym("u", self.n), ca.SX.sym("base", base.shape[0])
+        both = ca.vertcat(at, placed)
+        seed = ca.SX.sym("seed", both.shape[0])
+        rate = ca.jtimes(self.relative(at, placed), both, seed)
+        return ca.substitute(rate, ca.vertcat(both, seed), ca.vertcat(u, base, w, base_rate))
+
+    def faced(self, base: ca.SX) -> ca.SX:
+        """The placement by which coordinates that count from the anchor, in its axes, give inertial directions."""
+        return base
 
     def drawn(self, base: ca.SX) -> ca.SX:
         """What the placement at first adds to q (n_q,), as u counts from there."""
@@ -213,9 +234,9 @@ class Motion(ABC):
         return [shifts.get(row, nothing) for row in self.rows]
 
     def standing(self, base: ca.SX) -> ca.SX:
-        """The placement (n_b,) of a base that stands where it stood at first: its x and y count from there."""
-        return self.driven(ca.SX.zeros(len(self.placement), 1), base)
+        """The placement (n_d,) of a base that stands where it stood at first: its x and y count from there."""
+        return self.driven(ca.SX.zeros(len(self.drive), 1), base)
 
     def driven(self, moved: ca.SX, base: ca.SX) -> ca.SX:
-        """The placement (n_b,) of a base that has `moved` from `base` in x and y."""
-        return ca.vertcat(*(base[k] if name == "yaw" else moved[k] for k, name in enumerate(self.placement)))
+        """The placement (n_d,) of a base that has `moved` from `base` (n_b,) in x and y, and turned."""
+        return ca.vertcat(*(base[k] if name == "yaw" else moved[k] for k, name in enumerate(self.drive)))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import casadi as ca
 
@@ -22,24 +22,38 @@ ZERO = ca.SX(0)
 ORIGIN: Vector = (ZERO, ZERO, ZERO)
 
 
+def _plus(a: Scalar, b: Scalar) -> Scalar:
+    """The sum; the operator takes seven times as long, because it looks for other types first."""
+    return ca.SX.binary(ca.OP_ADD, a, b)
+
+
+def _minus(a: Scalar, b: Scalar) -> Scalar:
+    return ca.SX.binary(ca.OP_SUB, a, b)
+
+
+def _times(a: Scalar, b: Scalar) -> Scalar:
+    return ca.SX.binary(ca.OP_MUL, a, b)
+
+
 def add(a: Vector, b: Vector) -> Vector:
     """Sum of two vectors."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+    return _plus(a[0], b[0]), _plus(a[1], b[1]), _plus(a[2], b[2])
 
 
 def scaled(factor: Scalar, a: Vector) -> Vector:
     """A vector times a number."""
-    return factor * a[0], factor * a[1], factor * a[2]
+    return _times(factor, a[0]), _times(factor, a[1]), _times(factor, a[2])
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
     """Scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return _plus(_plus(_times(a[0], b[0]), _times(a[1], b[1])), _times(a[2], b[2]))
 
 
 def cross(a: Vector, b: Vector) -> Vector:
     """Vector product."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    x, y, z = (_minus(_times(a[i], b[j]), _times(a[j], b[i])) for i, j in ((1, 2), (2, 0), (0, 1)))
+    return x, y, z
 
 
 def turned(matrix: Numbers, a: Vector) -> Vector:
@@ -58,7 +72,8 @@ def _column(matrix: Numbers, k: int) -> tuple[float, float, float]:
 
 
 def _combined(row: Sequence[float], a: Vector) -> Scalar:
-    return sum((entry * part for entry, part in zip(row, a, strict=True) if entry), start=ZERO)
+    terms = [part if entry == 1 else _times(ca.SX(entry), part) for entry, part in zip(row, a, strict=True) if entry]
+    return reduce(_plus, terms) if terms else ZERO
 
 
 def times(rows: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
@@ -76,7 +91,8 @@ def about_z(turn: Pair | None, a: Vector) -> Vector:
     if turn is None:
         return a
     c, s = turn
-    return c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]
+    x, y = _minus(_times(c, a[0]), _times(s, a[1])), _plus(_times(s, a[0]), _times(c, a[1]))
+    return x, y, a[2]
 
 
 def second_about_z(turn: Pair | None, second: dict[str, Scalar]) -> dict[str, Scalar]:

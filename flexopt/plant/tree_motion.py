@@ -15,10 +15,11 @@ from functools import cached_property
 import casadi as ca
 
 from flexopt.plant.motion import Directions, Motion
-from flexopt.plant.tree_algebra import ORIGIN, ZERO, solve_symmetric
+from flexopt.plant.tree_algebra import ORIGIN, ZERO, add, solve_symmetric
+from flexopt.plant.tree_anchor import TurningAnchor
 from flexopt.plant.tree_constants import AXES, SECOND
 from flexopt.plant.tree_recursion import Recursion
-from flexopt.plant.tree_structure import Skeleton
+from flexopt.plant.tree_structure import TURN, Skeleton
 from flexopt.plant.tree_task import task
 
 
@@ -68,6 +69,11 @@ class TreeMotion(Motion):
     def placement(self) -> tuple[str, ...]:
         """See `Motion`."""
         return self.structure.placement
+
+    @property
+    def drive(self) -> tuple[str, ...]:
+        """See `Motion`."""
+        return self.structure.drive
 
     @property
     def n(self) -> int:
@@ -137,8 +143,20 @@ class TreeMotion(Motion):
 
     def passive(self, u: ca.SX, base: ca.SX) -> ca.SX:
         """See `Motion`."""
-        coordinates = self._by_body(u - self.carried(base))
+        coordinates = self._by_body(self.relative(u, base))
         return ca.vertcat(*(coordinates[i] for i in self._passive))
+
+    def relative(self, u: ca.SX, base: ca.SX) -> ca.SX:
+        """See `Motion`."""
+        moved, anchor = super().relative(u, base), self._anchor(base)
+        return moved if anchor is None else anchor.relative(moved)
+
+    def faced(self, base: ca.SX) -> ca.SX:
+        """See `Motion`."""
+        if TURN not in self.drive:
+            return base
+        yaw, turn = (base[self.drive.index(name)] for name in ("yaw", TURN))
+        return ca.vertcat(*(yaw + turn if name == "yaw" else base[k] for k, name in enumerate(self.drive)))
 
     def end_point(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
         """The task r (p,), m."""
@@ -258,13 +276,10 @@ class TreeMotion(Motion):
         known = [(pairs[2 * k], pairs[2 * k + 1]) for k in range(n_hinges)]
         return self.end_point(at, known, base), at, pairs
 
-    def _stretch(self, u: ca.SX, base: ca.SX, *, rates: bool = False) -> list[ca.SX]:
-        """Of each joint, its displacement from rest; with `rates`, of rates from those of the anchor."""
-        stretch = self._by_body(u)
-        if not rates:
-            at = Recursion(self.structure, self.value, [], [])
-            stretch = [part - at.of(f"rest{i}") for i, part in enumerate(stretch)]
-        return [part - moved for part, moved in zip(stretch, self._by_body(self.carried(base)), strict=True)]
+    def _stretch(self, u: ca.SX, base: ca.SX) -> list[ca.SX]:
+        """Of each joint, its displacement from rest."""
+        at = Recursion(self.structure, self.value, [], [])
+        return [part - at.of(f"rest{i}") for i, part in enumerate(self._by_body(self.relative(u, base)))]
 
     def _coupled(self, word: str, stretch: list[ca.SX]) -> dict[int, ca.SX]:
         """K or D times a displacement or a rate."""
@@ -284,11 +299,27 @@ class TreeMotion(Motion):
             forces[i] = torque[k]
         for pulls in (
             self._coupled("stiffness", self._stretch(u, base)),
-            self._coupled("damping", self._stretch(w, base_rate, rates=True)),
+            self._coupled("damping", self._by_body(self.relative_rates(u, w, base, base_rate))),
         ):
             for i, pull in pulls.items():
                 forces[i] = forces[i] - pull
-        return forces
+        return forces if TURN not in self.drive else self._by_body(self._on_driven(self._stacked(forces), base))
+
+    def _on_driven(self, forces: ca.SX, base: ca.SX) -> ca.SX:
+        """Forces on u from those on the coordinates that the anchor sees: virtual work."""
+        at = ca.SX.sym("u", self.n)
+        return ca.densify(ca.jtimes(self.relative(at, base), at, forces, True))
+
+    def _anchor(self, base: ca.SX) -> TurningAnchor | None:
+        """The anchor frame where it turns during a motion."""
+        hinge = self.structure.turned_hinge
+        if TURN not in self.drive or hinge is None:
+            return None
+        at, undisplaced = Recursion(self.structure, self.value, [], []), ORIGIN
+        for i in (*self.structure.leading_slides, hinge[0]):
+            undisplaced = add(undisplaced, at.vector(f"offset{i}"))
+        x, y = self.absorbed["x"], self.absorbed["y"]
+        return TurningAnchor(x, y, (self.bodies.index(hinge[0]), hinge[1]), undisplaced, base[self.drive.index(TURN)])
 
     def _solved(self, at: Recursion, right: list[ca.SX]) -> list[ca.SX]:
         leading = self.structure.leading_slides

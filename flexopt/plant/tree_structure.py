@@ -19,6 +19,7 @@ Matrix = NDArray[np.float64]
 Numbers = tuple[tuple[float, float, float], ...]
 # Products of rotations this near to 0 or ±1 are meant to be it.
 SNAP = 1e-14
+TURN = "turn"  # of the anchor frame since it stood at first
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,9 @@ class Skeleton:
         rows, reference, placement: as in `EndPoint` and `Tree`.
         coupled_springs, coupled_dampers: pairs of bodies whose joints have a stiffness or damping, i ≤ j.
         zeros: constants that are exactly zero and are left out.
-        local: whether the placement's x and y count in the axes in which the anchor frame stands, instead of inertial
-            ones: slides take them up although the frame is turned.
+        local: whether the placement's x and y count in the axes in which the anchor frame stands at first, instead of
+            inertial ones: slides take them up although the frame is turned.
+        also: what the anchor frame is driven along besides its placement: of x and y what that leaves out, `TURN`.
     """
 
     segments: tuple[Segment, ...]
@@ -68,6 +70,12 @@ class Skeleton:
     coupled_dampers: tuple[tuple[int, int], ...]
     zeros: frozenset[str] = frozenset()
     local: bool = False
+    also: tuple[str, ...] = ()
+
+    @property
+    def drive(self) -> tuple[str, ...]:
+        """Names of all that places the anchor frame during a motion."""
+        return self.placement + self.also
 
     @property
     def order(self) -> list[int]:
@@ -106,9 +114,28 @@ class Skeleton:
         for i in self.leading_slides:
             for k, name in enumerate("xy"):
                 axis = self.segments[i].axis
-                if name in self.placement and self.segments[i].passive and abs(axis[k]) == 1 and name not in found:
+                if name in self.drive and self.segments[i].passive and abs(axis[k]) == 1 and name not in found:
                     found[name] = (i, axis[k])
         return found
+
+    @property
+    def turned_hinge(self) -> tuple[int, float] | None:
+        """The passive hinge that takes up a turn of the anchor frame, and its sign; None where none does.
+
+        It is the first joint after the leading slides and vertical. What slides horizontally before it must be two
+        passive slides along x and y, whose springs turn with the anchor frame.
+        """
+        slides = self.leading_slides
+        inner = slides[-1] if slides else -1
+        after = [i for i, segment in enumerate(self.segments) if segment.parent == inner]
+        if len(after) != 1 or self.segments[after[0]].slide or not self.segments[after[0]].passive:
+            return None
+        level = [self.segments[i] for i in slides if abs(self.segments[i].axis[2]) != 1]
+        axes = sorted(tuple(abs(part) for part in segment.axis) for segment in level if segment.passive)
+        sign = self.segments[after[0]].turn[2][2]
+        if len(level) != len(axes) or axes != [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0)] or abs(sign) != 1:
+            return None
+        return after[0], sign
 
 
 def skeleton(tree: Tree) -> Skeleton:

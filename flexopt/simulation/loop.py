@@ -118,7 +118,7 @@ class ClosedLoop:
         if self.structure.gravity:
             energy += motion.potential(u, at.along)
         if motion.follows:
-            u, w = u - motion.carried(at.base), w - motion.carried(at.base_rate)
+            u, w = motion.relative(u, at.base), motion.relative_rates(u, w, at.base, at.base_rate)
         outputs = {
             "q": a @ u + motion.origin(at.of["base"]), "v": a @ w, "end_point": point + place,
             "error": at.target - point, "error_rate": at.target_rate - rate, "torque": at.applied(at.command()),

@@ -19,6 +19,7 @@ from flexopt.model.problem import Control, Elbow, control_damping
 from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
+from flexopt.simulation.levers import feeble_levers
 from flexopt.simulation.loop import baked, closed_loop
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
 from flexopt.simulation.structure import LoopStructure
@@ -92,7 +93,7 @@ def simulate(
         sensor: noise, resolution, delay; see `flexopt.Sensor`.
         actuator: limits, dead band, servo; see `flexopt.Actuator`.
         base_path: where the operator drives the base, `flexopt.Path` of placements or a `BaseTrajectory`'s `path`; the
-            springs must give in the directions of its x and y, and its yaw must stay.
+            springs must give along what it moves, and in x, y and yaw where it turns.
         target_path: where the end-point shall be, `flexopt.Path`; by default where it is in the posture.
         seed: of the noise.
         baked: fold this machine's and controller's numbers into code of their own: a little faster, compiled anew for
@@ -254,6 +255,7 @@ def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behavio
         )
     if plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
         sentences.append("the arm's self-motion is not damped and may drift; nullspace_damping holds it")
+    sentences += feeble_levers(s.machine, s.options, s.posture)
     if s.loop.structure.noisy:
         sentences.append(
             "noise keeps the base moving, so the verdict says whether its oscillation stays bounded; sampled_loop says "

@@ -43,7 +43,7 @@ class Part:
 
     def base_at(self, t: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Placement and its rate at a time after the start of the sample; x and y count from where it was at first."""
-        start, still = self.of["base"], ca.SX.zeros(self.s.n_base, 1)
+        start, still = self.of["base"], ca.SX.zeros(len(self.motion.drive), 1)
         if self.s.moving_base:
             rate = self.e["base_rate"]
             return self.motion.driven(self.e["base"] + t * rate, start), self.motion.driven(rate, still)
@@ -62,7 +62,7 @@ class Part:
         """
         pairs = paired(self.of["design_directions"])
         at, known = self.motion.known(u, along, self.of["design"], pairs)
-        jacobian = self.model.rigid_jacobian(at, known, base)
+        jacobian = self.model.rigid_jacobian(at, known, self.motion.faced(base))
         n = jacobian.shape[1]
         torque = ca.SX.zeros(n, 1)
         if self.s.law != "none":
@@ -166,8 +166,9 @@ class Sample(Part):
         e = self.target - self.motion.end_point(self.x["u"], self.along, self.base)
         deflection, turns = self.deflection, self.motion.base_hinges
         rotation = reduce(ca.fmax, (deflection[row] ** 2 for row in turns)) if turns else ca.SX(0)
-        away = self.x["u"] - self.of["u_design"] - self.motion.carried(self.base)
+        u, w = self.x["u"], self.x["w"]
+        away = self.motion.relative(u, self.base) - self.of["u_design"]
         projection = ca.reshape(self.of["modes"], self.of["omega_squared"].shape[0], self.motion.n)
-        eta, rate = projection @ away, projection @ self.x["w"]
+        eta, rate = projection @ away, projection @ self.motion.relative_rates(u, w, self.base, self.base_rate)
         energy = 0.5 * (rate**2 + self.of["omega_squared"] * eta**2)
         return ca.vertcat(ca.dot(e, e), rotation, energy)

@@ -15,17 +15,19 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import Fault, InputError, NoSolutionFound, raise_if_any
-from flexopt.model import AnyMachine
+from flexopt.model import AnyMachine, Tree
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.faults import validated
 from flexopt.model.problem import Control, control_damping, control_method
 from flexopt.model.simulation import Path, SimulationOptions
 from flexopt.plant import Plant, build_plant, inverse_kinematics
-from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
+from flexopt.plant.machine_motion import Structure, constant_values, motion_of, structure_of
 from flexopt.plant.motion import Motion
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
+from flexopt.plant.tree_structure import TURN, Skeleton
 from flexopt.simulation.behaviour import STILL, Grounds
+from flexopt.simulation.levers import with_servo_gain
 from flexopt.simulation.loop import ClosedLoop, closed_loop
 from flexopt.simulation.robust import robust_law
 from flexopt.simulation.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
@@ -134,15 +136,26 @@ def _place(motion: Motion, base: Vector) -> Vector:
 
 
 def moved(motion: Motion, points: Vector, base: Vector) -> Vector:
-    """Placements (K, n_b) as `Motion` takes them: x and y from `base`, in the axes in which it stands."""
-    names, result = motion.placement, points - base
-    if "yaw" in names:
-        yaw = base[names.index("yaw")]
-        x, y = (result[:, names.index(name)].copy() if name in names else np.zeros(len(points)) for name in ("x", "y"))
-        turned = {"x": x * math.cos(yaw) + y * math.sin(yaw), "y": y * math.cos(yaw) - x * math.sin(yaw)}
-        for name in turned.keys() & set(names):
-            result[:, names.index(name)] = turned[name]
-    return result
+    """Placements (K, n_b) as `Motion` takes them, (K, n_d): from `base`, x and y in the axes in which it stands."""
+    away = dict(zip(motion.placement, (points - base).T, strict=True))
+    if "yaw" in away:
+        yaw, nothing = float(base[motion.placement.index("yaw")]), np.zeros(len(points))
+        c, s, x, y = math.cos(yaw), math.sin(yaw), away.get("x", nothing), away.get("y", nothing)
+        away |= {"x": x * c + y * s, "y": y * c - x * s, TURN: away["yaw"]}
+    columns: Vector = np.stack([away[name] for name in motion.drive], axis=1)
+    return columns
+
+
+def _driven_structure(machine: AnyMachine, options: SimulationOptions) -> Structure:
+    """The machine's structure, and what a base path drives besides its placement."""
+    structure, path = structure_of(machine), options.base_path
+    if not isinstance(structure, Skeleton) or path is None or "yaw" not in structure.placement:
+        return structure
+    placement, base = structure.placement, np.array(options.placement(machine))
+    k = placement.index("yaw")
+    turns = bool(np.any(np.array(path.points)[:, k] != base[k]))
+    across = tuple(name for name in ("x", "y") if name not in placement) if turns or base[k] else ()
+    return replace(structure, also=across + (TURN,) * turns)
 
 
 def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
@@ -155,34 +168,34 @@ def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> Simula
 
 
 def _path_faults(machine: AnyMachine, options: SimulationOptions) -> list[Fault]:
-    """Base paths that would jerk the machine along, or turn it with the ground."""
+    """Base paths that would jerk the machine along."""
     path, base = options.base_path, np.array(options.placement(machine))
-    if path is None or any(len(point) != len(base) for point in path.points):
+    if path is None or not len(base) or any(len(point) != len(base) for point in path.points):
         return []
-    motion, found = motion_of(structure_of(machine), {}), list[Fault]()
-    points = np.array(path.points)
-    if "yaw" in motion.placement:
-        column = points[:, motion.placement.index("yaw")]
-        yaw = float(base[motion.placement.index("yaw")])
-        if np.any(column != yaw):
-            sentence = f"must keep yaw at that of base, {yaw:g} rad: a ground that turns is not simulated"
-            found.append(Fault("base_path.points", sentence))
-        if yaw and not {"x", "y"} <= set(motion.placement):
-            sentence = (
-                f"needs a machine placed by both x and y where yaw is not 0, not by {', '.join(motion.placement)}"
-            )
-            return [*found, Fault("base_path", sentence)]
-    local = moved(motion, points, base)
+    structure = _driven_structure(machine, options)
+    motion, points = motion_of(structure, {}), np.array(path.points)
     # Where the anchor frame is turned, a rounding error is left over of what cancels.
     rounding = 1e-12 * (1.0 + float(np.abs(points).max()))
+    driven = np.any(np.abs(moved(motion, points, base)) > rounding, axis=0)
+    turns = TURN in motion.drive
     rigid = [
         name
-        for k, name in enumerate(motion.placement)
-        if name in ("x", "y") and name not in motion.absorbed and np.any(np.abs(local[:, k]) > rounding)
+        for name, goes in zip(motion.drive, driven, strict=True)
+        if name in ("x", "y") and name not in motion.absorbed and (goes or turns)
     ]
+    found: list[Fault] = []
+    if turns and isinstance(machine, Tree) and isinstance(structure, Skeleton):
+        rigid += ["yaw"] if structure.turned_hinge is None else []
+        carriers = [*structure.leading_slides, *(structure.turned_hinge or ())[:1]]
+        geared = [machine.bodies[int(i)].joint for i in carriers if machine.bodies[int(i)].joint.armature]
+        if geared:
+            named = ", ".join(joint.name for joint in geared)
+            found.append(Fault("base_path.points", f"cannot turn a base whose joints {named} have an armature"))
     if rigid:
-        sentence = f"needs a base that gives in {' and '.join(rigid)}; a rigid one would jerk the machine along"
-        found.append(Fault("base_path", sentence))
+        joined = " and ".join((", ".join(rigid[:-1]), rigid[-1]) if rigid[1:] else rigid)
+        sentence = f"needs a base that gives in {joined}; a rigid one would jerk the machine along"
+        order = ": slides along x and y with springs, then a vertical hinge with one" if turns else ""
+        found.append(Fault("base_path", sentence + order))
     return found
 
 
@@ -213,6 +226,7 @@ def build_scenario(
         options.gravity,
         options.control,
     )
+    options = with_servo_gain(machine, options, design.posture)
     period = 1 / options.rate
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
     substeps, iterations = _stepping(options, fastest, 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,)))
@@ -390,7 +404,7 @@ def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, i
     sensor, actuator = options.sensor, options.actuator
     laws: dict[str, Any] = {"robust": "state_space"}
     return LoopStructure(
-        motion=structure_of(machine),
+        motion=_driven_structure(machine, options),
         control=control_method(options.control),
         law=laws.get(options.feedback, options.feedback),
         sampled=options.hold,

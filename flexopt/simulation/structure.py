@@ -145,7 +145,7 @@ def state_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:
 
 def signal_sizes(structure: LoopStructure) -> dict[str, int]:
     """Entries of e: what changes from sample to sample."""
-    s = structure
-    sizes = {"base": s.n_base, "base_rate": s.n_base} if s.moving_base else {}
+    s, driven = structure, len(motion_of(structure.motion, {}).drive)
+    sizes = {"base": driven, "base_rate": driven} if s.moving_base else {}
     sizes |= {"target": s.n_task, "target_rate": s.n_task} if s.moving_target else {}
     return sizes | ({"noise": 2 * s.n_task} if s.noisy else {})

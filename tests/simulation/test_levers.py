@@ -91,3 +91,62 @@ def test_bad_levers_are_named() -> None:
         flexopt.simulate(plane(), POSTURE, actuator={"levers": True})
     with pytest.raises(InputError, match=r"actuator\.servo_gain = 0"):
         flexopt.simulate(plane(), POSTURE, actuator={"levers": "each", "servo_gain": 0})
+
+
+def crawler(**more) -> dict:
+    """The digger with an effort for the bucket, whose cylinder names no force."""
+    data = digger()
+    data["links"][2] |= {"effort": 2e3}
+    return data | more
+
+
+@pytest.mark.parametrize("levers", ["each", "uniform"])
+def test_without_a_gain_full_levers_ask_for_what_the_drives_can_give(levers: str) -> None:
+    machine = flexopt.machine_from_dict(crawler())
+    # By hand: each way force · arm / (speed / arm), and the bucket's effort over its rate.
+    found = []
+    for k, cylinder in enumerate(DIGGER["cylinders"]):
+        ends = [length_in_plane(cylinder, LENGTHS[k], POSTURE[k] + step) for step in (-1e-5, 1e-5)]
+        arm = abs(ends[1] - ends[0]) / 2e-5
+        for way in (0, 1):
+            effort = cylinder["force"][way] * arm if "force" in cylinder else 2e3
+            found.append(effort / (cylinder["speed"][way] / arm))
+    options = {"kp": 1e6, "kv": 1e4, "nullspace_damping": 1e3, "duration": 0.5}
+    run = flexopt.simulate(machine, POSTURE, actuator={"levers": levers}, **options)
+    gain = run.provenance["options"]["actuator"]["servo_gain"]
+    # Central differences of the lengths.
+    assert gain == pytest.approx(min(found), rel=1e-8)
+    same = flexopt.simulate(machine, POSTURE, actuator={"levers": levers, "servo_gain": gain}, **options)
+    np.testing.assert_array_equal(run.torque, same.torque)
+    # Levers are full, and the arm comes nearer to its target all the same.
+    assert np.linalg.norm(run.error[-1]) < 0.9 * np.linalg.norm(run.error[0])
+    assert run.warnings == ()
+
+
+def test_levers_that_ask_for_next_to_nothing_say_so() -> None:
+    machine = flexopt.machine_from_dict(crawler())
+    options = {"kp": 1e6, "kv": 1e4, "nullspace_damping": 1e3, "duration": 0.1}
+    with pytest.warns(flexopt.FlexoptWarning, match=r"with actuator\.servo_gain = 1 full levers ask for no more than"):
+        run = flexopt.simulate(machine, POSTURE, actuator={"levers": "each", "servo_gain": 1.0}, **options)
+    named = float(run.warnings[0].split("; ")[1].split(" ")[0])
+    default = flexopt.simulate(machine, POSTURE, actuator={"levers": "each"}, **options)
+    assert named == pytest.approx(default.provenance["options"]["actuator"]["servo_gain"], rel=1e-3)
+    assert np.abs(run.torque).max() < 2.0 < 100.0 < np.abs(default.torque).max()
+    unknown = crawler()
+    for cylinder in unknown["cylinders"]:
+        cylinder.pop("force", None)
+    unknown["links"][2].pop("effort")
+    with pytest.warns(flexopt.FlexoptWarning, match="digger names no effort from which to take a gain, so give one"):
+        flexopt.simulate(flexopt.machine_from_dict(unknown), POSTURE, actuator={"levers": "each"}, **options)
+    assert flexopt.simulate(
+        flexopt.machine_from_dict(unknown), POSTURE, actuator={"levers": "each", "servo_gain": 2e3}, **options
+    ).warnings == ()  # fmt: skip
+
+
+def test_the_heavy_machine_moves_behind_its_levers() -> None:
+    machine = flexopt.load("slewing-excavator")
+    run = flexopt.simulate(
+        machine, [0.2, 0.5, -1.2, -0.5], kp=1e6, kv=3e5, nullspace_damping=1e5, actuator={"levers": "each"}, duration=4.0
+    )  # fmt: skip
+    assert run.warnings == ()
+    assert np.linalg.norm(run.error[-1]) < 0.05 * np.linalg.norm(run.error[0])
