@@ -90,6 +90,7 @@ def _candidates(report: Report) -> str:
         *(f"w{i}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes), "rests on",
     ]  # fmt: skip
     listed = [(str(k), c.evaluation, ", ".join(c.active)) for k, c in enumerate(selection.candidates[:SHOWN], start=1)]
+    wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
     if selection.initial is not None:
         listed.insert(0, ("present", selection.initial, ""))
     rows = [
@@ -100,7 +101,9 @@ def _candidates(report: Report) -> str:
         for name, e, active in listed
     ]  # fmt: skip
     more = len(selection.candidates) - SHOWN
-    return table(header, rows) + paragraph(f"And {more} more." if more > 0 else "")
+    alike = f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
+    notes = [f"And {more} more."] * (more > 0) + [alike] * bool(wide)
+    return table(header, rows) + paragraph(" ".join(notes))
 
 
 def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
