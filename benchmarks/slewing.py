@@ -5,7 +5,7 @@ Run: python -m benchmarks.slewing [starts of the reference, 2000 by default]
 The problem is problems/pipe-laying.toml: placement x, y, yaw and four joints, six compliant directions. Seconds
 are wall seconds and processor seconds of this process and its children. The first call of a fresh process builds every
 graph; later calls, here with another target, find them. The gap is that of the best objectives, relative to the
-problem's scale of |a||b|.
+problem's scale of |a||b|. Nothing of a machine is kept on disk: a first call builds everything, every time.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ import flexopt
 from benchmarks.timing import table
 
 REPEATS = 5
+PROCESSES = 3
 STARTS = 2000
 FIRST = """
 import json, os, time
 import flexopt
 arguments = flexopt.load_problem("pipe-laying").select_arguments()
-begin = time.perf_counter()
-flexopt.build_selection(**arguments)
+begin, before = time.perf_counter(), sum(os.times()[:4])
+problem = flexopt.build_selection(**arguments)
 built = time.perf_counter()
-flexopt.select(**arguments)
-print(json.dumps([built - begin, time.perf_counter() - built, sum(os.times()[:4])]))
+flexopt.solve_selection(problem)
+print(json.dumps([built - begin, time.perf_counter() - built, sum(os.times()[:4]) - before]))
 """
 
 
@@ -46,11 +47,18 @@ def timed(arguments: dict[str, Any]) -> tuple[float, float, flexopt.Selection]:
     return time.perf_counter() - begin, used() - before, selection
 
 
+def first() -> tuple[float, float, float]:
+    """Wall seconds of `build_selection` and of `solve_selection` in a fresh process, processor seconds of both."""
+    out = subprocess.run([sys.executable, "-c", FIRST], check=True, capture_output=True, text=True).stdout
+    build, solve, processor = json.loads(out)
+    return build, solve, processor
+
+
 def main() -> None:
     """Print the tables."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else STARTS
-    out = subprocess.run([sys.executable, "-c", FIRST], check=True, capture_output=True, text=True).stdout
-    first_build, first_solve, first_used = json.loads(out)
+    firsts = [first() for _ in range(PROCESSES)]
+    first_build, first_solve, first_used = min(firsts, key=lambda seconds: seconds[0] + seconds[1])
     arguments = flexopt.load_problem("pipe-laying").select_arguments()
     _, _, selection = timed(arguments)
     x, y, z = arguments["target"]
@@ -61,8 +69,8 @@ def main() -> None:
     rows = [
         ("what", "wall s", "processor s"),
         ("first build_selection of a process (graphs of plant, measures, constraints)", f"{first_build:.2f}", ""),
-        ("first select after it (graphs of the solver, of the proof, of ε_max)", f"{first_solve:.2f}", ""),
-        ("both, and the import", "", f"{first_used:.2f}"),
+        ("first solve_selection (graphs of the solver, of the proof, of ε_max)", f"{first_solve:.2f}", ""),
+        ("both: first select of a process", f"{first_build + first_solve:.2f}", f"{first_used:.2f}"),
         ("later select, another target (bar: 1 s)", f"{median[0]:.2f}", f"{median[1]:.2f}"),
         ("the same with workers=1", f"{single[0]:.2f}", f"{single[1]:.2f}"),
     ]

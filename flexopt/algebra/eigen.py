@@ -27,24 +27,60 @@ def symmetric_eigen(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:
     no branches.
     """
     size = matrix.shape[0]
-    a = ca.densify(matrix)
-    vectors = ca.densify(ca.SX(ca.DM.eye(size)))
-    for _ in range(_sweeps(size)):
-        a, vectors = _sweep(a, vectors)
-    return _sorted(ca.diag(a), vectors)
+    sweep, order = _steps(size)
+    state = [ca.densify(matrix), ca.densify(ca.SX(ca.DM.eye(size)))]
+    for k in range(_sweeps(size)):
+        # The first one folds the zeros of the unit matrix.
+        state = sweep.call(state) if k else _sweep(*state)
+    values, vectors = order.call(state)
+    return values, vectors
 
 
 @lru_cache(maxsize=8)
 def called_eigen(size: int) -> ca.Function:
-    """A symmetric matrix (size, size) -> what `symmetric_eigen` gives, by calls of one sweep: a fraction of its C."""
+    """A symmetric matrix (size, size) -> what `symmetric_eigen` gives, by calls of one sweep: a fraction of its C.
+
+    Sweeps that would change nothing are left out.
+    """
+    matrix = ca.MX.sym("matrix", size, size)
+    # A full matrix hardly ever settles in fewer.
+    found = _swept(size, [matrix, ca.densify(ca.MX.eye(size))], least=4)
+    return ca.Function("symmetric_eigen", [matrix], found, ["matrix"], ["values", "vectors"])
+
+
+@lru_cache(maxsize=8)
+def called_eigen_near(size: int) -> ca.Function:
+    """A symmetric matrix and orthogonal vectors that nearly diagonalise it -> the same, in fewer sweeps.
+
+    Small eigenvalues of graded matrices lose their relative accuracy: errors are relative to the largest one.
+    """
+    a, v = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
+    turned = v.T @ a @ v
+    turn = ca.Function("turn", [a, v], [ca.densify(turned + turned.T) / 2], {"cse": True})
+    matrix, vectors = ca.MX.sym("matrix", size, size), ca.MX.sym("vectors", size, size)
+    found = _swept(size, [turn.call([matrix, vectors])[0], vectors], least=1)
+    return ca.Function("symmetric_eigen_near", [matrix, vectors], found, ["matrix", "near"], ["values", "vectors"])
+
+
+def _swept(size: int, state: list[ca.MX], least: int) -> list[ca.MX]:
+    """Eigenvalues and vectors from a matrix and vectors, by `least` sweeps and as many more as are needed."""
+    sweep, order = _steps(size)
+    a, vectors = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
+    settled = ca.Function("settled", [a], [_settled(a)])
+    as_it_is = ca.Function("as_it_is", [a, vectors], [a, vectors])
+    sweep_unless = ca.Function.if_else("sweep_unless", as_it_is, sweep)
+    for k in range(_sweeps(size)):
+        state = sweep.call(state) if k < least else sweep_unless.call([settled.call(state[:1])[0], *state])
+    return order.call(state)
+
+
+@lru_cache(maxsize=8)
+def _steps(size: int) -> tuple[ca.Function, ca.Function]:
+    """A matrix and vectors -> the same after one sweep; and -> eigenvalues and vectors in order."""
     a, vectors = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
     sweep = ca.Function("sweep", [a, vectors], [ca.densify(x) for x in _sweep(a, vectors)], {"cse": True})
     order = ca.Function("ascending", [a, vectors], list(_sorted(ca.diag(a), vectors)), {"cse": True})
-    matrix = ca.MX.sym("matrix", size, size)
-    state = [matrix, ca.densify(ca.MX.eye(size))]
-    for _ in range(_sweeps(size)):
-        state = sweep.call(state)
-    return ca.Function("symmetric_eigen", [matrix], order.call(state), ["matrix"], ["values", "vectors"])
+    return sweep, order
 
 
 def _sweeps(size: int) -> int:
@@ -58,10 +94,20 @@ def _sweep(a: ca.SX, vectors: ca.SX) -> tuple[ca.SX, ca.SX]:
     return a, vectors
 
 
+def _negligible(a: ca.SX, p: int, q: int) -> ca.SX:
+    """Whether a[p, q] is below the rounding: noise must not turn a pair of equal values, which would refill zeros."""
+    return a[p, q] ** 2 <= ROUNDING**2 * ca.fabs(a[p, p] * a[q, q])
+
+
+def _settled(a: ca.SX) -> ca.SX:
+    """1 where a sweep would change nothing, else 0."""
+    pairs = [(p, q) for q in range(a.shape[0]) for p in range(q)]
+    return sum((_negligible(a, p, q) for p, q in pairs), start=ca.SX(0)) == len(pairs)
+
+
 def _rotate(a: ca.SX, vectors: ca.SX, p: int, q: int) -> tuple[ca.SX, ca.SX]:
     """One Jacobi rotation that zeroes a[p, q]; the smaller of the two angles, so sweeps converge."""
-    # Noise below the rounding must not turn a pair of equal eigenvalues: that would refill what is already zero.
-    off = ca.if_else(a[p, q] ** 2 <= ROUNDING**2 * ca.fabs(a[p, p] * a[q, q]), 0.0, a[p, q])
+    off = ca.if_else(_negligible(a, p, q), 0.0, a[p, q])
     half_gap = (a[q, q] - a[p, p]) / 2
     sign = ca.if_else(half_gap < 0, -1.0, 1.0)
     tangent = sign * off / (ca.fabs(half_gap) + ca.sqrt(half_gap**2 + off**2 + TINY))

@@ -260,6 +260,14 @@ def evaluate(
     return evaluate_checked(machine, angles, placement, control=control, gain=kr, damped=damped, gravity=gravity)
 
 
+def prepare(machine: AnyMachine, control: Control, *, gravity: bool) -> None:
+    """Build the graphs of `evaluate` now, so that it need not."""
+    measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
+    for functions in (measures, margin):
+        assert functions.values is not None
+        assert functions.gradients is not None
+
+
 def evaluate_checked(
     machine: AnyMachine, posture: Vector, base: Vector, *, control: Control, gain: float, damped: bool, gravity: bool
 ) -> Evaluation:

@@ -32,7 +32,7 @@ from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.plant import OperatingPoint, Plant, build_plant
-from flexopt.robustness.modes import called_modes, reduced_pencil, solve_modes
+from flexopt.robustness.modes import WRITTEN_OUT, called_modes, reduced_pencil, solve_modes
 from flexopt.robustness.residues import residue_factors, rigid_residue
 
 # A direction that the input or the output hardly touches is balanced as if it did by this share of the strongest one.
@@ -92,7 +92,7 @@ class Margin:
         of_posture = [pencil.stiffness, pencil.mass, a, b, rigid, ca.diag(pencil.actuated_mass), deflection]
         inputs, names = [g.base, g.posture, g.p, kr], ["base", "posture", "p", "kr"]
         options = {"cse": True, "is_diff_out": [False]}
-        if not self.compact:
+        if not self.compact and m <= WRITTEN_OUT:
             values, modes, _ = solve_modes(pencil)
             written = self._scales(kr, values, modes, of_posture)
             return ca.Function("hold_margin", inputs, [written], names, ["held"], options)

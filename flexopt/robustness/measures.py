@@ -11,20 +11,29 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import casadi as ca
 
-from flexopt.algebra import turned_vectors
+from flexopt.algebra import called_eigen, turned_vectors
 from flexopt.compiled import Batch, batch
 from flexopt.model import AnyMachine
 from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
-from flexopt.robustness.modes import continue_modes, reduced_pencil, solve_modes, solve_modes_quickly
+from flexopt.robustness.modes import (
+    WRITTEN_OUT,
+    called_modes,
+    continue_modes,
+    reduced_pencil,
+    solve_modes,
+    solve_modes_quickly,
+)
 from flexopt.robustness.residues import (
     measure,
     rank_one_measure,
     residue_factors,
     rigid_residue,
+    summed_residue,
     symmetric_part_vectors,
 )
 
@@ -77,7 +86,7 @@ class Measures:
     gravity: bool
 
     @cached_property
-    def _held(self) -> dict[str, ca.SX]:
+    def held_parts(self) -> dict[str, ca.SX]:
         """Symbols of what `hold` computes, by name."""
         m, r = self.plant.n_passive, self.plant.n_task
         sizes = {"deflection": (m if self.gravity else 0, 1)}
@@ -87,7 +96,7 @@ class Measures:
     @cached_property
     def held(self) -> ca.SX:
         """All of it as one vector symbol."""
-        return ca.veccat(*self._held.values())
+        return ca.veccat(*self.held_parts.values())
 
     @cached_property
     def hold(self) -> ca.Function:
@@ -103,9 +112,50 @@ class Measures:
         return self._function("hold", [], {"held": held}, {"is_diff_out": [False]})
 
     @cached_property
+    def reduced(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Graphs of base, posture, p and held: K_p and M̄ (m, m), A and B (r, m) of a_i = A φ_i and b_i = B φ_i."""
+        g, m = self.plant.graph, self.plant.n_passive
+        at = self.plant.operating_point(g.base, g.posture, g.p, self.held_parts["deflection"] if self.gravity else None)
+        pencil = reduced_pencil(at, m)
+        return pencil.stiffness, pencil.mass, *residue_factors(at, pencil, ca.SX.eye(m), self.control)
+
+    @cached_property
+    def called_hold(self) -> ca.Function:
+        """What `hold` computes, for numbers and MX: of many modes by calls, built in a fraction of the time."""
+        if self.plant.n_passive <= WRITTEN_OUT:
+            return self.hold
+        g, deflection = self.plant.graph, self.held_parts["deflection"]
+        graphs = [ca.densify(graph) for graph in self.reduced]
+        reduce = ca.Function("reduced", [g.base, g.posture, g.p, deflection], graphs)
+        names = ["base", "posture", "p"]
+        symbols = [ca.MX.sym(name, x.shape[0]) for name, x in zip(names, (g.base, g.posture, g.p), strict=True)]
+        deflected = self.plant.deflected(*symbols) if self.gravity else ca.MX(0, 1)
+        stiffness, mass, a_of, b_of = reduce.call([*symbols, deflected])
+        values, modes, same = called_modes(self.plant.n_passive).call([stiffness, mass])
+        parts = self._called_parts.call([a_of, b_of, modes, same])[0]
+        held = ca.veccat(deflected, values, modes, same, parts)
+        assert held.shape == self.held.shape
+        return ca.Function("hold", symbols, [held], names, ["held"], {"is_diff_out": [False], "never_inline": True})
+
+    @cached_property
+    def _called_parts(self) -> ca.Function:
+        """(A, B, modes, same) -> `symmetric_part_vectors`; where no mode needs them, the unit matrix for each."""
+        m, r = self.plant.n_passive, self.plant.n_task
+        shapes = {"A": (r, m), "B": (r, m), "modes": (m, m), "same": (m, m)}
+        a, b, modes, same = symbols = [ca.SX.sym(name, *shape) for name, shape in shapes.items()]
+        sums = [summed_residue(a @ modes, b @ modes, same, i) for i in range(m)]
+        symmetric = ca.Function("symmetric_parts", symbols, [ca.densify(ca.horzcat(*(x + x.T for x in sums)))])
+        given = symmetric.mx_in()
+        vectors = called_eigen(r).map(m).call(symmetric.call(given))[1]
+        none = ca.Function("no_clusters", symbols, [ca.densify(ca.repmat(ca.SX.eye(r), 1, m))])
+        either = ca.Function.if_else("parts", none, ca.Function("clusters", given, [vectors]))
+        alone = ca.Function("alone", [same], [ca.sum(ca.vec(same)) <= m + 0.5])
+        return ca.Function("parts", given, either.call([*alone.call(given[3:]), *given]))
+
+    @cached_property
     def graph(self) -> MeasureGraph:
         """The measures as SX graphs of base, posture, p and held."""
-        g, plant, held = self.plant.graph, self.plant, self._held
+        g, plant, held = self.plant.graph, self.plant, self.held_parts
         m, n = plant.n_passive, plant.n_actuated
         at = plant.operating_point(g.base, g.posture, g.p, held["deflection"] if self.gravity else None)
         pencil = reduced_pencil(at, m)
@@ -149,7 +199,8 @@ class Measures:
         """
         g, graph = self.plant.graph, self.graph
         z = ca.vertcat(g.base, g.posture)
-        outputs = {"w_z": ca.jacobian(graph.w, z), "w_p": ca.jacobian(graph.w, g.p)}
+        slopes = ca.jacobian(graph.w, ca.vertcat(z, g.p))
+        outputs = {"w_z": slopes[:, : z.shape[0]], "w_p": slopes[:, z.shape[0] :]}
         return self._composed("gradients", outputs | {"end_point_z": ca.jacobian(graph.end_point, z)})
 
     @cached_property
@@ -158,17 +209,18 @@ class Measures:
         g, alpha = self.plant.graph, ca.SX.sym("alpha", self.plant.n_passive)
         z = ca.vertcat(g.base, g.posture)
         slope = ca.densify(ca.gradient(ca.dot(alpha, self.graph.w), z).T)
-        inner = ca.Function("slope", [g.base, g.posture, g.p, self.held, alpha], [slope])
-        at = [g.base, g.posture, g.p]
-        outputs = inner.call([*at, self.hold(*at), alpha])
-        return ca.Function("weighted_gradient", [*at, alpha], outputs, ["base", "posture", "p", "alpha"], ["V_z"])
+        names = ["base", "posture", "p", "held", "alpha"]
+        inner = ca.Function("weighted_gradient", [g.base, g.posture, g.p, self.held, alpha], [slope], names, ["V_z"])
+        return self._behind_hold(inner, {"cse": False})
 
     @cached_property
     def end_point_gradient(self) -> ca.Function:
         """(base, posture, p) -> exact ∂r/∂z (n_task, n_z), z = [base, posture]."""
         g = self.plant.graph
-        slope = ca.jacobian(self.graph.end_point, ca.vertcat(g.base, g.posture))
-        return self._composed("end_point_gradient", {"end_point_z": slope})
+        outputs = {"end_point_z": ca.jacobian(self.graph.end_point, ca.vertcat(g.base, g.posture))}
+        if not self.gravity:
+            return self._function("end_point_gradient", [], outputs, {})
+        return self._composed("end_point_gradient", outputs)
 
     @cached_property
     def w_with_gradient(self) -> ca.Function:
@@ -189,7 +241,7 @@ class Measures:
     @cached_property
     def quick_with_gradient(self) -> ca.Function:
         """(base, posture, p) -> the outputs of `quick`, and exact ∂w/∂posture (m, n) as `w_posture`."""
-        g, plant, symbols = self.plant.graph, self.plant, self._held
+        g, plant, symbols = self.plant.graph, self.plant, self.held_parts
         m = plant.n_passive
         w, gap, held = self._quickly()
         at = plant.operating_point(g.base, g.posture, g.p, symbols["deflection"] if self.gravity else None)
@@ -236,21 +288,38 @@ class Measures:
         return ca.Function("measures", symbols, outputs, ["base", "posture", "p"], ["w", "end_point"])
 
     def _composed(self, name: str, outputs: Mapping[str, ca.SX]) -> ca.Function:
-        """The Function of (base, posture, p) in which `held` is computed by `hold`, all inlined."""
-        g = self.plant.graph
-        inner = self._function(name, [self.held], outputs, {"cse": False})
-        results = inner.call([g.base, g.posture, g.p, self.hold(g.base, g.posture, g.p)])
-        return self._function(name, [], dict(zip(outputs, results, strict=True)), {})
+        """The Function of (base, posture, p) in which `held` is computed."""
+        return self._behind_hold(self._function(name, [self.held], outputs, {"cse": False}), {})
+
+    def _behind_hold(self, inner: ca.Function, options: dict[str, Any]) -> ca.Function:
+        """A Function of (base, posture, p, held, …) without `held`, which is computed: written out or by a call."""
+        written = self.plant.n_passive <= WRITTEN_OUT
+        symbols: list[Any] = inner.sx_in() if written else inner.mx_in()
+        given, names = [*symbols[:3], *symbols[4:]], [name for name in inner.name_in() if name != "held"]
+        held = self.called_hold.call(symbols[:3])
+        outputs: list[Any] = inner.call([*symbols[:3], *held, *symbols[4:]])
+        if not written:
+            return ca.Function(inner.name(), given, outputs, names, inner.name_out())
+        return _shared(inner.name(), given, outputs, names, inner.name_out(), options)
 
     def _function(
-        self, name: str, extra: list[ca.SX], outputs: Mapping[str, ca.SX], options: dict[str, list[bool] | bool]
+        self, name: str, extra: list[ca.SX], outputs: Mapping[str, ca.SX], options: dict[str, Any]
     ) -> ca.Function:
         g = self.plant.graph
         names = ["base", "posture", "p", *(["held"] if extra else [])]
         dense = [ca.densify(output) for output in outputs.values()]
-        # On large graphs the search takes a second and finds little.
-        shared = {"cse": ca.n_nodes(ca.veccat(*dense)) <= CSE_MAX}
-        return ca.Function(name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), shared | options)
+        return _shared(name, [g.base, g.posture, g.p, *extra], dense, names, list(outputs), options)
+
+
+def _shared(
+    name: str, inputs: list[ca.SX], outputs: list[ca.SX], names: list[str], results: list[str], options: dict[str, Any]
+) -> ca.Function:
+    """A Function in which equal parts are computed once, unless `options` say otherwise or it is too large."""
+    function = ca.Function(name, inputs, outputs, names, results, {"cse": False} | options)
+    # On large graphs the search takes a second and finds little.
+    if "cse" in options or function.n_nodes() > CSE_MAX:
+        return function
+    return ca.Function(name, inputs, outputs, names, results, {"cse": True} | options)
 
 
 @lru_cache(maxsize=64)

@@ -9,6 +9,7 @@ import casadi as ca
 
 from flexopt.algebra import (
     called_eigen,
+    called_eigen_near,
     clusters,
     direct_eigen,
     perturbed_pencil,
@@ -21,8 +22,12 @@ from flexopt.plant.plant import OperatingPoint
 # Eigenvalues ω² closer than this, relative to their mean, are one cluster: below it the modes themselves, not the sums
 # over the cluster, lose the digits that the measures are quoted with.
 CLUSTER_TOLERANCE = 1e-6
+# Largest ratio of two ω² up to which eigenvectors of a pencil nearby may be started from.
+SPREAD = 1e6
 # Where two ω² come closer than this, relative to their mean, the closed form is left to the iteration.
 TRUSTED_GAP = 1e-3
+# Up to so many modes everything is written out in one graph; with more, iterations stay calls.
+WRITTEN_OUT = 3
 
 
 @dataclass(frozen=True)
@@ -66,15 +71,39 @@ def solve_modes(pencil: ReducedPencil) -> tuple[ca.SX, ca.SX, ca.SX]:
 @lru_cache(maxsize=8)
 def called_modes(size: int) -> ca.Function:
     """(K_p, M̄) -> what `solve_modes` gives, by calls that keep its C small."""
-    stiffness, mass = ca.SX.sym("K", size, size), ca.SX.sym("M", size, size)
-    before = ca.Function("symmetric_form", [stiffness, mass], list(_symmetric_form(stiffness, mass)), {"cse": True})
-    values, z, compliance = ca.SX.sym("values", size), ca.SX.sym("z", size, size), ca.SX.sym("X", size, size)
-    after = ca.Function("shapes", [values, z, compliance], list(_shapes(values, z, compliance)), {"cse": True})
+    before, after = _around(size)
     pencil = [ca.MX.sym("K", size, size), ca.MX.sym("M", size, size)]
     symmetric, solved = before.call(pencil)
     pairs = called_eigen(size).call([symmetric])
     outputs = [pairs[0], *after.call([*pairs, solved])]
     return ca.Function("solve_modes", pencil, outputs, ["K", "M"], ["omega_squared", "modes", "same"])
+
+
+@lru_cache(maxsize=8)
+def called_modes_near(size: int) -> ca.Function:
+    """(K_p, M̄, near) -> what `called_modes` gives, and z (m, m) of `solve_modes`; quicker where `near` is a z nearby.
+
+    Where none is known `near` is the unit matrix; so is z where ω² spread by more than `SPREAD`.
+    """
+    before, after = _around(size)
+    inputs = [ca.MX.sym(name, size, size) for name in ("K", "M", "near")]
+    symmetric, solved = before.call(inputs[:2])
+    pairs = called_eigen_near(size).call([symmetric, inputs[2]])
+    values, z = ca.SX.sym("values", size), ca.SX.sym("z", size, size)
+    trusted = ca.if_else(values[-1] <= SPREAD * values[0], z, ca.SX.eye(size))
+    next_time = ca.Function("next_time", [values, z], [ca.densify(trusted)]).call(pairs)
+    outputs = [pairs[0], *after.call([*pairs, solved]), *next_time]
+    names = ["omega_squared", "modes", "same", "z"]
+    return ca.Function("solve_modes_near", inputs, outputs, ["K", "M", "near"], names)
+
+
+def _around(size: int) -> tuple[ca.Function, ca.Function]:
+    """What comes before and after the symmetric eigenproblem."""
+    stiffness, mass = ca.SX.sym("K", size, size), ca.SX.sym("M", size, size)
+    before = ca.Function("symmetric_form", [stiffness, mass], list(_symmetric_form(stiffness, mass)), {"cse": True})
+    values, z, compliance = ca.SX.sym("values", size), ca.SX.sym("z", size, size), ca.SX.sym("X", size, size)
+    after = ca.Function("shapes", [values, z, compliance], list(_shapes(values, z, compliance)), {"cse": True})
+    return before, after
 
 
 def _symmetric_form(stiffness: ca.SX, mass: ca.SX) -> tuple[ca.SX, ca.SX]:

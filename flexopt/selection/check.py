@@ -11,6 +11,7 @@ import numpy as np
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.selection.nlp import Rows
+from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import SelectionProblem
 
@@ -28,6 +29,8 @@ BEST_TOLERANCE = 1e-9
 # Steps along a direction of positive curvature, in scaled variables, that are looked at for a larger V.
 PROBES = (1e-2, 1e-3, 1e-4)
 CORRECTIONS = 8
+# A gain below this share of V's and the multipliers' size is rounding.
+NOISE = 1e-12
 KINK_NAME = "kink of ε_max"
 # Number, sense and name: c ≥ 0 is sense · row.
 ActiveRow = tuple[int, float, str]
@@ -225,13 +228,11 @@ def _multipliers(local: _Local) -> tuple[Vector, list[int]]:
 
 def _nearest_multipliers(local: _Local) -> tuple[Vector, list[int]]:
     """As `_multipliers`, the nearest there are: non-negative least squares on what equalities cannot take up."""
-    from scipy.optimize import nnls  # noqa: PLC0415  (slow to import, seldom needed)
-
     if not len(local.inequalities):
         return np.linalg.pinv(local.equalities.T) @ local.gradient, []
     inverse = np.linalg.pinv(local.equalities.T)
     free = np.eye(local.gradient.size) - local.equalities.T @ inverse
-    pull = nnls(-free @ local.inequalities.T, free @ local.gradient)[0]
+    pull = nonnegative_least_squares(-free @ local.inequalities.T, free @ local.gradient)
     kept: list[int] = np.flatnonzero(pull > 0).tolist()
     of_equalities = inverse @ (local.gradient + pull @ local.inequalities)
     return np.concatenate([of_equalities, -pull[kept]]), kept
@@ -264,7 +265,7 @@ def _curvature(problem: SelectionProblem, z: Vector, local: _Local, multipliers:
         hessian[k] = free @ change
     values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
     largest = float(values[-1])
-    if largest > CURVATURE_TOLERANCE and not _rises(problem, z, local, free.T @ vectors[:, -1], largest):
+    if largest > CURVATURE_TOLERANCE and not _rises(problem, z, local, free.T @ vectors[:, -1], weights, largest):
         return 0.0
     return largest
 
@@ -287,27 +288,52 @@ def _curved_gradients(
     return gradient * problem.scale, np.array(curved).reshape(-1, z.size) * problem.scale
 
 
-def _rises(problem: SelectionProblem, z: Vector, local: _Local, direction: Vector, curvature: float) -> bool:
-    """Whether V is larger at some point near z along a direction, moved back onto the active rows."""
+def _rises(
+    problem: SelectionProblem, z: Vector, local: _Local, direction: Vector, weights: Vector, curvature: float
+) -> bool:
+    """Whether V is larger at some point near z along a direction, moved back onto the active rows.
+
+    What V gains by being a rounding error off these rows, whose multipliers are `weights`, is taken off: what narrow
+    slacks of earlier objectives allow is dear.
+    Where earlier objectives are kept their derivatives may jump, so that no such point is found: nothing is known then.
+    """
     equal, active = _active_rows(problem, problem.rows(z))
     numbers = [*equal, *(k for k, _, _ in active)]
+    senses = np.array([1.0] * len(equal) + [sense for _, sense, _ in active])
     scales = np.array([constraint.scale for constraint in problem.constraints])
     wanted = np.array([c.lower if value - c.lower <= c.upper - value else c.upper
                        for c, value in zip(problem.constraints, problem.rows(z), strict=True)])  # fmt: skip
+    kept = [k for k in range(len(problem.kept)) if f"kept {problem.objectives[k].name}" in local.names]
     freed: Vector = np.where(problem.lower == problem.upper, 0.0, 1.0)
     for row, name in zip(local.inequalities, local.names, strict=True):
         if name.endswith(" bound"):
             freed[row != 0] = 0.0
+
+    def beyond(there: Vector) -> Vector:
+        """How far the active rows, then the earlier objectives, are from what they shall be."""
+        earlier = [
+            (problem.branches(problem.objectives[k], there)[0][0] - problem.kept[k]) / problem.objective_scales[k]
+            for k in kept
+        ]
+        return np.append(((problem.rows(there) - wanted) / scales)[numbers], earlier)
+
+    def slopes(there: Vector) -> Vector:
+        earlier = [problem.branches(problem.objectives[k], there)[1][0] / problem.objective_scales[k] for k in kept]
+        rows = (row_gradients(problem, there) / scales[:, None])[numbers]
+        return np.vstack([rows, *earlier]) * problem.scale * freed
+
+    landed = False
     for step in PROBES:
         for sign in (1.0, -1.0):
             there: Vector = z + sign * step * freed * direction * problem.scale
             for _ in range(CORRECTIONS):
-                off = ((problem.rows(there) - wanted) / scales)[numbers]
-                slopes = (row_gradients(problem, there) / scales[:, None])[numbers] * problem.scale * freed
-                correction: Vector = np.linalg.pinv(slopes) @ off
+                correction: Vector = np.linalg.pinv(slopes(there)) @ beyond(there)
                 there = there - problem.scale * correction
-            off = ((problem.rows(there) - wanted) / scales)[numbers]
-            better = problem.branches(problem.objective, there)[0][0] / problem.objective_scale - local.value
-            if np.abs(off).max(initial=0.0) <= BOUND_TOLERANCE and better > 0.1 * curvature * step**2:
-                return True
-    return bool(problem.kept)
+            off = beyond(there)
+            if np.abs(off).max(initial=0.0) <= BOUND_TOLERANCE:
+                landed = True
+                value = problem.branches(problem.objective, there)[0][0] / problem.objective_scale
+                better = value - local.value - weights @ (np.append(senses, np.ones(len(kept))) * off)
+                if better > max(0.1 * curvature * step**2, NOISE * (abs(value) + float(np.abs(weights).sum()))):
+                    return True
+    return bool(kept) and not landed

@@ -19,11 +19,12 @@ from flexopt.algebra.feasible import feasible_steps
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
+from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.selection.constraints import ConstraintSet
 
-QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False}
+QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False, "no_nlp_grad": True}
 IPOPT_OPTIONS: dict[str, Any] = QUIET | {
     "ipopt": {
         "print_level": 0,
@@ -116,10 +117,8 @@ class Configuration:
         return ca.vertcat(self._symbols["base"], self._symbols["posture"])
 
     @cached_property
-    def _objective(self) -> tuple[ca.SX, ca.SX]:
-        """Weights α (m,) and Σ αi wi."""
-        alpha = ca.SX.sym("alpha", self.measures.plant.n_passive)
-        return alpha, ca.dot(alpha, self.measures.graph.w)
+    def _expansion(self) -> Expansion:
+        return Expansion(self.measures)
 
     @cached_property
     def _rows(self) -> ca.SX:
@@ -148,23 +147,20 @@ class Configuration:
         """`feasible_steps` of the rows at rest in z; its last inputs are p and c."""
         return feasible_steps(self._rows_at_rest, self._z, [self._symbols["p"], self._symbols["c"]])
 
-    @cached_property
+    @property
     def value(self) -> ca.Function:
         """(base, posture, p, held, alpha) -> V = Σ αi wi."""
-        alpha, value = self._objective
-        return self._of_held("value", {"alpha": alpha}, [value], ["V"])
+        return self._expansion.value
 
-    @cached_property
+    @property
     def slope(self) -> ca.Function:
         """(base, posture, p, held, alpha) -> V = Σ αi wi and ∂V/∂z (n_z,)."""
-        alpha, value = self._objective
-        return self._of_held("slope", {"alpha": alpha}, [value, ca.gradient(value, self._z)], ["V", "V_z"])
+        return self._expansion.slope
 
-    @cached_property
+    @property
     def curvature(self) -> ca.Function:
         """(base, posture, p, held, alpha) -> ∂²V/∂z² (n_z, n_z)."""
-        alpha, value = self._objective
-        return self._of_held("curvature", {"alpha": alpha}, [ca.hessian(value, self._z)[0]], ["V_zz"])
+        return self._expansion.curvature
 
     @cached_property
     def row_values(self) -> ca.Function:
@@ -190,7 +186,7 @@ class Configuration:
         names = ("base", "posture", "p", "c")
         symbols = [ca.MX.sym(name, s[name].shape[0]) for name in names]
         alpha = ca.MX.sym("alpha", measures.plant.n_passive)
-        held = measures.hold.call(symbols[:3])[0]
+        held = measures.called_hold.call(symbols[:3])[0]
         rows = self.row_values.call([*symbols, self.held_rows(held)])[0]
         outputs = [self.value.call([*symbols[:3], held, alpha])[0], rows]
         return ca.Function("configuration", [*symbols, alpha], outputs, [*names, "alpha"], ["V", "rows"])
@@ -198,9 +194,6 @@ class Configuration:
     def held_rows(self, held: ca.MX) -> ca.MX:
         """What the rows take as `held`: nothing of it matters without gravity, so that it need not be computed."""
         return held if self.gravity else ca.MX(ca.DM.zeros(*held.shape))
-
-    def _of_held(self, name: str, more: Mapping[str, ca.SX], outputs: list[ca.SX], names: list[str]) -> ca.Function:
-        return self._function(name, ("base", "posture", "p", "held"), more, outputs, names)
 
     def _of_rows(self, name: str, more: Mapping[str, ca.SX], outputs: list[ca.SX], names: list[str]) -> ca.Function:
         return self._function(name, ("base", "posture", "p", "c", "held"), more, outputs, names)
@@ -305,24 +298,27 @@ def _interior_point(
     x, (parameters, s) = ca.MX.sym("x", n_z), parameters_of(configuration, count).symbols()
     z, alphas = s["z_scale"] * x, ca.reshape(s["alpha"], m, count)
     at = [z[:n_b], z[n_b:], s["p"]]
-    held = measures.hold.call(at)[0]
+    held = measures.called_hold.call(at)[0]
     offset = ca.vertcat(s["target"], ca.DM.zeros(n_rows - plant.n_task, 1))
     row_inputs = [*at, s["c"], configuration.held_rows(held)]
     away = x - s["now"]
     travel = s["cost"] * ca.sumsqr(away)
 
-    values: list[ca.MX] = []
-    slopes: list[ca.MX] = []
-    for k in range(count):
-        value = configuration.value.call([*at, held, alphas[:, k]])[0]
-        slope = configuration.slope.call([*at, held, alphas[:, k]])[1]
-        values.append(value / s["size"][k] - travel)
-        slopes.append(s["z_scale"] * slope / s["size"][k] - 2 * s["cost"] * away)
-    row_slopes = configuration.row_slopes.call(row_inputs)[1]
-    rows = (configuration.row_values.call(row_inputs)[0] - offset) / s["row_scale"]
+    def program(objectives: list[ca.MX], rows: ca.MX) -> tuple[ca.MX, ca.MX]:
+        values = [value / s["size"][k] - travel for k, value in enumerate(objectives)]
+        return -values[-1], ca.vertcat((rows - offset) / s["row_scale"], *values[:-1])
+
+    weighted = [[*at, held, alphas[:, k]] for k in range(count)]
+    f, g = program(
+        [configuration.value.call(inputs)[0] for inputs in weighted], configuration.row_values.call(row_inputs)[0]
+    )
+    # With derivatives the values come from the same calls.
+    found = [configuration.slope.call(inputs) for inputs in weighted]
+    slopes = [s["z_scale"] * v_z / s["size"][k] - 2 * s["cost"] * away for k, (_, v_z) in enumerate(found)]
+    rows, row_slopes = configuration.row_slopes.call(row_inputs)
     row_slopes = row_slopes / ca.repmat(s["row_scale"], 1, n_z) * ca.repmat(s["z_scale"].T, n_rows, 1)
-    f, g = -values[-1], ca.vertcat(rows, *values[:-1])
     jacobian = ca.vertcat(row_slopes, *(slope.T for slope in slopes[:-1]))
+    f_there, g_there = program([value for value, _ in found], rows)
 
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows + count - 1)
     pulls = ca.vertcat(lam_g[n_rows:], -lam_f)
@@ -330,8 +326,8 @@ def _interior_point(
     second += configuration.row_curvature.call([*row_inputs, lam_g[:n_rows] / s["row_scale"]])[0]
     scaled = second * (s["z_scale"] @ s["z_scale"].T) - 2 * s["cost"] * ca.sum1(pulls) * ca.MX.eye(n_z)
     given = {
-        "grad_f": ca.Function("grad_f", [x, parameters], [f, -slopes[-1]], ["x", "p"], ["f", "grad_f_x"]),
-        "jac_g": ca.Function("jac_g", [x, parameters], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
+        "grad_f": ca.Function("grad_f", [x, parameters], [f_there, -slopes[-1]], ["x", "p"], ["f", "grad_f_x"]),
+        "jac_g": ca.Function("jac_g", [x, parameters], [g_there, jacobian], ["x", "p"], ["g", "jac_g_x"]),
         "hess_lag": ca.Function(
             "hess_lag", [x, parameters, lam_f, lam_g], [ca.triu(ca.densify(scaled))],
             ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"],
@@ -362,7 +358,7 @@ def _sequential(configuration: Configuration, forms: tuple[Form, ...]) -> ca.Fun
             epsilon = margin.differentiable.call([*at, s["gain"]])[0]
             parts = [smooth + s["beta"][k] * epsilon[j] for j in range(2)]
         branches.append([part / s["size"][k] - travel for part in parts])
-    held = measures.hold.call(at)[0]
+    held = measures.called_hold.call(at)[0]
     rows = configuration.row_values.call([*at, s["c"], configuration.held_rows(held)])[0]
     offset = ca.vertcat(s["target"], ca.DM.zeros(configuration.n_rows - plant.n_task, 1))
     constraints = [(rows - offset) / s["row_scale"], *(branch for kept in branches[:-1] for branch in kept)]

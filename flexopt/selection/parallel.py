@@ -6,12 +6,14 @@ forked they inherit every graph that is built; elsewhere the task is pickled and
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import sys
 import time
 import warnings
+from collections import deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
@@ -45,7 +47,9 @@ def check_workers(arguments: Arguments, value: Any) -> int:
     return value
 
 
-def in_parallel(task: Task[T], count: int, workers: int, done: Done | None = None) -> list[T]:
+def in_parallel(
+    task: Task[T], count: int, workers: int, done: Done | None = None, meanwhile: Callable[[], None] | None = None
+) -> list[T]:
     """[task(0), …, task(count − 1)].
 
     Numbers are worked off here, one by one, until it shows that processes would be worth their start.
@@ -55,6 +59,7 @@ def in_parallel(task: Task[T], count: int, workers: int, done: Done | None = Non
         count: of numbers.
         workers: processes at most, this one aside while it waits.
         done: called with the number of results so far.
+        meanwhile: called once while processes work; not where none do.
 
     Raises:
         Exception: the first one, by number, that the task raised.
@@ -71,7 +76,8 @@ def in_parallel(task: Task[T], count: int, workers: int, done: Done | None = Non
         slow = (time.perf_counter() - begin) / len(results) * left > worth
         if workers > 1 and left > 1 and slow and not _is_worker():
             numbers = list(range(len(results), count))
-            rest = _spread(multiprocessing.get_context(method), task, numbers, min(workers, left), done, len(results))
+            context = multiprocessing.get_context(method)
+            rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile)
             if rest is not None:
                 return results + rest
             workers = 1
@@ -84,7 +90,13 @@ def _is_worker() -> bool:
 
 
 def _spread(
-    context: BaseContext, task: Task[T], numbers: list[int], workers: int, done: Done | None, before: int
+    context: BaseContext,
+    task: Task[T],
+    numbers: list[int],
+    workers: int,
+    done: Done | None,
+    before: int,
+    meanwhile: Callable[[], None] | None,
 ) -> list[T] | None:
     """Results of the numbers from `workers` processes; None where processes cannot be started."""
     pairs: list[tuple[Connection, Any]] = []
@@ -107,31 +119,44 @@ def _spread(
             finally:
                 theirs.close()
             pairs.append((ours, process))
-        return _collect(pairs, numbers, done, before)
+        return _collect(pairs, numbers, done, before, meanwhile)
     finally:
         _end(pairs)
 
 
-def _collect(pairs: list[tuple[Connection, Any]], numbers: list[int], done: Done | None, before: int) -> list[Any]:
+def _collect(
+    pairs: list[tuple[Connection, Any]],
+    numbers: list[int],
+    done: Done | None,
+    before: int,
+    meanwhile: Callable[[], None] | None,
+) -> list[Any]:
     waiting, results = iter(numbers), dict[int, Any]()
     failures: dict[int, BaseException] = {}
-    busy: dict[Connection, int] = {}
+    busy = {connection: deque[int]() for connection, _ in pairs}
 
     def feed(connection: Connection) -> None:
         number = next(waiting, None)
         if number is not None and not failures:
-            connection.send(number)
-            busy[connection] = number
+            busy[connection].append(number)
+            # One that has ended shows when its answer is read.
+            with contextlib.suppress(BrokenPipeError):
+                connection.send(number)
 
-    for connection, _ in pairs:
-        feed(connection)
-    while busy:
-        for ready in cast(list[Connection], wait(list(busy))):
-            number = busy.pop(ready)
+    # Enough to do for as long as this process does not look.
+    for _ in range(1 if meanwhile is None else max(1, len(numbers) // (2 * len(pairs)))):
+        for connection, _ in pairs:
+            feed(connection)
+    if meanwhile is not None:
+        meanwhile()
+    while any(busy.values()):
+        for ready in cast(list[Connection], wait([connection for connection, left in busy.items() if left])):
+            number = busy[ready].popleft()
             try:
                 fine, value = ready.recv()
-            except EOFError:
+            except (EOFError, ConnectionResetError):
                 failures[number] = RuntimeError(f"a process that solved start {number + 1} ended before it was done")
+                busy[ready].clear()
                 continue
             if fine:
                 results[number] = value

@@ -43,6 +43,9 @@ class Candidate:
         stationarity: norm of the objective's gradient along the feasible directions, relative to the problem's
             objective scale, in scaled variables.
         iterations: of IPOPT.
+        continuum: further placements (n_b,) found at which the same posture is the same optimum, as those of a machine
+            in space that may be turned about its target: nothing changes on the way to them; see
+            `flexopt.selection.continua`.
     """
 
     z: Vector
@@ -54,6 +57,7 @@ class Candidate:
     stationarity: float
     iterations: int
     evaluate: Callable[[], Evaluation] = field(repr=False, compare=False)
+    continuum: tuple[tuple[float, ...], ...] = ()
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -69,6 +73,7 @@ class Candidate:
             "target_error": self.target_error,
             "stationarity": self.stationarity,
             "iterations": self.iterations,
+            "continuum": self.continuum,
         }
         return self.evaluation.to_dict() | json_ready(own)
 
@@ -87,8 +92,9 @@ class Selection:
 
     Attributes:
         best: the first of the candidates.
-        candidates: all distinct local optima found, ranked by objective; ties within 1e-9 of |a||b| by the worst of the
-            other w_i, then by ε_max, then by the distance from the present base if one was given.
+        candidates: all distinct local optima found, one of each continuum, ranked by objective; ties within 1e-9 of
+            |a||b| by the worst of the other w_i, then by ε_max, then by the distance from the present base if one was
+            given.
         initial: the posture at the present base, where one was given and reaches the target.
         attempts: every start and its outcome.
         problem: what was solved.
@@ -109,7 +115,9 @@ class Selection:
     @property
     def status(self) -> str:
         """A sentence."""
-        return f"{len(self.candidates)} distinct local optima verified from {len(self.attempts)} starts"
+        wide = sum(bool(candidate.continuum) for candidate in self.candidates)
+        continua = f" ({wide} of them at several placements alike)" if wide else ""
+        return f"{len(self.candidates)} distinct local optima{continua} verified from {len(self.attempts)} starts"
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary (keys as in the command line's `--json`)."""
@@ -155,7 +163,8 @@ class Selection:
             e = candidate.evaluation
             numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
-            lines.append(f"  {rank:4d} {numbers}{_measures(e)}{active}")
+            alike = f"   and {len(candidate.continuum)} placements alike" if candidate.continuum else ""
+            lines.append(f"  {rank:4d} {numbers}{_measures(e)}{active}{alike}")
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:

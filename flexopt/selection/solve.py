@@ -16,9 +16,10 @@ from flexopt.model.constraints import Constraints
 from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, Elbow
 from flexopt.plant.inverse_kinematics import inverse_kinematics
-from flexopt.robustness.evaluation import Evaluation, evaluate_checked
+from flexopt.robustness.evaluation import Evaluation, evaluate_checked, prepare
 from flexopt.selection.build import build_selection
 from flexopt.selection.check import Proof, prove
+from flexopt.selection.continua import grouped
 from flexopt.selection.parallel import check_workers, in_parallel
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Attempt, Candidate, ConstraintValue, Selection
@@ -38,6 +39,10 @@ KEPT_SLACK = 1e-4
 
 # How often a solve that was cut short is taken up again.
 RESUMED = 3
+# Where no optimum of a later objective is found from those of the one before: how far away, in scaled variables, it is
+# tried again, and from how many points each time.
+AROUND = (0.0, 1e-3, 1e-2, 1e-1)
+AROUND_STARTS = 8
 
 Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
@@ -119,9 +124,10 @@ def solve_selection(
     found, attempts = _optima(problem, starting_points(problem), count, progress)
     while len(problem.kept) + 1 < len(problem.objectives):
         problem = _next_stage(problem, found)
-        found, more = _optima(problem, [z for z, _, _ in found], count, None)
+        found, more = _later_optima(problem, [z for z, _, _ in found], count)
         attempts += more
-    candidates = _ranked(problem, [_candidate(problem, *item) for item in found])
+    groups = grouped(problem, [z for z, _, _ in found])
+    candidates = _ranked(problem, [_candidate(problem, [found[k] for k in group]) for group in groups])
     # What may still be wrong with it shows here, not when it is first asked for.
     assert candidates[0].evaluation is not None
     options = {"target": problem.target.tolist(), "objective": problem.name, "control": problem.control}
@@ -141,6 +147,49 @@ def _optima(
     problem: SelectionProblem, starts: list[Vector], workers: int, progress: Progress | None
 ) -> tuple[list[Found], list[Attempt]]:
     """Distinct verified optima from the starts, and what became of each start."""
+    found, attempts, failures = _attempted(problem, starts, workers, progress, _solve_start)
+    if not found:
+        raise _no_solution(problem, attempts, failures)
+    return found, attempts
+
+
+def _later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) -> tuple[list[Found], list[Attempt]]:
+    """The same of a later objective, from optima of the one before.
+
+    These are few, and may lie where the solver gets stuck: in a valley as narrow as what the earlier objectives may
+    give up, or where derivatives jump. Where none leads to an optimum, they may be optima of this objective, too; else
+    points around them are tried, further and further away.
+    """
+    found, attempts, failures = _attempted(problem, starts, workers, None, _solve_start)
+    if not found:
+        proofs = [prove(problem, z) for z in starts]
+        found = [(z, proof, 0) for z, proof in zip(starts, proofs, strict=True) if proof.holds]
+    for round_number, distance in enumerate(AROUND):
+        if found:
+            break
+        near = starts if distance == 0 else _around(problem, starts, distance, round_number)
+        found, more, failed = _attempted(problem, near, workers, None, _finish)
+        attempts, failures = attempts + more, failures + failed
+    if not found:
+        raise _no_solution(problem, attempts, failures)
+    return found, attempts
+
+
+def _around(problem: SelectionProblem, starts: list[Vector], distance: float, number: int) -> list[Vector]:
+    """Points about the starts, within the bounds."""
+    rng = np.random.default_rng([problem.seed, number])
+    steps = distance * rng.standard_normal((AROUND_STARTS, problem.scale.size)) * problem.scale
+    return [np.clip(starts[k % len(starts)] + step, problem.lower, problem.upper) for k, step in enumerate(steps)]
+
+
+def _attempted(
+    problem: SelectionProblem,
+    starts: list[Vector],
+    workers: int,
+    progress: Progress | None,
+    solve: Callable[[SelectionProblem, list[Vector], int], Solved],
+) -> tuple[list[Found], list[Attempt], list[tuple[Vector, Proof]]]:
+    """The same, and the points that failed the proof; there may be no optimum."""
     found: list[Found] = []
     failures: list[tuple[Vector, Proof]] = []
     attempts: list[Attempt] = []
@@ -149,7 +198,9 @@ def _optima(
         if progress is not None:
             progress(number, len(starts))
 
-    solved = in_parallel(partial(_solve_start, problem, starts), len(starts), workers, done)
+    # What candidates are evaluated by is built while others solve.
+    meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
+    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile)
     unfinished = _promising(problem, solved)
     points = [solved[number][0] for number in unfinished]
     for number, (z, proof, more, status) in zip(
@@ -168,9 +219,7 @@ def _optima(
                 if new:
                     found.append((z, proof, iterations))
         attempts.append(Attempt(tuple(start.tolist()), outcome))
-    if not found:
-        raise _no_solution(problem, attempts, failures)
-    return found, attempts
+    return found, attempts, failures
 
 
 def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
@@ -282,7 +331,9 @@ def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:
     return all(np.abs((z - other) / problem.scale).max() > SAME_POINT for other, _, _ in found)
 
 
-def _candidate(problem: SelectionProblem, z: Vector, proof: Proof, iterations: int) -> Candidate:
+def _candidate(problem: SelectionProblem, group: list[Found]) -> Candidate:
+    """The first of a continuum, and where the base stands in the others."""
+    (z, proof, iterations), *others = group
     n_base, p = problem.measures.plant.n_base, problem.measures.plant.parameter_values
     return Candidate(
         z=z,
@@ -294,6 +345,7 @@ def _candidate(problem: SelectionProblem, z: Vector, proof: Proof, iterations: i
         stationarity=proof.stationarity,
         iterations=iterations,
         evaluate=partial(evaluated, problem, z),
+        continuum=tuple(tuple(other[:n_base].tolist()) for other, _, _ in others),
     )
 
 
@@ -382,7 +434,9 @@ def _initial(problem: SelectionProblem) -> Evaluation | None:
 def _no_solution(
     problem: SelectionProblem, attempts: list[Attempt], failures: list[tuple[Vector, Proof]]
 ) -> NoSolutionFound:
-    heading = f"no configuration passed the checks in {len(attempts)} starts"
+    kept = ", ".join(objective.name for objective in problem.objectives[: len(problem.kept)])
+    among = f" as an optimum of {problem.objective.name} among those that keep {kept}" if kept else ""
+    heading = f"no configuration passed the checks{among} in {len(attempts)} starts"
     if not failures:
         outcomes = "; ".join(sorted({attempt.outcome for attempt in attempts}))
         return NoSolutionFound(f"{heading}: {outcomes}", violations={}, iterate={})

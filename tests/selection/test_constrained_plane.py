@@ -73,6 +73,25 @@ def test_results_come_in_order(workers):
     assert not multiprocessing.active_children()
 
 
+def test_something_else_is_done_meanwhile():
+    done, counts = [], []
+    assert in_parallel(_slowly, 7, 2, counts.append, lambda: done.append(len(counts))) == [0, 1, 4, 9, 16, 25, 36]
+    # After the first, which showed that processes pay, and before any of theirs is read.
+    assert done == [1]
+    assert counts == [1, 2, 3, 4, 5, 6, 7]
+    in_parallel(_slowly, 3, 1, None, lambda: done.append(0))
+    assert done == [1]
+    with pytest.raises(flexopt.InputError, match="seven"):
+        in_parallel(_slowly, 12, 3, None, lambda: None)
+    with pytest.raises(ValueError, match="meanwhile"):
+        in_parallel(_slowly, 7, 2, None, _fails)
+    assert not multiprocessing.active_children()
+
+
+def _fails() -> None:
+    raise ValueError("meanwhile")
+
+
 def test_errors_of_a_process_are_raised_here_and_nothing_is_left():
     with pytest.raises(flexopt.InputError, match="seven"):
         in_parallel(_slowly, 12, 3)

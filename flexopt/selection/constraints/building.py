@@ -113,10 +113,12 @@ def _functions(machine: AnyMachine, structure: Structure) -> tuple[ca.Function, 
         rows += made
         reported += kind.report(scene, shape, numbers) if kind.report is not None else made
         start += count
-    return _function("constraints", scene, c, rows, "g"), _function("constraint_values", scene, c, reported, "value")
+    # What is called a few times for people is not worth the search for equal parts.
+    report = _function("constraint_values", scene, c, reported, "value", cse=False)
+    return _function("constraints", scene, c, rows, "g", cse=True), report
 
 
-def _function(name: str, scene: Scene, c: ca.SX, rows: list[ca.SX], output: str) -> ca.Function:
+def _function(name: str, scene: Scene, c: ca.SX, rows: list[ca.SX], output: str, *, cse: bool) -> ca.Function:
     inputs, names = [scene.base, scene.posture, scene.p, c], ["base", "posture", "p", "c"]
     stacked = ca.densify(ca.vertcat(*rows)) if rows else ca.SX(0, 1)
-    return ca.Function(name, inputs, [stacked], names, [output], {"cse": True})
+    return ca.Function(name, inputs, [stacked], names, [output], {"cse": cse})

@@ -6,6 +6,8 @@ capsule.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import casadi as ca
 
 from flexopt.algebra import safe_norm
@@ -45,13 +47,21 @@ def from_box(start: ca.SX, end: ca.SX, length: float, half: ca.SX) -> ca.SX:
     normal of a face of the box swept by the segment: normals of the box's faces and those of its edges with the segment
     (the separating axes of two convex bodies; Ericson, Real-Time Collision Detection, section 5.2).
     """
+    return _box_distance(start.shape[0]).call([start, end, ca.SX(length), half])[0]
+
+
+@lru_cache
+def _box_distance(dimension: int) -> ca.Function:
+    """`from_box`, written once for all pairs: most of the time that constraints take to build would go there."""
+    start, end, half = (ca.SX.sym(name, dimension) for name in ("start", "end", "half"))
+    length = ca.SX.sym("length")
     separation = _separation(start, end, length, half)
     at = start + _nearest(start, end, length, half) * (end - start)
     outside = safe_norm(ca.fmax(ca.fabs(at) - half, 0))
-    return ca.if_else(separation > 0, outside, separation)
+    return ca.Function("box_distance", [start, end, length, half], [ca.if_else(separation > 0, outside, separation)])
 
 
-def _nearest(start: ca.SX, end: ca.SX, length: float, half: ca.SX) -> ca.SX:
+def _nearest(start: ca.SX, end: ca.SX, length: ca.SX, half: ca.SX) -> ca.SX:
     """Where on the segment, 0 to 1, the point nearest to the box is; the middle of them where there are several."""
     along = end - start
 
@@ -78,7 +88,7 @@ def _nearest(start: ca.SX, end: ca.SX, length: float, half: ca.SX) -> ca.SX:
     return low + share * (high - low)
 
 
-def _separation(start: ca.SX, end: ca.SX, length: float, half: ca.SX) -> ca.SX:
+def _separation(start: ca.SX, end: ca.SX, length: ca.SX, half: ca.SX) -> ca.SX:
     """Largest gap between segment and box along a separating axis, negative where they meet."""
     along, middle = end - start, (start + end) / 2
     gap = ca.mmax(ca.fabs(middle) - half - ca.fabs(along) / 2)

@@ -127,7 +127,7 @@ def _part(
     own = pick @ x
     z, away = s["z_scale"] * own, own - s["now"]
     at = [z[: plant.n_base], z[plant.n_base :], s["p"]]
-    held = measures.hold.call(at)[0]
+    held = measures.called_hold.call(at)[0]
     value, slope = configuration.slope.call([*at, held, s["alpha"]])
     row_inputs = [*at, s["c"], configuration.held_rows(held)]
     rows, row_slopes = configuration.row_slopes.call(row_inputs)

@@ -1,0 +1,33 @@
+"""How eigenvectors change, to second order, as explicit terms: for Hessians, which need no more than these.
+
+In: the changes of a pencil in the axes of its eigenvectors. Out: the terms of first and of second degree.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from flexopt.algebra.dense import diagonal
+
+
+def expanded_vectors(stiffness: ca.SX, mass: ca.SX, values: ca.SX, same: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """C_1 and C_2 (m, m) of Φ = Φ⁰ (I + C_1 + C_2): what `perturbed_pencil` gives, sorted by degree.
+
+    Args:
+        stiffness, mass: the changes Φ⁰ᵀ dK Φ⁰ and Φ⁰ᵀ dM Φ⁰, (m, m) symmetric.
+        values: λ⁰, (m, 1) ascending.
+        same: as from `clusters`.
+    """
+    size = values.shape[0]
+    e, v, scale, apart = stiffness, mass, diagonal(values), 1 - same
+    inverse_gap = apart / (ca.repmat(values.T, size, 1) - ca.repmat(values, 1, size) + same)
+    half, scaled = v / 2, v @ scale
+    first = e - (scaled + scaled.T) / 2
+    turn = first * inverse_gap
+    square, product = v @ v, (first - apart * first / 2) @ turn
+    weighted = square @ scale
+    second = 3.0 / 8.0 * (weighted + weighted.T) + scaled @ v / 4 + product + product.T
+    if e.nnz():
+        mixed = v @ e
+        second -= (mixed + mixed.T) / 2
+    return turn - half, 3.0 / 8.0 * square + (turn / 2 - half) @ turn + second * inverse_gap
