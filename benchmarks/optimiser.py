@@ -1,12 +1,17 @@
 """The generated posture optimiser against IPOPT: answers, and instructions on an emulated Cortex-M7.
 
-Run: python -m benchmarks.optimiser [--pairs N]
+Run: python -m benchmarks.optimiser [--machine NAME] [--pairs N] [--target host|cortex-m7|both]
+    [--real double|float|both] [--control inverse|transpose|damped:LAMBDA|both]
+
+A machine that is named is measured alone; by default it is the excavator, then others.
 
 Each pair is a random target, a random objective (w_1 alone, or random weights), a random range of placements (or all),
-and a random start: half of them any numbers within the bounds, half on the target. IPOPT solves from that start as
-`flexopt.select` does from a peak. An answer counts as the same or better where V is not below IPOPT's by more than 1e-8
-of the problem's scale. Instructions are counted by SysTick under `qemu -icount shift=0`, calibrated by a loop of known
-length. Needs gcc; for the second half arm-none-eabi-gcc with newlib and qemu-system-arm; says what is missing.
+and a random start: half of them any numbers within the bounds, half on the target. Where postures have no closed form
+the target is the end-point of a random posture at a random placement, and the ranges lie about that placement. IPOPT
+solves from that start as `flexopt.select` does from a peak. An answer counts as the same or better where V is not below
+IPOPT's by more than 1e-8 of the problem's scale; where IPOPT fails, any does. Instructions are counted by SysTick under
+`qemu -icount shift=0`, calibrated by a loop of known length. Needs gcc for the host, arm-none-eabi-gcc with newlib and
+qemu-system-arm for Cortex-M7; says what is missing.
 """
 
 from __future__ import annotations
@@ -17,22 +22,24 @@ import shutil
 import struct
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import flexopt
 from benchmarks.timing import table
-from flexopt.errors import FlexoptError
+from flexopt.errors import FlexoptError, UnreachableTarget
 from flexopt.export.kernels import Real
 from flexopt.export.optimiser import OptimiserSources, build_optimiser
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.model.quantities import COORDINATE_MAX
-from flexopt.plant import build_plant
-from flexopt.plant.reach import reach
+from flexopt.plant import Plant, build_plant
+from flexopt.plant.reach import arm_length, reach, sampled_ranges
 from flexopt.selection.solve import _run_solver
 
 SAME = 1e-8
@@ -44,6 +51,8 @@ FEASIBLE_STATUSES = ("CONVERGED", "BUDGET_SPENT", "DEADLINE", "STALLED")
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16")
 LOOP = 1_000_000
+# Words of the stack that are watched.
+PAINTED = 65536
 
 DRIVER = """
 #include <math.h>
@@ -72,7 +81,6 @@ static double loop(void)
     return ticks() - start;
 }
 static void begin(void) { SYST[1] = 0xFFFFFFu; SYST[2] = 0; SYST[0] = 7; while (SYST[2] == 0) {} }
-#define PAINTED 8192
 static volatile uint32_t *stack_now(void) { uint32_t *at; __asm volatile("mov %0, sp" : "=r"(at)); return at; }
 static void paint(void)
 {
@@ -206,36 +214,60 @@ class Answers:
 
 def value_of(problem: flexopt.SelectionProblem, z: Vector) -> tuple[float, float]:
     """V and |r − target| by flexopt's own Functions."""
-    w, _, r = problem.measures.w.call([z[:1], z[1:], problem.measures.plant.parameter_values])
+    plant = problem.measures.plant
+    w, _, r = problem.measures.w.call([z[: plant.n_base], z[plant.n_base :], plant.parameter_values])
     v = float(np.dot(problem.objective.alpha, w.full().ravel()))
     return v, float(np.abs(r.full().ravel() - problem.target).max())
 
 
-def draw_pairs(machine: Machine, control: Control, count: int, seed: int) -> list[Pair]:
+def random_weights(rng: np.random.Generator, count: int) -> list[float]:
+    """w_1 alone, or any."""
+    first = [1.0] + [0.0] * (count - 1)
+    return first if rng.random() < 0.5 else rng.uniform(0, 1, count).tolist()
+
+
+def draw_in_plane(rng: np.random.Generator, plant: Plant) -> tuple[Any, list[float], Any]:
+    """Target, weights and range of placements of a planar machine."""
+    annulus = reach(plant)
+    target = (rng.uniform(-1, 1), annulus.center[1] + annulus.outer * rng.uniform(-0.95, 0.95))
+    weights = random_weights(rng, plant.n_passive)
+    if rng.random() >= 0.5:
+        return target, weights, None
+    intervals = annulus.base_intervals(np.array(target))
+    middle = rng.uniform(*intervals[rng.integers(len(intervals))])
+    half = annulus.outer * rng.uniform(0.05, 1)
+    return target, weights, (middle - half, middle + half)
+
+
+def draw_by_posture(rng: np.random.Generator, plant: Plant) -> tuple[Any, list[float], Any]:
+    """Target, weights and ranges of placements of any machine: a random posture leads to the target."""
+    machine, length, p = plant.machine, arm_length(plant), plant.parameter_values
+    sizes = np.array([math.pi if unit == "rad" else length for unit in machine.base_units])
+    base, posture = rng.uniform(-sizes, sizes), rng.uniform(*sampled_ranges(machine, length).T)
+    target = plant.end_point(plant.rest(base, posture, p), base, p).full().ravel()
+    weights = random_weights(rng, plant.n_passive)
+    if rng.random() >= 0.5:
+        return target, weights, None
+    half = sizes * rng.uniform(0.05, 1, sizes.size)
+    ends = np.column_stack([base - half, base + half]).tolist()
+    return target, weights, dict(zip(machine.base_coordinates, ends, strict=True))
+
+
+def draw_pairs(machine: AnyMachine, control: Control, count: int, seed: int) -> list[Pair]:
     """Random pairs, each with IPOPT's answer."""
     rng = np.random.default_rng(seed)
     plant = build_plant(machine)
-    annulus = reach(plant)
+    draw = draw_in_plane if plant.closed_form else draw_by_posture
     pairs: list[Pair] = []
     while len(pairs) < count:
-        target = (rng.uniform(-1, 1), annulus.center[1] + annulus.outer * rng.uniform(-0.95, 0.95))
-        first = [1.0] + [0.0] * (plant.n_passive - 1)
-        weights = first if rng.random() < 0.5 else rng.uniform(0, 1, plant.n_passive).tolist()
-        base_range = None
-        if rng.random() < 0.5:
-            intervals = annulus.base_intervals(np.array(target))
-            middle = rng.uniform(*intervals[rng.integers(len(intervals))])
-            half = annulus.outer * rng.uniform(0.05, 1)
-            base_range = (middle - half, middle + half)
+        target, weights, base_range = draw(rng, plant)
         try:
             problem = flexopt.build_selection(
                 machine, target, control=control, objective="V", weights=weights, base_range=base_range
             )
-        except FlexoptError:
+        except UnreachableTarget:
             continue
-        lower = np.concatenate([problem.lower[:1], np.maximum(problem.lower[1:], -math.pi)])
-        upper = np.concatenate([problem.upper[:1], np.minimum(problem.upper[1:], math.pi)])
-        start = rng.uniform(lower, upper)
+        start = rng.uniform(problem.region.low, problem.region.high)
         if rng.random() < 0.5:
             k = rng.integers(problem.scan.size)
             start = np.concatenate([problem.scan.base[:, k], problem.scan.posture[:, k]])
@@ -246,7 +278,7 @@ def draw_pairs(machine: Machine, control: Control, count: int, seed: int) -> lis
 
 
 def case_numbers(pair: Pair, own_starts: bool) -> list[float]:
-    """A pair as the driver reads it."""
+    """A pair as the driver reads it. Bounds of this size, also of angles, mean none to the generated code."""
     bounds = [bound.clip(-COORDINATE_MAX, COORDINATE_MAX) for bound in (pair.problem.lower, pair.problem.upper)]
     parts = [pair.problem.target, *bounds, pair.problem.objective.alpha, pair.start, [float(own_starts)]]
     return np.concatenate(parts).tolist()
@@ -267,6 +299,7 @@ def run(
         (folder / "cases.bin").write_bytes(b"".join(struct.pack(f"<{len(c)}d", *c) for c in cases))
         (folder / "driver.c").write_text(DRIVER.replace("LOOPu", f"{LOOP}u"))
         sizes = {"N_Z": n_z, "N_TASK": n_task, "N_MODES": n_modes, "CASE_LENGTH": len(cases[0]), "REAL": real}
+        sizes |= {"PAINTED": PAINTED}
         defines = [f"-D{key}={value}" for key, value in sizes.items()]
         if target == "host":
             command = ["gcc", "-O2", *WARNINGS, *defines, "optimiser.c", "driver.c", "-o", "program", "-lm"]
@@ -302,18 +335,19 @@ def summary(pairs: list[Pair], answers: Answers, real: Real = "double") -> tuple
     same_as, off, rounding = ALLOWED[real]
     same = infeasible = answered = failures = 0
     for pair, status, z in zip(pairs, answers.status, answers.z, strict=True):
-        problem = pair.problem
+        problem, plant = pair.problem, pair.problem.measures.plant
         failures += pair.ipopt == -math.inf
         if status not in FEASIBLE_STATUSES:
             same += pair.ipopt == -math.inf
             continue
         answered += 1
         v, error = value_of(problem, z)
-        sine = float(
-            problem.measures.plant.singularity_sine_squared(z[:1], z[1:], problem.measures.plant.parameter_values)
-        )
-        inside = np.all(z >= problem.lower - rounding) and np.all(z <= problem.upper + rounding)
-        infeasible += not (inside and error <= off and sine >= problem.constraints[-1].lower - off)
+        at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values]
+        slack = rounding * np.maximum(1.0, np.abs(z))
+        inside = np.all(z >= problem.lower - slack) and np.all(z <= problem.upper + slack)
+        # The rows are those of the target, then this one.
+        apart = float(plant.singularity_sine_squared.call(at)[0]) >= problem.constraints[plant.n_task].lower - off
+        infeasible += not (inside and error <= off and apart)
         same += v >= pair.ipopt - same_as * problem.objective_scale
     n = len(pairs)
     share = f"{same} of {n} ({100 * same / n:.1f} %)"
@@ -330,8 +364,8 @@ def missing_tools(tools: tuple[str, ...]) -> list[str]:
     return [tool for tool in tools if shutil.which(tool) is None]
 
 
-def machines() -> list[tuple[str, Machine]]:
-    """Others than the excavator: a third joint, joint limits."""
+def machines() -> list[tuple[str, AnyMachine]]:
+    """Others than the excavator: a third joint, joint limits, a placement in three coordinates."""
     data = flexopt.load("excavator").to_dict()
     bucket = {"name": "bucket", "length": 0.6, "com": 0.3, "mass": 150.0, "inertia": 12.0, "limits": [-2.5, 2.5]}
     boom, stick = data["links"]
@@ -339,19 +373,18 @@ def machines() -> list[tuple[str, Machine]]:
     return [
         ("with a bucket, 3 joints", flexopt.machine_from_dict(data | {"links": [boom, stick, bucket]})),
         ("with joint limits", flexopt.machine_from_dict(data | {"links": limited})),
+        ("slewing-excavator", flexopt.load("slewing-excavator")),
     ]
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pairs", type=int, default=200)
-    options = parser.parse_args()
-    if missing_tools(("gcc",)):
-        raise SystemExit("gcc is missing: nothing can be measured")
-    absent = missing_tools(("arm-none-eabi-gcc", "qemu-system-arm"))
-    places = ("host",) if absent else ("host", "cortex-m7")
-    machine = flexopt.load("excavator")
+def compare(
+    machine: AnyMachine,
+    controls: Sequence[Control],
+    runs: Sequence[tuple[Real, bool]],
+    places: Sequence[str],
+    count: int,
+) -> None:
+    """Print both tables of a machine; a run is a precision and whether own starts are allowed."""
     quality: list[tuple[str, ...]] = [
         ("where", "control", "real", "starts", "same or better", "infeasible", "answered", "converged", "IPOPT failed")
     ]
@@ -361,39 +394,80 @@ def main() -> None:
             *("steps: median", "95 %", "worst", "stack, bytes", "workspace, bytes"),
         )
     ]
-    controls: tuple[Control, ...] = ("inverse", "transpose")
-    runs: tuple[tuple[Real, bool, str], ...] = (
-        ("double", True, "given and own"),
-        ("double", False, "given only"),
-        ("float", True, "given and own"),
-    )
     for control in controls:
-        pairs = draw_pairs(machine, control, options.pairs, seed=2026)
-        for real, own_starts, word in runs:
+        pairs = draw_pairs(machine, control, count, seed=2026)
+        for real, own_starts in runs:
             sources = build_optimiser(machine, control=control, prefix="bench", real=real)
+            word = "given and own" if own_starts else "given only"
             for place in places:
                 answers = run(sources, pairs, own_starts=own_starts, target=place, real=real)
                 quality.append((place, control, real, word, *summary(pairs, answers, real)))
-            if not absent:
+                if place == "host":
+                    continue
                 unit = round(float((answers.instructions / answers.cost).max()))
                 numbers = (*spread(answers.instructions), f"{BAR:,}", f"{unit:,}", *spread(answers.iterations))
-                effort.append((control, real, word, *numbers, f"{answers.stack:,}", f"{answers.workspace:,}"))
-    print(table(f"Answers against IPOPT, {options.pairs} random targets and starts each", quality))
-    if absent:
-        print(f"Not measured on Cortex-M7: {', '.join(absent)} missing")
-    else:
-        print(table("One call on an emulated Cortex-M7", effort))
-    others: list[tuple[str, ...]] = [
+                stack = f"{answers.stack:,}" if answers.stack < 4 * PAINTED else f"{4 * PAINTED:,} or more"
+                effort.append((control, real, word, *numbers, stack, f"{answers.workspace:,}"))
+    print(table(f"{machine.name}: answers against IPOPT, {count} random targets and starts each", quality))
+    if effort[1:]:
+        print(table(f"{machine.name}: one call on an emulated Cortex-M7", effort))
+
+
+def compare_others(count: int) -> None:
+    """Print one table of the other machines."""
+    rows: list[tuple[str, ...]] = [
         (
             *("machine", "same or better", "infeasible", "answered", "converged", "IPOPT failed", "steps: median"),
             *("95 %", "worst", "cost: median", "95 %", "worst"),
         )
     ]
-    for name, other in machines():
-        pairs = draw_pairs(other, "inverse", options.pairs // 2, seed=2027)
-        answers = run(build_optimiser(other, prefix="bench"), pairs, own_starts=True, target="host")
-        others.append((name, *summary(pairs, answers), *spread(answers.iterations), *spread(answers.cost)))
-    print(table("The same on the host for other machines, inverse control, given and own starts", others))
+    for name, machine in machines():
+        pairs = draw_pairs(machine, "inverse", count, seed=2027)
+        answers = run(build_optimiser(machine, prefix="bench"), pairs, own_starts=True, target="host")
+        rows.append((name, *summary(pairs, answers), *spread(answers.iterations), *spread(answers.cost)))
+    print(table(f"The same on the host for other machines, inverse control, given and own starts, {count} each", rows))
+
+
+def places_of(target: str) -> list[str]:
+    """Where to run; of both, those that there are tools for."""
+    tools = {"host": ("gcc",), "cortex-m7": ("arm-none-eabi-gcc", "qemu-system-arm")}
+    asked = list(tools) if target == "both" else [target]
+    absent = {place: missing_tools(tools[place]) for place in asked}
+    for place, names in absent.items():
+        if names:
+            print(f"Not measured on {place}: {', '.join(names)} missing")
+    found = [place for place in asked if not absent[place]]
+    if not found:
+        raise SystemExit("nothing can be measured")
+    return found
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--machine", help="shipped machine or path of a file; measured alone")
+    parser.add_argument("--pairs", type=int, default=200)
+    parser.add_argument("--target", choices=("host", "cortex-m7", "both"), default="both")
+    parser.add_argument("--real", choices=("double", "float", "both"), default="both")
+    parser.add_argument("--control", default="both", help="inverse, transpose, damped:LAMBDA or both of the first two")
+    options = parser.parse_args()
+    if options.pairs < 1:
+        parser.error("--pairs: must be 1 or more")
+    places = places_of(options.target)
+    controls: Sequence[Control] = ("inverse", "transpose") if options.control == "both" else (options.control,)
+    every: tuple[tuple[Real, bool], ...] = (("double", True), ("double", False), ("float", True))
+    runs = [(real, own_starts) for real, own_starts in every if options.real in (real, "both")]
+    try:
+        compare(flexopt.load(options.machine or "excavator"), controls, runs, places, options.pairs)
+        if options.machine is not None:
+            return
+        if "host" in places:
+            compare_others(max(1, options.pairs // 2))
+        if "cortex-m7" in places:
+            spatial = [(real, own_starts) for real, own_starts in runs if own_starts]
+            compare(flexopt.load("slewing-excavator"), controls[:1], spatial, ["cortex-m7"], max(1, options.pairs // 4))
+    except FlexoptError as error:
+        raise SystemExit(str(error)) from None
 
 
 if __name__ == "__main__":

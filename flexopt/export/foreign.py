@@ -16,18 +16,19 @@ from typing import Any
 import numpy as np
 
 from flexopt.errors import ExportError, FlexoptError, FlexoptWarning
-from flexopt.export.context import Context
+from flexopt.export.context import Context, unit_list
 from flexopt.export.kernels import Real
-from flexopt.export.naming import listed, number, template
+from flexopt.export.naming import listed, number, template, text_of
 from flexopt.export.operations import Array
-from flexopt.export.optimiser import BUDGET, BUDGET_MAX, STARTS, OptimiserSources, build_optimiser
-from flexopt.model import AnyMachine, Machine
+from flexopt.export.optimiser import BUDGET_MAX, STARTS, OptimiserSources, build_optimiser
+from flexopt.model import AnyMachine
 from flexopt.model.documents import package_version
 from flexopt.model.problem import Control
 from flexopt.model.quantities import COORDINATE_MAX
-from flexopt.plant import build_plant
-from flexopt.plant.reach import reach
-from flexopt.selection import select
+from flexopt.plant import Plant, build_plant
+from flexopt.plant.reach import arm_length, outer_reach, reach, sampled_ranges
+from flexopt.selection import Selection, select
+from flexopt.selection.check import prove
 
 # Share of the scale that V may lose against IPOPT's, and what still counts as on the target, m for each m of reach.
 LOSS = {"double": 1e-8, "float": 1e-5}
@@ -36,8 +37,13 @@ VECTOR_COUNT, VECTOR_SEED = 4, 2
 # IPOPT's starts for each vector: redundant arms have optima without end.
 SELECT_STARTS = 8
 DRAWS_MAX = 20
-# The next best optimum is so much worse that z must be the best one's; how close, m and rad, as V is flat at its top.
-CLEARLY, Z_TOLERANCE = 1e-3, 1e-3
+# The next best optimum is so much worse, and V / scale so curved at the best one, in scaled variables, that z must be
+# the best one's; how close, m and rad, as V is flat at its top.
+CLEARLY, CURVED, Z_TOLERANCE = 1e-3, 1e-2, 1e-3
+# Placements that targets are drawn for; starts' distances from the optimum, m and rad. A curve of configurations is
+# seen whole from anywhere; in a space of them the nearest optimum is sure to be the one that is meant only from nearby.
+PLACED = {"m": 1.0, "rad": math.pi}
+AWAY, NEARBY = 0.3, 0.01
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,8 @@ class Vector:
         target, weights, start: what is asked.
         value, scale: V there, and what it is measured against.
         z: the optimum.
-        unique: whether every other optimum found is clearly worse.
+        unique: whether every other optimum found is clearly worse, and every other configuration nearby: where the
+            machine turns about its target, V stays the same.
     """
 
     target: Array
@@ -113,7 +120,9 @@ class Foreign:
             on_target=number(self.on_target, self.real),
             z_tolerance=number(Z_TOLERANCE, self.real),
             compare_z=int(self.real == "double"),
-            n_base=self.at.plant.n_base,
+            turns=", ".join(str(int(unit == "rad")) for unit in self.units),
+            far_known=int(_far_row(self.at.machine) >= 0),
+            far_row=_far_row(self.at.machine),
             nan_target=f"({self.prefix}_real)NAN",
             far=number(1e5, self.real),
         )
@@ -122,7 +131,18 @@ class Foreign:
     @property
     def on_target(self) -> float:
         """How far from the target still counts as on it, m."""
-        return ON_TARGET[self.real] * max(1.0, reach(self.at.plant).outer)
+        return ON_TARGET[self.real] * max(1.0, outer_reach(self.at.plant)[1])
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables z: the placement, then the actuated joints."""
+        machine = self.at.machine
+        return (*(f"base.{name}" for name in machine.base_coordinates), *machine.joints)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each variable of z, m or rad."""
+        return (*self.at.machine.base_units, *self.at.machine.joint_units)
 
     def vectors(self, count: int, seed: int) -> tuple[Vector, ...]:
         """Random problems and starts with their verified optima."""
@@ -178,38 +198,39 @@ class Foreign:
                 self.statuses.items()]  # fmt: skip
         return self._template(
             "optimiser_readme.md",
-            budget=BUDGET,
+            budget=self.sources.budget,
             model_cost=self.sources.model_cost,
             control=self.at.control,
+            variables=", ".join(f"{text_of(z)} ({unit})" for z, unit in zip(self.variables, self.units, strict=True)),
+            rows=", ".join(f"{row} (m)" for row in self.at.machine.task_rows),
             call="\n".join(self.example()),
             statuses="\n".join(rows),
         )
 
     def manifest(self) -> dict[str, Any]:
         """What manifest.json says of the part beside title and source."""
-        plant = self.at.plant
-        variables = [*(f"base.{c}" for c in plant.machine.base_coordinates), *plant.machine.joints]
-        n_z = len(variables)
+        plant, machine = self.at.plant, self.at.machine
+        n_z, of_z = len(self.units), unit_list(self.units)
 
         def field(name: str, shape: Sequence[int], unit: str, text: str) -> dict[str, Any]:
             return {"name": name, "shape": list(shape), "unit": unit, "text": text}
 
         inputs = [
-            field("target", [plant.n_task], "m", "end-point, inertial frame"),
-            field("lower", [n_z], "m, rad", "lower bounds of z"),
-            field("upper", [n_z], "m, rad", "upper bounds of z"),
+            field("target", [plant.n_task], "m", f"end-point ({', '.join(machine.task_rows)}), inertial frame"),
+            field("lower", [n_z], of_z, "lower bounds of z"),
+            field("upper", [n_z], of_z, "upper bounds of z"),
             field("sine_squared_min", [], "", "squared sine of the margin from singular postures"),
             field("weights", [plant.n_passive], "", "alpha_i >= 0"),
-            field("start", [n_z], "m, rad", "where the search begins; may be NULL"),
+            field("start", [n_z], of_z, "where the search begins; may be NULL"),
         ]
         if not self.at.baked:
             inputs.insert(5, field("parameters", [len(self.at.parameters.names)], "", "machine parameters"))
         outputs = [
-            field("z", [n_z], "m, rad", "the configuration"),
+            field("z", [n_z], of_z, "the configuration"),
             field("value", [], "", "V(z)"),
             field("scale", [], "", "what V is measured against"),
             field("target_error", [], "m", "largest |r - target|"),
-            field("bound_violation", [], "m, rad", "how far outside its bounds a variable is"),
+            field("bound_violation", [], of_z, "how far outside its bounds a variable is"),
             field("margin_slack", [], "", "squared sine minus its minimum"),
             field("stationarity", [], "", "projected gradient of V/scale"),
             field("cost", [], "", "of the budget"),
@@ -219,12 +240,13 @@ class Foreign:
         return {
             "header": f"include/{self.prefix}_optimiser.h",
             "functions": list(self.functions),
-            "variables": variables,
+            "variables": list(self.variables),
+            "units": list(self.units),
             "inputs": inputs,
             "outputs": outputs,
             "statuses": dict(self.sources.statuses),
             "workspace": self.sources.workspace_size,
-            "budget": {"unit": "evaluations of V", "default": BUDGET, "most": BUDGET_MAX,
+            "budget": {"unit": "evaluations of V", "default": self.sources.budget, "most": BUDGET_MAX,
                        "derivatives_cost": self.sources.model_cost},
             "limits": {"starts": STARTS, "unbounded": COORDINATE_MAX, "loss": LOSS[self.real],
                        "target_error": self.on_target},
@@ -233,10 +255,14 @@ class Foreign:
 
 def optimiser_refusal(machine: AnyMachine) -> str:
     """Why a machine can have no optimiser; empty where it can."""
-    if not isinstance(machine, Machine):
-        return "the optimiser takes planar machines: its own starts need their inverse kinematics in closed form"
     if len(machine.joints) < 2:
         return "the optimiser needs two actuated joints or more"
+    variables, rows = len(machine.base_coordinates) + len(machine.joints), len(machine.task_rows)
+    if variables <= rows:
+        return (
+            "the optimiser needs more variables than the task has rows, else nothing is left to choose: placement and "
+            f"joints are {variables} variables for {rows} rows"
+        )
     return ""
 
 
@@ -249,7 +275,7 @@ def optimiser(at: Context, prefix: str, real: Real) -> Foreign:
 
 @lru_cache(maxsize=8)
 def _sources(
-    machine: Machine, control: Control, baked: bool, margin_deg: float, prefix: str, real: Real
+    machine: AnyMachine, control: Control, baked: bool, margin_deg: float, prefix: str, real: Real
 ) -> OptimiserSources:
     return build_optimiser(
         machine,
@@ -263,10 +289,10 @@ def _sources(
 
 
 @lru_cache(maxsize=16)
-def _vectors(machine: Machine, control: Control, margin_deg: float, count: int, seed: int) -> tuple[Vector, ...]:
+def _vectors(machine: AnyMachine, control: Control, margin_deg: float, count: int, seed: int) -> tuple[Vector, ...]:
     rng = np.random.default_rng(seed)
-    plant = build_plant(machine)
-    annulus, made = reach(plant), list[Vector]()
+    plant, made = build_plant(machine), list[Vector]()
+    reached = AWAY if plant.closed_form else NEARBY
 
     def rounded(values: Array) -> Array:
         # Few digits, the same in both precisions.
@@ -275,10 +301,9 @@ def _vectors(machine: Machine, control: Control, margin_deg: float, count: int, 
     for _ in range(DRAWS_MAX * count):
         if len(made) == count:
             return tuple(made)
-        height = annulus.center[1] + annulus.outer * rng.uniform(-0.9, 0.9)
-        target = rounded(np.array([rng.uniform(-1, 1), height]))
+        target = rounded(draw_target(plant, rng))
         weights = rounded(np.eye(plant.n_passive)[0] if rng.random() < 0.5 else rng.uniform(0.1, 1, plant.n_passive))
-        away = rng.uniform(-0.3, 0.3, plant.n_base + plant.n_actuated)
+        away = rng.uniform(-reached, reached, plant.n_base + plant.n_actuated)
         try:
             with warnings.catch_warnings():
                 # Only V matters here, not what an optimum's other measures are worth.
@@ -289,14 +314,45 @@ def _vectors(machine: Machine, control: Control, margin_deg: float, count: int, 
                 )  # fmt: skip
         except FlexoptError:
             continue
-        best, *others = found.candidates
+        best = found.best
         scale = float(f"{found.problem.objective_scale:.6g}")
-        z = np.array([*np.atleast_1d(best.evaluation.base), *best.evaluation.posture])
-        unique = all(best.objective - other.objective > CLEARLY * scale for other in others)
         # V to nine digits of its scale, so that every computer exports the same.
         value = round(best.objective / scale, 9) * scale + 0.0
+        z, unique = best.z, _determined(found, scale)
         made.append(Vector(target, weights, rounded(z + away), value, scale, z.round(6), unique))
     raise ExportError(
         f"optimiser: only {len(made)} of {DRAWS_MAX * count} random targets have a verified optimum under a "
         f"singularity margin of {margin_deg:g} degrees, so it would be of no use; leave the part out"
     )
+
+
+def draw_target(plant: Plant, rng: np.random.Generator) -> Array:
+    """A random target that some configuration reaches, (n_task,), m; its singularity margin aside."""
+    if plant.closed_form:
+        annulus = reach(plant)
+        height = annulus.center[1] + annulus.outer * rng.uniform(-0.9, 0.9)
+        return np.array([rng.uniform(-1, 1), height])
+    machine, p = plant.machine, plant.parameter_values
+    placed = np.array([PLACED[unit] for unit in machine.base_units])
+    base: Array = rng.uniform(-placed, placed)
+    ranges = sampled_ranges(machine, arm_length(plant))
+    posture: Array = rng.uniform(ranges[:, 0], ranges[:, 1])
+    return plant.end_point(plant.rest(base, posture, p), base, p).full().ravel()
+
+
+def _determined(found: Selection, scale: float) -> bool:
+    """Whether z, and not V alone, can be told from the problem."""
+    best, *others = found.candidates
+    if any(best.objective - other.objective <= CLEARLY * scale for other in others):
+        return False
+    proof = prove(found.problem, best.z)
+    return found.problem.redundancy <= len(proof.active) or proof.curvature < -CURVED
+
+
+def _far_row(machine: AnyMachine) -> int:
+    """Number of a row of the task that neither placement nor slides carry as far as one likes; −1 where none is."""
+    slides = [limits for limits, unit in zip(machine.limits, machine.joint_units, strict=True) if unit == "m"]
+    if not np.isfinite(slides).all():
+        return -1
+    rows = enumerate(machine.task_rows)
+    return max((k for k, row in rows if row not in ("x", "y") or row not in machine.base_coordinates), default=-1)

@@ -67,6 +67,7 @@ _TIDIED = tuple(
         ("=(", r"=\((\w+)(&&|\|\|)(\w+)\);", r"=(((\1 != 0.) \2 (\3 != 0.)) ? 1. : 0.);"),
         ("=(", r"=(\(\w+(?:<|<=|==|!=)\w+\));", r"=(\1 ? 1. : 0.);"),
         ("?", r"\b(arg\[\d+\]) ?\? ?", r"(\1 != NULL) ? "),
+        ("to_int", r"\(arg\[0\] != NULL\) \? casadi_to_int\(\*arg\[0\]\) : 0", "arg[0][0] != 0."),
         ("if (", r"if \((res\[\d+\])(?:!=0)?\) (.*)$", r"if (\1 != NULL) { \2 }"),
         ("if (", r"if \((casadi_\w+\(.*\))\) return 1;", r"if (\1 != 0) { return 1; }"),
         ("1[", r"\b(arg1|res1)\[(\d+)\]=0;", r"\1[\2]=NULL;"),
@@ -148,10 +149,12 @@ def kernel_text(functions: Sequence[ca.Function], real: Real, real_type: str) ->
         elif not text.startswith("static"):
             text = f"static {text}"
         texts.append(_tables(text))
-    # The table of zeros may have been asked for by tests alone that are gone.
+    # What was asked for by tests alone that are gone.
     joined = "\n\n".join(texts)
-    if len(re.findall(r"\bcasadi_zeros\b", joined)) == 1:
-        joined = "\n\n".join(text for text in texts if "casadi_zeros" not in text)
+    for name in ("casadi_zeros", "casadi_to_int"):
+        if len(re.findall(rf"\b{name}\b", joined)) == 1:
+            texts = [text for text in texts if name not in text]
+            joined = "\n\n".join(texts)
     if "casadi_error" in joined or "NOT IMPLEMENTED" in joined:
         raise Unsupported(f"{', '.join(roots)}: the generator has no C for a part of it")
     names = {root: f"kernel_{name}" for name, root in roots.items()}

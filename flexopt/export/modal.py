@@ -161,8 +161,8 @@ class _Weighted:
         self.placed = [(at.placement, base)] if at.placement_matters else []
         self.p = [] if at.baked else [ca.MX.sym("p", plant.graph.p.shape[0])]
         self.machine_inputs = [*(symbol for _, symbol in self.placed), posture, *self.p]
-        self.graph = self.kernels.graph(self.machine_inputs)
-        self.gradient = self.graph.gradient(self.alpha)
+        self.graph = self.kernels.graph(self.machine_inputs, self.alpha)
+        self.gradient = self.graph.gradient
         gap = ca.fmax(self.graph.gap, GAP_MIN)
         self.size = ca.fmax(self.graph.size, TERMS_SHARE * self.graph.terms) / gap
         self.gradient_size = ca.dot(self.alpha, self.size + self.graph.gradient_sizes() / gap)

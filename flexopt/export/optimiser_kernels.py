@@ -1,7 +1,9 @@
-"""The Functions that the posture optimiser evaluates: values, first and second derivatives, exact.
+"""The Functions that the posture optimiser evaluates: values and derivatives, exact.
 
-In: a machine's measures. Out: SX Functions with dense outputs, the pieces of `flexopt.selection`'s program without its
-solver. The eigenvectors come from `hold`, which every other Function takes as an input, as everywhere in flexopt.
+In: a machine's context. Out: Functions with dense outputs, the pieces of `flexopt.selection`'s program without its
+solver. The eigenvectors come from `hold`, which the others take as an input, as everywhere in flexopt. Where postures
+have a closed form everything is one SX graph each, second derivatives included; elsewhere graphs of six modes would
+fill a flash, so that V and its slope are calls (`ModalKernels`), and second derivatives are left to differences.
 """
 
 from __future__ import annotations
@@ -11,6 +13,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from flexopt.export.context import Context
+from flexopt.export.modal_kernels import HeldModes, ModalKernels
 from flexopt.robustness.measures import Measures
 
 
@@ -19,51 +23,82 @@ class OptimiserKernels:
     """Functions of z = [base, posture], p and weights α (constants where they are baked: the inputs stay, unread).
 
     Attributes:
-        hold: (base, posture, p) -> held, as `Measures.hold`.
+        hold: (base, posture, p) -> held; by calls (base, posture, p, near) -> held and z, `near` of the next one.
         value: (base, posture, p, held, weights) -> V = Σ α_i w_i, and its size Σ α_i |a_i||b_i|.
-        model: (base, posture, p, held, weights) -> ∂V/∂z (n_z,), ∂²V/∂z² (n_z, n_z), the Hessians of r's rows side by
-            side (n_z, n_task n_z), that of sin² of the distance from singular postures (n_z, n_z).
-        position: (base, posture, p) -> r (n_task,), ∂r/∂z (n_task, n_z), sin² and its gradient (n_z,).
-        posture: as `Plant.posture_at`.
-        reach: (p) -> the first actuated joint with the base at 0 (n_task,), and the arm's length, m.
+        position: (base, posture, p) -> r (n_task,), ∂r/∂z (n_task, n_z), sin² of the distance from singular postures.
+        margin: (base, posture, p) -> the gradient of sin² (n_z,).
+        derivatives: `model`: (base, posture, p, held, weights) -> ∂V/∂z (n_z,), ∂²V/∂z² (n_z, n_z), the Hessians of
+            r's rows side by side (n_z, n_task n_z), that of sin² (n_z, n_z); or `slope`: the same inputs -> ∂V/∂z.
+        closed_form: `posture`, as `Plant.posture_at`, and `reach`: (p) -> the first actuated joint with the base at 0
+            (n_task,), and the arm's length, m; none where postures have no closed form.
     """
 
     hold: ca.Function
     value: ca.Function
-    model: ca.Function
     position: ca.Function
-    posture: ca.Function
-    reach: ca.Function
+    margin: ca.Function
+    derivatives: ca.Function
+    closed_form: tuple[ca.Function, ...]
 
     @property
     def functions(self) -> tuple[ca.Function, ...]:
         """All of them."""
-        return (self.hold, self.value, self.model, self.position, self.posture, self.reach)
+        return (self.hold, self.value, self.position, self.margin, self.derivatives, *self.closed_form)
+
+    @property
+    def exact_second(self) -> bool:
+        """Whether second derivatives are among them."""
+        return self.derivatives.name() == "model"
+
+    @property
+    def unit(self) -> int:
+        """Operations of one evaluation of V."""
+        return operations(self.hold) + operations(self.value)
+
+    @property
+    def projections(self) -> int:
+        """Newton's steps onto the target that cost as much as an evaluation of V; algebra counts as much as calls."""
+        return max(1, self.unit // (2 * operations(self.position)))
+
+    @property
+    def slope_cost(self) -> int:
+        """Operations of one step's first derivatives in units of one evaluation of V, rounded up."""
+        return -(-operations(self.derivatives) // self.unit)
 
     @property
     def model_cost(self) -> int:
-        """Instructions of `model` in units of one evaluation of V, rounded up."""
-        unit = self.hold.n_instructions() + self.value.n_instructions()
-        return -(-self.model.n_instructions() // unit)
+        """The same with second derivatives: by differences, a point and its slope for each direction of redundancy."""
+        if self.exact_second:
+            return self.slope_cost
+        n_task, n_z = self.position.size1_out(0), self.margin.size1_out(0)
+        probe = operations(self.position) + self.unit + operations(self.derivatives)
+        return self.slope_cost - (n_z - n_task) * (-probe // self.unit)
 
 
-def build_optimiser_kernels(measures: Measures, *, weights: Sequence[float] | None, baked: bool) -> OptimiserKernels:
+def operations(function: ca.Function) -> int:
+    """Operations of a Function and of what it calls; of branches those of the shorter one, which is the usual one."""
+    if function.is_a("SXFunction"):
+        return function.n_instructions()
+    if function.class_name() == "Switch":
+        return min(operations(branch) for branch in function.find_functions(0))
+    calls = (k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL)
+    return sum(operations(function.instruction_MX(k).which_function()) for k in calls)
+
+
+def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequence[float] | None) -> OptimiserKernels:
     """The Functions of one machine.
 
     Args:
+        at: the machine, its controller, whether its own p become constants.
         measures: of the machine under its controller.
         weights: α (m,) as constants, or None where they are an input.
-        baked: whether the machine's own p become constants.
     """
-    plant, graph, g = measures.plant, measures.graph, measures.plant.graph
+    plant, g = measures.plant, measures.plant.graph
     z = ca.vertcat(g.base, g.posture)
     alpha = ca.SX.sym("weights", plant.n_passive)
-    factors = ca.sqrt(ca.sum1(graph.a**2) * ca.sum1(graph.b**2)).T
-    value, size = ca.dot(alpha, graph.w), ca.dot(alpha, factors)
     sine = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
-    end_point_hessians = [ca.hessian(graph.end_point[k], z)[0] for k in range(plant.n_task)]
     constants = [(alpha, ca.SX(list(weights)))] if weights is not None else []
-    constants += [(g.p, ca.SX(plant.parameter_values))] if baked else []
+    constants += [(g.p, ca.SX(plant.parameter_values))] if at.baked else []
 
     def function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
         graphs = list(outputs.values())
@@ -72,9 +107,17 @@ def build_optimiser_kernels(measures: Measures, *, weights: Sequence[float] | No
         dense = [ca.densify(ca.vec(each)) for each in graphs]
         return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": True})
 
-    at = {"base": g.base, "posture": g.posture, "p": g.p}
-    held = at | {"held": measures.held, "weights": alpha}
+    inputs = {"base": g.base, "posture": g.posture, "p": g.p}
+    position = function("position", inputs, _position(measures, z, sine))
+    margin = function("margin", inputs, {"sine_squared_z": ca.gradient(sine, z)})
+    if not plant.closed_form:
+        return OptimiserKernels(**_called(at, weights), position=position, margin=margin, closed_form=())
+    graph = measures.graph
+    factors = ca.sqrt(ca.sum1(graph.a**2) * ca.sum1(graph.b**2)).T
+    value, size = ca.dot(alpha, graph.w), ca.dot(alpha, factors)
+    held = inputs | {"held": measures.held, "weights": alpha}
     hessian, gradient = ca.hessian(value, z)
+    end_point_hessians = [ca.hessian(graph.end_point[k], z)[0] for k in range(plant.n_task)]
     second = {"V_zz": hessian, "r_zz": ca.horzcat(*end_point_hessians), "sine_squared_zz": ca.hessian(sine, z)[0]}
     reaching = plant.reaching
     target = {"target": reaching.target, "base": g.base, "unit": reaching.unit, "elbow": reaching.elbow, "p": g.p}
@@ -82,22 +125,46 @@ def build_optimiser_kernels(measures: Measures, *, weights: Sequence[float] | No
     at_origin = ca.vertcat(reaching.first_joint_point, ca.sum1(reaching.segment_lengths))
     at_origin = ca.substitute(at_origin, g.base, 0)
     return OptimiserKernels(
-        hold=function("hold", at, {"held": measures.hold(g.base, g.posture, g.p)}),
+        hold=function("hold", inputs, {"held": measures.hold(g.base, g.posture, g.p)}),
         value=function("value", held, {"V": value, "size": size}),
-        model=function("model", held, {"V_z": gradient} | second),
-        position=function("position", at, _position(measures, z, sine)),
-        posture=function("posture", target, to_posture),
-        reach=function("reach", {"p": g.p}, {"first_joint": at_origin[:-1], "length": at_origin[-1]}),
+        derivatives=function("model", held, {"V_z": gradient} | second),
+        position=position,
+        margin=margin,
+        closed_form=(
+            function("posture", target, to_posture),
+            function("reach", {"p": g.p}, {"first_joint": at_origin[:-1], "length": at_origin[-1]}),
+        ),
     )
 
 
+def _called(at: Context, weights: Sequence[float] | None) -> dict[str, ca.Function]:
+    """`hold`, `value` and the slope of any number of modes, by calls."""
+    kernels, plant, g = ModalKernels(at), at.plant, at.plant.graph
+    symbols = [ca.MX.sym(name, x.shape[0]) for name, x in (("base", g.base), ("posture", g.posture), ("p", g.p))]
+    given = [*(symbols[:1] if at.placement_matters else []), symbols[1], *([] if at.baked else symbols[2:])]
+    near = ca.MX.sym("near", plant.n_passive, plant.n_passive)
+    found, z = kernels.held_modes(given, near)
+    held, alpha = ca.MX.sym("held", found.packed.shape[0]), ca.MX.sym("weights", plant.n_passive)
+    inputs, names = [*symbols, held, alpha], ["base", "posture", "p", "held", "weights"]
+    weight = alpha if weights is None else ca.MX(list(weights))
+    modes = HeldModes.unpacked(held, plant.n_task, plant.n_passive)
+    w, sizes, *slopes = kernels.measures_of(modes, weight)
+    value = [ca.dot(weight, w), ca.dot(weight, sizes)]
+    slope = kernels.gradient(given, modes, slopes)
+    return {
+        "hold": ca.Function("hold", [*symbols, near], [found.packed, z], [*names[:3], "near"], ["held", "z"]),
+        "value": ca.Function("value", inputs, value, names, ["V", "size"]),
+        "derivatives": ca.Function("slope", inputs, [slope], names, ["V_z"]),
+    }
+
+
 def _position(measures: Measures, z: ca.SX, sine: ca.SX) -> dict[str, ca.SX]:
-    """End-point and distance from singular postures with their Jacobians; under gravity at the deflection."""
+    """End-point and distance from singular postures; under gravity the end-point at the deflection."""
     plant, g = measures.plant, measures.plant.graph
     deflection = ca.SX.sym("deflection", plant.n_passive)
     at = plant.operating_point(g.base, g.posture, g.p, deflection if measures.gravity else None)
-    outputs = [at.end_point, ca.jacobian(at.end_point, z), sine, ca.gradient(sine, z)]
+    outputs = [at.end_point, ca.jacobian(at.end_point, z)]
     if measures.gravity:
         inner = ca.Function("inner", [g.base, g.posture, g.p, deflection], [ca.densify(each) for each in outputs])
         outputs = list(inner.call([g.base, g.posture, g.p, plant.deflected(g.base, g.posture, g.p)]))
-    return dict(zip(("r", "r_z", "sine_squared", "sine_squared_z"), outputs, strict=True))
+    return {"r": outputs[0], "r_z": outputs[1], "sine_squared": sine}

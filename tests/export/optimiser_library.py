@@ -11,9 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from benchmarks.optimiser import value_of
 from flexopt.export.optimiser import OptimiserSources, build_optimiser
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
+from flexopt.model.quantities import COORDINATE_MAX
 
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
 INCLUDES = "#include <math.h>\n#include <stddef.h>\n#include <stdint.h>\n"
@@ -46,7 +49,9 @@ class Answer:
 class Library:
     """One compiled optimiser."""
 
-    def __init__(self, sources: OptimiserSources, machine: Machine, folder: Path, flags: list[str], real: str) -> None:
+    def __init__(
+        self, sources: OptimiserSources, machine: AnyMachine, folder: Path, flags: list[str], real: str
+    ) -> None:
         self.sources, self.real = sources, ctypes.c_float if real == "float" else ctypes.c_double
         kernels = sources.kernels
         self.n_z = kernels.position.numel_in(0) + kernels.position.numel_in(1)
@@ -130,11 +135,33 @@ class Library:
 
 
 @lru_cache(maxsize=16)
-def _sources(machine: Machine, options: tuple[tuple[str, Any], ...]) -> OptimiserSources:
+def _sources(machine: AnyMachine, options: tuple[tuple[str, Any], ...]) -> OptimiserSources:
     return build_optimiser(machine, prefix="case", **dict(options))
 
 
-def library(machine: Machine, folder: Path, flags: tuple[str, ...] = ("-O1",), **options: Any) -> Library:
+def library(machine: AnyMachine, folder: Path, flags: tuple[str, ...] = ("-O1",), **options: Any) -> Library:
     """Compiled with all warnings as errors."""
     sources = _sources(machine, tuple(sorted(options.items())))
     return Library(sources, machine, folder, list(flags), options.get("real", "double"))
+
+
+def problem_of(lib: Library, selection: Any) -> Any:
+    """A selection problem as the library takes it."""
+    bounds = [b.clip(-COORDINATE_MAX, COORDINATE_MAX) for b in (selection.lower, selection.upper)]
+    weights = {"weights": selection.objective.alpha} if lib.weights_at_run_time else {}
+    margin = selection.constraints[-1].lower
+    return lib.problem(selection.target, lower=bounds[0], upper=bounds[1], sine_squared_min=margin, **weights)
+
+
+def assert_feasible(selection: Any, answer: Answer, tolerance: float = 1e-12) -> None:
+    """Checked by flexopt's own Functions; Newton's method ends at rounding, far below the tolerance."""
+    _, error = value_of(selection, answer.z)
+    assert error <= tolerance * (1 + np.abs(selection.target).max())
+    assert np.all(answer.z >= selection.lower)
+    assert np.all(answer.z <= selection.upper)
+    plant = selection.measures.plant
+    at = [answer.z[: plant.n_base], answer.z[plant.n_base :], plant.parameter_values]
+    sine = float(plant.singularity_sine_squared.call(at)[0])
+    assert sine >= selection.constraints[-1].lower - tolerance
+    assert answer.target_error == pytest.approx(error, abs=tolerance)
+    assert answer.bound_violation == 0.0

@@ -14,11 +14,10 @@ import flexopt
 from benchmarks.optimiser import draw_pairs, value_of
 from flexopt.errors import InputError
 from flexopt.export.optimiser import build_optimiser
-from flexopt.model.quantities import COORDINATE_MAX
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
 from flexopt.selection.check import prove
-from tests.export.optimiser_library import INCLUDES, WARNINGS, Answer, Library, library
+from tests.export.optimiser_library import INCLUDES, WARNINGS, Library, assert_feasible, library, problem_of
 from tests.oracles.machines import random_machine
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
@@ -48,27 +47,6 @@ def random_one():
 @pytest.fixture(scope="module")
 def excavator(machine, tmp_path_factory) -> Library:
     return library(machine, tmp_path_factory.mktemp("excavator"))
-
-
-def problem_of(lib: Library, selection: Any) -> Any:
-    """A selection problem as the library takes it."""
-    bounds = [b.clip(-COORDINATE_MAX, COORDINATE_MAX) for b in (selection.lower, selection.upper)]
-    weights = {"weights": selection.objective.alpha} if lib.weights_at_run_time else {}
-    margin = selection.constraints[-1].lower
-    return lib.problem(selection.target, lower=bounds[0], upper=bounds[1], sine_squared_min=margin, **weights)
-
-
-def assert_feasible(selection: Any, answer: Answer, tolerance: float = 1e-12) -> None:
-    """Checked by flexopt's own Functions; Newton's method ends at rounding, far below the tolerance."""
-    _, error = value_of(selection, answer.z)
-    assert error <= tolerance * (1 + np.abs(selection.target).max())
-    assert np.all(answer.z >= selection.lower)
-    assert np.all(answer.z <= selection.upper)
-    plant = selection.measures.plant
-    sine = float(plant.singularity_sine_squared(answer.z[:1], answer.z[1:], plant.parameter_values))
-    assert sine >= selection.constraints[-1].lower - tolerance
-    assert answer.target_error == pytest.approx(error, abs=tolerance)
-    assert answer.bound_violation == 0.0
 
 
 def assert_equal_or_better(lib: Library, pairs: list[Any], share: float = 1.0) -> None:

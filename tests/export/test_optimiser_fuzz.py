@@ -1,4 +1,4 @@
-"""Ten thousand calls with broken inputs under the address and undefined-behaviour sanitizers."""
+"""Thousands of calls with broken inputs under the address and undefined-behaviour sanitizers."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 
 import flexopt
 from flexopt.export.optimiser import build_optimiser
+from flexopt.model import AnyMachine
 from tests.export.optimiser_library import INCLUDES, WARNINGS
 from tests.oracles.machines import random_machine
 
@@ -24,19 +25,19 @@ DRIVER = """
 #include <float.h>
 
 static uint32_t state = 12345u;
-static uint32_t draw(uint32_t below)
+static uint32_t pick(uint32_t below)
 {
     state ^= state << 13;
     state ^= state >> 17;
     state ^= state << 5;
     return state % below;
 }
-static double uniform(double low, double high) { return low + (high - low) * (double)draw(1000001u) / 1000000.0; }
+static double uniform(double low, double high) { return low + (high - low) * (double)pick(1000001u) / 1000000.0; }
 
 static double broken(double was)
 {
     static const double zero = 0.0;
-    switch (draw(12u)) {
+    switch (pick(12u)) {
     case 0: return zero / zero;
     case 1: return 1.0 / zero;
     case 2: return -1.0 / zero;
@@ -73,27 +74,26 @@ int main(void)
         double start[CASE_OPTIMISER_N_Z];
         void *workspace = bytes;
         case_optimiser_status status;
-        const int faults = (int)draw(4u);
+        const int faults = (int)pick(4u);
         int null = -1;
         (void)case_optimiser_default_problem(&problem);
         (void)case_optimiser_default_options(&options);
-        problem.target[0] = uniform(-3.0, 3.0);
-        problem.target[1] = uniform(-2.0, 3.0);
+        for (int k = 0; k < CASE_OPTIMISER_N_TASK; k++) { problem.target[k] = uniform(-SPAN, SPAN); }
         for (int i = 0; i < CASE_OPTIMISER_N_Z; i++) { start[i] = uniform(-4.0, 4.0); }
-        options.budget = (int)draw(60u) + 1;
-        options.starts = (int)draw(3u);
-        countdown = (int)draw(60u);
-        if (draw(4u) == 0u) { options.expired = expired; }
-        if (draw(3u) == 0u) { problem.lower[0] = uniform(-3.0, 0.0); problem.upper[0] = uniform(0.0, 3.0); }
+        options.budget = (int)pick(60u) + 1;
+        options.starts = (int)pick(3u);
+        countdown = (int)pick(60u);
+        if (pick(4u) == 0u) { options.expired = expired; }
+        if (pick(3u) == 0u) { problem.lower[0] = uniform(-3.0, 0.0); problem.upper[0] = uniform(0.0, 3.0); }
         for (int f = 0; f < faults; f++) {
             double *numbers = (double *)&problem;
-            size_t at = draw((uint32_t)(sizeof problem / sizeof(double)));
-            switch (draw(8u)) {
-            case 0: null = (int)draw(5u); break;
-            case 1: workspace = bytes + 1 + draw(7u); break;
-            case 2: options.budget = (int)draw(2000u) - 1000; break;
+            size_t at = pick((uint32_t)(sizeof problem / sizeof(double)));
+            switch (pick(8u)) {
+            case 0: null = (int)pick(5u); break;
+            case 1: workspace = bytes + 1 + pick(7u); break;
+            case 2: options.budget = (int)pick(2000u) - 1000; break;
             case 3: options.tolerance = broken(options.tolerance); break;
-            case 4: at = draw(CASE_OPTIMISER_N_Z); start[at] = broken(start[at]); break;
+            case 4: at = pick(CASE_OPTIMISER_N_Z); start[at] = broken(start[at]); break;
             default: numbers[at] = broken(numbers[at]); break;
             }
         }
@@ -120,7 +120,10 @@ int main(void)
             for (int k = 0; k < CASE_OPTIMISER_N_TASK; k++) {
                 size += problem.target[k] < 0 ? -problem.target[k] : problem.target[k];
             }
-            if (!(result.target_error <= 1e-12 * size) && problem.parameters[0] < 1e3) {
+            for (int k = 0; k < (int)(sizeof lengths / sizeof lengths[0]); k++) {
+                size += problem.parameters[lengths[k]] < 0 ? -problem.parameters[lengths[k]] : problem.parameters[lengths[k]];
+            }
+            if (!(result.target_error <= 1e-12 * size)) {
                 printf("success off the target by %g\\n", result.target_error);
                 return 1;
             }
@@ -133,13 +136,14 @@ int main(void)
 """
 
 
-def fuzzed(machine: flexopt.Machine, folder, calls: int) -> list[int]:
-    """How often each status came; fails where the program did."""
+def fuzzed(machine: AnyMachine, folder, calls: int, span: float = 3.0) -> list[int]:
+    """How often each status came; fails where the program did. Targets are drawn from a box of half the width `span`."""
     sources = build_optimiser(machine, prefix="case")
-    headers = "#include <stdint.h>\n"
-    (folder / "fuzz.c").write_text(f"{INCLUDES}{headers}{sources.header}\n{sources.source}\n{DRIVER}")
+    in_m = [str(k) for k, parameter in enumerate(machine.parameters) if parameter.unit == "m"]
+    lengths = f"static const int lengths[] = {{{', '.join(in_m)}}};\n"
+    (folder / "fuzz.c").write_text(f"{INCLUDES}{sources.header}\n{sources.source}\n{lengths}{DRIVER}")
     flags = [flag for flag in WARNINGS if flag not in {"-Wconversion", "-Wshadow"}]
-    build = ["gcc", *flags, *SANITIZERS, f"-DCALLS={calls}", "fuzz.c", "-o", "fuzz", "-lm"]
+    build = ["gcc", *flags, *SANITIZERS, f"-DCALLS={calls}", f"-DSPAN={span!r}", "fuzz.c", "-o", "fuzz", "-lm"]
     done = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[:3000]
     run = subprocess.run(["./fuzz"], cwd=folder, capture_output=True, text=True, check=False)
@@ -157,3 +161,21 @@ def test_excavator(tmp_path):
 def test_a_random_machine(tmp_path):
     machine = random_machine(np.random.default_rng(5))[1]
     assert sum(fuzzed(machine, tmp_path, 2_000)) == 2_000
+
+
+@pytest.mark.parametrize(("name", "span"), [("truck-crane", 6.0)])
+def test_machines_in_space(name: str, span: float, tmp_path):
+    machine = flexopt.load(name)
+    counts = fuzzed(machine, tmp_path, 1_000, span)
+    statuses = build_optimiser(machine, prefix="case").statuses
+    assert sum(counts) == 1_000
+    for status in (
+        "CONVERGED",
+        "BUDGET_SPENT",
+        "DEADLINE",
+        "NULL_POINTER",
+        "NOT_FINITE",
+        "OUT_OF_RANGE",
+        "ENDED_EARLY",
+    ):
+        assert counts[statuses[status]] > 0, status

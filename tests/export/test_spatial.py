@@ -187,13 +187,15 @@ def test_placements_slides_and_orientation_rows(placement: list[str], tmp_path: 
         np.testing.assert_allclose(out["end_point"], r, rtol=0, atol=1e-12)
 
 
-def test_only_the_optimiser_is_left_out(tmp_path: Path) -> None:
+def test_nothing_is_left_out(tmp_path: Path) -> None:
     machine = flexopt.load("slewing-excavator")
     report = export_c(machine, tmp_path / "a", parts=["kinematics"])
-    assert set(report.manifest["left_out"]) == {"optimiser"}
-    assert {part for part in PARTS if PARTS[part].refusal(machine)} == {"optimiser"}
-    with pytest.raises(InputError, match="optimiser takes planar machines"):
-        export_c(machine, tmp_path / "b", parts=["optimiser"])
+    assert report.manifest["left_out"] == {}
+    assert not any(PARTS[part].refusal(machine) for part in PARTS)
+    bound = tree_from_dict(grounded(3, 1) | {"placement": []})
+    assert {part for part in PARTS if PARTS[part].refusal(bound)} == {"levers", "optimiser"}
+    with pytest.raises(InputError, match="optimiser needs more variables than the task has rows"):
+        export_c(bound, tmp_path / "b", parts=["optimiser"])
 
 
 def test_the_manifest_carries_the_machine(tmp_path: Path) -> None:

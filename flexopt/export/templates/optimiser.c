@@ -1,6 +1,6 @@
 /* ---- Configuration optimiser: sequential quadratic programming along the set r(z) = target ------------------------
  *
- * Each step: exact Hessian of the Lagrangian on the null space of the task, its eigenvalues turned positive; a small
+ * Each step: @HESSIAN@, of the Lagrangian on the null space of the task, its eigenvalues turned positive; a small
  * quadratic program with bounds and margin by active sets; Newton's method back onto the target; a line search that
  * accepts only a higher V. Internally x = z / scales and V / scale, so that every number below is of order one. */
 
@@ -8,22 +8,36 @@
 #define NT                @P@_N_TASK
 #define ROWS              @P@_ROWS
 #define EPSILON           @EPSILON@
-#define UNITS             @UNITS@
-#define SAMPLES           @SAMPLES@    /* of each elbow */
-#define COST_MODEL        @COST_MODEL@ /* of the model, in evaluations of V */
-#define PROJECTION_STEPS  15
+/* Costs, in evaluations of V. */
+#define COST_SLOPE        @COST_SLOPE@ /* of what each step needs */
+#define COST_MODEL        @COST_MODEL@ /* the same with second derivatives */
+#define PROJECTIONS       @PROJECTIONS@ /* steps onto the target that cost as much as one */
+#define PAUSE             (@P@_BUDGET - (8 * (COST_SLOPE + 1))) /* from here on the best climb is finished first */
+/* One climb. */
+#define PROJECTION_STEPS  8
 #define HALVINGS          10
 #define SWEEPS            8
 #define CLIMB_STEPS       60
-#define REPLACEMENTS      6                     /* placements tried where the start cannot be brought onto the target */
-#define STEP_MAX          R(0.5)                /* longest step in x */
+#define STEP_MAX          R(0.8)                /* longest step in x */
 #define KICK              R(0.05)               /* step away from a saddle */
 #define CURVATURE         R(1e-6)               /* positive curvature of V above it is none of rounding */
 #define CURVATURE_MIN     R(1e-7)               /* smallest curvature of the model */
 #define STATIONARY_ENOUGH @STATIONARY_ENOUGH@ /* where rounding ends a climb, this is still a stationary point */
 #define TIE               @TIE@               /* values of V/scale that count as equal */
 #define EDGE              (R(32.0) * EPSILON)   /* rounding of positions, relative to the reach */
-#define APART             R(0.3)                /* starts closer than this are one */
+/* Steps for which the Hessian has been learned; before: */
+#define OUTDATED          (-1)
+#define UNKNOWN           (-2)
+/* Several climbs: all but the best are given up early. */
+#define ROUGH             @ROUGH@               /* stationarity that is enough to compare them by */
+#define PATIENCE          2                     /* steps before one may be given up */
+#define PROMISE           R(0.5)                /* share of what a step may bring that all after it may bring */
+#define RIDGE_STEPS       5                     /* steps in which it must rise by this share, */
+#define RIDGE_RISE        R(0.1)
+#define RIDGE_SLOPE       R(1e-3)               /* unless it is nearly stationary */
+#define ROUNDS            @ROUNDS@              /* of samples */
+#define APART             R(0.7)                /* starts closer than this are one, at first */
+#define REPLACEMENTS      6                     /* placements tried where the start cannot be brought onto the target */
 
 typedef @p@_point point;
 typedef @p@_workspace workspace_t;
@@ -32,14 +46,21 @@ static int is_finite(@real@ x) { return (x - x) == R(0.0); }
 
 static int all_finite(int n, const @real@ *x)
 {
-  int ok = 1;
+  @real@ nothing = R(0.0);
   for (int i = 0; i < n; i++) {
-    ok = ok && is_finite(x[i]);
+    nothing += x[i] - x[i];
   }
-  return ok;
+  return nothing == R(0.0);
 }
 
 static @real@ clamped(@real@ x, @real@ low, @real@ high) { return (x < low) ? low : ((x > high) ? high : x); }
+
+/* Whether a variable is in rad, not in m. */
+static int is_angle(int i)
+{
+  static const int angle[NZ] = {@ANGLES@};
+  return angle[i];
+}
 
 static int may_spend(const @p@_options *options, workspace_t *s, int cost)
 {
@@ -80,46 +101,33 @@ static const @real@ *weights_of(const @p@_problem *problem)
 
 /* ---- kernels ---- */
 
+/* Without the slope of the margin. */
 static int locate(const @p@_problem *problem, point *x)
 {
-  const @real@ *arg[3] = {x->z, &x->z[@N_B@], parameters_of(problem)};
-  @real@ *res[4] = {x->end_point, x->jacobian, &x->sine_squared, x->sine_squared_z};
+  const @real@ *arg[@ARG_position@] = {x->z, &x->z[@N_B@], parameters_of(problem)};
+  @real@ *res[@RES_position@] = {x->end_point, x->jacobian, &x->sine_squared};
   (void)KERNEL_position(arg, res);
-  return all_finite(NT, x->end_point) && all_finite(NT * NZ, x->jacobian) && is_finite(x->sine_squared) &&
-         all_finite(NZ, x->sine_squared_z);
+  return all_finite(NT, x->end_point) && all_finite(NT * NZ, x->jacobian) && is_finite(x->sine_squared);
+}
+
+static int margin_slope(const @p@_problem *problem, point *x)
+{
+  const @real@ *arg[@ARG_margin@] = {x->z, &x->z[@N_B@], parameters_of(problem)};
+  @real@ *res[@RES_margin@] = {x->sine_squared_z};
+  (void)KERNEL_margin(arg, res);
+  return all_finite(NZ, x->sine_squared_z);
 }
 
 static int evaluate(const @p@_problem *problem, workspace_t *s, point *x)
 {
-  const @real@ *at[3] = {x->z, &x->z[@N_B@], parameters_of(problem)};
-  @real@ *held[1] = {s->held};
-  const @real@ *arg[5] = {x->z, &x->z[@N_B@], parameters_of(problem), s->held, weights_of(problem)};
-  @real@ *res[2] = {&x->value, &x->scale};
+  const @real@ *at[@ARG_hold@] = {x->z, &x->z[@N_B@], parameters_of(problem)@NEAR@};
+  @real@ *held[@RES_hold@] = {s->held@NEXT@};
+  const @real@ *arg[@ARG_value@] = {x->z, &x->z[@N_B@], parameters_of(problem), s->held, weights_of(problem)};
+  @real@ *res[@RES_value@] = {&x->value, &x->scale};
   (void)KERNEL_hold(at, held);
-  (void)KERNEL_value(arg, res);
+@REMEMBER@  (void)KERNEL_value(arg, res);
   x->stationarity = -R(1.0);
   return is_finite(x->value) && is_finite(x->scale) && (x->scale > R(0.0));
-}
-
-/* Derivatives at x, whose evaluation was the last one; in x and V/scale. */
-static int differentiate(const @p@_problem *problem, workspace_t *s, const point *x)
-{
-  const @real@ *arg[5] = {x->z, &x->z[@N_B@], parameters_of(problem), s->held, weights_of(problem)};
-  @real@ *res[4] = {s->gradient, s->hessian, s->end_point_hessian, s->sine_squared_hessian};
-  (void)KERNEL_model(arg, res);
-  for (int i = 0; i < NZ; i++) {
-    s->gradient[i] *= s->scales[i] / x->scale;
-    for (int j = 0; j < NZ; j++) {
-      const @real@ both = s->scales[i] * s->scales[j];
-      s->hessian[i + (NZ * j)] *= both / x->scale;
-      s->sine_squared_hessian[i + (NZ * j)] *= both;
-      for (int k = 0; k < NT; k++) {
-        s->end_point_hessian[(NZ * NZ * k) + i + (NZ * j)] *= both / s->reach;
-      }
-    }
-  }
-  return all_finite(NZ, s->gradient) && all_finite(NZ * NZ, s->hessian) &&
-         all_finite(NT * NZ * NZ, s->end_point_hessian) && all_finite(NZ * NZ, s->sine_squared_hessian);
 }
 
 /* ---- dense algebra, row-major with NZ columns ---- */
@@ -184,17 +192,20 @@ static void diagonalise(workspace_t *s, int d)
 {
   @real@ *a = s->reduced;
   @real@ *u = s->turn;
+  @real@ turned = R(1.0); /* pairs that were not negligible */
   for (int i = 0; i < d; i++) {
     for (int j = 0; j < d; j++) {
       u[(i * NZ) + j] = (i == j) ? R(1.0) : R(0.0);
     }
   }
-  for (int sweep = 0; sweep < SWEEPS; sweep++) {
+  for (int sweep = 0; (sweep < SWEEPS) && (turned > R(0.0)); sweep++) {
+    turned = R(0.0);
     for (int p = 0; p < (d - 1); p++) {
       for (int q = p + 1; q < d; q++) {
         const @real@ off = a[(p * NZ) + q];
         const @real@ half = (a[(q * NZ) + q] - a[(p * NZ) + p]) / R(2.0);
         const @real@ reach = fabs(half) + sqrt((half * half) + (off * off));
+        turned += ((off * off) > (EPSILON * EPSILON * fabs(a[(p * NZ) + p] * a[(q * NZ) + q]))) ? R(1.0) : R(0.0);
         if (reach > R(0.0)) {
           const @real@ tangent = ((half < R(0.0)) ? -off : off) / reach;
           const @real@ cosine = R(1.0) / sqrt(R(1.0) + (tangent * tangent));
@@ -369,11 +380,11 @@ static @real@ size_of(const @p@_problem *problem, const workspace_t *s, const po
   return size;
 }
 
-/* Whole turns off joints without limits. */
+/* Whole turns off angles without limits. */
 static void unwind(const @p@_problem *problem, point *x)
 {
-  for (int i = @N_B@; i < NZ; i++) {
-    if ((fabs(problem->lower[i]) >= @P@_UNBOUNDED) && (fabs(problem->upper[i]) >= @P@_UNBOUNDED)) {
+  for (int i = 0; i < NZ; i++) {
+    if ((is_angle(i) != 0) && (fabs(problem->lower[i]) >= @P@_UNBOUNDED) && (fabs(problem->upper[i]) >= @P@_UNBOUNDED)) {
       x->z[i] -= @TWO_PI@ * floor((x->z[i] / @TWO_PI@) + R(0.5));
     }
   }
@@ -392,6 +403,11 @@ static int project(const @p@_problem *problem, workspace_t *s, point *x, const i
     int blocked[NZ];
     @real@ error = R(0.0);
     int again = 1;
+    s->newtons++;
+    if ((s->newtons >= PROJECTIONS) && (s->cost < s->budget)) {
+      s->newtons = 0;
+      s->cost++;
+    }
     if (locate(problem, x) == 0) {
       return 0;
     }
@@ -405,6 +421,9 @@ static int project(const @p@_problem *problem, workspace_t *s, point *x, const i
         return 1;
       }
       on_margin = 1;
+    }
+    if ((on_margin != 0) && (margin_slope(problem, x) == 0)) {
+      return 0;
     }
     for (int i = 0; i < NZ; i++) {
       blocked[i] = held_fast[i];
@@ -428,23 +447,26 @@ static int project(const @p@_problem *problem, workspace_t *s, point *x, const i
         for (int k = 0; k < NT; k++) {
           s->reflected[(k * NZ) + j] = x->jacobian[k + (NT * i)] * s->scales[i] / s->reach;
         }
-        s->reflected[(NT * NZ) + j] = x->sine_squared_z[i] * s->scales[i];
-      }
-      if (factorise(s, k_rows, n) == 0) {
-        return 0;
+        s->reflected[(NT * NZ) + j] = (on_margin != 0) ? (x->sine_squared_z[i] * s->scales[i]) : R(0.0);
       }
       {
         @real@ u[NT + 1];
         for (int k = 0; k < k_rows; k++) {
           u[k] = miss[k];
-          for (int l = 0; l < k; l++) {
-            u[k] -= s->triangle[(l * (NT + 1)) + k] * u[l];
+          for (int l = 0; l <= k; l++) {
+            @real@ dot = R(0.0);
+            for (int j = 0; j < n; j++) {
+              dot += s->reflected[(k * NZ) + j] * s->reflected[(l * NZ) + j];
+            }
+            s->schur[(k * NZ) + l] = dot;
           }
-          u[k] /= s->triangle[(k * (NT + 1)) + k];
+        }
+        if (solve_schur(s, k_rows, u) == 0) {
+          return 0;
         }
         for (int j = 0; j < n; j++) {
           for (int k = 0; k < k_rows; k++) {
-            dx[free_[j]] += s->basis[(j * NZ) + k] * u[k];
+            dx[free_[j]] += s->reflected[(k * NZ) + j] * u[k];
           }
         }
       }
@@ -471,10 +493,11 @@ static int project(const @p@_problem *problem, workspace_t *s, point *x, const i
   return 0;
 }
 
-static int near(const workspace_t *s, const point *a, const point *b, @real@ distance)
+/* Whether variables from number `from` on differ by no more than the distance, in x. */
+static int near(const workspace_t *s, const point *a, const point *b, int from, @real@ distance)
 {
   int close = 1;
-  for (int i = 0; i < NZ; i++) {
+  for (int i = from; i < NZ; i++) {
     close = close && (fabs(a->z[i] - b->z[i]) <= (distance * s->scales[i]));
   }
   return close;
@@ -567,13 +590,14 @@ static int build_plane(const @p@_problem *problem, workspace_t *s, const int *he
   return 1;
 }
 
-/* Hessian of the Lagrangian into s->hessian, with the multipliers of the projected gradient's program; the variables and
- * the margin that it holds back go to held_fast and on_margin. */
-static void add_constraints(workspace_t *s, const plane *at, int *held_fast, int *on_margin)
+/* Multipliers of the task and of the margin, by the projected gradient's program, into s->pull; the variables and the
+ * margin that it holds back go to held_fast and on_margin. Returns whether there are any. */
+static int hold_back(workspace_t *s, const plane *at, int *held_fast, int *on_margin)
 {
   @real@ pull[NZ];
-  @real@ lambda[NT];
+  @real@ *lambda = s->pull;
   @real@ mu = R(0.0);
+  int changed = 0;
   for (int i = 0; i < NZ; i++) {
     pull[i] = s->gradient[i];
   }
@@ -583,8 +607,10 @@ static void add_constraints(workspace_t *s, const plane *at, int *held_fast, int
     if (at->owner[r] == (2 * NZ)) {
       mu = s->multipliers[r];
       *on_margin = active;
+      changed = changed || (active != 0);
     } else {
       pull[i] += ((at->owner[r] % 2) == 0) ? s->multipliers[r] : -s->multipliers[r];
+      changed = changed || ((active != 0) && (held_fast[i] == 0));
       held_fast[i] = ((held_fast[i] != 0) || (active != 0)) ? 1 : 0;
     }
   }
@@ -601,21 +627,14 @@ static void add_constraints(workspace_t *s, const plane *at, int *held_fast, int
     }
     lambda[k] /= s->triangle[(k * (NT + 1)) + k];
   }
-  for (int i = 0; i < (NZ * NZ); i++) {
-    s->hessian[i] += mu * s->sine_squared_hessian[i];
-    for (int k = 0; k < NT; k++) {
-      s->hessian[i] -= lambda[k] * s->end_point_hessian[(NZ * NZ * k) + i];
-    }
-  }
+  s->pull[NT] = mu;
+  return changed;
 }
 
-/* s->inverse: of the reduced Hessian with its sign turned and its eigenvalues made positive. Where V has positive
- * curvature at a stationary point, a slope is added that leads away; returns whether it was. */
-static int build_model(workspace_t *s, plane *at, int stationary)
+/* The Hessian times the basis of the plane, into s->turn (n, d). */
+static void times_basis(workspace_t *s, const plane *at)
 {
-  int kicked = 0;
-  const int d = at->d;
-  for (int l = 0; l < d; l++) {
+  for (int l = 0; l < at->d; l++) {
     for (int i = 0; i < at->n; i++) {
       s->turn[(i * NZ) + l] = R(0.0);
       for (int j = 0; j < at->n; j++) {
@@ -623,6 +642,16 @@ static int build_model(workspace_t *s, plane *at, int stationary)
       }
     }
   }
+}
+
+@DERIVATIVES@
+/* s->inverse: of the reduced Hessian, whose product with the basis is s->turn, with its sign turned and its eigenvalues
+ * made positive. Where V has positive curvature at a stationary point, a slope is added that leads away; returns whether
+ * it was. */
+static int build_model(workspace_t *s, plane *at, int stationary)
+{
+  int kicked = 0;
+  const int d = at->d;
   for (int k = 0; k < d; k++) {
     for (int l = 0; l < d; l++) {
       @real@ sum = R(0.0);
@@ -660,9 +689,9 @@ static int build_model(workspace_t *s, plane *at, int stationary)
   return kicked;
 }
 
-/* Along y from s->present, back onto the target, until V is higher. gain: the rise of V/scale to first order. */
+/* Along y from s->present, back onto the target, until V is higher; s->gain: the rise of V/scale to first order. */
 static int search(const @p@_problem *problem, const @p@_options *options, workspace_t *s, const plane *at,
-                  const @real@ *y, @real@ gain)
+                  const @real@ *y)
 {
   @real@ dx[NZ];
   @real@ longest = R(0.0);
@@ -684,6 +713,7 @@ static int search(const @p@_problem *problem, const @p@_options *options, worksp
   for (int halving = 0; halving < HALVINGS; halving++) {
     int held_fast[NZ];
     int on_margin = (at->k > NT) ? 1 : 0;
+    @real@ shorter = (halving < 3) ? R(0.5) : R(0.25);
     if (may_spend(options, s, 1) == 0) {
       return 0;
     }
@@ -706,16 +736,36 @@ static int search(const @p@_problem *problem, const @p@_options *options, worksp
     /* The projection overwrites the basis; dx was taken from it before. */
     if ((project(problem, s, &s->trial, held_fast, on_margin) != 0) && (evaluate(problem, s, &s->trial) != 0)) {
       const @real@ rise = s->trial.value - s->present.value;
-      if ((rise > R(0.0)) && (rise >= (R(1e-4) * part * gain * s->present.scale))) {
+      if ((rise > R(0.0)) && (rise >= (R(1e-4) * part * s->gain * s->present.scale))) {
         s->trial.scale = s->present.scale; /* one climb, one scale */
         s->trial.status = (int)@P@_BUDGET_SPENT;
         s->present = s->trial;
         return 1;
       }
+      if (s->gain > R(0.0)) {
+        /* Where a parabola through both values has its top. */
+        const @real@ first = part * s->gain * s->present.scale;
+        shorter = clamped(first / (R(2.0) * (first - rise)), R(0.1), R(0.5));
+      }
     }
-    part *= (halving < 3) ? R(0.5) : R(0.25);
+    part *= shorter;
   }
   return 0;
+}
+
+/* Variables of the base that others make up for, as long as these are free, add nothing but a direction along which V
+ * stays. */
+static void hold_spare(const @p@_problem *problem, const workspace_t *s, int *held_fast)
+{
+  static const int spare[NZ] = {@SPARE@};
+  int all_free = 1;
+  for (int i = 0; i < @N_B@; i++) {
+    const @real@ z = s->present.z[i];
+    all_free = all_free && ((spare[i] != 0) || ((z > problem->lower[i]) && (z < problem->upper[i])));
+  }
+  for (int i = 0; (i < @N_B@) && (all_free != 0); i++) {
+    held_fast[i] = ((held_fast[i] != 0) || (spare[i] != 0)) ? 1 : 0;
+  }
 }
 
 /* One step from s->present; 1 where it moved, else s->present.status says why not. */
@@ -724,14 +774,14 @@ static int step_up(const @p@_problem *problem, const @p@_options *options, works
   plane at;
   int held_fast[NZ];
   int on_margin = 0;
-  int kicked;
   int stationary;
+  int changed;
   @real@ y[NZ];
   @real@ square = R(0.0);
-  @real@ gain = R(0.0);
   for (int i = 0; i < NZ; i++) {
     held_fast[i] = (problem->lower[i] >= problem->upper[i]) ? 1 : 0;
   }
+  hold_spare(problem, s, held_fast);
   if ((differentiate(problem, s, &s->present) == 0) || (build_plane(problem, s, held_fast, 0, &at) == 0)) {
     return 0;
   }
@@ -745,41 +795,76 @@ static int step_up(const @p@_problem *problem, const @p@_options *options, works
     square += y[k] * y[k];
   }
   s->present.stationarity = sqrt(square);
-  stationary = (s->present.stationarity <= options->tolerance) ? 1 : 0;
-  s->present.status =
-      (int)(((stationary != 0) || (s->present.stationarity <= STATIONARY_ENOUGH)) ? @P@_CONVERGED : @P@_STALLED);
-  add_constraints(s, &at, held_fast, &on_margin);
-  if ((build_plane(problem, s, held_fast, on_margin, &at) == 0) || (at.d == 0)) {
+  s->steepness = s->present.stationarity;
+  stationary = (s->present.stationarity <= ((s->rough != 0) ? ROUGH : options->tolerance)) ? 1 : 0;
+  s->present.status = (int)(((s->present.stationarity <= options->tolerance) ||
+                             (s->present.stationarity <= STATIONARY_ENOUGH)) ? @P@_CONVERGED : @P@_STALLED);
+  /* Whether it is a maximum is asked where that costs nothing, and of the best point in the end. */
+  if ((stationary != 0) && ((s->rough != 0) || ((s->last == 0) && (COST_MODEL > COST_SLOPE)))) {
     return 0;
   }
-  kicked = build_model(s, &at, stationary);
-  if ((stationary != 0) && (kicked == 0)) {
-    return 0;
+  changed = hold_back(s, &at, held_fast, &on_margin);
+  /* A second time where what was learned of the Hessian led nowhere. */
+  for (int attempt = 0; attempt < 2; attempt++) {
+    int kicked;
+    if ((changed != 0) && (build_plane(problem, s, held_fast, on_margin, &at) == 0)) {
+      return 0;
+    }
+    changed = 1;
+    if ((at.d == 0) || (curvatures(problem, options, s, &at) == 0)) {
+      return 0;
+    }
+    kicked = build_model(s, &at, stationary);
+    if ((stationary != 0) && ((kicked == 0) || (s->age > 1))) {
+      return 0;
+    }
+    solve_program(s, at.d, at.n_rows, at.slope, y);
+    s->gain = R(0.0);
+    for (int k = 0; (k < at.d) && (kicked == 0); k++) {
+      s->gain += at.slope[k] * y[k];
+    }
+    if (search(problem, options, s, &at, y) != 0) {
+      return 1;
+    }
+    if ((s->age <= 1) || (s->stop != 0)) {
+      return 0;
+    }
+    s->age = OUTDATED;
   }
-  solve_program(s, at.d, at.n_rows, at.slope, y);
-  for (int k = 0; (k < at.d) && (kicked == 0); k++) {
-    gain += at.slope[k] * y[k];
-  }
-  return search(problem, options, s, &at, y, gain);
+  return 0;
 }
 
-/* From s->present, feasible and evaluated, to a local maximum. Every accepted point goes to note(). */
+/* From s->present, feasible and evaluated, to a local maximum; only nearly so where another point is the best. Every
+ * accepted point goes to note(). */
 static void climb(const @p@_problem *problem, const @p@_options *options, workspace_t *s)
 {
   int moved = 1;
+  @real@ low = s->present.value;
   if ((s->found != 0) && (s->best.scale > s->present.scale)) {
     s->present.scale = s->best.scale;
   }
-  s->climbed++;
+  s->age = (s->last != 0) ? OUTDATED : UNKNOWN;
   s->present.status = (int)@P@_BUDGET_SPENT; /* until the next step says more */
   note(s, &s->present);
-  for (int step = 0; (step < CLIMB_STEPS) && (moved != 0) && (may_spend(options, s, COST_MODEL) != 0); step++) {
-    const int is_best = near(s, &s->present, &s->best, R(0.0));
+  for (int step = 0; (step < CLIMB_STEPS) && (moved != 0) && (may_spend(options, s, COST_SLOPE) != 0); step++) {
+    const int is_best = near(s, &s->present, &s->best, 0, R(0.0));
+    if ((is_best == 0) && (s->paused == 0) && (s->cost > PAUSE)) {
+      return;
+    }
+    s->rough = (is_best == 0) ? 1 : 0;
     s->iterations++;
     s->present.status = (int)@P@_STALLED;
     moved = step_up(problem, options, s);
     if (moved != 0) {
       note(s, &s->present);
+          if ((s->last == 0) && (step >= PATIENCE)) {
+        /* Not where another climb has been higher than this one is going to be, nor along a ridge. */
+        moved = ((s->present.value + (PROMISE * s->gain * s->present.scale)) >= s->best.value) ? 1 : 0;
+        if (((step % RIDGE_STEPS) == 0) && (s->steepness > RIDGE_SLOPE)) {
+          moved = ((s->present.value - low) > (RIDGE_RISE * fabs(low))) ? moved : 0;
+          low = s->present.value;
+        }
+      }
     } else if (is_best != 0) {
       s->best.stationarity = s->present.stationarity;
       s->best.status = s->present.status;
@@ -791,13 +876,27 @@ static void climb(const @p@_problem *problem, const @p@_options *options, worksp
 
 /* ---- starts ---- */
 
-/* Keep x among the best starts, highest V first; grid says that it is a peak of a curve, else neighbours count as one. */
+/* Whether a climb has begun nearby. */
+static int tried(const workspace_t *s, const point *x)
+{
+  int close = ((s->climbed > 0) && (near(s, x, &s->first, s->from, s->apart) != 0)) ? 1 : 0;
+  for (int k = 0; (k < s->n_tried) && (close == 0); k++) {
+    close = near(s, x, &s->starts[k], s->from, s->apart);
+  }
+  return close;
+}
+
+/* Keep x among the best starts that wait, highest V first; grid says that it is a peak of a curve, else neighbours count
+ * as one. */
 static void keep(workspace_t *s, int most, const point *x, int grid)
 {
-  int at;
+  int at = s->n_tried;
   int twin = -1;
-  for (int k = 0; (k < s->n_starts) && (grid == 0) && (twin < 0); k++) {
-    twin = (near(s, x, &s->starts[k], APART) != 0) ? k : -1;
+  if ((grid == 0) && (tried(s, x) != 0)) {
+    return;
+  }
+  for (int k = s->n_tried; (k < s->n_starts) && (grid == 0) && (twin < 0); k++) {
+    twin = (near(s, x, &s->starts[k], s->from, s->apart) != 0) ? k : -1;
   }
   if (twin >= 0) {
     if (x->value <= s->starts[twin].value) {
@@ -808,8 +907,7 @@ static void keep(workspace_t *s, int most, const point *x, int grid)
     }
     s->n_starts--;
   }
-  at = 0;
-  for (int k = 0; k < s->n_starts; k++) {
+  for (int k = s->n_tried; k < s->n_starts; k++) {
     at += (x->value > s->starts[k].value) ? 0 : 1;
   }
   if (at < most) {
@@ -821,145 +919,7 @@ static void keep(workspace_t *s, int most, const point *x, int grid)
   }
 }
 
-/* Posture in closed form at a placement; 0 where there is none inside limits and margin. */
-static int place(const @p@_problem *problem, workspace_t *s, @real@ base, const @real@ *unit, @real@ elbow,
-                 point *x)
-{
-  const @real@ *arg[5] = {problem->target, x->z, unit, &elbow, parameters_of(problem)};
-  @real@ cosine = R(2.0);
-  @real@ *res[2] = {&x->z[@N_B@], &cosine};
-  int held_fast[NZ] = {0};
-  x->z[0] = base;
-  (void)KERNEL_posture(arg, res);
-  if (!(fabs(cosine) <= R(1.0)) || (all_finite(NZ, x->z) == 0)) {
-    return 0;
-  }
-  for (int i = @N_B@; i < NZ; i++) {
-    /* The same posture, a whole turn away, where that brings it inside the limits. */
-    const @real@ turn = @TWO_PI@;
-    if (fabs(problem->lower[i]) < @P@_UNBOUNDED) {
-      const @real@ up = x->z[i] + (turn * -floor((x->z[i] - problem->lower[i]) / turn));
-      x->z[i] = (up <= problem->upper[i]) ? up : x->z[i];
-    }
-    if ((x->z[i] < problem->lower[i]) || (x->z[i] > problem->upper[i])) {
-      return 0;
-    }
-  }
-  held_fast[0] = (problem->lower[0] >= problem->upper[0]) ? 1 : 0;
-  return project(problem, s, x, held_fast, 0);
-}
-
-/* One elbow (-1 up, +1 down) over placements from low to high. */
-static void sample_branch(const @p@_problem *problem, const @p@_options *options, workspace_t *s, @real@ low,
-                          @real@ high, int elbow)
-{
-#if UNITS > 0
-  /* A surface of configurations: Kronecker's sequence on the generalised golden ratio. */
-  static const @real@ steps[UNITS + 1] = {@STEPS@};
-  for (int j = 0; j < SAMPLES; j++) {
-    @real@ unit[UNITS];
-    const @real@ along = ((@real@)j + R(0.5)) * steps[0];
-    const @real@ base = low + ((high - low) * (along - floor(along)));
-    for (int k = 0; k < UNITS; k++) {
-      unit[k] = ((@real@)j + R(0.5)) * steps[k + 1];
-      unit[k] -= floor(unit[k]);
-    }
-    if (may_spend(options, s, 1) == 0) {
-      return;
-    }
-    if ((place(problem, s, base, unit, (@real@)elbow, &s->present) != 0) &&
-        (evaluate(problem, s, &s->present) != 0)) {
-      keep(s, options->starts, &s->present, 0);
-    }
-  }
-#else
-  /* A curve: its peaks on a grid, denser at the ends, where the arm straightens. */
-  const int count = (high > low) ? SAMPLES : 1;
-  int last = 0;   /* whether trial holds the neighbour before */
-  int rising = 1; /* and V rose towards it */
-  for (int j = 0; j < count; j++) {
-    const @real@ turn = @PI@ * (((@real@)j + R(0.5)) / (@real@)count);
-    const @real@ base = clamped(((low + high) - ((high - low) * cos(turn))) / R(2.0), low, high);
-    int there;
-    if (may_spend(options, s, 1) == 0) {
-      return;
-    }
-    there =
-        (place(problem, s, base, NULL, (@real@)elbow, &s->present) != 0) && (evaluate(problem, s, &s->present) != 0);
-    if ((last != 0) && (rising != 0) && ((there == 0) || (s->present.value <= s->trial.value))) {
-      keep(s, options->starts, &s->trial, 1);
-    }
-    rising = (there == 0) || (last == 0) || (s->present.value > s->trial.value);
-    last = there;
-    s->trial = s->present;
-  }
-  if ((last != 0) && (rising != 0)) {
-    keep(s, options->starts, &s->trial, 1);
-  }
-#endif
-}
-
-/* Placements from which the target is no farther than the arm is long; 0 where there is none within the bounds. */
-static int reachable(const @p@_problem *problem, const workspace_t *s, @real@ *low, @real@ *high)
-{
-  const @real@ rise = problem->target[1] - s->first_joint[1];
-  const @real@ square = (s->reach * s->reach) - (rise * rise);
-  const @real@ far = (square > R(0.0)) ? sqrt(square) : R(0.0);
-  const @real@ middle = problem->target[0] - s->first_joint[0];
-  *low = clamped(middle - far, problem->lower[0], problem->upper[0]);
-  *high = clamped(middle + far, problem->lower[0], problem->upper[0]);
-  return (square >= R(0.0)) && ((middle - far) <= *high) && ((middle + far) >= *low);
-}
-
-/* Look at the whole redundancy coarsely and keep the best starts. */
-static void sample(const @p@_problem *problem, const @p@_options *options, workspace_t *s)
-{
-  @real@ low;
-  @real@ high;
-  if (reachable(problem, s, &low, &high) != 0) {
-    sample_branch(problem, options, s, low, high, -1);
-    sample_branch(problem, options, s, low, high, 1);
-  }
-}
-
-/* Where Newton's method found no way from the start onto the target: the nearest of a few postures in closed form goes
- * to s->present. */
-static int replace_start(const @p@_problem *problem, const @real@ *start, const @p@_options *options,
-                         workspace_t *s)
-{
-  @real@ low;
-  @real@ high;
-  @real@ nearest = -R(1.0);
-  if (reachable(problem, s, &low, &high) == 0) {
-    return 0;
-  }
-  for (int j = 0; j <= REPLACEMENTS; j++) {
-    const @real@ part = ((@real@)j - R(0.5)) / (@real@)REPLACEMENTS;
-    const @real@ base = (j == 0) ? clamped(start[0], low, high) : (low + ((high - low) * part));
-    for (int elbow = -1; elbow <= 1; elbow += 2) {
-      @real@ unit[UNITS + 1]; /* one more, so that it is never empty */
-      @real@ square = R(0.0);
-      for (int k = 0; k <= UNITS; k++) {
-        unit[k] = R(0.5);
-      }
-      if (may_spend(options, s, 1) == 0) {
-        return 0;
-      }
-      if (place(problem, s, base, unit, (@real@)elbow, &s->trial) != 0) {
-        for (int i = 0; i < NZ; i++) {
-          const @real@ away = (s->trial.z[i] - start[i]) / s->scales[i];
-          square += away * away;
-        }
-        if ((nearest < R(0.0)) || (square < nearest)) {
-          nearest = square;
-          s->present = s->trial;
-        }
-      }
-    }
-  }
-  return (nearest >= R(0.0)) ? 1 : 0;
-}
-
+@SAMPLING@
 /* ---- interface ---- */
 
 static int in_range(const @p@_problem *problem, const @p@_options *options)
@@ -1024,6 +984,8 @@ static void climb_from_start(const @p@_problem *problem, const @real@ *start, co
     ready = ((ready != 0) && (project(problem, s, &s->present, held_fast, 0) != 0)) ? 1 : 0;
     ready = ((ready != 0) || (replace_start(problem, start, options, s) != 0)) ? 1 : 0;
     if ((ready != 0) && (evaluate(problem, s, &s->present) != 0)) {
+      s->climbed = 1;
+      s->first = s->present;
       climb(problem, options, s);
     }
   }
@@ -1035,20 +997,56 @@ static int could_rise(const workspace_t *s)
   return (s->found == 0) || (NT < 2) || (s->best.value < (-TIE * s->best.scale));
 }
 
+/* The best point's climb goes on where it was left, or, in the end, may have ended at a saddle. */
+static void finish(const @p@_problem *problem, const @p@_options *options, workspace_t *s, int check)
+{
+  if ((s->found == 0) || (s->stop != 0) || ((s->best.status == (int)@P@_CONVERGED) && (check == 0))) {
+    return;
+  }
+  s->last = 1;
+  s->present = s->best;
+  if ((may_spend(options, s, 1) != 0) && (evaluate(problem, s, &s->present) != 0)) {
+    climb(problem, options, s);
+  }
+  s->last = 0;
+}
+
+/* Samples and climbs from the best of them, in rounds, each with starts closer together than the one before. */
 static void climb_from_samples(const @p@_problem *problem, const @p@_options *options, workspace_t *s)
 {
-  sample(problem, options, s);
-  for (int k = 0; (k < s->n_starts) && (s->stop == 0) && (could_rise(s) != 0); k++) {
-    const int had = s->found;
-    const @p@_point before = s->best;
-    s->present = s->starts[k];
-    if ((may_spend(options, s, 1) != 0) && (evaluate(problem, s, &s->present) != 0)) {
-      climb(problem, options, s);
-      if ((had != 0) && (s->best.value <= (before.value + (TIE * before.scale)))) {
-        s->best = before;
+  s->apart = APART;
+  for (int round = 0; (round < ROUNDS) && (s->stop == 0) && (could_rise(s) != 0); round++) {
+    sample(problem, options, s, round);
+    for (int k = s->n_tried; (k < s->n_starts) && (s->stop == 0) && (could_rise(s) != 0); k++) {
+      const int had = s->found;
+      const @p@_point before = s->best;
+      if ((s->paused == 0) && (s->cost > PAUSE)) {
+        s->paused = 1;
+        finish(problem, options, s, 0);
+      }
+      s->present = s->starts[k];
+      s->n_tried = k + 1;
+      if ((may_spend(options, s, 1) != 0) && (evaluate(problem, s, &s->present) != 0)) {
+        s->climbed++;
+        climb(problem, options, s);
+        if ((had != 0) && (s->best.value <= (before.value + (TIE * before.scale)))) {
+          s->best = before;
+        }
       }
     }
+    s->apart *= R(0.5);
   }
+}
+
+/* Number of the first variable by which starts are told apart: where the base is free, only postures are, as to turn or
+ * shift machine and target together changes no measure. */
+static int first_that_tells(const @p@_problem *problem)
+{
+  int free_ = @BASE_IDLE@;
+  for (int i = 0; i < @N_B@; i++) {
+    free_ = free_ && (problem->lower[i] <= -@P@_UNBOUNDED) && (problem->upper[i] >= @P@_UNBOUNDED);
+  }
+  return (free_ != 0) ? @N_B@ : 0;
 }
 
 @p@_status @p@_default_problem(@p@_problem *problem)
@@ -1154,28 +1152,31 @@ static int confirm(const @p@_problem *problem, workspace_t *s, @p@_result *found
     return @P@_OUT_OF_RANGE;
   }
   s->cost = 0;
+  s->budget = options->budget;
+  s->newtons = 0;
   s->iterations = 0;
   s->n_starts = 0;
+  s->n_tried = 0;
   s->climbed = 0;
   s->stop = 0;
   s->found = 0;
-  {
-    const @real@ *arg[1] = {parameters_of(problem)};
-    @real@ *res[2] = {s->first_joint, &s->reach};
-    (void)KERNEL_reach(arg, res);
-    if ((all_finite(NT, s->first_joint) == 0) || (is_finite(s->reach) == 0) || !(s->reach > R(0.0))) {
-      return @P@_OUT_OF_RANGE;
-    }
+  s->last = 0;
+  s->paused = 0;
+  if (prepare(problem, s) == 0) {
+    return @P@_OUT_OF_RANGE;
   }
   for (int i = 0; i < NZ; i++) {
-    s->scales[i] = (i < @N_B@) ? s->reach : R(1.0);
+    s->scales[i] = (is_angle(i) != 0) ? R(1.0) : s->reach;
   }
-  if (start != NULL) {
+  s->from = first_that_tells(problem);
+@FORGET@  if (start != NULL) {
     climb_from_start(problem, start, options, s);
   }
   if ((options->starts > 0) && (s->stop == 0) && (could_rise(s) != 0)) {
     climb_from_samples(problem, options, s);
   }
+  s->paused = 1;
+  finish(problem, options, s, (COST_MODEL > COST_SLOPE) ? 1 : 0);
   if (s->found == 0) {
     return (s->stop != 0) ? @P@_ENDED_EARLY : @P@_NO_FEASIBLE;
   }

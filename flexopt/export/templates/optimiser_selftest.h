@@ -10,6 +10,9 @@
 
 enum { OPTIMISER_CASES = $count, OPTIMISER_CASE_LENGTH = $length };
 
+/* Which variables are angles, and so the same after a turn. */
+static const int optimiser_turns[${PREFIX}_OPTIMISER_N_Z] = {$turns};
+
 /* Rows: target, weights, start; V and its scale; whether that optimum is the only good one; z. */
 static const ${prefix}_real optimiser_cases[OPTIMISER_CASES * OPTIMISER_CASE_LENGTH] = $values;
 
@@ -66,9 +69,11 @@ static int optimiser_failures(void)
       worst = (lost > worst) ? lost : worst;
       off = ((double)answer.target_error > off) ? (double)answer.target_error : off;
       bad = !(lost <= (double)$loss) || !(answer.target_error <= $on_target);
+      /* One that is better than the best one known stands elsewhere. */
+      unique = unique && !(lost < -(double)$loss);
       for (i = 0; $compare_z && unique && (i < ${PREFIX}_OPTIMISER_N_Z); ++i) {
         double away = (double)answer.z[i] - (double)row[i];
-        if (i >= $n_base) {
+        if (optimiser_turns[i] != 0) {
           away -= 6.283185307179586 * floor((away / 6.283185307179586) + 0.5);
         }
         bad |= !(fabs(away) <= (double)$z_tolerance);
@@ -91,9 +96,11 @@ static int optimiser_failures(void)
   start[0] = 0;
   problem.target[0] = $nan_target;
   failed |= optimiser_refuses("a NaN target", &problem, start, &options, ${PREFIX}_OPTIMISER_NOT_FINITE);
+#if $far_known
   problem.target[0] = 0;
-  problem.target[${PREFIX}_OPTIMISER_N_TASK - 1] = $far;
+  problem.target[$far_row] = $far;
   failed |= optimiser_refuses("a target out of reach", &problem, start, &options, ${PREFIX}_OPTIMISER_NO_FEASIBLE);
+#endif
   printf("%s  %-20s %d problems, V lower than IPOPT's by %.2g of its scale at most, %.2g m off the target\n",
          failed ? "FAILED" : "passed", "optimiser", OPTIMISER_CASES, (worst > 0.0) ? worst : 0.0, off);
   return failed;

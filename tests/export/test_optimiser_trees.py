@@ -1,0 +1,393 @@
+"""The generated optimiser on machines in space: against `select` and a planar twin, at any budget, with bad inputs."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexopt
+from benchmarks.optimiser import Pair, draw_pairs, value_of
+from flexopt.errors import InputError, UnreachableTarget
+from flexopt.export import PARTS, ExportReport, export_c, verify_bundle
+from flexopt.export.bundle import library_of, read_manifest
+from flexopt.export.context import build_context
+from flexopt.export.foreign import Foreign, draw_target, optimiser
+from flexopt.export.verify import optimiser as verify
+from flexopt.export.verify.bench import Bench
+from flexopt.model import tree_from_dict
+from flexopt.plant import build_plant
+from flexopt.plant.reach import outer_reach
+from flexopt.selection.check import prove
+from tests.export.optimiser_library import Library, assert_feasible, library, problem_of
+from tests.oracles.spatial import grounded, in_space, random_tree
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+
+SAME = 1e-8
+# Positions of machines ten metres long; Newton's method ends at 32 roundings of the largest number that enters.
+ROUNDING = 1e-11
+SIX_ROWS = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem, what `select` makes of it, and a point that the problem's own sample reached."""
+
+    found: flexopt.Selection
+    start: np.ndarray
+
+    @property
+    def problem(self) -> flexopt.SelectionProblem:
+        return self.found.problem
+
+    @property
+    def best(self) -> float:
+        return self.found.best.objective
+
+
+def cases(machine: Any, count: int, seed: int, **options: Any) -> list[Case]:
+    """Random targets that `select` solves, V with random weights: where V is below 0, that proves little else."""
+    rng, plant, made = np.random.default_rng(seed), build_plant(machine), list[Case]()
+    for _ in range(10 * count):
+        if len(made) == count:
+            return made
+        weights = rng.uniform(0.1, 1, plant.n_passive).tolist()
+        target = draw_target(plant, rng).tolist()
+        try:
+            found = flexopt.select(machine, target, objective="V", weights=weights, starts=8, **options)
+        except (UnreachableTarget, flexopt.NoSolutionFound):
+            continue
+        scan = found.problem.scan
+        k = int(rng.integers(scan.size))
+        made.append(Case(found, np.concatenate([scan.base[:, k], scan.posture[:, k]])))
+    raise AssertionError("most targets have no solution")
+
+
+@pytest.fixture(scope="module")
+def slewing() -> flexopt.Tree:
+    return flexopt.load("slewing-excavator")
+
+
+@pytest.fixture(scope="module")
+def excavator(slewing, tmp_path_factory) -> Library:
+    return library(slewing, tmp_path_factory.mktemp("slewing"))
+
+
+@pytest.fixture(scope="module")
+def some(slewing) -> list[Case]:
+    return cases(slewing, 4, seed=1)
+
+
+def assert_back_at_the_optimum(lib: Library, problems: list[Case]) -> None:
+    """From nearby, within the default budget: V not below that of the best optimum that IPOPT found."""
+    rng = np.random.default_rng(0)
+    assert sum(case.best < -1e-3 * case.problem.objective_scale for case in problems) > 0
+    for case in problems:
+        z, scale = case.found.best.z, case.problem.objective_scale
+        start = z + rng.uniform(-0.01, 0.01, z.size)
+        away = lib.solve(problem_of(lib, case.problem), start, lib.options(starts=0, budget=1))
+        answer = lib.solve(problem_of(lib, case.problem), start)
+        assert away.feasible
+        assert answer.feasible
+        assert_feasible(case.problem, answer, ROUNDING)
+        v = value_of(case.problem, answer.z)[0]
+        assert answer.value == pytest.approx(v, abs=1e-11 * answer.scale)
+        assert v >= case.best - SAME * scale
+        assert v >= away.value
+
+
+def assert_equal_or_better(lib: Library, pairs: list[Pair]) -> None:
+    """Than IPOPT from the same start, be it on the target or anywhere, once all starts are climbed."""
+    assert sum(pair.ipopt > -math.inf for pair in pairs) > len(pairs) / 2
+    for pair in pairs:
+        answer = lib.solve(problem_of(lib, pair.problem), pair.start, lib.options(budget=5000))
+        assert answer.feasible
+        assert_feasible(pair.problem, answer, ROUNDING)
+        assert value_of(pair.problem, answer.z)[0] >= pair.ipopt - SAME * pair.problem.objective_scale
+
+
+def test_back_at_the_optimum_that_select_found(excavator, some):
+    assert_back_at_the_optimum(excavator, some)
+
+
+def test_as_good_as_ipopt_or_better(slewing, excavator):
+    assert_equal_or_better(excavator, draw_pairs(slewing, "inverse", 8, seed=5))
+
+
+def test_a_slide(tmp_path):
+    crane = flexopt.load("truck-crane")
+    assert "m" in crane.joint_units
+    lib = library(crane, tmp_path)
+    assert_back_at_the_optimum(lib, cases(crane, 2, seed=2))
+    assert_equal_or_better(lib, draw_pairs(crane, "inverse", 4, seed=5))
+
+
+def test_orientation_rows_and_a_placement_that_turns_only(tmp_path):
+    rows = ("x", "y", "z", "yaw")
+    machine = tree_from_dict(random_tree(17, rows=rows, counts=(2, 5)) | {"placement": ["yaw"]})
+    assert machine.task_rows == rows
+    assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 3, seed=3))
+
+
+def test_a_planar_machine_as_a_tree_has_the_same_optima(tmp_path):
+    """The planar machine's `select` looks at every placement and both elbows, so its optimum is the global one."""
+    planar = flexopt.load("excavator")
+    data = planar.to_dict() | {"gravity": planar.gravity}
+    lib = library(tree_from_dict(in_space(data)), tmp_path)
+    weights, targets = (1.0, 0.5, 2.0), ((0.0, 1.6), (0.4, 0.3), (-0.7, 2.9), (0.2, -0.8))
+    for target in targets:
+        best = flexopt.select(planar, target, objective="V", weights=weights)
+        scale = best.problem.objective_scale
+        assert best.best.objective < -1e-3 * scale
+        problem = lib.problem(target, weights=weights, sine_squared_min=math.sin(math.radians(10.0)) ** 2)
+        answer = lib.solve(problem)
+        assert answer.status == "CONVERGED"
+        assert answer.value == pytest.approx(best.best.objective, abs=SAME * scale)
+
+
+def test_a_climb_from_the_given_start_alone_ends_in_a_proved_optimum(excavator, some):
+    for case in some:
+        options = excavator.options(starts=0, budget=3000)
+        answer = excavator.solve(problem_of(excavator, case.problem), case.start, options)
+        assert answer.status == "CONVERGED"
+        assert_feasible(case.problem, answer, ROUNDING)
+        proof = prove(case.problem, answer.z)
+        assert proof.holds, proof.violations
+        assert answer.value >= value_of(case.problem, case.start)[0] - SAME * case.problem.objective_scale
+
+
+def test_angles_without_bounds_are_unwound(excavator, some):
+    case, turn = some[0], 2 * math.pi
+    free = ~np.isfinite(case.problem.lower)
+    assert [v.name for v, f in zip(case.problem.variables, free, strict=True) if f] == ["base.yaw", "slew"]
+    options = excavator.options(starts=0, budget=3000)
+    problem = problem_of(excavator, case.problem)
+    plain = excavator.solve(problem, case.start, options)
+    wound = excavator.solve(problem, case.start + turn * 3 * free, options)
+    assert np.all(np.abs(plain.z[free]) <= math.pi)
+    assert np.all(np.abs(wound.z[free]) <= math.pi)
+    assert wound.value == pytest.approx(plain.value, abs=SAME * plain.scale)
+
+
+def test_a_narrowed_range_is_kept_and_costs_something(slewing, excavator, some):
+    """Ranges that the free optimum lies outside of, next to a point that reaches the target."""
+    worse = 0
+    for case in some:
+        at = case.start
+        ranges = {"x": (at[0] - 0.2, at[0] + 0.2), "y": (at[1], at[1] + 0.3), "yaw": (at[2] - 0.1, at[2] + 0.05)}
+        alpha = case.problem.objective.weights.tolist()
+        narrow = flexopt.build_selection(slewing, case.problem.target, objective="V", weights=alpha, base_range=ranges)
+        answer = excavator.solve(problem_of(excavator, narrow), case.start)
+        assert answer.feasible
+        assert_feasible(narrow, answer, ROUNDING)
+        # To the last digit of the bounds, which are given in the precision of the call.
+        assert np.all((narrow.lower <= answer.z) & (answer.z <= narrow.upper))
+        worse += answer.value < case.best - 1e-6 * case.problem.objective_scale
+    assert worse > 0
+
+
+def test_equal_bounds_hold_a_coordinate(excavator, some):
+    for case in some:
+        problem = problem_of(excavator, case.problem)
+        held = (0, 1, 2, 4)  # the placement and the boom: as many variables stay as the target has rows
+        for i in held:
+            problem.lower[i] = problem.upper[i] = case.start[i]
+        answer = excavator.solve(problem, case.start)
+        assert answer.feasible
+        assert_feasible(case.problem, answer, ROUNDING)
+        np.testing.assert_array_equal(answer.z[list(held)], case.start[list(held)])
+        problem.lower[4], problem.upper[4] = -0.829, 1.012
+        more = excavator.solve(problem, case.start)
+        assert more.value >= answer.value - SAME * answer.scale
+        np.testing.assert_array_equal(more.z[:3], case.start[:3])
+
+
+def test_every_budget_gives_a_feasible_point_no_worse_than_the_start(excavator, some):
+    """Rough climbs keep a share of the budget for the best of them, so that a little more may lead elsewhere."""
+    case, values = some[0], list[float]()
+    problem = problem_of(excavator, case.problem)
+    of_start, _ = value_of(case.problem, case.start)
+    for budget in [*range(1, 40), *range(40, 500, 23)]:
+        answer = excavator.solve(problem, case.start, excavator.options(budget=budget))
+        if answer.status == "ENDED_EARLY":
+            assert not values
+            continue
+        values.append(answer.value)
+        assert_feasible(case.problem, answer, ROUNDING)
+        assert answer.cost <= budget
+        # The projection onto the target moves the start by its own rounding.
+        assert answer.value >= of_start - SAME * case.problem.objective_scale
+    assert len(values) > 30
+    assert values[-1] == pytest.approx(max(values), abs=SAME * case.problem.objective_scale)
+    assert values[-1] > of_start + 1e-3 * case.problem.objective_scale
+
+
+def test_deadline_at_any_moment(excavator, some):
+    case, last = some[1], -math.inf
+    problem, statuses = problem_of(excavator, case.problem), set()
+    for polls in range(60):
+        left = [polls]
+
+        def expired(_: Any, left: list[int] = left) -> int:
+            left[0] -= 1
+            return int(left[0] < 0)
+
+        answer = excavator.solve(problem, case.start, excavator.options(expired))
+        statuses.add(answer.status)
+        if answer.status == "ENDED_EARLY":
+            assert last == -math.inf
+            continue
+        assert_feasible(case.problem, answer, ROUNDING)
+        assert answer.value >= last
+        last = answer.value
+    assert {"ENDED_EARLY", "DEADLINE"} <= statuses <= {"ENDED_EARLY", "DEADLINE", "CONVERGED"}
+
+
+def test_parameters_at_run_time(excavator, some):
+    """The optimiser of one machine given another's parameters solves the other's problem."""
+    heavy = tree_from_dict(some[0].problem.machine.to_dict() | {"payload": {"mass": 800.0}})
+    assert heavy.parameters != some[0].problem.machine.parameters
+    selection = flexopt.build_selection(heavy, some[0].problem.target, objective="V", weights=[1.0] * 6, starts=8)
+    problem = problem_of(excavator, selection)
+    problem.parameters[:] = [parameter.value for parameter in heavy.parameters]
+    answer = excavator.solve(problem, None, excavator.options(budget=3000))
+    assert answer.feasible
+    assert_feasible(selection, answer, ROUNDING)
+    assert answer.value == pytest.approx(value_of(selection, answer.z)[0], abs=1e-11 * answer.scale)
+
+
+def test_a_target_too_high_leaves_the_result_alone(slewing, excavator):
+    center, radius = outer_reach(build_plant(slewing))
+    problem = excavator.problem((0.0, 0.0, center[2] + 1.01 * radius))
+    result = excavator.Result(value=7.0, cost=11)
+    for start in (None, np.zeros(7)):
+        answer = excavator.solve(problem, start, excavator.options(budget=100_000), result)
+        assert answer.status == "NO_FEASIBLE"
+        assert (answer.value, answer.cost) == (7.0, 11)
+
+
+@pytest.mark.parametrize(
+    ("status", "field", "index", "value"),
+    [
+        ("NOT_FINITE", "target", 2, math.nan),
+        ("NOT_FINITE", "lower", 2, -math.inf),
+        ("NOT_FINITE", "start", 6, math.inf),
+        ("NOT_FINITE", "weights", 5, math.nan),
+        ("NOT_FINITE", "parameters", "gravity", math.nan),
+        ("OUT_OF_RANGE", "target", 2, 2e6),
+        ("OUT_OF_RANGE", "lower", 6, 3.0),
+        ("OUT_OF_RANGE", "upper", 2, 2e6),
+        ("OUT_OF_RANGE", "weights", 5, -1.0),
+        ("OUT_OF_RANGE", "parameters", "payload.mass", -1.0),
+    ],
+)
+def test_bad_input_is_refused_and_the_result_left_alone(excavator, some, status, field, index, value):
+    case = some[0]
+    if field == "parameters":
+        index = [parameter.name for parameter in case.problem.machine.parameters].index(index)
+    problem, start = problem_of(excavator, case.problem), case.start.copy()
+    assert excavator.solve(problem, start, excavator.options(starts=0)).feasible
+    (start if field == "start" else getattr(problem, field))[index] = value
+    answer = excavator.solve(problem, start, result=excavator.Result(value=7.0, cost=11))
+    assert answer.status == status
+    assert (answer.value, answer.cost) == (7.0, 11)
+
+
+def test_single_precision(slewing, some, tmp_path):
+    """On the target to some roundings of the reach, as a bundle allows; V near that of the doubles."""
+    lib = library(slewing, tmp_path, real="float")
+    for case in some:
+        answer = lib.solve(problem_of(lib, case.problem), case.start)
+        assert answer.feasible
+        v, error = value_of(case.problem, answer.z)
+        assert error <= 5e-5 * outer_reach(build_plant(slewing))[1]
+        assert v >= value_of(case.problem, case.start)[0] - 1e-4 * case.problem.objective_scale
+
+
+def part_of(machine: Any) -> Foreign:
+    context = build_context(
+        machine, control="inverse", gain=5e5, single=False, baked=False, singularity_margin_deg=10.0
+    )
+    return optimiser(context, "m", "double")
+
+
+def test_a_vectors_z_is_compared_only_where_it_is_the_only_one(slewing):
+    """Turning a machine and its arm about the target changes no w_i; without a placement nothing can turn."""
+    part = part_of(slewing)
+    vectors = part.vectors(2, 2)
+    assert not any(vector.unique for vector in vectors)
+    for vector in vectors:
+        z, turn = vector.z, 0.7
+        p, w = build_plant(slewing).parameter_values, part.at.measures.w
+        before, _, r_before = w.call([z[:3], z[3:], p])
+        c, s, at = math.cos(turn), math.sin(turn), r_before.full()[:2, 0]
+        anchor = at + np.array([[c, -s], [s, c]]) @ (z[:2] - at)
+        turned = np.array([*anchor, z[2] + turn, *z[3:]])
+        after, _, r_after = w.call([turned[:3], turned[3:], p])
+        np.testing.assert_allclose(r_after.full().ravel(), r_before.full().ravel(), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(after.full(), before.full(), rtol=1e-9, atol=1e-9 * vector.scale)
+    fixed = part_of(tree_from_dict(random_tree(3, counts=(2, 4)) | {"placement": []}))
+    assert all(vector.unique for vector in fixed.vectors(3, 2))
+
+
+def bench_of(report: ExportReport, scratch: Path, inputs: int, fuzz_calls: int) -> Bench:
+    scratch.mkdir()
+    manifest = read_manifest(report.folder)
+    return Bench(report.folder, scratch, manifest, library_of(manifest), inputs, fuzz_calls)
+
+
+@pytest.mark.usefixtures("tools")
+def test_a_bundle_without_a_placement(tmp_path):
+    machine = tree_from_dict(random_tree(4, counts=(2, 4)) | {"placement": []})
+    report = export_c(machine, tmp_path / "b", parts=["optimiser"])
+    entry = report.manifest["parts"]["optimiser"]
+    assert entry["variables"] == list(machine.joints)
+    assert entry["units"] == list(machine.joint_units) == ["m", "rad", "rad", "rad"]
+    assert {field["name"]: field["shape"] for field in entry["inputs"]}["target"] == [3]
+    bench = bench_of(report, tmp_path / "scratch", 6, 10_000)
+    objects = list(bench.objects("plain", "gcc", ["-std=c99", "-O1"]).values())
+    selftest = bench.program("selftest", "gcc", [report.folder / "test" / "selftest.c", *objects], ["-std=c99"])
+    said = subprocess.run([selftest], capture_output=True, text=True, check=True).stdout
+    assert "all passed" in said
+    assert "4 problems, V lower than IPOPT's" in said
+    runner = verify.host_runner(bench, "gcc", objects)
+    agreed, fuzzed = verify.agreement(bench, runner), verify.faulty_calls(bench, runner)
+    assert agreed.faults == fuzzed.faults == []
+    assert dict(agreed.tables[0].rows)["the same V as IPOPT's best, or a better one"] == 6
+    counts = dict(fuzzed.tables[0].rows)
+    assert sum(counts.values()) == 1_000
+    # Some answers with a feasible configuration, and every refusal.
+    assert counts["CONVERGED"] + counts["BUDGET_SPENT"] > 100
+    refusals = ("NULL_POINTER", "BAD_WORKSPACE", "NOT_FINITE", "OUT_OF_RANGE", "ENDED_EARLY")
+    assert all(counts[status] > 0 for status in refusals)
+
+
+@pytest.mark.usefixtures("tools")
+def test_a_bundle_on_an_emulated_processor(slewing, tmp_path):
+    folder = export_c(slewing, tmp_path / "b", parts=["optimiser"]).folder
+    result = verify_bundle(folder, target="cortex-m7", inputs=8)
+    assert result.passed and result.complete, repr(result)  # noqa: PT018
+    tables = {
+        table.title: dict(table.rows) for check in result.checks for table in check.tables if len(table.header) == 2
+    }
+    solved = tables["Posture optimiser"]
+    assert solved["the same V as IPOPT's best, or a better one"] == solved["problems"] == 8
+    assert 100_000 < solved["instructions, most"] <= verify.INSTRUCTIONS
+
+
+def test_too_few_variables_are_refused(tmp_path):
+    three = grounded(3, 1)
+    one = random_tree(3, rows=("x",), counts=(2, 1))
+    refusal = PARTS["optimiser"].refusal
+    assert refusal(tree_from_dict(three)) == ""
+    assert "3 variables for 3 rows" in refusal(tree_from_dict(three | {"placement": []}))
+    assert "two actuated joints" in refusal(tree_from_dict(one))
+    with pytest.raises(InputError, match="more variables than the task has rows"):
+        export_c(tree_from_dict(three | {"placement": []}), tmp_path / "b", parts=["optimiser"])
