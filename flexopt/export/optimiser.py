@@ -44,6 +44,8 @@ TOLERANCES = {"double": (1e-8, 1e-6, 1e-9), "float": (1e-4, 3e-3, 1e-6)}
 TOLERANCE_MIN = 1e-6
 # Stationarity at which climbs are compared.
 ROUGH = {"double": 1e-4, "float": 1e-2}
+# sin² is a product of as many terms as the task has rows: with many of them more than a few roundings.
+MARGIN_EDGE = {"double": 1e-10, "float": 1e-4}
 # Instructions of an emulated Cortex-M7 (benchmarks/optimiser.py): an operation of a unit of the budget, what a unit
 # takes besides, what a call may take.
 PER_OPERATION, PER_UNIT, INSTRUCTIONS = 2.35, 4200, 4_900_000
@@ -236,6 +238,7 @@ def _values(
         "COST_SLOPE": str(kernels.model_cost if kernels.exact_second else kernels.slope_cost),
         "BASE_IDLE": str(int(not kernels.closed_form and all(idle))),
         "ROUGH": number(ROUGH[real], real),
+        "MARGIN_EDGE": number(MARGIN_EDGE[real], real) if plant.n_task > 3 else "EDGE",
         "PROJECTIONS": str(kernels.projections),
         "ROUNDS": "1" if kernels.closed_form else str(ROUNDS),
         "SPARE": ", ".join(map(str, [*_spare(measures, idle), *[0] * plant.n_actuated])),

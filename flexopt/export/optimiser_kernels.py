@@ -25,8 +25,8 @@ class OptimiserKernels:
     Attributes:
         hold: (base, posture, p) -> held; by calls (base, posture, p, near) -> held and z, `near` of the next one.
         value: (base, posture, p, held, weights) -> V = Σ α_i w_i, and its size Σ α_i |a_i||b_i|.
-        position: (base, posture, p) -> r (n_task,), ∂r/∂z (n_task, n_z), sin² of the distance from singular postures.
-        margin: (base, posture, p) -> the gradient of sin² (n_z,).
+        position: (base, posture, p) -> r (n_task,), ∂r/∂z (n_task, n_z).
+        distance, margin: (base, posture, p) -> sin² of the distance from singular postures; its gradient (n_z,).
         derivatives: `model`: (base, posture, p, held, weights) -> ∂V/∂z (n_z,), ∂²V/∂z² (n_z, n_z), the Hessians of
             r's rows side by side (n_z, n_task n_z), that of sin² (n_z, n_z); or `slope`: the same inputs -> ∂V/∂z.
         closed_form: `posture`, as `Plant.posture_at`, and `reach`: (p) -> the first actuated joint with the base at 0
@@ -36,6 +36,7 @@ class OptimiserKernels:
     hold: ca.Function
     value: ca.Function
     position: ca.Function
+    distance: ca.Function
     margin: ca.Function
     derivatives: ca.Function
     closed_form: tuple[ca.Function, ...]
@@ -43,7 +44,7 @@ class OptimiserKernels:
     @property
     def functions(self) -> tuple[ca.Function, ...]:
         """All of them."""
-        return (self.hold, self.value, self.position, self.margin, self.derivatives, *self.closed_form)
+        return (self.hold, self.value, self.position, self.distance, self.margin, self.derivatives, *self.closed_form)
 
     @property
     def exact_second(self) -> bool:
@@ -57,8 +58,9 @@ class OptimiserKernels:
 
     @property
     def projections(self) -> int:
-        """Newton's steps onto the target that cost as much as an evaluation of V; algebra counts as much as calls."""
-        return max(1, self.unit // (2 * operations(self.position)))
+        """Newton's steps onto the target, with their algebra, that cost as much as an evaluation of V."""
+        n_z = self.margin.size1_out(0)
+        return max(1, self.unit // (operations(self.position) + 20 * n_z**2))
 
     @property
     def slope_cost(self) -> int:
@@ -108,10 +110,13 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
         return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": True})
 
     inputs = {"base": g.base, "posture": g.posture, "p": g.p}
-    position = function("position", inputs, _position(measures, z, sine))
+    position = function("position", inputs, _position(measures, z))
+    distance = function("distance", inputs, {"sine_squared": sine})
     margin = function("margin", inputs, {"sine_squared_z": ca.gradient(sine, z)})
     if not plant.closed_form:
-        return OptimiserKernels(**_called(at, weights), position=position, margin=margin, closed_form=())
+        return OptimiserKernels(
+            **_called(at, weights), position=position, distance=distance, margin=margin, closed_form=()
+        )
     graph = measures.graph
     factors = ca.sqrt(ca.sum1(graph.a**2) * ca.sum1(graph.b**2)).T
     value, size = ca.dot(alpha, graph.w), ca.dot(alpha, factors)
@@ -129,6 +134,7 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
         value=function("value", held, {"V": value, "size": size}),
         derivatives=function("model", held, {"V_z": gradient} | second),
         position=position,
+        distance=distance,
         margin=margin,
         closed_form=(
             function("posture", target, to_posture),
@@ -158,8 +164,8 @@ def _called(at: Context, weights: Sequence[float] | None) -> dict[str, ca.Functi
     }
 
 
-def _position(measures: Measures, z: ca.SX, sine: ca.SX) -> dict[str, ca.SX]:
-    """End-point and distance from singular postures; under gravity the end-point at the deflection."""
+def _position(measures: Measures, z: ca.SX) -> dict[str, ca.SX]:
+    """The end-point; under gravity at the deflection."""
     plant, g = measures.plant, measures.plant.graph
     deflection = ca.SX.sym("deflection", plant.n_passive)
     at = plant.operating_point(g.base, g.posture, g.p, deflection if measures.gravity else None)
@@ -167,4 +173,4 @@ def _position(measures: Measures, z: ca.SX, sine: ca.SX) -> dict[str, ca.SX]:
     if measures.gravity:
         inner = ca.Function("inner", [g.base, g.posture, g.p, deflection], [ca.densify(each) for each in outputs])
         outputs = list(inner.call([g.base, g.posture, g.p, plant.deflected(g.base, g.posture, g.p)]))
-    return {"r": outputs[0], "r_z": outputs[1], "sine_squared": sine}
+    return {"r": outputs[0], "r_z": outputs[1]}

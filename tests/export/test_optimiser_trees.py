@@ -136,6 +136,13 @@ def test_orientation_rows_and_a_placement_that_turns_only(tmp_path):
     assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 3, seed=3))
 
 
+def test_six_rows_of_the_task_on_the_margin(tmp_path):
+    """sin² is a product of six terms then: its rounding must not keep a climb off the margin."""
+    rows = ("x", "y", "z", "roll", "pitch", "yaw")
+    machine = tree_from_dict(random_tree(17, rows=rows, counts=(2, 7)) | {"placement": []})
+    assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 3, seed=3))
+
+
 def test_a_planar_machine_as_a_tree_has_the_same_optima(tmp_path):
     """The planar machine's `select` looks at every placement and both elbows, so its optimum is the global one."""
     planar = flexopt.load("excavator")
@@ -209,8 +216,8 @@ def test_equal_bounds_hold_a_coordinate(excavator, some):
         np.testing.assert_array_equal(more.z[:3], case.start[:3])
 
 
-def test_every_budget_gives_a_feasible_point_no_worse_than_the_start(excavator, some):
-    """Rough climbs keep a share of the budget for the best of them, so that a little more may lead elsewhere."""
+def test_every_budget_gives_a_feasible_point_and_more_never_a_worse_one(excavator, some):
+    """What a call does is the beginning of what it does with more budget, but for ties."""
     case, values = some[0], list[float]()
     problem = problem_of(excavator, case.problem)
     of_start, _ = value_of(case.problem, case.start)
@@ -219,13 +226,13 @@ def test_every_budget_gives_a_feasible_point_no_worse_than_the_start(excavator, 
         if answer.status == "ENDED_EARLY":
             assert not values
             continue
+        assert answer.value >= max(values, default=-math.inf) - SAME * case.problem.objective_scale
         values.append(answer.value)
         assert_feasible(case.problem, answer, ROUNDING)
         assert answer.cost <= budget
         # The projection onto the target moves the start by its own rounding.
         assert answer.value >= of_start - SAME * case.problem.objective_scale
     assert len(values) > 30
-    assert values[-1] == pytest.approx(max(values), abs=SAME * case.problem.objective_scale)
     assert values[-1] > of_start + 1e-3 * case.problem.objective_scale
 
 

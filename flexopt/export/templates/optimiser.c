@@ -12,7 +12,7 @@
 #define COST_SLOPE        @COST_SLOPE@ /* of what each step needs */
 #define COST_MODEL        @COST_MODEL@ /* the same with second derivatives */
 #define PROJECTIONS       @PROJECTIONS@ /* steps onto the target that cost as much as one */
-#define PAUSE             (@P@_BUDGET - (8 * (COST_SLOPE + 1))) /* from here on the best climb is finished first */
+#define PAUSE             (@P@_BUDGET - (@P@_BUDGET / 8)) /* from here on the best climb is finished first */
 /* One climb. */
 #define PROJECTION_STEPS  8
 #define HALVINGS          10
@@ -25,6 +25,7 @@
 #define STATIONARY_ENOUGH @STATIONARY_ENOUGH@ /* where rounding ends a climb, this is still a stationary point */
 #define TIE               @TIE@               /* values of V/scale that count as equal */
 #define EDGE              (R(32.0) * EPSILON)   /* rounding of positions, relative to the reach */
+#define MARGIN_EDGE       @MARGIN_EDGE@         /* rounding of the margin */
 /* Steps for which the Hessian has been learned; before: */
 #define OUTDATED          (-1)
 #define UNKNOWN           (-2)
@@ -101,13 +102,21 @@ static const @real@ *weights_of(const @p@_problem *problem)
 
 /* ---- kernels ---- */
 
-/* Without the slope of the margin. */
 static int locate(const @p@_problem *problem, point *x)
 {
   const @real@ *arg[@ARG_position@] = {x->z, &x->z[@N_B@], parameters_of(problem)};
-  @real@ *res[@RES_position@] = {x->end_point, x->jacobian, &x->sine_squared};
+  @real@ *res[@RES_position@] = {x->end_point, x->jacobian};
   (void)KERNEL_position(arg, res);
-  return all_finite(NT, x->end_point) && all_finite(NT * NZ, x->jacobian) && is_finite(x->sine_squared);
+  return all_finite(NT, x->end_point) && all_finite(NT * NZ, x->jacobian);
+}
+
+/* Distance from singular postures. */
+static int clear(const @p@_problem *problem, point *x)
+{
+  const @real@ *arg[@ARG_distance@] = {x->z, &x->z[@N_B@], parameters_of(problem)};
+  @real@ *res[@RES_distance@] = {&x->sine_squared};
+  (void)KERNEL_distance(arg, res);
+  return is_finite(x->sine_squared);
 }
 
 static int margin_slope(const @p@_problem *problem, point *x)
@@ -415,9 +424,14 @@ static int project(const @p@_problem *problem, workspace_t *s, point *x, const i
       miss[k] = (problem->target[k] - x->end_point[k]) / s->reach;
       error = (fabs(miss[k]) > error) ? fabs(miss[k]) : error;
     }
-    miss[NT] = problem->sine_squared_min - x->sine_squared;
+    if ((error <= (EDGE * size_of(problem, s, x))) || (on_margin != 0)) {
+      if (clear(problem, x) == 0) {
+        return 0;
+      }
+      miss[NT] = problem->sine_squared_min - x->sine_squared;
+    }
     if (error <= (EDGE * size_of(problem, s, x))) {
-      if ((miss[NT] <= EDGE) && ((on_margin == 0) || (miss[NT] >= -EDGE))) {
+      if ((miss[NT] <= MARGIN_EDGE) && ((on_margin == 0) || (miss[NT] >= -MARGIN_EDGE))) {
         return 1;
       }
       on_margin = 1;
@@ -531,6 +545,12 @@ static void add_row(workspace_t *s, plane *at, int owner, @real@ limit)
   at->n_rows++;
 }
 
+/* Whether inequality r holds with equality, to rounding. */
+static int at_limit(const workspace_t *s, const plane *at, int r)
+{
+  return s->limits[r] >= ((at->owner[r] == (2 * NZ)) ? -MARGIN_EDGE : -EDGE);
+}
+
 /* Null space into s->basis (columns k to n - 1), rows and limits of the inequalities. 0 where the task loses rank. */
 static int build_plane(const @p@_problem *problem, workspace_t *s, const int *held_fast, int on_margin, plane *at)
 {
@@ -603,7 +623,7 @@ static int hold_back(workspace_t *s, const plane *at, int *held_fast, int *on_ma
   }
   for (int r = 0; r < at->n_rows; r++) {
     const int i = at->owner[r] / 2;
-    const int active = ((s->multipliers[r] > R(0.0)) && (s->limits[r] >= -EDGE)) ? 1 : 0;
+    const int active = ((s->multipliers[r] > R(0.0)) && (at_limit(s, at, r) != 0)) ? 1 : 0;
     if (at->owner[r] == (2 * NZ)) {
       mu = s->multipliers[r];
       *on_margin = active;
@@ -723,7 +743,7 @@ static int search(const @p@_problem *problem, const @p@_options *options, worksp
     }
     for (int r = 0; r < at->n_rows; r++) {
       /* A row that holds the step back stays active where it was, and becomes so after a whole step. */
-      if ((s->multipliers[r] > R(0.0)) && ((part >= R(1.0)) || (s->limits[r] >= -EDGE))) {
+      if ((s->multipliers[r] > R(0.0)) && ((part >= R(1.0)) || (at_limit(s, at, r) != 0))) {
         const int i = at->owner[r] / 2;
         if (at->owner[r] == (2 * NZ)) {
           on_margin = 1;
@@ -1107,7 +1127,7 @@ static int confirm(const @p@_problem *problem, workspace_t *s, @p@_result *found
 {
   point *x = &s->best;
   unwind(problem, x);
-  if (locate(problem, x) == 0) {
+  if ((locate(problem, x) == 0) || (clear(problem, x) == 0)) {
     return 0;
   }
   found->target_error = R(0.0);
@@ -1131,7 +1151,7 @@ static int confirm(const @p@_problem *problem, workspace_t *s, @p@_result *found
   found->iterations = s->iterations;
   found->starts = s->climbed;
   return (found->target_error <= (R(4.0) * EDGE * s->reach * size_of(problem, s, x))) &&
-         (found->bound_violation <= R(0.0)) && (found->margin_slack >= (-R(4.0) * EDGE));
+         (found->bound_violation <= R(0.0)) && (found->margin_slack >= (-R(4.0) * MARGIN_EDGE));
 }
 
 @p@_status @p@_solve(const @p@_problem *problem, const @real@ *start, const @p@_options *options,

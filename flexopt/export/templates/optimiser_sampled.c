@@ -12,12 +12,18 @@ static int prepare(const @p@_problem *problem, workspace_t *s)
   return 1;
 }
 
+/* Row of the task along which variable i moves the machine, or -1. */
+static int row_of(int i)
+{
+  static const int rows[NZ] = {@ROWS_OF@};
+  return rows[i];
+}
+
 /* Where variable i is looked for: its bounds; as far as the arm reaches where it moves the machine along a row of the
  * task; else a whole turn, or the arm's length either way, in place of a bound that is absent. */
 static void range_of(const @p@_problem *problem, const workspace_t *s, int i, @real@ *low, @real@ *high)
 {
-  static const int row_of[NZ] = {@ROWS_OF@};
-  const int row = row_of[i];
+  const int row = row_of(i);
   const @real@ wide = (is_angle(i) != 0) ? @PI@ : s->reach;
   const int open_low = (problem->lower[i] <= -@P@_UNBOUNDED) ? 1 : 0;
   const int open_high = (problem->upper[i] >= @P@_UNBOUNDED) ? 1 : 0;
