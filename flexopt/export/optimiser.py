@@ -313,13 +313,17 @@ def _sampling(measures: Measures, kernels: OptimiserKernels, real: Real) -> dict
     plant, machine = measures.plant, measures.plant.machine
     if kernels.closed_form:
         units = plant.n_actuated - 2
-        of_kind = {"UNITS": str(units), "SAMPLES": str(SURFACE_SAMPLES if units else CURVE_SAMPLES)}
+        of_kind = {"STEP_MAX": number(0.5, real), "PROJECTION_STEPS": "15"}
+        of_kind |= {"UNITS": str(units), "SAMPLES": str(SURFACE_SAMPLES if units else CURVE_SAMPLES)}
         dimensions = units + 1
     else:
         center, radius = outer_reach(plant)
         along = dict(zip("xyz", center, strict=False))
         rows = [machine.task_rows.index(c) if c in machine.task_rows else -1 for c in machine.base_coordinates]
+        # Longer steps and fewer of them, as each costs many times more.
         of_kind = {
+            "STEP_MAX": number(0.8, real),
+            "PROJECTION_STEPS": "8",
             "SAMPLES": str(SAMPLES),
             "REACH": number(radius, real),
             "FIRST_JOINT": ", ".join(number(float(along.get(row, 0.0)), real) for row in machine.task_rows),

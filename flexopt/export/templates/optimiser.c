@@ -14,11 +14,11 @@
 #define PROJECTIONS       @PROJECTIONS@ /* steps onto the target that cost as much as one */
 #define PAUSE             (@P@_BUDGET - (@P@_BUDGET / 8)) /* from here on the best climb is finished first */
 /* One climb. */
-#define PROJECTION_STEPS  8
+#define PROJECTION_STEPS  @PROJECTION_STEPS@
 #define HALVINGS          10
 #define SWEEPS            8
 #define CLIMB_STEPS       60
-#define STEP_MAX          R(0.8)                /* longest step in x */
+#define STEP_MAX          @STEP_MAX@              /* longest step in x */
 #define KICK              R(0.05)               /* step away from a saddle */
 #define CURVATURE         R(1e-6)               /* positive curvature of V above it is none of rounding */
 #define CURVATURE_MIN     R(1e-7)               /* smallest curvature of the model */
@@ -201,20 +201,20 @@ static void diagonalise(workspace_t *s, int d)
 {
   @real@ *a = s->reduced;
   @real@ *u = s->turn;
-  @real@ turned = R(1.0); /* pairs that were not negligible */
+  int turned = 1; /* whether a pair was not negligible */
   for (int i = 0; i < d; i++) {
     for (int j = 0; j < d; j++) {
       u[(i * NZ) + j] = (i == j) ? R(1.0) : R(0.0);
     }
   }
-  for (int sweep = 0; (sweep < SWEEPS) && (turned > R(0.0)); sweep++) {
-    turned = R(0.0);
+  for (int sweep = 0; (sweep < SWEEPS) && (turned != 0); sweep++) {
+    turned = 0;
     for (int p = 0; p < (d - 1); p++) {
       for (int q = p + 1; q < d; q++) {
         const @real@ off = a[(p * NZ) + q];
         const @real@ half = (a[(q * NZ) + q] - a[(p * NZ) + p]) / R(2.0);
         const @real@ reach = fabs(half) + sqrt((half * half) + (off * off));
-        turned += ((off * off) > (EPSILON * EPSILON * fabs(a[(p * NZ) + p] * a[(q * NZ) + q]))) ? R(1.0) : R(0.0);
+        turned = ((turned != 0) || ((off * off) > (EPSILON * EPSILON * fabs(a[(p * NZ) + p] * a[(q * NZ) + q])))) ? 1 : 0;
         if (reach > R(0.0)) {
           const @real@ tangent = ((half < R(0.0)) ? -off : off) / reach;
           const @real@ cosine = R(1.0) / sqrt(R(1.0) + (tangent * tangent));
