@@ -877,7 +877,7 @@ static void climb(const @p@_problem *problem, const @p@_options *options, worksp
     moved = step_up(problem, options, s);
     if (moved != 0) {
       note(s, &s->present);
-          if ((s->last == 0) && (step >= PATIENCE)) {
+      if ((s->last == 0) && (step >= PATIENCE)) {
         /* Not where another climb has been higher than this one is going to be, nor along a ridge. */
         moved = ((s->present.value + (PROMISE * s->gain * s->present.scale)) >= s->best.value) ? 1 : 0;
         if (((step % RIDGE_STEPS) == 0) && (s->steepness > RIDGE_SLOPE)) {
