@@ -29,6 +29,8 @@ Done = Callable[[int], None]
 WORKERS_MAX = 1024
 # Work left, s, from which on processes are worth their start: forked ones start in some 10 ms, others import anew.
 WORTH_FORKING, WORTH_SPAWNING = 0.1, 5.0
+# Numbers that a process is given ahead.
+AHEAD_MAX = 8
 
 
 def available_cores() -> int:
@@ -143,8 +145,9 @@ def _collect(
             with contextlib.suppress(BrokenPipeError):
                 connection.send(number)
 
-    # Enough to do for as long as this process does not look.
-    for _ in range(1 if meanwhile is None else max(1, len(numbers) // (2 * len(pairs)))):
+    # Enough to do for as long as this process does not look; more than a pipe holds would stop it for good, as the
+    # others wait until it reads their results.
+    for _ in range(1 if meanwhile is None else max(1, min(AHEAD_MAX, len(numbers) // (2 * len(pairs))))):
         for connection, _ in pairs:
             feed(connection)
     if meanwhile is not None:

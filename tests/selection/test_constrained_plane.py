@@ -92,6 +92,22 @@ def _fails() -> None:
     raise ValueError("meanwhile")
 
 
+MANY = """
+import time
+from flexopt.selection.parallel import in_parallel
+def large(number):
+    time.sleep(2e-4)
+    return bytes(300_000)
+print(len(in_parallel(large, 3000, 2, None, lambda: time.sleep(0.2))))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a function of a script's text cannot be sent to spawned processes")
+def test_many_large_results_do_not_fill_the_pipes():
+    out = subprocess.run([sys.executable, "-c", MANY], capture_output=True, text=True, timeout=60, check=True)
+    assert out.stdout.split() == ["3000"], out.stderr
+
+
 def test_errors_of_a_process_are_raised_here_and_nothing_is_left():
     with pytest.raises(flexopt.InputError, match="seven"):
         in_parallel(_slowly, 12, 3)
