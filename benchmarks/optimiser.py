@@ -412,7 +412,9 @@ def compare(
                 quality.append((place, control, real, word, *summary(pairs, answers, real)))
                 if place == "host":
                     continue
-                unit = round(float((answers.instructions / answers.cost).max()))
+                # Without an answer there is no cost.
+                told = answers.cost > 0
+                unit = round(float((answers.instructions[told] / answers.cost[told]).max()))
                 numbers = (*spread(answers.instructions), f"{BAR:,}", f"{unit:,}", *spread(answers.iterations))
                 stack = f"{answers.stack:,}" if answers.stack < 4 * PAINTED else f"{4 * PAINTED:,} or more"
                 effort.append((control, real, word, *numbers, stack, f"{answers.workspace:,}"))
