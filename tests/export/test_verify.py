@@ -196,6 +196,20 @@ def test_recursion_and_stack_are_read_from_the_call_graph() -> None:
     assert set(graph.cycle()) == {"a", "b", "c"}
 
 
+def test_functions_of_one_name_in_two_files_are_two(tmp_path: Path) -> None:
+    """f calls g in one file, and g calls f in the other: no recursion."""
+    for file, (above, below) in {"one": ("f", "g"), "two": ("g", "f")}.items():
+        lines = [f'node: {{ title: "{file}.c:{name}" label: "{name}\\n{file}.c:1:1\\n{size} bytes (static)" }}'
+                 for name, size in ((above, 8), (below, 16))]  # fmt: skip
+        lines += [f'node: {{ title: "{file}" label: "{file}\\n{file}.c:2:1\\n4 bytes (static)" }}']
+        lines += [f'edge: {{ sourcename: "{file}" targetname: "{file}.c:{above}" label: "{file}.c:2:9" }}']
+        lines += [f'edge: {{ sourcename: "{file}.c:{above}" targetname: "{file}.c:{below}" label: "{file}.c:1:9" }}']
+        (tmp_path / f"{file}.ci").write_text("\n".join(lines))
+    graph = objects.call_graph({file: tmp_path / f"{file}.o" for file in ("one", "two")})
+    assert graph.cycle() == []
+    assert graph.stack_from("one") == graph.stack_from("two") == 28
+
+
 @pytest.mark.parametrize(
     ("addition", "sentence"),
     [

@@ -165,12 +165,12 @@ def call_graph(built: dict[str, Path]) -> CallGraph:
         for title, text_label in re.findall(r'node: \{ title: "([^"]+)" label: "([^"]*)"', text):
             frame = re.search(r"(\d+) bytes \(([^)]*)\)", text_label)
             if frame:
-                name = title.rpartition(":")[2]
-                graph.stack[name] = max(graph.stack.get(name, 0), int(frame[1]))
+                # A static function's title begins with its file: each has functions of the same names.
+                graph.stack[title] = int(frame[1])
                 if frame[2] != "static":
-                    graph.dynamic.add(name)
+                    graph.dynamic.add(title)
         for caller, callee in re.findall(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"', text):
-            graph.calls.setdefault(caller.rpartition(":")[2], set()).add(callee.rpartition(":")[2])
+            graph.calls.setdefault(caller, set()).add(callee)
     return graph
 
 
