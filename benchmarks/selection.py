@@ -21,7 +21,6 @@ import flexopt
 from benchmarks.timing import median_seconds, table
 from flexopt.model.arguments import Vector
 from flexopt.selection.scan import peaks
-from flexopt.selection.solve import _run_solver
 
 COLD_SELECT = """
 import time, flexopt
@@ -105,7 +104,7 @@ def main() -> None:
     for control in ("inverse", "transpose"):
         problem = flexopt.build_selection(machine, (0.0, 1.6), control=control, base=0.0)
         starts = [np.concatenate([problem.scan.base[:, k], problem.scan.posture[:, k]]) for k in peaks(problem.scan)]
-        ours = [median_seconds(partial(_run_solver, problem, start)) for start in starts]
+        ours = [median_seconds(partial(run_solver, problem, start)) for start in starts]
         theirs = [median_seconds(partial(_slsqp, problem, start)) for start in starts]
         median, peer = float(np.median(ours)), float(np.median(theirs))
         rows.append(

@@ -253,19 +253,6 @@ class Foreign:
         }  # fmt: skip
 
 
-def optimiser_refusal(machine: AnyMachine) -> str:
-    """Why a machine can have no optimiser; empty where it can."""
-    if len(machine.joints) < 2:
-        return "the optimiser needs two actuated joints or more"
-    variables, rows = len(machine.base_coordinates) + len(machine.joints), len(machine.task_rows)
-    if variables <= rows:
-        return (
-            "the optimiser needs more variables than the task has rows, else nothing is left to choose: placement and "
-            f"joints are {variables} variables for {rows} rows"
-        )
-    return ""
-
-
 def optimiser(at: Context, prefix: str, real: Real) -> Foreign:
     """The posture optimiser of a bundle."""
     margin_deg = math.degrees(math.asin(at.singularity_margin))

@@ -127,8 +127,8 @@ def build_optimiser(
     if budget is not None:
         budget = arguments.checked("budget", budget, _check_budget, BUDGET)
     arguments.checked("prefix", prefix, _check_prefix, "flexopt")
-    if len(machine.joints) < 2:
-        arguments.faults.append(Fault("machine", "the optimiser needs two actuated joints or more", machine.name))
+    refusal = "" if arguments.faults else optimiser_refusal(machine)
+    arguments.faults += [Fault("machine", refusal, machine.name)] * bool(refusal)
     arguments.done()
     at = build_context(
         machine, control=control, gain=1.0, single=real == "float", baked=baked, singularity_margin_deg=margin
@@ -170,6 +170,19 @@ def build_optimiser(
         budget=budget,
         statuses=statuses,
     )
+
+
+def optimiser_refusal(machine: AnyMachine) -> str:
+    """Why a machine can have no optimiser; empty where it can."""
+    if len(machine.joints) < 2:
+        return "the optimiser needs two actuated joints or more"
+    variables, rows = len(machine.base_coordinates) + len(machine.joints), len(machine.task_rows)
+    if variables <= rows:
+        return (
+            "the optimiser needs more variables than the task has rows, else nothing is left to choose: placement and "
+            f"joints are {variables} variables for {rows} rows"
+        )
+    return ""
 
 
 def default_budget(kernels: OptimiserKernels) -> int:

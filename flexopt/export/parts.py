@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 from flexopt.export.context import Context
 from flexopt.export.control import controller, kinematics
-from flexopt.export.foreign import Foreign, optimiser, optimiser_refusal
+from flexopt.export.foreign import Foreign, optimiser
 from flexopt.export.hydraulic import levers, levers_refusal
 from flexopt.export.kernels import Real
 from flexopt.export.modal import margin, measures, nullspace
 from flexopt.export.operations import Operation
+from flexopt.export.optimiser import optimiser_refusal
 from flexopt.export.simulator import simulator
 from flexopt.model import AnyMachine
 

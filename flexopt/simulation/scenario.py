@@ -14,18 +14,18 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from flexopt.errors import Fault, InputError, NoSolutionFound, raise_if_any
-from flexopt.model import AnyMachine, Tree
+from flexopt.errors import InputError, NoSolutionFound, raise_if_any
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.faults import validated
 from flexopt.model.problem import Control, control_damping, control_method
 from flexopt.model.simulation import Path, SimulationOptions
 from flexopt.plant import Plant, build_plant, inverse_kinematics
-from flexopt.plant.machine_motion import Structure, constant_values, motion_of, structure_of
+from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
 from flexopt.plant.motion import Motion
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
-from flexopt.plant.tree_structure import TURN, Skeleton
+from flexopt.simulation.base_path import driven_structure, moved, path_faults
 from flexopt.simulation.behaviour import STILL, Grounds
 from flexopt.simulation.levers import with_servo_gain
 from flexopt.simulation.loop import ClosedLoop, closed_loop
@@ -135,68 +135,13 @@ def _place(motion: Motion, base: Vector) -> Vector:
     return np.array(motion.on_rows(base.tolist(), 0.0))
 
 
-def moved(motion: Motion, points: Vector, base: Vector) -> Vector:
-    """Placements (K, n_b) as `Motion` takes them, (K, n_d): from `base`, x and y in the axes in which it stands."""
-    away = dict(zip(motion.placement, (points - base).T, strict=True))
-    if "yaw" in away:
-        yaw, nothing = float(base[motion.placement.index("yaw")]), np.zeros(len(points))
-        c, s, x, y = math.cos(yaw), math.sin(yaw), away.get("x", nothing), away.get("y", nothing)
-        away |= {"x": x * c + y * s, "y": y * c - x * s, TURN: away["yaw"]}
-    columns: Vector = np.stack([away[name] for name in motion.drive], axis=1)
-    return columns
-
-
-def _driven_structure(machine: AnyMachine, options: SimulationOptions) -> Structure:
-    """The machine's structure, and what a base path drives besides its placement."""
-    structure, path = structure_of(machine), options.base_path
-    if not isinstance(structure, Skeleton) or path is None or "yaw" not in structure.placement:
-        return structure
-    placement, base = structure.placement, np.array(options.placement(machine))
-    k = placement.index("yaw")
-    turns = bool(np.any(np.array(path.points)[:, k] != base[k]))
-    across = tuple(name for name in ("x", "y") if name not in placement) if turns or base[k] else ()
-    return replace(structure, also=across + (TURN,) * turns)
-
-
 def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
     """Options of a call, or one error with every fault."""
     plain = {name: _plain(value) for name, value in given.items() if value is not None}
     machine = Arguments(call).machine(machine)
     options = validated(SimulationOptions, plain, call, (), InputError)
-    raise_if_any(InputError, call, options.faults(machine) + _path_faults(machine, options))
+    raise_if_any(InputError, call, options.faults(machine) + path_faults(machine, options))
     return options
-
-
-def _path_faults(machine: AnyMachine, options: SimulationOptions) -> list[Fault]:
-    """Base paths that would jerk the machine along."""
-    path, base = options.base_path, np.array(options.placement(machine))
-    if path is None or not len(base) or any(len(point) != len(base) for point in path.points):
-        return []
-    structure = _driven_structure(machine, options)
-    motion, points = motion_of(structure, {}), np.array(path.points)
-    # Where the anchor frame is turned, a rounding error is left over of what cancels.
-    rounding = 1e-12 * (1.0 + float(np.abs(points).max()))
-    driven = np.any(np.abs(moved(motion, points, base)) > rounding, axis=0)
-    turns = TURN in motion.drive
-    rigid = [
-        name
-        for name, goes in zip(motion.drive, driven, strict=True)
-        if name in ("x", "y") and name not in motion.absorbed and (goes or turns)
-    ]
-    found: list[Fault] = []
-    if turns and isinstance(machine, Tree) and isinstance(structure, Skeleton):
-        rigid += ["yaw"] if structure.turned_hinge is None else []
-        carriers = [*structure.leading_slides, *(structure.turned_hinge or ())[:1]]
-        geared = [machine.bodies[int(i)].joint for i in carriers if machine.bodies[int(i)].joint.armature]
-        if geared:
-            named = ", ".join(joint.name for joint in geared)
-            found.append(Fault("base_path.points", f"cannot turn a base whose joints {named} have an armature"))
-    if rigid:
-        joined = " and ".join((", ".join(rigid[:-1]), rigid[-1]) if rigid[1:] else rigid)
-        sentence = f"needs a base that gives in {joined}; a rigid one would jerk the machine along"
-        order = ": slides along x and y with springs, then a vertical hinge with one" if turns else ""
-        found.append(Fault("base_path", sentence + order))
-    return found
 
 
 def build_scenario(
@@ -404,7 +349,7 @@ def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, i
     sensor, actuator = options.sensor, options.actuator
     laws: dict[str, Any] = {"robust": "state_space"}
     return LoopStructure(
-        motion=_driven_structure(machine, options),
+        motion=driven_structure(machine, options),
         control=control_method(options.control),
         law=laws.get(options.feedback, options.feedback),
         sampled=options.hold,

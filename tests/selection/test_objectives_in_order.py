@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 import flexopt
 from flexopt.errors import NoSolutionFound
-from flexopt.selection import solve
+from flexopt.selection import optima
 from flexopt.selection.check import prove
+from flexopt.selection.starts import starting_points
 
 # Machine, target, objectives: solves from the optima of the objective before end in a saddle's alarm or nowhere.
 HARD = {
@@ -65,7 +68,7 @@ def test_a_later_objective_is_solved_and_no_point_nearby_is_better(name: str) ->
 
 def test_an_objective_that_nobody_solves_has_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = flexopt.load("excavator")
-    honest, tries = solve._run_solver, []
+    honest, tries = optima.run_solver, []
 
     def stuck(problem, start, *, quick=False):
         if not problem.kept:
@@ -73,26 +76,26 @@ def test_an_objective_that_nobody_solves_has_no_answer(monkeypatch: pytest.Monke
         tries.append(start)
         return start, 0, "Restoration_Failed"
 
-    monkeypatch.setattr(solve, "_run_solver", stuck)
+    monkeypatch.setattr(optima, "run_solver", stuck)
     with pytest.raises(NoSolutionFound, match="as an optimum of w2 among those that keep w1 in"):
         flexopt.select(machine, [3.0, 0.5], objective="w1,w2", workers=1)
     # Points further and further away were tried.
-    assert len(np.unique(np.round(tries, 12), axis=0)) >= 3 * solve.AROUND_STARTS
+    assert len(np.unique(np.round(tries, 12), axis=0)) >= 3 * optima.AROUND_STARTS
 
 
 def test_an_optimum_of_the_objective_before_may_be_one_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same objective twice: where the solver fails, the proof says that the first answer is the second, too."""
     machine = flexopt.load("excavator")
     whole = flexopt.select(machine, [3.0, 0.5], objective="w1", workers=1)
-    problem = solve.replace(
+    problem = replace(
         whole.problem, objectives=whole.problem.objectives * 2, objective_scales=whole.problem.objective_scales * 2
     )
-    honest = solve._run_solver
+    honest = optima.run_solver
 
     def stuck(problem, start, *, quick=False):
         return (start, 0, "Restoration_Failed") if problem.kept else honest(problem, start, quick=quick)
 
-    monkeypatch.setattr(solve, "_run_solver", stuck)
+    monkeypatch.setattr(optima, "run_solver", stuck)
     twice = flexopt.solve_selection(problem, workers=1)
     np.testing.assert_allclose(twice.best.w[0], whole.best.w[0], atol=1e-9 * whole.problem.objective_scale)
 
@@ -113,7 +116,7 @@ def test_a_minimum_along_what_is_kept_is_refused() -> None:
 
     (w, w_slope), (v, v_slope) = part(first, small), part(last, large)
     bounds = list(zip(problem.lower / scale, problem.upper / scale, strict=True))
-    for start in solve.starting_points(problem) * 6:
+    for start in starting_points(problem) * 6:
         level = w(start / scale) * rng.uniform(0.5, 1.5) - 1e-2
         done = minimize(
             v, start / scale + 0.1 * rng.standard_normal(start.size), jac=v_slope, method="SLSQP", bounds=bounds,
@@ -123,7 +126,7 @@ def test_a_minimum_along_what_is_kept_is_refused() -> None:
             ],
             options={"maxiter": 200, "ftol": 1e-15},
         )  # fmt: skip
-        held = solve.replace(problem, kept=(w(done.x) * small,))
+        held = replace(problem, kept=(w(done.x) * small,))
         found = prove(held, done.x * scale)
         if "kept w1" in found.active and set(found.violations) == {"second-order optimality"}:
             refused += 1

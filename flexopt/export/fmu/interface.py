@@ -22,8 +22,9 @@ from flexopt.model.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.plant.motion import Motion
+from flexopt.simulation.base_path import moved
 from flexopt.simulation.loop import ClosedLoop, closed_loop
-from flexopt.simulation.scenario import Scenario, moved
+from flexopt.simulation.scenario import Scenario
 from flexopt.simulation.structure import Layout
 from flexopt.simulation.trajectory import Trajectory
 

@@ -939,6 +939,22 @@ static void keep(workspace_t *s, int most, const point *x, int grid)
   }
 }
 
+/* The trial becomes the present point where it is nearer to start than `nearest`, a squared distance in x, or that is
+ * negative: none yet. Returns the smaller one. */
+static @real@ keep_nearer(workspace_t *s, const @real@ *start, @real@ nearest)
+{
+  @real@ square = R(0.0);
+  for (int i = 0; i < NZ; i++) {
+    const @real@ away = (s->trial.z[i] - start[i]) / s->scales[i];
+    square += away * away;
+  }
+  if ((nearest < R(0.0)) || (square < nearest)) {
+    s->present = s->trial;
+    return square;
+  }
+  return nearest;
+}
+
 @SAMPLING@
 /* ---- interface ---- */
 

@@ -128,7 +128,6 @@ static int replace_start(const @p@_problem *problem, const @real@ *start, const 
     const @real@ base = (j == 0) ? clamped(start[0], low, high) : (low + ((high - low) * part));
     for (int elbow = -1; elbow <= 1; elbow += 2) {
       @real@ unit[UNITS + 1]; /* one more, so that it is never empty */
-      @real@ square = R(0.0);
       for (int k = 0; k <= UNITS; k++) {
         unit[k] = R(0.5);
       }
@@ -136,14 +135,7 @@ static int replace_start(const @p@_problem *problem, const @real@ *start, const 
         return 0;
       }
       if (place(problem, s, base, unit, (@real@)elbow, &s->trial) != 0) {
-        for (int i = 0; i < NZ; i++) {
-          const @real@ away = (s->trial.z[i] - start[i]) / s->scales[i];
-          square += away * away;
-        }
-        if ((nearest < R(0.0)) || (square < nearest)) {
-          nearest = square;
-          s->present = s->trial;
-        }
+        nearest = keep_nearer(s, start, nearest);
       }
     }
   }

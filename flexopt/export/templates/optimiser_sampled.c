@@ -81,19 +81,11 @@ static int replace_start(const @p@_problem *problem, const @real@ *start, const 
 {
   @real@ nearest = -R(1.0);
   for (int j = 0; j < REPLACEMENTS; j++) {
-    @real@ square = R(0.0);
     if (may_spend(options, s, 1) == 0) {
       return 0;
     }
     if (draw(problem, s, j, &s->trial) != 0) {
-      for (int i = 0; i < NZ; i++) {
-        const @real@ away = (s->trial.z[i] - start[i]) / s->scales[i];
-        square += away * away;
-      }
-      if ((nearest < R(0.0)) || (square < nearest)) {
-        nearest = square;
-        s->present = s->trial;
-      }
+      nearest = keep_nearer(s, start, nearest);
     }
   }
   return (nearest >= R(0.0)) ? 1 : 0;

@@ -1,0 +1,256 @@
+"""Local optima of a configuration problem: solves from many starts, each proved, the unfinished ones taken up again.
+
+In: a problem whose earlier objectives are kept, and starts. Out: distinct verified optima; what became of each start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from flexopt.errors import NoSolutionFound
+from flexopt.model.arguments import Vector
+from flexopt.robustness.evaluation import prepare
+from flexopt.selection.check import Proof, prove
+from flexopt.selection.parallel import in_parallel
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.result import Attempt
+
+SAME_POINT = 1e-4
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+CUT_SHORT = "Maximum_Iterations_Exceeded"
+# Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
+NEARLY = 1e-3
+# What an earlier objective may give up for a later one, relative to its scale: two postures with w that close to 0 are
+# equally robust.
+KEPT_SLACK = 1e-4
+# How often a solve that was cut short is taken up again.
+RESUMED = 3
+# Where no optimum of a later objective is found from those of the one before: how far away, in scaled variables, it is
+# tried again, and from how many points each time.
+AROUND = (0.0, 1e-3, 1e-2, 1e-1)
+AROUND_STARTS = 8
+
+Progress = Callable[[int, int], None]
+# A point, its proof, and IPOPT's iterations.
+Found = tuple[Vector, Proof, int]
+# The same with the solver's status; no proof where the point is no number.
+Solved = tuple[Vector, Proof | None, int, str]
+
+
+def first_optima(
+    problem: SelectionProblem, starts: list[Vector], workers: int, progress: Progress | None
+) -> tuple[list[Found], list[Attempt]]:
+    """Distinct verified optima from the starts, and what became of each start."""
+    found, attempts, failures = _attempted(problem, starts, workers, progress, _solve_start)
+    if not found:
+        raise _no_solution(problem, attempts, failures)
+    return found, attempts
+
+
+def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) -> tuple[list[Found], list[Attempt]]:
+    """The same of a later objective, from optima of the one before.
+
+    These are few, and may lie where the solver gets stuck: in a valley as narrow as what the earlier objectives may
+    give up, or where derivatives jump. Where none leads to an optimum, they may be optima of this objective, too; else
+    points around them are tried, further and further away.
+    """
+    found, attempts, failures = _attempted(problem, starts, workers, None, _solve_start)
+    if not found:
+        proofs = [prove(problem, z) for z in starts]
+        found = [(z, proof, 0) for z, proof in zip(starts, proofs, strict=True) if proof.holds]
+    for round_number, distance in enumerate(AROUND):
+        if found:
+            break
+        near = starts if distance == 0 else _around(problem, starts, distance, round_number)
+        found, more, failed = _attempted(problem, near, workers, None, _finish)
+        attempts, failures = attempts + more, failures + failed
+    if not found:
+        raise _no_solution(problem, attempts, failures)
+    return found, attempts
+
+
+def _around(problem: SelectionProblem, starts: list[Vector], distance: float, number: int) -> list[Vector]:
+    """Points about the starts, within the bounds."""
+    rng = np.random.default_rng([problem.seed, number])
+    steps = distance * rng.standard_normal((AROUND_STARTS, problem.scale.size)) * problem.scale
+    return [np.clip(starts[k % len(starts)] + step, problem.lower, problem.upper) for k, step in enumerate(steps)]
+
+
+def _attempted(
+    problem: SelectionProblem,
+    starts: list[Vector],
+    workers: int,
+    progress: Progress | None,
+    solve: Callable[[SelectionProblem, list[Vector], int], Solved],
+) -> tuple[list[Found], list[Attempt], list[tuple[Vector, Proof]]]:
+    """The same, and the points that failed the proof; there may be no optimum."""
+    found: list[Found] = []
+    failures: list[tuple[Vector, Proof]] = []
+    attempts: list[Attempt] = []
+
+    def done(number: int) -> None:
+        if progress is not None:
+            progress(number, len(starts))
+
+    # What candidates are evaluated by is built while others solve.
+    meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
+    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile)
+    unfinished = _promising(problem, solved)
+    points = [solved[number][0] for number in unfinished]
+    for number, (z, proof, more, status) in zip(
+        unfinished, in_parallel(partial(_resume, problem, points), len(points), workers), strict=True
+    ):
+        solved[number] = z, proof, solved[number][2] + more, status
+    for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
+        outcome = f"solver: {status}"
+        if proof is not None:
+            if not proof.holds:
+                failures.append((z, proof))
+                outcome = f"{outcome}; fails {', '.join(proof.violations)}"
+            elif _accepted(problem, proof, status):
+                new = _is_new(problem, z, found)
+                outcome = "a new local optimum" if new else "a local optimum found before"
+                if new:
+                    found.append((z, proof, iterations))
+        attempts.append(Attempt(tuple(start.tolist()), outcome))
+    return found, attempts, failures
+
+
+def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
+    """Whether a point counts as an optimum.
+
+    At a kink the solver's own stopping test may fail where the proof, which knows of both branches, holds; so it may
+    where derivatives change without bound, as they do next to a_i = 0.
+    """
+    return proof.holds and (status in SOLVED or problem.objective.has_kinks or proof.unsurpassed)
+
+
+def _hurried(problem: SelectionProblem) -> bool:
+    """Whether solves are cut short first: with one degree of redundancy optima are points, and solves are quick."""
+    return problem.redundancy > 1 and not any(o.has_kinks for o in problem.objectives[: len(problem.kept) + 1])
+
+
+def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+    """A start's solution; where there is much redundancy, after a few iterations (see `_promising`)."""
+    if not _hurried(problem):
+        return _finish(problem, starts, number)
+    z, iterations, status = run_solver(problem, starts[number], quick=True)
+    proof = prove(problem, z) if np.all(np.isfinite(z)) else None
+    if proof is not None and not proof.holds and status in SOLVED:
+        z, proof, more, status = _finish(problem, [z], 0)
+        iterations += more
+    return z, proof, iterations, status
+
+
+def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+    z, iterations, status = run_solver(problem, starts[number])
+    return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
+
+
+def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Solved:
+    """A solve that was cut short, taken up again a few times: what wanders for longer does not settle."""
+    z, iterations, status = points[number], 0, CUT_SHORT
+    for _ in range(RESUMED):
+        z, more, status = run_solver(problem, z, quick=True)
+        iterations += more
+        if status != CUT_SHORT:
+            break
+    return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
+
+
+def _promising(problem: SelectionProblem, solved: list[Solved]) -> list[int]:
+    """Numbers of the starts that were cut short and may still lead to more than the best optimum found.
+
+    Where none was found that is every one.
+    """
+    if not _hurried(problem):
+        return []
+    good = [z for z, proof, _, status in solved if proof is not None and _accepted(problem, proof, status)]
+    best = max((_value(problem, z) for z in good), default=-np.inf)
+    short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
+    return [k for k in short if not good or (_near(problem, solved[k][0]) and _value(problem, solved[k][0]) > best)]
+
+
+def _value(problem: SelectionProblem, z: Vector) -> float:
+    return float(problem.branches(problem.objective, z)[0][0])
+
+
+def _near(problem: SelectionProblem, z: Vector) -> bool:
+    """Whether no constraint is violated by more than a small share of its scale."""
+    beyond = [
+        max(c.lower - v, v - c.upper) / c.scale for c, v in zip(problem.constraints, problem.rows(z), strict=True)
+    ]
+    return max(beyond) <= NEARLY
+
+
+def next_stage(problem: SelectionProblem, found: list[Found]) -> SelectionProblem:
+    """The problem of the next objective, with the best value of the present one to be kept."""
+    values = [problem.branches(problem.objective, z)[0][0] for z, _, _ in found]
+    keep = float(max(values)) - KEPT_SLACK * problem.objective_scale
+    good = [item for item, value in zip(found, values, strict=True) if value >= keep]
+    found[:] = good
+    return replace(problem, kept=(*problem.kept, keep))
+
+
+def run_solver(problem: SelectionProblem, start: Vector, *, quick: bool = False) -> tuple[Vector, int, str]:
+    """One solve from z = start: the point reached, iterations, and the solver's own status."""
+    solver, shift, n_task = problem.solver(quick=quick), problem.shift[0], problem.target.size
+    objective, rows = problem.objective, problem.constraints[n_task:]
+    x0, lower, upper = ((bound - shift) / problem.scale for bound in (start, problem.lower, problem.upper))
+    at_least = [np.zeros(n_task), np.array([row.lower / row.scale for row in rows])]
+    at_most = [np.zeros(n_task), np.array([row.upper / row.scale for row in rows])]
+    for earlier, kept, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
+        branches = 2 if earlier.has_kinks else 1
+        at_least.append(np.full(branches, kept / size))
+        at_most.append(np.full(branches, np.inf))
+    if objective.has_kinks:
+        value = problem.branches(objective, start)[0][0] / problem.objective_scale
+        x0, lower, upper = np.append(x0, value), np.append(lower, -np.inf), np.append(upper, np.inf)
+        at_least.append(np.zeros(2))
+        at_most.append(np.full(2, np.inf))
+    result = solver(
+        x0=x0,
+        p=problem.solver_parameters(),
+        lbx=lower,
+        ubx=upper,
+        lbg=np.concatenate(at_least),
+        ubg=np.concatenate(at_most),
+    )
+    statistics: dict[str, Any] = solver.stats()
+    z = problem.wrapped(result["x"].full().ravel()[: problem.scale.size] * problem.scale + shift)
+    return np.clip(z, problem.lower, problem.upper), int(statistics["iter_count"]), str(statistics["return_status"])
+
+
+def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:
+    return all(np.abs((z - other) / problem.scale).max() > SAME_POINT for other, _, _ in found)
+
+
+def _no_solution(
+    problem: SelectionProblem, attempts: list[Attempt], failures: list[tuple[Vector, Proof]]
+) -> NoSolutionFound:
+    kept = ", ".join(objective.name for objective in problem.objectives[: len(problem.kept)])
+    among = f" as an optimum of {problem.objective.name} among those that keep {kept}" if kept else ""
+    heading = f"no configuration passed the checks{among} in {len(attempts)} starts"
+    if not failures:
+        outcomes = "; ".join(sorted({attempt.outcome for attempt in attempts}))
+        return NoSolutionFound(f"{heading}: {outcomes}", violations={}, iterate={})
+    z, proof = min(failures, key=lambda item: _severity(problem, item[1]))
+    units = {c.name: c.unit for c in problem.constraints} | {f"{v.name} range": v.unit for v in problem.variables}
+    sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in proof.violations.items())
+    iterate = dict(zip((v.name for v in problem.variables), z.tolist(), strict=True))
+    where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
+    return NoSolutionFound(
+        f"{heading}; the best iterate ({where}) violates {sizes}", violations=proof.violations, iterate=iterate
+    )
+
+
+def _severity(problem: SelectionProblem, proof: Proof) -> tuple[float, float]:
+    """How far a point is from being a solution: its largest constraint violation, then the largest of all."""
+    scales = {c.name: c.scale for c in problem.constraints} | {f"{v.name} range": v.scale for v in problem.variables}
+    beyond = [size / scales[name] for name, size in proof.violations.items() if name in scales]
+    return max(beyond, default=0.0), max(proof.violations.values())
