@@ -38,6 +38,7 @@ FEEDBACKS: tuple[Feedback, ...] = ("pd", "pid", "robust", "none")
 METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
 SAMPLES_MAX = 10_000_000
 DELAY_MAX = 100  # samples
+PART_OF_SAMPLE = 1e-6  # below this share of a sample a dead time is a whole number of them
 GAIN_MAX = 1e15
 
 Numbers = tuple[float, ...]
@@ -206,9 +207,9 @@ class SimulationOptions(FileModel):
         """The placement (n_b,); the origin where none is given."""
         return (0.0,) * len(machine.base_coordinates) if self.base is None else self.base
 
-    def faults(self, machine: AnyMachine) -> list[Fault]:
-        """What does not fit together, or not this machine."""
-        found = self._posture_faults(machine) + self._controller_faults(machine) + self._time_faults()
+    def faults(self, machine: AnyMachine, *, any_delay: bool = False) -> list[Fault]:
+        """What does not fit together, or not this machine; `any_delay`: the linear loop takes parts of a sample."""
+        found = self._posture_faults(machine) + self._controller_faults(machine) + self._time_faults(any_delay)
         for name, path, names in (
             ("base_path", self.base_path, machine.base_coordinates),
             ("target_path", self.target_path, machine.task_rows),
@@ -263,18 +264,32 @@ class SimulationOptions(FileModel):
             found.append(Fault("actuator.levers", sentence, repr(self.actuator.levers)))
         return found
 
-    def _time_faults(self) -> list[Fault]:
+    def _time_faults(self, any_delay: bool) -> list[Fault]:
         found: list[Fault] = []
         samples, waits = self.duration * self.rate, self.sensor.delay * self.rate
         if not 0.5 <= samples <= SAMPLES_MAX:
             found.append(Fault("duration, rate", f"must give between 1 and {SAMPLES_MAX} samples", f"{samples:g}"))
-        if abs(waits - round(waits)) > 1e-6 or waits > DELAY_MAX:
+        if any_delay and waits > DELAY_MAX:
+            sentence = f"must be at most {DELAY_MAX} samples of {1 / self.rate:g} s"
+            found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
+        elif not any_delay and (abs(waits - round(waits)) > PART_OF_SAMPLE or waits > DELAY_MAX):
             sentence = f"must be a whole number (0 to {DELAY_MAX}) of samples of {1 / self.rate:g} s"
+            sentence += "; sampled_loop and stability_border take any time"
             found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
         if not self.hold and self.sensor != Sensor():
             sentence = "noise, resolution and delay belong to a sampled controller: give hold = true"
             found.append(Fault("sensor", sentence))
         return found
+
+
+def dead_time(options: SimulationOptions) -> tuple[int, float]:
+    """Measurements on their way, and how long before a sample the newest was taken, s, of a delay of any length."""
+    waits = options.sensor.delay * options.rate
+    whole = round(waits)
+    if abs(waits - whole) <= PART_OF_SAMPLE:
+        return whole, 0.0
+    whole = int(waits)
+    return whole + 1, (waits - whole) / options.rate
 
 
 class NullspaceOptions(FileModel):

@@ -23,6 +23,8 @@ ROUNDING = 1e-20
 # So is what moves by less than this, m and rad.
 STILL = 1e-12
 FEWEST_WINDOWS = 4
+# A mode whose kinetic energy stays below this share of its elastic one is bent slowly: a hundredth of its frequency.
+QUASI_STATIC = 1e-4
 # An amplitude that ends so many times larger than it began has grown, whatever it does in the end.
 GROWN = 3.0
 
@@ -73,6 +75,8 @@ class Grounds:
         undisturbed_from: time from which nothing is driven any more, s; growth is judged from there.
         noisy: whether noise keeps the modes moving. Their amplitudes then wander, which a fit takes for growth, so
             that only an amplitude three times as large as at first counts.
+        drifting: whether the arm drifts along a self-motion, so that kinetic and elastic energies come apart, and a
+            mode that is bent without moving counts as still.
     """
 
     slowest_hz: float
@@ -80,6 +84,7 @@ class Grounds:
     still: Vector | float = 0.0
     undisturbed_from: float = 0.0
     noisy: bool = False
+    drifting: bool = False
 
 
 def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Grounds) -> Behaviour:
@@ -87,11 +92,12 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
 
     Args:
         times: (windows + 1,) edges of the windows, s.
-        monitors: (windows, 2 + m, N) maxima of `Sample.monitor`.
+        monitors: (windows, 2 + m, N) maxima of `Sample.monitor`; (windows, 2 + 2 m, N) where the arm drifts.
         end_error: |e| at the end, (N,).
         grounds: of the judgement.
     """
     squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, 2:]
+    modes = energy.shape[1] // 2 if grounds.drifting else energy.shape[1]
     alive = np.logical_and.accumulate(np.isfinite(squared_error) & np.all(np.isfinite(energy), axis=1), axis=0)
     finite = np.where(np.all(alive, axis=0), times[-1], times[np.sum(alive, axis=0)])
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)
@@ -100,7 +106,9 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     begin = begin if len(energy) - begin >= FEWEST_WINDOWS else 0
     judged = np.where(alive[begin:, None], energy[begin:], np.nan)
     peaks, centres = _periods(times[begin:], judged, grounds.slowest_hz)
-    rate, error, first, last = _growth(peaks, centres, grounds.still)
+    peaks, elastic = peaks[:, :modes], peaks[:, modes:]
+    bent = QUASI_STATIC * elastic if grounds.drifting else 0.0
+    rate, error, first, last = _growth(peaks, centres, grounds.still, bent)
     with np.errstate(invalid="ignore"):
         growing = last >= GROWN * first
         if not grounds.noisy:
@@ -140,14 +148,18 @@ def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, 
     return peaks, times[-1] - step * per_period * (np.arange(count)[::-1] + 0.5)
 
 
-def _growth(peaks: Vector, centres: Vector, still: Vector | float) -> tuple[Vector, Vector, Vector, Vector]:
+def _growth(
+    peaks: Vector, centres: Vector, still: Vector | float, bent: Vector | float
+) -> tuple[Vector, Vector, Vector, Vector]:
     """Growth rate, its standard error, and the amplitudes in the first and the last period, each (m, N).
 
-    Of the periods from where a mode first leaves rounding to where it falls back, or to the end.
+    Of the periods from where a mode first leaves rounding and what it is bent by, to where it falls back or to the end.
     """
     largest = np.maximum.accumulate(np.max(peaks, axis=1), axis=0)[:, None]
     with np.errstate(invalid="ignore"):
-        above = np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1))))
+        above = (
+            np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1)))) & (peaks > bent)
+        )
     begun = np.logical_or.accumulate(above, axis=0)
     whole = begun & ~np.logical_or.accumulate(begun & ~above, axis=0)
     begin, length = np.argmax(whole, axis=0), np.sum(whole, axis=0)

@@ -242,7 +242,7 @@ def _group(plan: _Plan, rows: slice, runner: Recurrence, shown: Batch, threads: 
     names = shown.function.name_out()
     error = shown(records.last, end, c, threads=threads)[names.index("error")]
     edges = np.concatenate([[0.0], records.k * s.period])
-    watched = records.monitor[:, : 2 + len(s.frequencies_hz)]
+    watched = records.monitor[:, :-1] if structure.method == "gauss" else records.monitor
     end_error = np.sqrt(np.sum(error**2, axis=0))
     measures = behaviour(edges, watched, end_error, s.grounds)
     samples: dict[str, Vector] = {}

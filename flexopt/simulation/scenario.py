@@ -19,7 +19,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.faults import validated
 from flexopt.model.problem import Control, control_damping, control_method
-from flexopt.model.simulation import Path, SimulationOptions
+from flexopt.model.simulation import Path, SimulationOptions, dead_time
 from flexopt.plant import Plant, build_plant, inverse_kinematics
 from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
 from flexopt.plant.motion import Motion
@@ -59,6 +59,7 @@ class Scenario:
         start: states x (n_x,).
         period: of a sample, s.
         samples: how many.
+        exact: whether it is there to be linearised and advanced exactly, not to be integrated.
     """
 
     machine: AnyMachine
@@ -75,6 +76,7 @@ class Scenario:
     start: Vector
     period: float
     samples: int
+    exact: bool = False
 
     @cached_property
     def constants(self) -> Vector:
@@ -110,6 +112,7 @@ class Scenario:
             still=self.still,
             undisturbed_from=max((path.times[-1] for path in paths), default=0.0),
             noisy=self.loop.structure.noisy,
+            drifting=self.loop.structure.drifting,
         )
 
     def signals(self, rng: np.random.Generator | None = None) -> Vector | None:
@@ -135,17 +138,22 @@ def _place(motion: Motion, base: Vector) -> Vector:
     return np.array(motion.on_rows(base.tolist(), 0.0))
 
 
-def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
-    """Options of a call, or one error with every fault."""
+def checked_options(call: str, machine: Any, given: Mapping[str, Any], *, any_delay: bool = False) -> SimulationOptions:
+    """Options of a call, or one error with every fault; `any_delay`: dead times need be no whole samples."""
     plain = {name: _plain(value) for name, value in given.items() if value is not None}
     machine = Arguments(call).machine(machine)
     options = validated(SimulationOptions, plain, call, (), InputError)
-    raise_if_any(InputError, call, options.faults(machine) + path_faults(machine, options))
+    raise_if_any(InputError, call, options.faults(machine, any_delay=any_delay) + path_faults(machine, options))
     return options
 
 
 def build_scenario(
-    machine: AnyMachine, options: SimulationOptions, zeros: frozenset[str] | None = None, *, watched: bool = False
+    machine: AnyMachine,
+    options: SimulationOptions,
+    zeros: frozenset[str] | None = None,
+    *,
+    watched: bool = False,
+    exact: bool = False,
 ) -> Scenario:
     """The scenario of checked options.
 
@@ -155,6 +163,7 @@ def build_scenario(
         zeros: constants that are zero for all machines of an ensemble, whose controllers then keep this machine's
             numbers; None for this machine alone.
         watched: whether steps give what is judged.
+        exact: whether it is there to be linearised and advanced exactly: no step is then too long.
 
     Raises:
         SingularPosture: Jv loses rank in the design posture.
@@ -174,9 +183,10 @@ def build_scenario(
     options = with_servo_gain(machine, options, design.posture)
     period = 1 / options.rate
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
-    substeps, iterations = _stepping(options, fastest, 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,)))
+    servo = 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,))
+    substeps, iterations = (1, 0) if exact else _stepping(options, fastest, servo)
     structure = _structure(machine, options, substeps, iterations)
-    structure = replace(structure, watched=watched)
+    structure = replace(structure, watched=watched, method="rk4" if exact else structure.method)
     if zeros is not None:
         structure = replace(structure, motion=replace(structure.motion, zeros=zeros), own_model=True)
     parts: dict[str, Any] = dict(constant_values(machine))
@@ -232,6 +242,7 @@ def build_scenario(
         start=start_states(machine, loop, parts, q_start[:, None])[:, 0],
         period=period,
         samples=max(1, round(options.duration * options.rate)),
+        exact=exact,
     )
 
 
@@ -358,7 +369,7 @@ def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, i
         iterations=iterations,
         gravity=options.gravity,
         compensated=options.gravity and options.gravity_compensation,
-        delay=round(sensor.delay * options.rate),
+        delay=dead_time(options)[0],
         quantised=bool(sensor.resolution or sensor.rate_resolution),
         noisy=bool(sensor.noise or sensor.rate_noise),
         limited=actuator.torque_limit is not None,
