@@ -36,6 +36,8 @@ from flexopt.model.arguments import Arguments
 @GAIN
 @option("--baked", is_flag=True, help="The machine's parameters as constants.")
 @option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (1 by default).")
+@option("--limit-allowance-deg", metavar="DEG", help="How far measured hinges may lie beyond their limits (5 by default).")
+@option("--limit-allowance-m", metavar="M", help="The same of slides (0.05 by default).")
 @option("--prefix", metavar="NAME", help="Of every C name (from the machine's name by default).")
 @option("--overwrite", is_flag=True, help="Replace a bundle of which files were changed by hand, too.")
 @fmu_options
@@ -57,13 +59,13 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)
-    margin = options["singularity_margin_deg"]
+    numbers = {name: options[name] for name in ("singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m")}
     given: dict[str, Any] = {
         "parts": None if options["parts"] is None else [part.strip() for part in options["parts"].split(",")],
         "real": options["real"],
         "control": options["control"],
         "gain": None if options["gain"] is None else number(options["gain"]),
-        "singularity_margin_deg": None if margin is None else number(margin),
+        **{name: None if value is None else number(value) for name, value in numbers.items()},
         "prefix": options["prefix"],
     }
     settings = {name: value for name, value in given.items() if value is not None}
@@ -77,7 +79,8 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
 
 def _check_kind(options: dict[str, Any]) -> None:
     """No option of the bundle with --fmu, none of the FMU without it."""
-    of_bundle = ("out", "parts", "real", "baked", "singularity_margin_deg", "prefix", "overwrite")
+    of_bundle = ("out", "parts", "real", "baked", "singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m",
+                 "prefix", "overwrite")  # fmt: skip
     fmu = options["fmu"] is not None
     other = of_bundle if fmu else set(options) - {*of_bundle, "fmu", "control", "gain"}
     sentence = "does not go with --fmu" if fmu else "goes with --fmu only"

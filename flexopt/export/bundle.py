@@ -16,23 +16,26 @@ from pathlib import Path
 from typing import Any, cast
 
 from flexopt.errors import ExportError, Fault, InputError, raise_if_any
-from flexopt.export.context import build_context
+from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
 from flexopt.export.extras import TOLERANCES, Extras
 from flexopt.export.kernels import Real, Unsupported
 from flexopt.export.naming import identifier
 from flexopt.export.operations import Field
 from flexopt.export.parts import PARTS
-from flexopt.export.sources import STATUSES, Library
+from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
 from flexopt.model.arguments import Arguments
 from flexopt.model.documents import json_ready, package_version, provenance
 from flexopt.model.problem import Control, check_gain, check_margin_deg
+from flexopt.model.quantities import check_number
 
 FORMAT = "flexopt C bundle"
 MANIFEST = "manifest.json"
 VERIFICATION = "verification"
 REALS: tuple[Real, ...] = ("double", "float")
 SINGULARITY_MARGIN_DEG = 1.0
+# Below this share of accepted inputs an export says so.
+FULL = 0.995
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 # What `make` and CMake leave behind when the README is followed.
 _PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
@@ -76,6 +79,12 @@ class ExportReport:
     def __repr__(self) -> str:
         lines = [f"C for {self.manifest['machine']['name']} ({self.manifest['options']['real']}) in {self.folder}"]
         lines += [f"  {part}: {', '.join(names)}" for part, names in self.parts.items()]
+        lines += [
+            f"  {o['c_name']} accepts {100 * o['acceptance']:.0f} % of random postures inside the limits; the others it refuses"
+            for part in self.manifest["parts"].values()
+            for o in part["operations"]
+            if o["acceptance"] < FULL
+        ]
         lines += [f"  without {part}: {sentence}" for part, sentence in self.left_out.items()]
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
@@ -90,6 +99,8 @@ def export_c(
     gain: float = 5e5,
     baked: bool = False,
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
+    limit_allowance_deg: float = LIMIT_ALLOWANCE_DEG,
+    limit_allowance_m: float = LIMIT_ALLOWANCE_M,
     prefix: str | None = None,
     overwrite: bool = False,
 ) -> ExportReport:
@@ -112,6 +123,9 @@ def export_c(
         gain: servo gain k_r about which ε_max is tested; the C function takes it as an input.
         baked: whether the machine's parameters become constants: smaller and faster.
         singularity_margin_deg: how far the arm must be from singular postures, degrees.
+        limit_allowance_deg, limit_allowance_m: how far measured hinges and slides may lie beyond their limits, degrees and
+            m: outputs then come with the warning `BEYOND_LIMIT`, and farther out the call is refused. The defaults are
+            above what sensors are calibrated to and end stops give, and below what a broken sensor shows.
         prefix: of every C name; from the machine's name by default.
         overwrite: replace a bundle of which files were changed by hand, too.
 
@@ -129,6 +143,8 @@ def export_c(
     margin = arguments.checked(
         "singularity_margin_deg", singularity_margin_deg, check_margin_deg, SINGULARITY_MARGIN_DEG
     )
+    allowance_deg = arguments.checked("limit_allowance_deg", limit_allowance_deg, _check_allowance_deg, LIMIT_ALLOWANCE_DEG)
+    allowance_m = arguments.checked("limit_allowance_m", limit_allowance_m, _check_allowance_m, LIMIT_ALLOWANCE_M)
     overwrite = arguments.flag("overwrite", overwrite)
     prefix = arguments.checked("prefix", identifier(machine.name) if prefix is None else prefix, _check_prefix, "x")
     refused = {part: PARTS[part].refusal(machine) for part in wanted} if not arguments.faults else {}
@@ -150,6 +166,8 @@ def export_c(
         gain=gain,
         baked=baked,
         singularity_margin_deg=margin,
+        limit_allowance_deg=allowance_deg,
+        limit_allowance_m=allowance_m,
         prefix=prefix,
     )
     _write(target, texts)
@@ -177,6 +195,8 @@ def build_library(
     baked: bool,
     singularity_margin_deg: float,
     prefix: str,
+    limit_allowance_deg: float = LIMIT_ALLOWANCE_DEG,
+    limit_allowance_m: float = LIMIT_ALLOWANCE_M,
 ) -> Library:
     """The C library of checked options."""
     context = build_context(
@@ -186,6 +206,8 @@ def build_library(
         single=real == "float",
         baked=baked,
         singularity_margin_deg=singularity_margin_deg,
+        limit_allowance_deg=limit_allowance_deg,
+        limit_allowance_m=limit_allowance_m,
     )
     try:
         operations = {part: PARTS[part].build(context) for part in PARTS if part in parts}
@@ -253,7 +275,11 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
 
     def described(f: Field, *, is_input: bool) -> dict[str, Any]:
         about: dict[str, Any] = {"name": f.name, "shape": list(f.shape), "unit": f.unit, "text": f.text}
-        return about | ({"low": list(f.low), "high": list(f.high)} if is_input else {"scale": f.scale})
+        if not is_input:
+            return about | {"scale": f.scale}
+        about |= {"low": list(f.low), "high": list(f.high)}
+        about |= {} if f.design is None else {"limits": [list(side) for side in f.design]}
+        return about | ({"turning": list(f.turning)} if any(f.turning) else {})
 
     parts = {
         part: {
@@ -268,6 +294,7 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
                     "outputs": [described(f, is_input=False) for f in o.outputs],
                     "guards": [vars(g) for g in o.guards],
                     "workspace_reals": library.workspace(o),
+                    "acceptance": library.acceptance[o.name],
                 }
                 for o in group
             ],
@@ -292,6 +319,8 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         "tolerance": TOLERANCES[library.real],
         "sizes": library.sizes,
         "statuses": {name: k for k, name in enumerate(STATUSES)},
+        "statuses_with_output": list(WITH_OUTPUT),
+        "limit_allowance": library.context.limit_allowance,
         "parts": parts,
         "left_out": {part: said for part in PARTS if (said := PARTS[part].refusal(machine))},
         "parameters": [dict(zip(("name", "unit", "value", "low", "high"), row, strict=True)) for row in listed],
@@ -364,6 +393,14 @@ def _checked_parts(arguments: Arguments, parts: Any) -> tuple[str, ...]:
     if given and all(isinstance(part, str) and part in PARTS and PARTS[part].foreign for part in given):
         given = ["kinematics", *given]
     return tuple(part for part in PARTS if part in given)
+
+
+def _check_allowance_deg(value: Any) -> float:
+    return check_number(value, "degrees", low=0.0, high=45.0)
+
+
+def _check_allowance_m(value: Any) -> float:
+    return check_number(value, "m", low=0.0, high=10.0)
 
 
 def _check_prefix(value: Any) -> str:

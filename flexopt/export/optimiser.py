@@ -49,6 +49,9 @@ MARGIN_EDGE = {"double": 1e-10, "float": 1e-4}
 # Instructions of an emulated Cortex-M7 (benchmarks/optimiser.py): an operation of a unit of the budget, what a unit
 # takes besides, what a call may take.
 PER_OPERATION, PER_UNIT, INSTRUCTIONS = 2.35, 4200, 4_900_000
+# In double precision Newton's method ends at rounding by itself; in single precision its last step but one is close
+# enough to end a climb's step, and one or two more bring what an answer needs.
+SETTLING = {"double": 0, "float": 2}
 # Step of differences of slopes, in scaled variables: the root of a slope's rounding error.
 PROBES = {"double": 1e-6, "float": 1e-2}
 
@@ -277,6 +280,7 @@ def _values(
         "TOLERANCE": number(tolerance, real),
         "STATIONARY_ENOUGH": number(enough, real),
         "TIE": number(tie, real),
+        "SETTLING": str(SETTLING[real]),
     }  # fmt: skip
 
 

@@ -10,13 +10,12 @@ from functools import reduce
 
 import casadi as ca
 
-from flexopt.algebra import apply_pseudo_inverse
 from flexopt.model import AnyMachine
 from flexopt.plant.hydraulics import Saturation, build_hydraulics
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.motion import Directions
 from flexopt.simulation.directions import Frame, paired
-from flexopt.simulation.feedback import FeedbackLaw, joint_torque
+from flexopt.simulation.feedback import FeedbackLaw, joint_torque, nullspace_torque
 from flexopt.simulation.structure import JACOBIAN_DAMPING, MODEL, Layout, LoopStructure
 
 
@@ -69,7 +68,7 @@ class Part:
             torque = joint_torque(jacobian, force, self.s.control, self.of.get(JACOBIAN_DAMPING))
         if self.s.nullspace_damped and n > self.s.n_task:
             rates = (ca.SX(self.motion.to_q) @ w)[-n:]
-            torque -= self.of["nullspace_damping"] * (rates - apply_pseudo_inverse(jacobian, jacobian @ rates))
+            torque += nullspace_torque(jacobian, rates, self.of["nullspace_damping"])
         if self.s.hydraulic is not None and self.s.levers is not None:
             torque = self._through_levers(torque, self.s.hydraulic, self.s.levers, u)
         if self.s.compensated:

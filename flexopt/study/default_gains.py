@@ -15,6 +15,7 @@ from flexopt.model.arguments import Vector
 from flexopt.plant import build_plant
 from flexopt.plant.control import task_to_joints
 from flexopt.robustness import Evaluation
+from flexopt.simulation.feedback import self_motion_damping
 
 # Of the closed loop on a rigid base: corner over the lowest flexible mode's, damping ratio, and the corner's largest
 # angle in a sample, rad.
@@ -51,6 +52,5 @@ def default_gains(machine: AnyMachine, stand: Evaluation, rate: float) -> dict[s
     damping = 2 * DAMPING_RATIO * corner
     gains = {"kp": inertia * corner**2, "kv": damping * inertia}
     if n > rows:
-        free: Vector = np.linalg.svd(jv)[2][rows:]
-        gains["nullspace_damping"] = damping / float(np.linalg.eigvalsh(free @ mobility @ free.T)[-1])
+        gains["nullspace_damping"] = self_motion_damping(jv, mass, damping)
     return {name: float(f"{value:.4g}") for name, value in gains.items()}

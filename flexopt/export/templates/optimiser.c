@@ -25,6 +25,8 @@
 #define STATIONARY_ENOUGH @STATIONARY_ENOUGH@ /* where rounding ends a climb, this is still a stationary point */
 #define TIE               @TIE@               /* values of V/scale that count as equal */
 #define EDGE              (R(32.0) * EPSILON)   /* rounding of positions, relative to the reach */
+#define FINE              (R(4.0) * EPSILON)    /* as near to the target as rounding lets most points come, */
+#define SETTLING          @SETTLING@                   /* by so many more of Newton's steps */
 #define MARGIN_EDGE       @MARGIN_EDGE@         /* rounding of the margin */
 /* Steps for which the Hessian has been learned; before: */
 #define OUTDATED          (-1)
@@ -404,7 +406,8 @@ static void unwind(const @p@_problem *problem, point *x)
 static int project(const @p@_problem *problem, workspace_t *s, point *x, const int *held_fast, int start_on_margin)
 {
   int on_margin = start_on_margin;
-  for (int step = 0; step < PROJECTION_STEPS; step++) {
+  int settled = 0;
+  for (int step = 0; step < (PROJECTION_STEPS + SETTLING); step++) {
     @real@ miss[NT + 1];
     @real@ dx[NZ];
     @real@ longest = R(0.0);
@@ -432,9 +435,13 @@ static int project(const @p@_problem *problem, workspace_t *s, point *x, const i
     }
     if (error <= (EDGE * size_of(problem, s, x))) {
       if ((miss[NT] <= MARGIN_EDGE) && ((on_margin == 0) || (miss[NT] >= -MARGIN_EDGE))) {
-        return 1;
+        if ((settled >= SETTLING) || (error <= (FINE * size_of(problem, s, x)))) {
+          return 1;
+        }
+        settled++;
+      } else {
+        on_margin = 1;
       }
-      on_margin = 1;
     }
     if ((on_margin != 0) && (margin_slope(problem, x) == 0)) {
       return 0;
