@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, cast
 
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.model.cylinder_faults import check_strokes
-from flexopt.model.faults import Table, machine_faults, problem_faults, validated
+from flexopt.model.faults import Table, machine_faults, problem_faults, read_table, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.machine import Machine
 from flexopt.model.problem import Problem, check_placement, check_task
@@ -86,9 +86,7 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     Raises:
         ModelError: lists every fault.
     """
-    if not isinstance(data, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise ModelError(f"{origin}: must be a dictionary in the layout of a machine file, not {type(data).__name__}")
-    named = _with_link_names(data)
+    named = _with_link_names(read_table(data, origin, "a machine file"))
     machine = validated(Machine, named, origin, machine_faults(named))
     check_strokes(machine, origin)
     return machine
@@ -163,14 +161,13 @@ def _machine_of(source: Source, name: str) -> Machine | Tree:
     return load(beside if name.endswith(".toml") and beside.exists() else name)
 
 
-def _with_link_names(data: Table) -> dict[str, Any]:
-    """Number the links that have no name, so that parameters and joints can be told apart; lists become tuples."""
-    plain = {key: tuple(cast(list[Any], value)) if isinstance(value, list) else value for key, value in data.items()}
-    links = plain.get("links")
+def _with_link_names(data: dict[str, Any]) -> dict[str, Any]:
+    """Number the links that have no name, so that parameters and joints can be told apart."""
+    links = data.get("links")
     if not isinstance(links, tuple):
-        return plain
+        return data
     named = [
         {"name": f"link{i}"} | cast(dict[str, Any], link) if isinstance(link, dict) else link
         for i, link in enumerate(cast(tuple[Any, ...], links), start=1)
     ]
-    return plain | {"links": tuple(named)}
+    return data | {"links": tuple(named)}
