@@ -29,11 +29,12 @@ class Arguments:
     Attributes:
         call: what is called.
         of: the machine that it is about, where one is known.
+        error: what is raised.
         faults: noted so far.
     """
 
-    def __init__(self, call: str, of: AnyMachine | None = None) -> None:
-        self.call, self.of = call, of
+    def __init__(self, call: str, of: AnyMachine | None = None, error: type[InputError] = InputError) -> None:
+        self.call, self.of, self.error = call, of, error
         self.faults: list[Fault] = []
 
     def note(self, field: str, sentence: str, value: Any) -> None:
@@ -165,4 +166,4 @@ class Arguments:
 
     def done(self) -> None:
         """Raise every fault noted so far."""
-        raise_if_any(InputError, self.call, self.faults)
+        raise_if_any(self.error, self.call, self.faults)

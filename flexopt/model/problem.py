@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, PrivateAttr
 
+from flexopt.errors import ModelError
 from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine, FileModel
 from flexopt.model.quantities import (
@@ -234,7 +235,8 @@ class Problem(FileModel):
     @property
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
-        assert self._loaded is not None
+        if self._loaded is None:
+            raise ModelError("holds no machine: flexopt.load_problem gives one that does, or its method with_machine")
         return self._loaded
 
     def select_arguments(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationError
 
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.model.arguments import Arguments
 from flexopt.model.faults import model_faults
 from flexopt.model.machine import AnyMachine, FileModel
@@ -305,5 +305,6 @@ class Experiment(FileModel):
     @property
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
-        assert self._loaded is not None
+        if self._loaded is None:
+            raise ModelError("holds no machine: flexopt.load_experiment gives one that does, or its method with_machine")
         return self._loaded

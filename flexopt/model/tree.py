@@ -12,6 +12,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from flexopt.errors import ModelError
+from flexopt.model.boundary import public
 from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, read_table, validated
 from flexopt.model.hydraulics import JointFrame
@@ -268,6 +270,7 @@ def _vector(name: str, values: tuple[float, float, float]) -> list[Parameter]:
     return [Parameter(f"{name}.{axis}", value, "m") for axis, value in zip("xyz", values, strict=True)]
 
 
+@public(error=ModelError)
 def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
     """Validate a dictionary in the layout of `Tree`; lists may stand for tuples.
 

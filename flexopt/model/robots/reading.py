@@ -67,6 +67,8 @@ import tomllib
 import warnings
 from pathlib import Path
 from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
+from flexopt.model.boundary import path as named
+from flexopt.model.boundary import public
 from flexopt.model.faults import Table, read_table, validated
 from flexopt.model.robots.assembly import Assembly
 from flexopt.model.robots.description import Description
@@ -81,6 +83,7 @@ WARNINGS_SHOWN = 5
 COLLISION = "collision"
 
 
+@public(error=ModelError, path=named())
 def load_robot(path: str | os.PathLike[str]) -> Tree:
     """Read a spatial machine file and the robot file it names.
 
