@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.model.cylinder_faults import cylinder_faults
 from flexopt.model.machine import BASE_DIRECTIONS, FileModel
+from flexopt.model.plain import Unreadable, plain_table, shown
 
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
 # How alike two words must be for one to be suggested for the other.
@@ -19,6 +20,15 @@ ALIKE = 0.6
 
 Table = Mapping[str, Any]
 Model = TypeVar("Model", bound=FileModel)
+
+
+def read_table(data: Any, origin: str, layout: str, kind: type[InputError] = ModelError) -> dict[str, Any]:
+    """What a caller passes as a table: plain data whose lists are tuples, or an error of that kind."""
+    table = plain_table(data)
+    if not isinstance(table, dict):
+        what = f"which {table.sentence}" if isinstance(table, Unreadable) else f"not {type(data).__name__}"
+        raise kind(f"{origin}: must be a dictionary in the layout of {layout}, {what}")
+    return cast(dict[str, Any], table)
 
 
 def validated(
@@ -128,13 +138,16 @@ def _short(value: Any) -> str:
     """A value as TOML would write it, cut where it is long."""
     if isinstance(value, bool):
         text = str(value).lower()
-    elif isinstance(value, tuple):
-        text = repr(list(cast(tuple[Any, ...], value)))
     elif isinstance(value, datetime.date | datetime.time):
         text = value.isoformat()
     else:
-        text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+        text = shown(_lists(value))
+    return text
+
+
+def _lists(value: Any) -> Any:
+    """Tuples as the lists that were written."""
+    return [_lists(part) for part in cast(tuple[Any, ...], value)] if isinstance(value, tuple) else value
 
 
 def _table(data: Any, key: str) -> dict[str, Any]:

@@ -54,19 +54,13 @@ def shipped_names(kind: Kind) -> list[str]:
     return sorted(path.stem for path in shipped_folder(kind).glob("*.toml"))
 
 
-def read_source(name_or_path: Any, kinds: tuple[Kind, ...]) -> Source:
+def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[Kind, ...]) -> Source:
     """The file behind a shipped name or a path, of one of the `kinds`.
 
     Raises:
         ModelError: nothing is there, it cannot be read, is no TOML, or is of another kind.
     """
-    if not isinstance(name_or_path, str | os.PathLike):
-        raise ModelError(
-            f"a name or path is wanted, not {type(name_or_path).__name__}; machine_from_dict takes a dictionary"
-        )
-    text = os.fsdecode(name_or_path)  # pyright: ignore[reportUnknownArgumentType]
-    if not text or "\0" in text:
-        raise ModelError(f"an empty or unusable name was given where a machine or problem is wanted: {text!r}")
+    text = os.fsdecode(name_or_path)
     try:
         looks = text.endswith((".toml", *ROBOT_SUFFIXES)) or os.sep in text or "/" in text
         if looks or (len(text) <= NAME_MAX and Path(text).is_file()):

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, PrivateAttr
 
+from flexopt.errors import ModelError
 from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine, FileModel
 from flexopt.model.quantities import (
@@ -16,6 +17,7 @@ from flexopt.model.quantities import (
     check_numbers,
     check_pair,
     check_schema,
+    check_whole,
     checked,
     coordinate_max,
 )
@@ -120,16 +122,12 @@ def check_gain(value: Any) -> float:
 
 def check_starts(value: Any) -> int:
     """How many starts at most."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= STARTS_MAX:
-        raise ValueError(f"must be a whole number between 1 and {STARTS_MAX}")
-    return value
+    return check_whole(value, 1, STARTS_MAX)
 
 
 def check_seed(value: Any) -> int:
     """A seed."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**32:
-        raise ValueError("must be a whole number between 0 and 2³² − 1")
-    return value
+    return check_whole(value, 0, 2**32 - 1, "2³² − 1")
 
 
 def check_base(value: Any) -> tuple[float, ...]:
@@ -237,7 +235,8 @@ class Problem(FileModel):
     @property
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
-        assert self._loaded is not None
+        if self._loaded is None:
+            raise ModelError("holds no machine: flexopt.load_problem gives one that does, or its method with_machine")
         return self._loaded
 
     def select_arguments(self) -> dict[str, Any]:

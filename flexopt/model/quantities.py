@@ -9,8 +9,13 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
+from flexopt.model.plain import plain
+
 SUPPORTED_SCHEMA = 1
-KINDS: dict[type, str] = {str: "text", bool: "true/false", list: "a list", tuple: "a list", dict: "a table"}
+KINDS: dict[type, str] = {
+    str: "text", bool: "true/false", list: "a list", tuple: "a list", dict: "a table", complex: "a complex number",
+    type(None): "nothing",
+}  # fmt: skip
 
 
 def range_sentence(unit: str, above: float | None, low: float | None, high: float) -> str:
@@ -23,7 +28,7 @@ def range_sentence(unit: str, above: float | None, low: float | None, high: floa
 
 def check_number(value: Any, unit: str, *, above: float | None = None, low: float | None = None, high: float) -> float:
     """Return `value` as a float, or raise `ValueError` with a sentence that names unit and range."""
-    allowed = range_sentence(unit, above, low, high)
+    allowed, value = range_sentence(unit, above, low, high), plain(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         kind = next((word for type_, word in KINDS.items() if type(value) is type_), "something else")
         raise ValueError(f"must be a number, not {kind}; it {allowed}")
@@ -36,6 +41,14 @@ def check_number(value: Any, unit: str, *, above: float | None = None, low: floa
     if (above is not None and not number > above) or (low is not None and number < low) or number > high:
         raise ValueError(allowed)
     return number + 0.0  # −0.0 becomes 0.0, so that equal inputs have equal hashes
+
+
+def check_whole(value: Any, low: int, high: int, most: str = "") -> int:
+    """Return `value`, a whole number in that range; `most` is how the sentence calls a large `high`."""
+    value = plain(value)
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"must be a whole number between {low} and {most or high}")
+    return value
 
 
 def _quantity(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> BeforeValidator:

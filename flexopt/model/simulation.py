@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationError
 
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.model.arguments import Arguments
 from flexopt.model.faults import model_faults
 from flexopt.model.machine import AnyMachine, FileModel
+from flexopt.model.plain import plain
 from flexopt.model.problem import (
     Control,
     Elbow,
@@ -29,6 +30,7 @@ from flexopt.model.quantities import (
     check_number,
     check_numbers,
     check_schema,
+    check_whole,
     checked,
 )
 
@@ -48,8 +50,8 @@ def _list_of(unit: str, *, low: float, high: float) -> Callable[[Any], Numbers]:
     """One number, or a list with one for each axis or joint."""
 
     def check(value: Any) -> Numbers:
-        value = _plain(value)
-        parts = [_plain(part) for part in cast(list[Any], value)] if isinstance(value, list | tuple) else [value]
+        value = plain(value)
+        parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
         if not parts:
             raise ValueError(f"must be a number, or a list of numbers, in {unit}")
         return check_numbers(parts, [f"entry {i + 1}" for i in range(len(parts))], unit, low=low, high=high)
@@ -57,14 +59,9 @@ def _list_of(unit: str, *, low: float, high: float) -> Callable[[Any], Numbers]:
     return check
 
 
-def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays as Python numbers and lists."""
-    return cast(Any, value.tolist()) if isinstance(value, np.ndarray | np.generic) else value  # pyright: ignore[reportUnknownMemberType]
-
-
 def _check_points(value: Any) -> tuple[Numbers, ...]:
     """A list of points, each a list of coordinates."""
-    parts = _plain(value)
+    parts = plain(value)
     if not isinstance(parts, list | tuple) or not parts:
         raise ValueError("must be a list of points, each a list of coordinates in m")
     check, points, sentences = _list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX), list[Numbers](), list[str]()
@@ -83,9 +80,7 @@ def _number(unit: str, *, above: float | None = None, low: float | None = None, 
 
 
 def _whole(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 1000:
-        raise ValueError("must be a whole number between 1 and 1000")
-    return value
+    return check_whole(value, 1, 1000)
 
 
 Gains = Annotated[Numbers, checked(_list_of("N/m and the like", low=0.0, high=GAIN_MAX))]
@@ -325,5 +320,6 @@ class Experiment(FileModel):
     @property
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
-        assert self._loaded is not None
+        if self._loaded is None:
+            raise ModelError("holds no machine: flexopt.load_experiment gives one that does, or its method with_machine")
         return self._loaded

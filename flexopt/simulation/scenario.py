@@ -17,7 +17,7 @@ import numpy as np
 from flexopt.errors import InputError, NoSolutionFound, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.faults import validated
+from flexopt.model.faults import read_table, validated
 from flexopt.model.problem import Control, control_damping, control_method
 from flexopt.model.simulation import Path, SimulationOptions, dead_time
 from flexopt.plant import Plant, build_plant, inverse_kinematics
@@ -140,9 +140,9 @@ def _place(motion: Motion, base: Vector) -> Vector:
 
 def checked_options(call: str, machine: Any, given: Mapping[str, Any], *, any_delay: bool = False) -> SimulationOptions:
     """Options of a call, or one error with every fault; `any_delay`: dead times need be no whole samples."""
-    plain = {name: _plain(value) for name, value in given.items() if value is not None}
+    table = {name: value for name, value in given.items() if value is not None}
     machine = Arguments(call).machine(machine)
-    options = validated(SimulationOptions, plain, call, (), InputError)
+    options = validated(SimulationOptions, read_table(table, call, "[simulation]", InputError), call, (), InputError)
     raise_if_any(InputError, call, options.faults(machine, any_delay=any_delay) + path_faults(machine, options))
     return options
 
@@ -405,14 +405,3 @@ def start_states(machine: AnyMachine, loop: ClosedLoop, parts: Mapping[str, Any]
         measured = np.concatenate([points, np.zeros_like(points)])
         x[loop.states.slices["queue"]] = np.tile(measured, (loop.structure.delay, 1))
     return x
-
-
-def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays as Python numbers and lists, and sequences of points as they are validated."""
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())  # pyright: ignore[reportUnknownMemberType]
-    if isinstance(value, Mapping):
-        return {name: _plain(part) for name, part in cast(Mapping[Any, Any], value).items()}
-    if isinstance(value, list | tuple):
-        return tuple(_plain(part) for part in cast(list[Any], value))
-    return value

@@ -65,12 +65,11 @@ from __future__ import annotations
 import os
 import tomllib
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
-
 from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
-from flexopt.model.faults import Table, validated
+from flexopt.model.boundary import path as named
+from flexopt.model.boundary import public
+from flexopt.model.faults import Table, read_table, validated
 from flexopt.model.robots.assembly import Assembly
 from flexopt.model.robots.description import Description
 from flexopt.model.robots.elements import Faults, parse
@@ -84,6 +83,7 @@ WARNINGS_SHOWN = 5
 COLLISION = "collision"
 
 
+@public(error=ModelError, path=named())
 def load_robot(path: str | os.PathLike[str]) -> Tree:
     """Read a spatial machine file and the robot file it names.
 
@@ -120,7 +120,7 @@ def robot_from_dict(data: Table, *, folder: str | os.PathLike[str], origin: str 
 
 
 def _read(data: Table, folder: Path, origin: str) -> Tree:
-    frozen = cast(dict[str, Any], _frozen(data))
+    frozen = read_table(data, origin, "a spatial machine file")
     faults: list[Fault] = []
     overlay: Overlay | None = None
     robot: Description | None = None
@@ -175,12 +175,3 @@ def _warn(origin: str, sentences: tuple[str, ...]) -> None:
     more = len(sentences) - WARNINGS_SHOWN
     listed = [*sentences[:WARNINGS_SHOWN], *([f"and {more} more"] if more > 0 else [])]
     warnings.warn(f"{origin}: " + "; ".join(listed), FlexoptWarning, stacklevel=4)
-
-
-def _frozen(value: Any) -> Any:
-    """Lists as tuples, all the way down."""
-    if isinstance(value, Mapping):
-        return {key: _frozen(part) for key, part in cast(Mapping[str, Any], value).items()}
-    if isinstance(value, list | tuple):
-        return tuple(_frozen(part) for part in cast(list[Any], value))
-    return value
