@@ -127,6 +127,21 @@ class ExportError(FlexoptError):
     """A graph has no equivalent in C."""
 
 
+class WriteError(InputError, OSError):
+    """A file cannot be written: no room, no permission, no folder. What was there before is as it was.
+
+    Attributes:
+        path: of the file.
+        size: bytes that it would have.
+    """
+
+    def __init__(self, message: str, *, path: str, size: int, code: int | None = None) -> None:
+        super().__init__(message)
+        self.path = path
+        self.size = size
+        self.errno = code
+
+
 class FlexoptWarning(UserWarning):
     """A result is right but needs care: repeated frequencies, a feature that is missing."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import click
@@ -28,7 +27,7 @@ from flexopt.cli.common import (
     progress_bar,
     warnings_to_stderr,
     whole,
-    write_file,
+    write_output,
 )
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine, Machine, Problem, load, load_any
@@ -37,6 +36,7 @@ from flexopt.model.problem import ELBOWS
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import evaluate
 from flexopt.selection import BasePlan, Selection, Stand, plan_base, select, select_stand
+from flexopt.writing import write_file
 
 
 @click.command("evaluate", short_help="Frequencies, measures w_i and gradients in one posture.")
@@ -134,10 +134,10 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
     with option_names(options), warnings_to_stderr(as_json), progress_bar() as progress:
         result = _solver(settings)(**settings, progress=progress)
     if plot is not None:
-        write_file("--plot", plot, lambda: result.plot(plot))
+        write_output("--plot", plot, lambda: result.plot(plot))
     if out is not None:
         text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
-        write_file("--out", out, lambda: Path(out).write_text(text, encoding="utf-8"))
+        write_output("--out", out, lambda: write_file(out, text))
     if as_json:
         print_json(result.to_dict())
     else:

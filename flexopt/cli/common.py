@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import click
 
-from flexopt.errors import Fault, FlexoptWarning, InputError, raise_if_any
+from flexopt.errors import Fault, FlexoptWarning, InputError, WriteError, raise_if_any
 from flexopt.model.problem import CONTROLS, DAMPED, ELBOWS
 
 FAILED = 3
@@ -114,12 +114,12 @@ def check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> No
         raise InputError(f"{option} = {path!r}: there is no folder {str(target.parent)!r} to write a file into")
 
 
-def write_file(option: str, path: str, write: Callable[[], object]) -> None:
+def write_output(option: str, path: str, write: Callable[[], object]) -> None:
     """Run `write`; what the system refuses is bad input of the option."""
     try:
         write()
-    except OSError as error:
-        raise InputError(f"{option} = {path!r}: cannot be written ({error.strerror})") from None
+    except WriteError as error:
+        raise WriteError(f"{option} = {path!r}: {error}", path=error.path, size=error.size, code=error.errno) from error
 
 
 def numbers(text: str | None) -> list[Any] | None:

@@ -24,7 +24,7 @@ from flexopt.cli.common import (
     print_json,
     warnings_to_stderr,
     whole,
-    write_file,
+    write_output,
 )
 from flexopt.errors import InputError
 from flexopt.model import Experiment, load_simulated
@@ -75,11 +75,11 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     out, plot, film = options["out"], options["plot"], options["animate"]
     if out is not None:
         save = result.to_netcdf if Path(out).suffix.lower() == ".nc" else result.to_csv
-        write_file("--out", out, lambda: save(out))
+        write_output("--out", out, lambda: save(out))
     if plot is not None:
-        write_file("--plot", plot, lambda: result.plot(plot))
+        write_output("--plot", plot, lambda: result.plot(plot))
     if film is not None:
-        write_file("--animate", film, lambda: result.animate(film))
+        write_output("--animate", film, lambda: result.animate(film))
     files = {name: path for name, path in (("data", out), ("plot", plot), ("animation", film)) if path is not None}
     if as_json:
         print_json(result.to_dict() | {"files": files})

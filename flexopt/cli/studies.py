@@ -27,7 +27,7 @@ from flexopt.cli.common import (
     progress_bar,
     warnings_to_stderr,
     whole,
-    write_file,
+    write_output,
 )
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import Problem, load, load_any, load_experiment
@@ -94,9 +94,9 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
     with option_names(options), warnings_to_stderr(as_json), progress_bar("postures") as progress:
         result = map_workspace(loaded, gravity=bool(options["gravity"]), progress=progress, **settings)
     if out is not None:
-        write_file("--out", out, lambda: result.to_netcdf(out))
+        write_output("--out", out, lambda: result.to_netcdf(out))
     if plot is not None:
-        write_file("--plot", plot, lambda: result.plot(plot))
+        write_output("--plot", plot, lambda: result.plot(plot))
     if as_json:
         print_json(result.to_dict())
     else:
@@ -121,7 +121,7 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
     check_folder("--out", folder)
     with warnings_to_stderr(as_json), progress_bar("stages") as progress:
         result = reproduce(progress=progress)
-    write_file("--out", folder, lambda: result.write(folder))
+    write_output("--out", folder, lambda: result.write(folder))
     if as_json:
         print_json(result.to_dict())
     else:
@@ -163,7 +163,7 @@ def report_command(as_json: bool, problem: str, out: str | None, **options: Any)
         points = whole(options["points"])
         simulation = single | lists | words
         result = report(asked, experiment=experiment, simulation=simulation, points=points, progress=progress)
-    write_file("--out", folder, lambda: result.write(folder))
+    write_output("--out", folder, lambda: result.write(folder))
     if as_json:
         print_json(result.to_dict())
     else:

@@ -8,9 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import shutil
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -28,6 +26,7 @@ from flexopt.model.arguments import Arguments
 from flexopt.model.documents import json_ready, package_version, provenance
 from flexopt.model.problem import Control, check_gain, check_margin_deg
 from flexopt.model.quantities import check_number
+from flexopt.writing import replace_folder
 
 FORMAT = "flexopt C bundle"
 MANIFEST = "manifest.json"
@@ -39,6 +38,7 @@ FULL = 0.995
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 # What `make` and CMake leave behind when the README is followed.
 _PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
+_REPORTS = (f"{VERIFICATION}/report.html", f"{VERIFICATION}/report.json")
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,8 @@ def export_c(
 
     Args:
         machine: from `flexopt.load`.
-        folder: where to write; made if missing. One that exists is replaced if it is an unchanged bundle.
+        folder: where to write; made if missing. One that exists is replaced, all files in one step where the system
+            can do that, if it is an unchanged bundle; what else is in its `build/` stays.
         parts: names from `flexopt.export.PARTS`; by default all that the machine allows. The optimiser brings the
             kinematics.
         real: `"double"`, or `"float"` for single precision throughout.
@@ -131,6 +132,7 @@ def export_c(
 
     Raises:
         InputError: an argument is not usable, or the folder holds something else.
+        WriteError: the folder cannot be written; what was there is as it was.
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
     """
     arguments = Arguments("export_c")
@@ -170,7 +172,7 @@ def export_c(
         limit_allowance_m=allowance_m,
         prefix=prefix,
     )
-    _write(target, texts)
+    replace_folder(target, texts, _kept(target))
     return ExportReport(
         folder=target,
         prefix=prefix,
@@ -352,32 +354,21 @@ def check_replaceable(folder: Path, overwrite: bool) -> None:
     raise_if_any(InputError, "export_c", [Fault("folder", sentence, repr(str(folder)))] if sentence else [])
 
 
+def _kept(folder: Path) -> Callable[[str], bool]:
+    """Which files of an older bundle stay when another takes its place: all but its own and what `make` made of them.
+
+    `build/` may hold a user's own files. A report on the older code says nothing of the newer one.
+    """
+    gone = set(_REPORTS) | {"selftest", "selftest.exe", "example", "example.exe"}
+    if (folder / MANIFEST).is_file():
+        manifest = read_manifest(folder)
+        gone |= {str(Path(name).with_suffix(".o").as_posix()) for name in manifest["files"] if name.endswith(".c")}
+        gone.add(f"lib{manifest['options']['prefix']}_control.a")
+    return lambda name: _PRODUCTS.fullmatch(name) is not None and name not in gone
+
+
 def _some(names: list[str]) -> str:
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-
-
-def _write(folder: Path, texts: dict[str, str]) -> None:
-    """Write beside the folder and swap, so that nobody sees half a bundle."""
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    except OSError as error:
-        sentence = f"cannot be written ({error.strerror})"
-        raise InputError(f"export_c: folder = {str(folder)!r}: {sentence}") from None
-    try:
-        for name, text in texts.items():
-            path = fresh / "new" / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(text.encode())
-        if folder.exists():
-            folder.rename(fresh / "old")
-        (fresh / "new").rename(folder)
-    except OSError as error:
-        if (fresh / "old").exists() and not folder.exists():
-            (fresh / "old").rename(folder)
-        raise InputError(f"export_c: folder = {str(folder)!r}: cannot be written ({error.strerror})") from None
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
 
 
 def _checked_parts(arguments: Arguments, parts: Any) -> tuple[str, ...]:

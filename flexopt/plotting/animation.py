@@ -29,6 +29,7 @@ from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.stage_space import SpaceStage
 from flexopt.plotting.trajectory import check_runs
 from flexopt.simulation.trajectory import Trajectory
+from flexopt.writing import write_file
 
 FRAMES_MAX = 250
 SHORTEST_FRAME = 4  # hundredths of a second, in which GIF counts: 25 frames a second
@@ -54,7 +55,7 @@ def animate_trajectory(
 
     Raises:
         InputError: arguments are not usable, all faults in one message.
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
     check_runs("animate_trajectory", {"trajectory": trajectory})
     arguments = Arguments("animate_trajectory")
@@ -72,10 +73,11 @@ def animate_trajectory(
     film = _film(trajectory, alive, seconds, rate, factor)
     images = list(_frames(film))
     if suffix == ".gif":
-        still, *others = images
-        still.save(path, save_all=True, append_images=others, duration=10 * film.delay, loop=0, optimize=True)
+        buffer, (still, *others) = io.BytesIO(), images
+        still.save(buffer, "GIF", save_all=True, append_images=others, duration=10 * film.delay, loop=0, optimize=True)
+        write_file(path, buffer.getvalue())
     else:
-        Path(path).write_text(_page(film, images), encoding="utf-8")
+        write_file(path, _page(film, images))
 
 
 def _check_suffix(path: Any) -> str:

@@ -21,7 +21,7 @@ from flexopt.compiled import Batch, Recurrence, batch
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
-from flexopt.model.documents import json_ready, provenance
+from flexopt.model.documents import json_ready, provenance, write_netcdf
 from flexopt.model.parameter_ranges import parameter_range
 from flexopt.plant import build_plant
 from flexopt.plant.machine_motion import constant_names, constants
@@ -88,12 +88,12 @@ class Ensemble:
         """Write the dataset and the provenance to a netCDF file.
 
         Raises:
-            OSError: the file cannot be written.
+            WriteError: the file cannot be written.
         """
         data = self.dataset.copy()
         data["grows"] = cast(Any, data["grows"]).astype("int8")
         data.attrs["flexopt"] = json.dumps(self.to_dict())
-        cast(Any, data).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+        write_netcdf(path, data)
 
     def __repr__(self) -> str:
         d = self.dataset

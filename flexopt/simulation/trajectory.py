@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
-from flexopt.model.documents import json_ready
+from flexopt.model.documents import json_ready, write_netcdf
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Verdict
+from flexopt.writing import write_file
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -142,16 +142,20 @@ class Trajectory:
         """Write every sample, the measures and the provenance to a netCDF file.
 
         Raises:
-            OSError: the file cannot be written.
+            WriteError: the file cannot be written.
         """
         import json  # noqa: PLC0415
 
         data = self.dataset.copy()
         data.attrs["flexopt"] = json.dumps(self.to_dict())
-        cast(Any, data).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+        write_netcdf(path, data)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them."""
+        """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them.
+
+        Raises:
+            WriteError: the file cannot be written.
+        """
         names = ["time_s", *(f"q_{c}" for c in self.coordinates), *(f"v_{c}" for c in self.coordinates)]
         for word in ("end_point", "error"):
             names += [f"{word}_{axis}_m" for axis in self.model.task_rows]
@@ -160,7 +164,7 @@ class Trajectory:
         columns = [self.time[:, None], self.q, self.v, self.end_point, self.error, self.torque, self.energy[:, None]]
         lines = [",".join(names)]
         lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_file(path, "\n".join(lines) + "\n")
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw end-point error, base oscillation and torques over time.

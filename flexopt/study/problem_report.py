@@ -146,7 +146,7 @@ class Report:
         """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.
 
         Raises:
-            OSError: a file cannot be written.
+            WriteError: a file cannot be written.
         """
         from flexopt.study.page import write_files  # noqa: PLC0415  (imports what only reports need)
         from flexopt.study.problem_page import report_html  # noqa: PLC0415

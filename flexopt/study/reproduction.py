@@ -146,7 +146,7 @@ class Reproduction:
         """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.
 
         Raises:
-            OSError: a file cannot be written.
+            WriteError: a file cannot be written.
         """
         from flexopt.study.reproduction_page import write_report  # noqa: PLC0415  (imports what only reports need)
 

@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.errors import InputError
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
-from flexopt.model.documents import json_ready
+from flexopt.model.documents import json_ready, write_netcdf
 from flexopt.study.grid import Grid
 from flexopt.study.points import PointValues
 
@@ -73,11 +73,11 @@ class WorkspaceMap:
 
         Raises:
             InputError: the name does not end in `.nc`.
-            OSError: the file cannot be written.
+            WriteError: the file cannot be written.
         """
         if Path(path).suffix.lower() != ".nc":
             raise InputError(f"to_netcdf: {os.fspath(path)!r}: the name must end in .nc")
-        cast(Any, self.dataset).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+        write_netcdf(path, self.dataset)
 
     def plot(
         self, path: str | os.PathLike[str] | None = None, *, marks: Mapping[str, tuple[float, float]] | None = None
@@ -89,7 +89,7 @@ class WorkspaceMap:
             marks: points of the plane to show, name -> (x, y), in place of the map's own.
 
         Raises:
-            OSError: the file cannot be written.
+            WriteError: the file cannot be written.
         """
         from flexopt.plotting.workspace import plot_workspace  # noqa: PLC0415  (matplotlib is slow to import)
 

@@ -33,6 +33,7 @@ from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.run import simulate_checked
 from flexopt.simulation.scenario import build_scenario, checked_options
 from flexopt.simulation.trajectory import Trajectory
+from flexopt.writing import write_files
 
 TOOL = "flexopt"
 # What a master would have to draw, or what has no meaning in an FMU.
@@ -152,8 +153,7 @@ def export_fmu(
     place = _platform(version)
     if library is not None and place is not None:
         files[f"binaries/{place}/{name}{library_suffix()}"] = library
-    _write(target, _zipped(files))
-    _write(reference, table.encode())
+    write_files({target: _zipped(files), reference: table})
     return FmuReport(
         path=target,
         reference=reference,
@@ -274,14 +274,3 @@ def _zipped(files: Mapping[str, str | bytes]) -> bytes:
             info.external_attr = 0o644 << 16
             archive.writestr(info, content)
     return buffer.getvalue()
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write beside the file and swap."""
-    fresh = path.with_name(f".{path.name}.new")
-    try:
-        fresh.write_bytes(content)
-        fresh.replace(path)
-    except OSError as error:
-        fresh.unlink(missing_ok=True)
-        raise InputError(f"export_fmu: path = {str(path)!r}: cannot be written ({error.strerror})") from None

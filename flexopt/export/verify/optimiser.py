@@ -23,6 +23,7 @@ from flexopt.export.verify.checks import Finding, Table
 from flexopt.export.verify.tools import StepFailed, need, run
 from flexopt.model.quantities import COORDINATE_MAX
 from flexopt.plant.reach import outer_reach
+from flexopt.writing import write_file
 
 PART = "optimiser"
 PROBLEMS, SEED, FUZZ_SEED = 24, 40, 41
@@ -238,7 +239,7 @@ def _solve(bench: Bench, calls: Calls, runner: Runner) -> Solved:
     records["words"] = calls.words
     with np.errstate(over="ignore", under="ignore"):
         records["reals"] = reals
-    (bench.scratch / "problems.bin").write_bytes(records.tobytes())
+    write_file(bench.scratch / "problems.bin", records.tobytes())
     runner(bench.scratch, "problems.bin", "solved.bin")
     data, n_z = (bench.scratch / "solved.bin").read_bytes(), calls.start.shape[1]
     kind = np.dtype([("words", np.uint32, (6,)), ("reals", real, (n_z + 6,))])

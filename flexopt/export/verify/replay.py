@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from flexopt.export.operations import Array, Operation, Samples
 from flexopt.export.sources import STATUSES, WITH_OUTPUT
 from flexopt.export.verify.tools import StepFailed
+from flexopt.writing import write_file
 
 CODES = {name: k for k, name in enumerate(STATUSES)}
 NAMES = tuple(STATUSES)
@@ -73,15 +74,16 @@ def block(index: int, operation: Operation, rows: Array, *, repeats: int = 1, fa
 def write_calls(path: Path, blocks: Sequence[Block], *, single: bool) -> None:
     """The driver's input file."""
     real = np.float32 if single else np.float64
-    with path.open("wb") as file:
-        for b in blocks:
-            file.write(np.array([b.index, len(b.rows), b.repeats, 0], np.uint32).tobytes())
-            kind = np.dtype([("fault", np.uint32), ("row", real, (b.rows.shape[1],))])
-            records = np.zeros(len(b.rows), kind)
-            records["fault"] = b.faults
-            with np.errstate(over="ignore", under="ignore"):
-                records["row"] = b.rows
-            file.write(records.tobytes())
+    data = bytearray()
+    for b in blocks:
+        data += np.array([b.index, len(b.rows), b.repeats, 0], np.uint32).tobytes()
+        kind = np.dtype([("fault", np.uint32), ("row", real, (b.rows.shape[1],))])
+        records = np.zeros(len(b.rows), kind)
+        records["fault"] = b.faults
+        with np.errstate(over="ignore", under="ignore"):
+            records["row"] = b.rows
+        data += records.tobytes()
+    write_file(path, bytes(data))
 
 
 def read_answers(path: Path, blocks: Sequence[Block], *, single: bool) -> tuple[int, list[Answers]]:

@@ -33,6 +33,7 @@ from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
 from flexopt.model.arguments import Arguments
 from flexopt.model.documents import json_ready, package_version
+from flexopt.writing import make_folder, write_files
 
 INPUTS, FUZZ_CALLS = 1000, 10_000
 COUNT_MAX = 1_000_000
@@ -126,10 +127,9 @@ class Verification:
 
     def write(self) -> None:
         """Write `report.html` and `report.json` into the bundle's folder `verification`."""
-        self.page.parent.mkdir(exist_ok=True)
+        make_folder(self.page.parent)
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-        self.page.with_suffix(".json").write_text(text, encoding="utf-8")
-        self.page.write_text(report_html(self), encoding="utf-8")
+        write_files({self.page.with_suffix(".json"): text, self.page: report_html(self)})
 
 
 def verify_bundle(
