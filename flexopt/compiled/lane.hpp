@@ -2,8 +2,8 @@
 //
 // In: nothing, not even the standard headers (functions of the C library are reached as compiler builtins). Out:
 // `lane`, its operators, and the functions of <math.h> that CasADi writes. A lane does not convert to bool or to an
-// integer: generated code that decides by a number does not compile, and is left to CasADi's virtual machine.
-// Comparisons give 1.0 or 0.0, as in C.
+// integer: generated code that decides by a number does not compile, and is left to CasADi's virtual machine, except
+// calls that a number chooses, which are made for each choice. Comparisons give 1.0 or 0.0, as in C.
 
 #if defined(__AVX512F__)
 #define LANES 8
@@ -126,3 +126,24 @@ INLINE lane ceil(lane x) {
 BY_POINT_1(sinh) BY_POINT_1(cosh) BY_POINT_1(tanh) BY_POINT_1(asinh) BY_POINT_1(acosh) BY_POINT_1(atanh)
 BY_POINT_1(erf) BY_POINT_1(expm1) BY_POINT_1(log1p)
 BY_POINT_2(pow) BY_POINT_2(fmod) BY_POINT_2(remainder) BY_POINT_2(hypot)
+
+// Calls that a number chooses: whether all points choose alike, what the first one chooses, and every choice in turn.
+INLINE bool unanimous(lane x) { return !any(x.v != splat(x.v[0])); }
+INLINE long long first_choice(lane x) { return static_cast<long long>(x.v[0]); }
+
+typedef int branch(const lane **arg, lane **res, long long *iw, lane *w, long long chosen);
+
+static __attribute__((noinline)) int each_choice(branch *call, const lane **arg, lane **res, lane **apart,
+                                                 const long long *sizes, int outputs, long long *iw, lane *w) {
+  mask choice, left;
+  for (int k = 0; k < LANES; ++k) choice[k] = static_cast<long long>(arg[0]->v[k]), left[k] = -1;
+  for (int k = 0; k < LANES; ++k) {
+    if (!left[k]) continue;
+    mask mine = choice == choice[k];
+    if (call(arg, apart, iw, w, choice[k])) return 1;
+    for (int i = 0; i < outputs; ++i)
+      for (long long n = 0; res[i] && n < sizes[i]; ++n) res[i][n] = pick(mine, apart[i][n].v, res[i][n].v);
+    left &= ~mine;
+  }
+  return 0;
+}

@@ -25,6 +25,9 @@ _OWN = {
 _VALUE = r"\(\*\w+(?:\+\+)?\)|\*\w+|\w+(?:\[\w+\])?"
 _CHOICE = re.compile(rf"\(({_VALUE})\?({_VALUE}):0\)")
 _NAME = re.compile(r"\bcasadi_\w+")
+# A call that is chosen by a number, and the outputs of the function that makes it, by the comment before it.
+_CHOSEN = "arg[0] ? casadi_to_int(*arg[0]) : 0"
+_OUTPUT = re.compile(r"o\d+(?:\[(\d+)(?:x(\d+))?(?:,(\d+)nz)?\])?")
 
 # Lines of the longest generated function and how hard to optimise them. Of lanes, which are structures, gcc's scalar
 # replacement of aggregates takes a time that grows with the square of the length; without it the code is 15 % slower.
@@ -79,6 +82,16 @@ extern "C" EXPORT int flexopt_kernel(const double *const *rows, const unsigned c
   return status;
 }
 """
+
+
+# A chosen call for points that choose differently: their results are put together from one call for each choice.
+_BY_LANE = """static int @NAME@(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
+  if (!arg[0] || unanimous(*arg[0])) return @NAME@_one(arg, res, iw, w, arg[0] ? first_choice(*arg[0]) : 0);
+  casadi_real other[@SIZE@ + 1], *apart[@SZ_RES@ + 1], *next = other;
+  const casadi_int sizes[@N@ + 1] = { @SIZES@ }, *size = sizes;
+  for (int i = 0; i < @N@; next += *size++) apart[i++] = next;
+  return each_choice(@NAME@_one, arg, res, apart, sizes, @N@, iw, w);
+}"""
 
 
 def kernel_source(function: ca.Function) -> str:
@@ -138,12 +151,40 @@ def _generated(function: ca.Function) -> tuple[str, str]:
     """The definitions that the Function's evaluation reaches, and the name of that evaluation."""
     generator = ca.CodeGenerator("flexopt_generated", {"with_export": False, "include_math": False})
     generator.add(function)
-    pieces = definitions(_CHOICE.sub(r"select(\1,\2,0)", generator.dump()))
+    text = by_lane(generator.dump(), function.sz_res())
+    pieces = definitions(_CHOICE.sub(r"select(\1,\2,0)", text))
     exported = pieces[function.name()]
     match = re.search(r"return (casadi_\w+)\(", exported)
     assert match is not None, exported
     reached = reached_from(pieces, match[1], _OWN)
     return "\n".join(in_pieces(text) for name, text in pieces.items() if name in reached), match[1]
+
+
+def by_lane(text: str, sz_res: int) -> str:
+    """The text with every call that a number chooses (`Function.if_else`, `conditional`) chosen for each point alone.
+
+    Where all points agree, as is the rule, one call serves them; else there is one for each choice, and every point
+    takes its own results: they are the same in any company.
+    """
+    blocks = text.split("\n/* ")
+    for k, block in enumerate(blocks):
+        if _CHOSEN not in block:
+            continue
+        signature, _, body = block.partition("\n")
+        name = re.search(r"static int (\w+)\(", body)
+        assert name is not None, block
+        of_one = body.replace(name[1], f"{name[1]}_one", 1).replace("int mem)", "casadi_int chosen)", 1)
+        sizes = [_entries(match) for match in _OUTPUT.finditer(signature.partition("->")[2])]
+        values = {"NAME": name[1], "SIZE": sum(sizes), "SZ_RES": sz_res, "N": len(sizes)}
+        values |= {"SIZES": ", ".join(map(str, sizes))}
+        wrapped = re.sub(r"@(\w+)@", lambda found, values=values: str(values[found[1]]), _BY_LANE)
+        blocks[k] = "\n".join([signature, of_one.replace(_CHOSEN, "chosen").rstrip("\n"), wrapped, ""])
+    return "\n/* ".join(blocks)
+
+
+def _entries(output: re.Match[str]) -> int:
+    rows, columns, nonzeros = (int(number) if number else None for number in output.groups())
+    return nonzeros if nonzeros is not None else (1 if rows is None else rows) * (1 if columns is None else columns)
 
 
 def level(source: str) -> tuple[str, ...] | None:

@@ -131,7 +131,7 @@ def _margin_with_condition(margin: Margin) -> ca.Function:
     symbols = [ca.MX.sym("base", g.base.shape[0]), ca.MX.sym("posture", g.posture.shape[0]),
                ca.MX.sym("p", g.p.shape[0]), ca.MX.sym("kr")]  # fmt: skip
     plant_a, *others = margin.scaled_plant.call([*symbols, *margin.hold.call(symbols)])
-    solution = riccati_pair(n, margin.doublings, compact=True).call([plant_a, *weights.call(others)])
+    solution = riccati_pair(n, margin.doublings, compact=True, fixed=True).call([plant_a, *weights.call(others)])
     values = top_eigenpairs(n, margin.plant.n_task).call(solution[:2])[0]
     outputs = [1 / ca.sqrt(1 + values), solution[2], *condition.call(solution[:2])]
     return ca.Function("margin", symbols, outputs)
