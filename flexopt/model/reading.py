@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.model.cylinder_faults import check_strokes
-from flexopt.model.faults import Table, machine_faults, problem_faults, validated
+from flexopt.model.faults import Table, check_extent, machine_faults, problem_faults, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.machine import Machine
 from flexopt.model.problem import Problem, check_placement, check_task
@@ -88,6 +88,7 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     """
     if not isinstance(data, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ModelError(f"{origin}: must be a dictionary in the layout of a machine file, not {type(data).__name__}")
+    check_extent(data, origin)
     named = _with_link_names(data)
     machine = validated(Machine, named, origin, machine_faults(named))
     check_strokes(machine, origin)
@@ -115,6 +116,7 @@ def _experiment(source: Source) -> Experiment:
 def _problem(source: Source) -> Problem:
     if "simulation" in source.data:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
+    check_extent(source.data, source.name)
     faults = [*problem_faults(source.data), *target_faults(source.data)]
     name = source.data.get("machine")
     machine: Machine | Tree | None = None

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from flexopt.model.cylinder_faults import check_strokes
-from flexopt.model.faults import Table, validated
+from flexopt.model.faults import Table, check_extent, validated
 from flexopt.model.hydraulics import JointFrame
 from flexopt.model.machine import AnyMachine, FileModel, Parameter, Payload
 from flexopt.model.quantities import Length, MassOrZero, checked
@@ -279,6 +279,7 @@ def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
     Raises:
         ModelError: lists every fault.
     """
+    check_extent(data, origin)
     frozen = cast(dict[str, Any], _with_tuples(data))
     tree = validated(Tree, frozen, origin, tree_faults(frozen))
     check_strokes(tree, origin)
