@@ -150,11 +150,18 @@ class CompilerNotFound(FlexoptWarning):
     """No C compiler can be used, so CasADi's virtual machine serves: same results, more slowly."""
 
 
+# Lines of one message; more of them help nobody. The error's `faults` are all of them.
+FAULTS_SHOWN = 100
+
+
 def sentence_list(heading: str, faults: Sequence[Fault]) -> str:
-    """One message that lists every fault, a line each."""
+    """One message that lists every fault, a line each; of very many the first ones, and how many more there are."""
     if len(faults) == 1:
         return f"{heading}: {faults[0]}"
-    return f"{heading} ({len(faults)} faults):\n" + "\n".join(f"  - {fault}" for fault in faults)
+    lines = [f"  - {fault}" for fault in faults[:FAULTS_SHOWN]]
+    if len(faults) > FAULTS_SHOWN:
+        lines.append(f"  - and {len(faults) - FAULTS_SHOWN} more")
+    return f"{heading} ({len(faults)} faults):\n" + "\n".join(lines)
 
 
 def raise_if_any(error: type[FlexoptError], heading: str, faults: Sequence[Fault]) -> None:

@@ -17,6 +17,10 @@ from flexopt.model.plain import Unreadable, plain_table, shown
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
 # How alike two words must be for one to be suggested for the other.
 ALIKE = 0.6
+# Far beyond any machine; what is larger is refused at once, before its parts are looked at.
+DEPTH_MAX = 30
+ENTRIES_MAX = 1000
+BODIES_MAX = 250
 
 Table = Mapping[str, Any]
 Model = TypeVar("Model", bound=FileModel)
@@ -28,6 +32,7 @@ def read_table(data: Any, origin: str, layout: str, kind: type[InputError] = Mod
     if not isinstance(table, dict):
         what = f"which {table.sentence}" if isinstance(table, Unreadable) else f"not {type(data).__name__}"
         raise kind(f"{origin}: must be a dictionary in the layout of {layout}, {what}")
+    check_extent(cast(Table, table), origin, kind)
     return cast(dict[str, Any], table)
 
 
@@ -39,6 +44,7 @@ def validated(
     kind: type[InputError] = ModelError,
 ) -> Model:
     """The model of `data`, or an error of that kind with the faults of single keys and the `structural` ones."""
+    check_extent(data, origin, kind)
     try:
         result = model.model_validate(data)
     except ValidationError as error:
@@ -51,6 +57,37 @@ def validated(
     raise_if_any(kind, origin, faults)
     assert result is not None
     return result
+
+
+def check_extent(data: Table, origin: str, kind: type[InputError] = ModelError) -> None:
+    """Refuse tables that are nested too deep or have too many keys, and lists of too many tables."""
+    faults: list[Fault] = []
+    seen: dict[int, int] = {}
+    waiting: list[tuple[str, Any, int]] = [("", data, 0)]
+    while waiting:
+        path, value, depth = waiting.pop()
+        identity = id(cast(object, value))
+        if not isinstance(value, Mapping | list | tuple) or seen.get(identity, -1) >= depth:
+            continue
+        seen[identity] = depth
+        if depth > DEPTH_MAX:
+            faults.append(Fault(path.split(".")[0], f"tables or lists are nested more than {DEPTH_MAX} deep"))
+            break
+        if isinstance(value, Mapping):
+            table = cast(Table, value)
+            if len(table) > ENTRIES_MAX:
+                faults.append(Fault(path or "file", f"has {len(table)} keys; at most {ENTRIES_MAX} are read"))
+                continue
+            waiting += [(f"{path}.{key}" if path else str(key), part, depth + 1) for key, part in table.items()]
+            continue
+        parts = cast(list[Any], value)
+        tables = sum(1 for part in parts if isinstance(part, Mapping))
+        most = BODIES_MAX if path in ("links", "bodies") else ENTRIES_MAX
+        if tables > most:
+            faults.append(Fault(path, f"has {tables} tables; at most {most} are read"))
+            continue
+        waiting += [(path, part, depth + 1) for part in parts if isinstance(part, Mapping | list | tuple)]
+    raise_if_any(kind, origin, faults)
 
 
 def model_faults(model: type[FileModel], data: Table, error: ValidationError) -> list[Fault]:

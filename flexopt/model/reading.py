@@ -120,6 +120,7 @@ def _experiment(source: Source) -> Experiment:
 def _problem(source: Source) -> Problem:
     if "simulation" in source.data:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
+    check_extent(source.data, source.name)
     faults = [*problem_faults(source.data), *target_faults(source.data)]
     name = source.data.get("machine")
     machine: Machine | Tree | None = None
