@@ -15,10 +15,10 @@ from typing import Any, cast
 
 from flexopt.errors import ExportError, Fault, InputError, raise_if_any
 from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
-from flexopt.export.extras import TOLERANCES, Extras
+from flexopt.export.extras import Extras
 from flexopt.export.kernels import Real, Unsupported
 from flexopt.export.naming import identifier
-from flexopt.export.operations import Field
+from flexopt.export.operations import TOLERANCES, Field
 from flexopt.export.parts import PARTS
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
@@ -80,7 +80,7 @@ class ExportReport:
         lines = [f"C for {self.manifest['machine']['name']} ({self.manifest['options']['real']}) in {self.folder}"]
         lines += [f"  {part}: {', '.join(names)}" for part, names in self.parts.items()]
         lines += [
-            f"  {o['c_name']} accepts {100 * o['acceptance']:.0f} % of random postures inside the limits; the others it refuses"
+            f"  {o['c_name']} accepts {100 * o['acceptance']:.0f} % of random postures inside the limits, not the rest"
             for part in self.manifest["parts"].values()
             for o in part["operations"]
             if o["acceptance"] < FULL
@@ -124,9 +124,9 @@ def export_c(
         gain: servo gain k_r about which ε_max is tested; the C function takes it as an input.
         baked: whether the machine's parameters become constants: smaller and faster.
         singularity_margin_deg: how far the arm must be from singular postures, degrees.
-        limit_allowance_deg, limit_allowance_m: how far measured hinges and slides may lie beyond their limits, degrees and
-            m: outputs then come with the warning `BEYOND_LIMIT`, and farther out the call is refused. The defaults are
-            above what sensors are calibrated to and end stops give, and below what a broken sensor shows.
+        limit_allowance_deg, limit_allowance_m: how far measured hinges and slides may lie beyond their limits, degrees
+            and m: outputs then come with the warning `BEYOND_LIMIT`, and farther out the call is refused. The defaults
+            are above what sensors are calibrated to and end stops give, and below what a broken sensor shows.
         prefix: of every C name; from the machine's name by default.
         overwrite: replace a bundle of which files were changed by hand, too.
 
@@ -145,7 +145,9 @@ def export_c(
     margin = arguments.checked(
         "singularity_margin_deg", singularity_margin_deg, check_margin_deg, SINGULARITY_MARGIN_DEG
     )
-    allowance_deg = arguments.checked("limit_allowance_deg", limit_allowance_deg, _check_allowance_deg, LIMIT_ALLOWANCE_DEG)
+    allowance_deg = arguments.checked(
+        "limit_allowance_deg", limit_allowance_deg, _check_allowance_deg, LIMIT_ALLOWANCE_DEG
+    )
     allowance_m = arguments.checked("limit_allowance_m", limit_allowance_m, _check_allowance_m, LIMIT_ALLOWANCE_M)
     overwrite = arguments.flag("overwrite", overwrite)
     prefix = arguments.checked("prefix", identifier(machine.name) if prefix is None else prefix, _check_prefix, "x")

@@ -113,8 +113,9 @@ def _torque(at: Context, control: Control) -> Operation:
         inputs += [
             (field("joint_rates", "JOINTS", of_joints, "rates of the actuated joints, measured", low=-RATE_MAX,
                    high=RATE_MAX, sample=(-0.5, 0.5)), symbol["rates"]),
-            (field("nullspace_damping", "", unit_list(units), "d, a damper on the self-motion, which the end-point does "
-                   "not show and nothing else holds; 0 for none", high=GAIN_MAX, sample=(0.0, 1e4)), symbol["damping"]),
+            (field("nullspace_damping", "", unit_list(units), "d, a damper on the self-motion, which the end-point "
+                   "does not show and nothing else holds; 0 for none", high=GAIN_MAX, sample=(0.0, 1e4)),
+             symbol["damping"]),
         ]  # fmt: skip
     damping, method = control_damping(control), control_method(control)
     matrix = {"transpose": "Jv^T", "inverse": "Jv^+"}.get(method, "Jv^T (Jv Jv^T + lambda^2 I)^-1")

@@ -15,18 +15,16 @@ import numpy as np
 from flexopt.export.closing import DURATION_S, RATE_HZ, settling_start
 from flexopt.export.control import damps_self_motion
 from flexopt.export.naming import listed, number, template, text_of
-from flexopt.export.operations import ACCEPTANCE_COUNT, Array, Field, Operation, Samples
+from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Array, Field, Operation, Samples
 from flexopt.export.parts import PARTS
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.model.documents import package_version
 
-# Largest error allowed, as a share of each output's scale.
-TOLERANCES = {"double": 1e-12, "float": 1e-4}
 VECTOR_COUNT = 12
 VECTOR_SEED = 1
 ACCEPTANCE = (
-    f"The last column of the functions says how many of {ACCEPTANCE_COUNT} random inputs, evenly inside the machine's limits, "
-    "pass the function's\nown tests (singular postures, accuracy), by the same numbers.\n"
+    f"The last column of the functions says how many of {ACCEPTANCE_COUNT} random inputs, evenly inside the machine's "
+    "limits, pass the function's\nown tests (singular postures, accuracy), by the same numbers.\n"
 )
 # rad/s of the closed loop of the ROS 2 node's default gains.
 BANDWIDTH = 3.0
@@ -114,8 +112,8 @@ class Extras:
             )
         pointers = ", ".join(f"{name}_vectors" for name in names)
         return (
-            "/* Rows of inputs, parameters, 1 where a joint lies beyond its limit, outputs computed in Python, and the errors\n"
-            " * allowed, for each function. */\n"
+            "/* Rows of inputs, parameters, 1 where a joint lies beyond its limit, outputs computed in Python, and the "
+            "errors\n * allowed, for each function. */\n"
             f"#ifndef {self.upper}_VECTORS_H\n#define {self.upper}_VECTORS_H\n\n"
             f'#include "{self.prefix}_control.h"\n\n'
             f"enum {{ VECTOR_COUNT = {VECTOR_COUNT} }};\n\n" + "\n".join(tables) + "\n"
@@ -240,7 +238,7 @@ class Extras:
     def _ros2_node(self) -> str:
         posture, inertia = self._start()
         baked, context = self.library.baked, self.library.context
-        damped = damps_self_motion(context.plant, "inverse")
+        damped, real = damps_self_motion(context.plant, "inverse"), f"{self.prefix}_real"
         set_placement = declare_placement = ""
         if context.placement_matters:
             set_placement = (
@@ -263,10 +261,13 @@ class Extras:
             f"static_cast<{self.prefix}_real>(rate); }}\n"
             if damped
             else "",
-            set_damping=f"    input_.nullspace_damping = static_cast<{self.prefix}_real>(derivative_gain); // of the self-motion\n"
+            set_damping="    // Of the self-motion.\n"
+            f"    input_.nullspace_damping = static_cast<{real}>(derivative_gain);\n"
             if damped
             else "",
-            pass_rate="      if (index < m.velocity.size()) controller_.set_rate(j, m.velocity[index]);\n" if damped else "",
+            pass_rate="      if (index < m.velocity.size()) controller_.set_rate(j, m.velocity[index]);\n"
+            if damped
+            else "",
             load_parameters="" if baked else f"    {self.prefix}_default_parameters(&parameters_);\n",
             parameters_member="" if baked else f"  {self.prefix}_parameters parameters_{{}};\n",
             pass_member="" if baked else "&parameters_, ",

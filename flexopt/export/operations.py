@@ -19,6 +19,8 @@ from flexopt.errors import ExportError
 
 Array = NDArray[np.float64]
 Status = Literal["SINGULAR_POSTURE", "NOT_ACCURATE"]
+# Largest error of an output by rounding, as a share of its scale.
+TOLERANCES = {"double": 1e-12, "float": 1e-4}
 # A sample is drawn again where a guard refuses it; so often at most.
 DRAWS_MAX = 100
 # 2π in two parts, of which the first has so few digits that its multiples are exact in either precision.
@@ -152,7 +154,7 @@ class Operation:
         return parameters.rounded(np.hstack(columns))
 
     def acceptance(self, parameters: Parameters) -> float:
-        """Share of random inputs, inside the machine's limits and with its own parameters, that the guards let through."""
+        """Share of random inputs, inside the machine's limits, with its own parameters, that the guards let through."""
         own, rng = replace(parameters, spread=(0.0,) * len(parameters.spread)), np.random.default_rng(ACCEPTANCE_SEED)
         return float(np.mean(self.reference(self.random_rows(own, rng, ACCEPTANCE_COUNT)).accepted))
 
@@ -312,4 +314,6 @@ class Sizes:
             return value if isinstance(value, tuple) else (value,) * length
 
         drawn = None if sample is None else (spread(sample[0]), spread(sample[1]))
-        return Field(name, names, shape, unit, text, spread(low), spread(high), drawn, logarithmic, design, turning, scale)
+        return Field(
+            name, names, shape, unit, text, spread(low), spread(high), drawn, logarithmic, design, turning, scale
+        )

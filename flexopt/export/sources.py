@@ -29,8 +29,8 @@ STATUSES = {
     "SINGULAR_POSTURE": "the arm is too close to a posture where its Jacobian loses rank",
     "NOT_ACCURATE": "the result would not be accurate: an iteration has not converged, or digits cancel",
     "NUMERICAL_FAILURE": "a result is not finite",
-    "BEYOND_LIMIT": "a warning: every output is written and finite, but a measured joint lies beyond its limit, by no more "
-    "than is allowed",
+    "BEYOND_LIMIT": "a warning: every output is written and finite, but a measured joint lies beyond its limit, by no "
+    "more than is allowed",
 }
 # Those after which the outputs are new; the others leave them as they were.
 WITH_OUTPUT = ("OK", "BEYOND_LIMIT")
@@ -357,13 +357,13 @@ class Library:
 
     def _overlaps(self, operation: Operation) -> list[str]:
         """Expressions that refuse a workspace that lies over another argument."""
-        given = [(_first("in", operation.inputs[0]), "sizeof(*in)"), (_first("out", operation.outputs[0]), "sizeof(*out)")]
+        given = [
+            (_first("in", operation.inputs[0]), "sizeof(*in)"),
+            (_first("out", operation.outputs[0]), "sizeof(*out)"),
+        ]
         given += [] if self.baked else [("parameters->value", "sizeof(*parameters)")]
         needed = f"{self.upper}_{operation.name.upper()}_WORKSPACE"
-        return [
-            f"{self.prefix}_check_apart(workspace, {needed}, {address}, {size})"
-            for address, size in given
-        ]
+        return [f"{self.prefix}_check_apart(workspace, {needed}, {address}, {size})" for address, size in given]
 
     def _turned(self, field: Field) -> tuple[list[str], str]:
         """Declarations and a call that take whole turns off angles that turn freely."""

@@ -17,7 +17,7 @@ from flexopt.export.operations import Array, Operation
 from flexopt.export.verify import optimiser, replay
 from flexopt.export.verify.bench import STRICT, Bench, warnings_in
 from flexopt.export.verify.checks import Check, Finding, Table, attempt
-from flexopt.export.verify.tools import StepFailed, need, run
+from flexopt.export.verify.tools import StepFailed, need, run, sanitizing_compiler
 
 COMPILERS = (("gcc", "g++"), ("clang", "clang++"))
 STANDARDS = ("c99", "c11")
@@ -124,7 +124,7 @@ def _driver(bench: Bench, name: str, compiler: str, library: list[Path], flags: 
 
 
 def _fuzz(bench: Bench) -> Finding:
-    compiler = "clang" if shutil.which("clang") else "gcc"
+    compiler = sanitizing_compiler(SANITIZERS, bench.scratch)
     driver = _driver(bench, "driver-sanitized", compiler, bench.sources, ["-std=c99", *SANITIZERS])
     blocks = [_faulty(bench, k, o) for k, o in enumerate(bench.library.all_operations)]
     calls, said = bench.scratch / "faulty.bin", bench.scratch / "faulty-answers.bin"
