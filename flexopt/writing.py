@@ -36,17 +36,22 @@ Content = str | bytes
 AnyPath = str | os.PathLike[str]
 
 
-def write_file(path: AnyPath, content: Content) -> None:
+def write_file(path: AnyPath, content: Content, *, private: bool = False) -> None:
     """Write one file; text as UTF-8. A link stays one, and an older file's mode stays.
+
+    Args:
+        path: of the file.
+        content: what it shall hold.
+        private: it belongs to this user, and nobody else may read or write it, whatever an older one was.
 
     Raises:
         WriteError: it cannot be written; the older file is as it was.
     """
-    write_files({path: content})
+    write_files({path: content}, private=private)
 
 
-def write_files(contents: Mapping[Any, Content]) -> None:
-    """Write several files, path -> content. None is swapped before all are written.
+def write_files(contents: Mapping[Any, Content], *, private: bool = False) -> None:
+    """Write several files, path -> content, as `write_file` does. None is swapped before all are written.
 
     Raises:
         WriteError: one cannot be written.
@@ -61,12 +66,12 @@ def write_files(contents: Mapping[Any, Content]) -> None:
                     final.write_bytes(data)
                     continue
                 _check(final)
-                fresh, file = stack.enter_context(_beside(final))
+                fresh, file = stack.enter_context(_beside(final, 0o600 if private else 0o666))
                 _fill(file, data)
                 ready.append((fresh, final, file, data))
         for fresh, final, file, data in ready:
             with _told(final, len(data)):
-                _swap(fresh, final, file)
+                _swap(fresh, final, file, keep=not private)
 
 
 def make_folder(path: AnyPath) -> Path:
@@ -95,7 +100,7 @@ def replace_folder(path: AnyPath, contents: Mapping[str, Content], keep: Callabl
         if folder.is_dir() and not os.access(folder.parent, os.W_OK):
             _one_by_one(folder, data, keep)
             return
-        with _fresh_folder(folder.parent) as fresh:
+        with fresh_folder(folder.parent) as fresh:
             new = fresh / "folder"
             for name, content in data.items():
                 (new / name).parent.mkdir(parents=True, exist_ok=True)
@@ -162,11 +167,11 @@ def _fill(file: IO[bytes], data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def _beside(final: Path) -> Generator[tuple[Path, IO[bytes]]]:
+def _beside(final: Path, mode: int = 0o666) -> Generator[tuple[Path, IO[bytes]]]:
     """An empty file of this process in the same folder, removed unless it was swapped."""
     _sweep(final.parent)
     fresh = final.parent / _fresh_name()
-    handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+    handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), mode)
     file = os.fdopen(handle, "wb")
     try:
         _hold(handle)
@@ -179,11 +184,11 @@ def _beside(final: Path) -> Generator[tuple[Path, IO[bytes]]]:
             fresh.unlink(missing_ok=True)
 
 
-def _swap(fresh: Path, final: Path, file: IO[bytes]) -> None:
-    """Put the file in the place of the older one, with its mode and, where that is allowed, its owner."""
+def _swap(fresh: Path, final: Path, file: IO[bytes], *, keep: bool) -> None:
+    """Put the file in the place of the older one; `keep` its mode and, where that is allowed, its owner."""
     with contextlib.suppress(FileNotFoundError):
-        old = final.stat()
-        if sys.platform != "win32":
+        if keep and sys.platform != "win32":
+            old = final.stat()
             with contextlib.suppress(OSError):
                 if (old.st_uid, old.st_gid) != (os.geteuid(), os.getegid()):
                     os.fchown(file.fileno(), old.st_uid, old.st_gid)
@@ -198,11 +203,11 @@ def _fresh_name() -> str:
 
 
 @contextlib.contextmanager
-def _fresh_folder(parent: Path) -> Generator[Path]:
-    """An empty folder of this process, removed with what it holds at the end."""
+def fresh_folder(parent: Path, *, private: bool = False) -> Generator[Path]:
+    """An empty folder of this process inside another, removed with what it holds at the end, or after a kill."""
     _sweep(parent)
     fresh = parent / _fresh_name()
-    fresh.mkdir()
+    fresh.mkdir(mode=0o700 if private else 0o777)
     with contextlib.ExitStack() as stack:
         if sys.platform != "win32":  # where folders cannot be opened
             handle = os.open(fresh, os.O_RDONLY)

@@ -31,7 +31,7 @@ def test_pieces_compute_what_the_whole_does(monkeypatch, piece):
     steps = 3 if piece == 1 else 60
     function = long_function(steps)
     monkeypatch.setattr(lanes, "in_pieces", lambda text: pieces.in_pieces(text, long=10, piece=piece))
-    monkeypatch.setattr("flexopt.compiled.libraries.function_key", lambda f, c, p: f"pieces-{piece}-{c.identity}-{p}")
+    monkeypatch.setattr("flexopt.compiled.libraries.key_of", lambda f, c, p: f"pieces-{piece}-{c.identity}-{p}")
     cut = batch(function)
     assert cut.compiled
     x, y = np.random.default_rng(0).normal(size=(3, 37)), np.random.default_rng(1).normal(size=(2, 37))

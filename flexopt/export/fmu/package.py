@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
-import tempfile
 import uuid
 import warnings
 import zipfile
@@ -17,6 +16,7 @@ from xml.etree import ElementTree as ET
 
 from flexopt.compiled.accelerated import level_for
 from flexopt.compiled.compilers import CompilationFailed, find_compiler, library_suffix
+from flexopt.compiled.storage import scratch
 from flexopt.errors import CompilerNotFound, ExportError, Fault, InputError, raise_if_any
 from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
@@ -246,13 +246,13 @@ def _compiled(text: str) -> bytes | None:
         sentence = "export_fmu: no C compiler for a library; the FMU holds sources alone, which importers may compile"
         warnings.warn(sentence, CompilerNotFound, stacklevel=3)
         return None
-    with tempfile.TemporaryDirectory(prefix="flexopt-", ignore_cleanup_errors=True) as folder:
-        library = Path(folder) / f"library{library_suffix()}"
-        try:
+    try:
+        with scratch() as folder:
+            library = folder / f"library{library_suffix()}"
             replace(compiler, target=()).build(text, library, language="c", level=level_for(text) or ("-O1",))
-        except CompilationFailed as error:
-            raise ExportError(f"export_fmu: the sources could not be compiled ({error})") from error
-        return library.read_bytes()
+            return library.read_bytes()
+    except (CompilationFailed, OSError) as error:
+        raise ExportError(f"export_fmu: the sources could not be compiled ({error})") from error
 
 
 def _platform(version: Version) -> str | None:
