@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from flexopt.model.arguments import Vector
 
-Verdict = Literal["converges", "grows"]
+RunVerdict = Literal["converges", "grows"]
 SETTLED = 0.02  # share of the error at the start
 # Energy of a mode below this share of the largest of all so far is rounding.
 ROUNDING = 1e-20
@@ -47,6 +47,11 @@ class Behaviour:
         peak_base_rotation: rad (N,); NaN for a base that cannot turn.
         residual_oscillation: largest energy of each mode in the slowest one's last period (m, N), J.
         finite_until: time up to which every state was a finite number, s (N,).
+        significant: whether the growth rate is more than twice its standard error away from 0, or the amplitude three
+            times what it was, or nothing moved (N,).
+        short: whether what is judged lasts less than four periods of the slowest mode.
+        slowest_hz: that mode's frequency.
+        duration: s.
     """
 
     grows: NDArray[np.bool_]
@@ -58,10 +63,41 @@ class Behaviour:
     peak_base_rotation: Vector
     residual_oscillation: Vector
     finite_until: Vector
+    significant: NDArray[np.bool_]
+    short: bool
+    slowest_hz: float
+    duration: float
 
-    def verdict(self, member: int = 0) -> Verdict:
-        """The verdict in the command line's word."""
+    def verdict(self, member: int = 0) -> RunVerdict:
+        """What the run shows, in a word."""
         return "grows" if self.grows[member] else "converges"
+
+    def shown(self, member: int = 0) -> Shown:
+        """What one run shows."""
+        return Shown(
+            word=self.verdict(member),
+            rate=float(self.growth_rate[member]),
+            error=float(self.growth_rate_error[member]),
+            ended=float(self.finite_until[member]),
+            significant=bool(self.significant[member]),
+            short=self.short,
+            slowest_hz=self.slowest_hz,
+            duration=self.duration,
+        )
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What one run shows of growth; see `Behaviour`, `rate` and `error` in 1/s, `ended` in s."""
+
+    word: RunVerdict
+    rate: float
+    error: float
+    ended: float
+    significant: bool
+    short: bool
+    slowest_hz: float
+    duration: float
 
 
 @dataclass(frozen=True)
@@ -103,6 +139,7 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)
 
     begin = int(np.sum(times[:-1] < grounds.undisturbed_from - 1e-9 * times[-1]))
+    short = grounds.slowest_hz * float(times[-1] - times[min(begin, len(times) - 1)]) < FEWEST_WINDOWS
     begin = begin if len(energy) - begin >= FEWEST_WINDOWS else 0
     judged = np.where(alive[begin:, None], energy[begin:], np.nan)
     peaks, centres = _periods(times[begin:], judged, grounds.slowest_hz)
@@ -113,6 +150,7 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
         growing = last >= GROWN * first
         if not grounds.noisy:
             growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
+        wavering = np.any((np.abs(rate) <= 2 * error) & (last < GROWN * first), axis=0)
     fastest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)[None]
 
     loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
@@ -130,6 +168,10 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
         peak_base_rotation=turn if grounds.turns else np.full_like(turn, np.nan),
         residual_oscillation=peaks[-1],
         finite_until=finite,
+        significant=diverged | ~wavering,
+        short=short,
+        slowest_hz=grounds.slowest_hz,
+        duration=float(times[-1]),
     )
 
 

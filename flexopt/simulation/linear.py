@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, cast
 
 import casadi as ca
@@ -23,7 +23,7 @@ from flexopt.model.arguments import Vector
 from flexopt.model.simulation import SimulationOptions, dead_time
 from flexopt.plant import build_plant
 from flexopt.simulation.loop import closed_loop
-from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, start_states
+from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
 from flexopt.simulation.structure import LoopStructure
 from flexopt.simulation.tangent import Tangent, still, tangent
 
@@ -176,7 +176,7 @@ def _with_narrow(growth: Callable[[float], float], grid: list[float]) -> list[tu
         # A valley of |growth|, all of one sign.
         if sign * here <= sign * before and sign * here <= sign * after and sign * before > 0 and sign * after > 0:
             best: Any = minimize_scalar(
-                lambda x, s=sign: s * growth(x), bounds=(left, right), method="bounded",
+                partial(_times, sign, growth), bounds=(left, right), method="bounded",
                 options={"xatol": math.log10(1 + NARROW) / 10},
             )  # fmt: skip
             if best.fun < 0:
@@ -184,11 +184,14 @@ def _with_narrow(growth: Callable[[float], float], grid: list[float]) -> list[tu
     return sorted(found)
 
 
+def _times(sign: float, growth: Callable[[float], float], exponent: float) -> float:
+    return sign * growth(exponent)
+
+
 def linearised(scenario: Scenario) -> SampledLoop:
     """The sampled linear loop of a scenario made by `linear_scenario`."""
     s, structure = scenario, scenario.loop.structure
-    x = start_states(s.machine, s.loop, s.parts, s.q_design[:, None])[:, 0]
-    e, c = np.zeros(s.loop.signals.total), s.constants
+    x, e, c = s.resting, np.zeros(s.loop.signals.total), s.constants
     here = tangent(structure, x, e, c)
     if not still(structure, here, x):
         moved = float(np.abs(here.moved).max())
@@ -210,8 +213,10 @@ def exactly(scenario: Scenario, here: Tangent) -> SampledLoop:
 def _spectrum(scenario: Scenario, matrix: Vector, integrator: str) -> SampledLoop:
     from scipy.linalg import matrix_balance  # noqa: PLC0415  (loads slowly)
 
+    if not np.all(np.isfinite(matrix)):
+        raise InputError("the linear loop grows beyond the largest number within one sample; give lower gains")
     balanced, (scale, _) = matrix_balance(matrix, permute=False, separate=True)
-    held, kept = _without_neutral(np.asarray(balanced), _neutral(scenario))
+    held, kept = _without_neutral(np.asarray(balanced, dtype=np.float64), _neutral(scenario))
     removed, excess = len(matrix) - len(held), scenario.loop.shape.n_joints - scenario.loop.shape.n_task
     if excess > 0 and removed < 2 * excess:
         values, vectors = np.linalg.eig(held)
@@ -220,7 +225,8 @@ def _spectrum(scenario: Scenario, matrix: Vector, integrator: str) -> SampledLoo
         values = np.asarray(np.linalg.eigvals(held), dtype=complex)
         drifting = np.zeros(len(values), dtype=bool)
     rounding = 10 * len(matrix) * np.finfo(float).eps * float(np.linalg.norm(balanced))
-    apart, values = values[drifting].real, np.asarray(values[~drifting], dtype=complex)
+    values = np.asarray(values, dtype=np.complex128)
+    apart, values = np.real(values[drifting]), values[~drifting]
     values = values[np.argsort(-np.abs(values))]
     drift = tuple(sorted((np.log(apart) / scenario.period).tolist(), reverse=True))
     return SampledLoop(values, scenario.period, removed, drift, integrator, rounding / scenario.period)
@@ -236,9 +242,9 @@ def _drifting(scenario: Scenario, values: NDArray[np.complex128], vectors: Any, 
     p = plant.parameter_values
     joints = np.linalg.svd(plant.rigid_jacobian(s.q_design, s.base, p).full())[2][motion.n_task :].T
     own = np.vstack([np.zeros((m, joints.shape[1])), joints])
-    mass = plant.mass(s.q_design, s.base, p).full()
-    rates = s.loop.to_q @ vectors[n : 2 * n]
-    along = own.T @ mass @ rates
+    mass: Vector = plant.mass(s.q_design, s.base, p).full()
+    rates = np.asarray(s.loop.to_q @ vectors[n : 2 * n], dtype=np.complex128)
+    along: NDArray[np.complex128] = own.T @ mass @ rates
     part = np.einsum("ik,ik->k", along.conj(), np.linalg.solve(own.T @ mass @ own, along)).real
     whole = np.einsum("ik,ij,jk->k", rates.conj(), mass, rates).real
     share = np.where((values.imag == 0) & (values.real > 0), part / np.maximum(whole, np.finfo(float).tiny), 0.0)
@@ -255,9 +261,14 @@ def linear_scenario(machine: AnyMachine, given: Mapping[str, Any], call: str) ->
 
 
 def bare_scenario(
-    machine: AnyMachine, options: SimulationOptions, *, exact: bool = True, paths: bool = False
+    machine: AnyMachine,
+    options: SimulationOptions,
+    zeros: frozenset[str] | None = None,
+    *,
+    exact: bool = True,
+    paths: bool = False,
 ) -> Scenario:
-    """The like of checked options; `paths`: base and target stay signals."""
+    """The like of checked options; `zeros` as of `build_scenario`; `paths`: base and target stay signals."""
     bare = {"torque_limit": None, "dead_band": None, "rate_limit": None, "levers": None}
     clean = {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0}
     update: dict[str, Any] = {
@@ -266,7 +277,7 @@ def bare_scenario(
         "baked": False,
     }
     update |= {} if paths else {"base_path": None, "target_path": None}
-    return build_scenario(machine, options.model_copy(update=update), exact=exact)
+    return build_scenario(machine, options.model_copy(update=update), zeros, exact=exact)
 
 
 @lru_cache(maxsize=64)

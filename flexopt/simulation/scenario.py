@@ -84,6 +84,12 @@ class Scenario:
         return self.loop.constants.packed(self.parts)[:, 0]
 
     @property
+    def resting(self) -> Vector:
+        """States x (n_x,) at rest in the design configuration."""
+        x: Vector = start_states(self.machine, self.loop, self.parts, self.q_design[:, None])[:, 0]
+        return x
+
+    @property
     def times(self) -> Vector:
         """Instants of the samples and the end, (samples + 1,), s."""
         times: Vector = np.arange(self.samples + 1, dtype=np.float64) * self.period

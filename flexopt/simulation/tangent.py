@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -73,7 +74,7 @@ def _exponential(flow: bytes, drive: bytes, n: int, m: int, span: float) -> tupl
     """The like, kept: along a sweep over gains the plant stays the same."""
     from scipy.linalg import expm  # noqa: PLC0415  (loads slowly)
 
-    block = np.zeros((n + m, n + m))
+    block: Vector = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = np.frombuffer(flow).reshape(n, n), np.frombuffer(drive).reshape(n, m)
     whole = expm(block * span)
     return whole[:n, :n], whole[:n, n:]
@@ -108,7 +109,8 @@ def at_rest(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> tuple[
         change = np.vstack([period * by_x, here.law, here.queue])
         change[n:] -= np.eye(len(x))[n:]
         size = np.maximum(np.abs(change).max(axis=1), np.finfo(float).tiny)
-        x = x - np.linalg.lstsq(change / size[:, None], here.moved / size, rcond=1e-12)[0]
+        newton = cast(Any, np.linalg.lstsq)(change / size[:, None], here.moved / size, rcond=1e-12)[0]
+        x = x - np.asarray(newton, dtype=np.float64)
     return None
 
 

@@ -66,6 +66,7 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path
+from typing import Any, cast
 
 from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
 from flexopt.model.boundary import path as named
