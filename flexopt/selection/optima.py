@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
 from flexopt.model.arguments import Vector
 from flexopt.robustness.evaluation import prepare
-from flexopt.selection.check import Proof, prove
+from flexopt.selection.check import Proof, prove, stated
 from flexopt.selection.parallel import in_parallel
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.programs import Bounds, run
 from flexopt.selection.result import Attempt
 
 SAME_POINT = 1e-4
@@ -213,17 +213,10 @@ def run_solver(problem: SelectionProblem, start: Vector, *, quick: bool = False)
         x0, lower, upper = np.append(x0, value), np.append(lower, -np.inf), np.append(upper, np.inf)
         at_least.append(np.zeros(2))
         at_most.append(np.full(2, np.inf))
-    result = solver(
-        x0=x0,
-        p=problem.solver_parameters(),
-        lbx=lower,
-        ubx=upper,
-        lbg=np.concatenate(at_least),
-        ubg=np.concatenate(at_most),
-    )
-    statistics: dict[str, Any] = solver.stats()
-    z = problem.wrapped(result["x"].full().ravel()[: problem.scale.size] * problem.scale + shift)
-    return np.clip(z, problem.lower, problem.upper), int(statistics["iter_count"]), str(statistics["return_status"])
+    bounds = Bounds(lower, upper, np.concatenate(at_least), np.concatenate(at_most))
+    reached = run(solver, partial(stated, problem), x0, problem.solver_parameters(), bounds)
+    z = problem.wrapped(reached.x[: problem.scale.size] * problem.scale + shift)
+    return np.clip(z, problem.lower, problem.upper), reached.iterations, reached.status
 
 
 def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:
