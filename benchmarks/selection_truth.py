@@ -182,23 +182,19 @@ def gap(machine: Machine, control: Any, target: np.ndarray, scan: Scanned, case:
     for number, (each, size) in enumerate(zip(problem.objectives, problem.objective_scales, strict=True)):
         values = np.array(each.alpha) @ scan.w + each.beta * scan.epsilon
         ours = each.value(best.w, epsilon)
+        if number < len(selection.kept):
+            # The best that was found is to be no worse than the scan; what was kept of it is no more than stated.
+            kept = selection.kept[number]
+            worst = max(worst, (kept.at_least - ours) / size)
+            ours = kept.best
         among = np.flatnonzero(allowed)
-        kept = problem.kept[number] if number < len(problem.kept) else None
         if among.size:
             top = among[values[among].argmax()]
             confirmed = each.value(scan.w[:, top], scipy_margin(machine, control, scan.z[:, top]))
-            # What is kept may be given up to the slack.
-            worst = max(worst, (confirmed - ours) / size if kept is None else (kept - ours) / size)
-            if kept is not None:
-                slack = float(problem.branches(each, best.z)[0][0]) - kept
-                worst = max(worst, (confirmed - kept - max(slack, 0.0)) / size - _slack(problem, number))
-        if kept is not None:
-            allowed &= values >= kept
+            worst = max(worst, (confirmed - ours) / size)
+        if number < len(selection.kept):
+            allowed &= values >= selection.kept[number].at_least
     return worst, seconds
-
-
-def _slack(problem: Any, number: int) -> float:
-    return 1e-4
 
 
 def machines(count: int, first: int) -> Iterator[tuple[str, Machine, list[np.ndarray], int]]:
@@ -237,7 +233,7 @@ def examined(
                 try:
                     off, seconds = gap(machine, control, target, scan, case)
                     rows.append((name, str(number), control, case[0], off, seconds, ""))
-                except Exception as error:  # noqa: BLE001 - every failure is a row of the table
+                except Exception as error:
                     sentence = str(error) if isinstance(error, FlexoptError) else traceback.format_exc()
                     rows.append((name, str(number), control, case[0], math.nan, 0.0, sentence[:300]))
     return rows
