@@ -19,6 +19,7 @@ from flexopt.errors import NoSolutionFound as NoSolutionFound
 from flexopt.errors import NotStabilizable as NotStabilizable
 from flexopt.errors import SingularPosture as SingularPosture
 from flexopt.errors import UnreachableTarget as UnreachableTarget
+from flexopt.errors import WrongSlope as WrongSlope
 from flexopt.model import Experiment as Experiment
 from flexopt.model import Machine as Machine
 from flexopt.model import Problem as Problem

@@ -123,6 +123,10 @@ class NoSolutionFound(FlexoptError):
         return super().to_dict() | {"violations": self.violations, "iterate": self.iterate}
 
 
+class WrongSlope(FlexoptError):
+    """The derivatives that a solver would climb by disagree with independent ones, so that nothing was solved."""
+
+
 class ExportError(FlexoptError):
     """A graph has no equivalent in C."""
 

@@ -114,6 +114,7 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
     help="What to maximise (w1 by default); several in order: w1,epsilon_max.",
 )
 @option("--weights", metavar="A1,A2,…", help="Weights α of the objective V = Σ αi wi, and β of ε_max after them.")
+@option("--slack", metavar="SHARE", help="What an objective may give up for the next in order (1e-5 by default).")
 @option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (10 by default).")
 @option("--starts", metavar="N", help="Starts at most (32 by default; in the plane every peak of the scan).")
 @option("--seed", metavar="N", help="Seed of the starts.")
@@ -149,7 +150,7 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]
     loaded = load_any(machine)
     settings: dict[str, Any] = loaded.select_arguments() if isinstance(loaded, Problem) else {"machine": loaded}
     if isinstance(loaded, Problem) and loaded.target.kind != "end_point":
-        single = [name for name in ("end_point", "elbow", "gain") if options[name] is not None]
+        single = [name for name in ("end_point", "elbow", "gain", "slack") if options[name] is not None]
         sentence = f"goes with a single target; {loaded.name} has target.{loaded.target.kind}"
         faults = [Fault(f"--{name.replace('_', '-')}", sentence, options[name]) for name in single]
         raise_if_any(InputError, "select", faults)
@@ -164,6 +165,7 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]
         "objective": options["objective"],
         "weights": numbers(options["weights"]),
         "singularity_margin_deg": None if margin is None else number(margin),
+        "slack": None if options["slack"] is None else number(options["slack"]),
         "starts": whole(options["starts"]),
         "seed": whole(options["seed"]),
         "workers": whole(options["workers"]),

@@ -34,6 +34,8 @@ ELBOWS: tuple[Elbow, ...] = ("up", "down")
 Combine = Literal["worst", "weighted"]
 COMBINES: tuple[Combine, ...] = ("worst", "weighted")
 SINGULARITY_MARGIN_DEG = 10.0
+# The best maxima of the excavator's ε_max differ by 4e-5 of it and more.
+SLACK = 1e-5
 STARTS_MAX = 10_000
 # What the calls that solve a problem name the keys of [target].
 TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "path"}
@@ -130,6 +132,11 @@ def check_seed(value: Any) -> int:
     return check_whole(value, 0, 2**32 - 1, "2³² − 1")
 
 
+def check_slack(value: Any) -> float:
+    """What an objective may give up for the next one, as a share."""
+    return check_number(value, "", low=1e-7, high=1.0)
+
+
 def check_base(value: Any) -> tuple[float, ...]:
     """A placement of a planar machine: one number x in m (alone or in a list)."""
     return check_placement(value, ("x",), ("m",))
@@ -192,7 +199,7 @@ def _check_any_range(value: Any) -> Any:
 class SelectionOptions(FileModel):
     """How to choose among the configurations that reach the target or targets (keys of `[selection]`).
 
-    `gain` and `elbow` go with a single `end_point`, `combine` and `shares` with `end_points`.
+    `gain`, `elbow` and `slack` go with a single `end_point`, `combine` and `shares` with `end_points`.
     """
 
     objective: Annotated[str, checked(check_objective)] = "w1"
@@ -207,6 +214,7 @@ class SelectionOptions(FileModel):
     singularity_margin_deg: Annotated[float, checked(check_margin_deg)] = SINGULARITY_MARGIN_DEG
     starts: Annotated[int, checked(check_starts)] | None = None
     seed: Annotated[int, checked(check_seed)] = 0
+    slack: Annotated[float, checked(check_slack)] = SLACK
     combine: Combine = "worst"
     shares: Annotated[tuple[float, ...], checked(check_any_shares)] | None = None
 

@@ -15,12 +15,14 @@ from flexopt.model.constraints import Constraints, read_constraints
 from flexopt.model.problem import (
     ELBOWS,
     SINGULARITY_MARGIN_DEG,
+    SLACK,
     Control,
     Elbow,
     check_base_range,
     check_gain,
     check_margin_deg,
     check_seed,
+    check_slack,
     check_starts,
 )
 from flexopt.plant import Plant, build_plant
@@ -54,6 +56,7 @@ def build_selection(
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
     starts: int | None = None,
     seed: int = 0,
+    slack: float = SLACK,
 ) -> SelectionProblem:
     """Set up the choice of placement and posture for a target of the end-point.
 
@@ -61,7 +64,8 @@ def build_selection(
         machine: from `flexopt.load`.
         target: a number for each row of the task (n_task,), m, inertial frame.
         objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
-            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1.
+            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1 to
+            within `slack`.
         control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
         weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
         gravity: measures and end-point under static deflection.
@@ -78,6 +82,8 @@ def build_selection(
             `Plant.singularity_sine_squared`.
         starts: how many starts IPOPT tries at most; by default 32, in the plane every peak of the scan, up to 64.
         seed: of the sample that the starts come from.
+        slack: what an objective may give up for the next one, as a share of its best value, or of Σ αi |a_i||b_i| where
+            that is more: w_i are best at 0. 1e-5 lets a_i and b_i of w_i turn by 0.3° from each other.
 
     Raises:
         InputError: arguments of wrong shape, not finite or out of range, all in one message.
@@ -102,6 +108,7 @@ def build_selection(
     if starts is not None:
         arguments.checked("starts", starts, check_starts, 1)
     arguments.checked("seed", seed, check_seed, 0)
+    share = arguments.checked("slack", slack, check_slack, SLACK)
     objectives = read_objectives(arguments, machine, objective, weights)
     asked = _read_constraints(arguments, machine, constraints)
     limits = _joint_limits(arguments, machine, asked.joint_margin)
@@ -149,6 +156,7 @@ def build_selection(
         target=point,
         objectives=objectives,
         kept=(),
+        slack=share,
         control=control,
         gravity=gravity,
         gain=kr,

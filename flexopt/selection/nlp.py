@@ -23,6 +23,7 @@ from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.selection.constraints import ConstraintSet
+from flexopt.selection.programs import make_solver
 
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False, "no_nlp_grad": True}
 IPOPT_OPTIONS: dict[str, Any] = QUIET | {
@@ -273,8 +274,8 @@ def build_solver(configuration: Configuration, forms: tuple[Form, ...], *, quick
     on which of them is the smaller one just now. `quick` is for first solves of problems with much redundancy.
     """
     if any(form.kinks for form in forms):
-        return ca.nlpsol("selection", "sqpmethod", *_sequential(configuration, forms))
-    return ca.nlpsol("selection", "ipopt", *_interior_point(configuration, len(forms), quick=quick))
+        return make_solver("selection", "sqpmethod", *_sequential(configuration, forms))
+    return make_solver("selection", "ipopt", *_interior_point(configuration, len(forms), quick=quick))
 
 
 def _interior_point(

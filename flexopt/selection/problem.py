@@ -64,6 +64,7 @@ class SelectionProblem:
         machine, target: what is asked for; target (n_task,), m, inertial frame.
         objectives: what is maximised, in order of importance: each one among the configurations that keep those before.
         kept: values of V_1, V_2, … that a solution must keep, for the objectives before the one being solved.
+        slack: what an objective may give up for the next, as a share; see `given_up`.
         control, gravity, gain: as in `flexopt.evaluate`.
         variables: the placement, then the actuated joints.
         constraints: the target's rows, the distance from singular postures as sin² of the margin, and the rows of
@@ -86,6 +87,7 @@ class SelectionProblem:
     target: Vector
     objectives: tuple[Objective, ...]
     kept: tuple[float, ...]
+    slack: float
     control: Control
     gravity: bool
     gain: float
@@ -133,6 +135,13 @@ class SelectionProblem:
     def objective_scale(self) -> float:
         """Its scale."""
         return self.objective_scales[len(self.kept)]
+
+    def given_up(self, best: float) -> float:
+        """What the objective being solved, at most `best`, may give up for the next one, in V's unit.
+
+        The share `slack` of |best|, or of the typical Σ αi |a_i||b_i| where that is more: the w_i are best at 0.
+        """
+        return self.slack * max(abs(best), self.objective_scale - self.objective.beta)
 
     @property
     def bounded_by_zero(self) -> bool:
@@ -255,6 +264,7 @@ class SelectionProblem:
             "target": self.target.tolist(),
             "objective": self.name,
             "weights": self.objectives[0].weights.tolist(),
+            "slack": self.slack,
             "objective_scale": self.objective_scales[0],
             "objectives": [
                 {"name": objective.name, "weights": objective.weights.tolist(), "scale": size}
