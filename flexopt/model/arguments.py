@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -30,11 +30,13 @@ class Arguments:
         call: what is called.
         of: the machine that it is about, where one is known.
         error: what is raised.
+        sizes: what the letters in shapes of arrays stand for.
         faults: noted so far.
     """
 
     def __init__(self, call: str, of: AnyMachine | None = None, error: type[InputError] = InputError) -> None:
         self.call, self.of, self.error = call, of, error
+        self.sizes: Mapping[str, int] = {}
         self.faults: list[Fault] = []
 
     def note(self, field: str, sentence: str, value: Any) -> None:

@@ -11,7 +11,7 @@ import difflib
 import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -91,19 +91,20 @@ def of_machine(check: Callable[[Arguments, AnyMachine, str, Any], Any]) -> Check
 
 
 def array(*shapes: tuple[int | str, ...], unit: str = "", kinds: str = "iuf", finite: bool = True) -> Check:
-    """Numbers in one of some shapes; a word in a shape stands for any length, the same in `shapes` of one check."""
+    """Numbers in one of some shapes; a word in a shape is one of `Arguments.sizes`, or stands for any length."""
 
-    def check(value: Any) -> NDArray[Any]:
+    def check(sizes: Mapping[str, int], value: Any) -> NDArray[Any]:
         found = as_array(value, kinds)
-        if not any(len(shape) == found.ndim and _fits(shape, found.shape) for shape in shapes):
-            wanted = " or ".join(shape_text(shape) for shape in shapes)
+        known = [tuple(sizes.get(size, size) if isinstance(size, str) else size for size in shape) for shape in shapes]
+        if not any(len(shape) == found.ndim and _fits(shape, found.shape) for shape in known):
+            wanted = " or ".join(shape_text(shape) for shape in known)
             raise ValueError(f"must have the shape {wanted}, not {shape_text(found.shape)}")
         if finite and not np.all(np.isfinite(found)):
             at = ", ".join(map(str, np.argwhere(~np.isfinite(found))[0]))
             raise ValueError(f"must be finite, but is not at [{at}]" + (f"; in {unit}" if unit else ""))
         return found
 
-    return lambda arguments, field, value: raw(arguments, field, value, check)
+    return lambda arguments, field, value: raw(arguments, field, value, partial(check, arguments.sizes))
 
 
 def raw(arguments: Arguments, field: str, value: Any, check: Callable[[Any], T]) -> T | None:
@@ -134,7 +135,7 @@ def as_array(value: Any, kinds: str = "iuf") -> NDArray[Any]:
         raise ValueError("must be numbers that fit into double precision")
     if found.dtype.kind not in kinds:
         raise ValueError("must be real numbers" if "c" not in kinds else "must be numbers")
-    return found.astype(complex if "c" in kinds else float)
+    return found.astype(complex if "c" in kinds else float, copy=False)
 
 
 def _fits(shape: tuple[int | str, ...], found: tuple[int, ...]) -> bool:
@@ -250,6 +251,7 @@ def public(
     *,
     together: Together | None = None,
     machine: Callable[[Any], AnyMachine] | None = None,
+    sizes: Callable[[Any], Mapping[str, int]] | None = None,
     error: type[InputError] = InputError,
     **own: Check,
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -260,7 +262,7 @@ def public(
     Args:
         call: what messages call it; its own name by default.
         together: notes what concerns several arguments; looked for even where single ones are faulty.
-        machine: of a method, the machine of its object.
+        machine, sizes: of a method, the machine of its object, and what letters in shapes stand for.
         error: what is raised.
         own: checks of arguments in place of the table's.
     """
@@ -279,6 +281,8 @@ def public(
                 raise _miscalled(heading, list(parameters), kwargs, miscall) from None
             given, values = bound.arguments, dict[str, Any]()
             arguments = Arguments(heading, machine(given["self"]) if machine is not None else None, error)
+            if sizes is not None:
+                arguments.sizes = sizes(given["self"])
             for name, check in checks.items():
                 default = parameters[name].default
                 if name not in given or (given[name] is None and default is None):
