@@ -29,7 +29,7 @@ class BatchedW:
         w: w_i, (m, N); NaN where there is none.
         w_posture: ∂w_i/∂posture_j, (m, n, N), if asked for; NaN likewise.
         repaired: how many points were computed again.
-        singular: where Jv loses rank, (N,): `flexopt.evaluate` raises `SingularPosture` there.
+        singular: where Jv loses rank, (N,), so that `flexopt.evaluate` raises `SingularPosture`, or is no number.
         unheld: where the static deflection did not converge or the springs do not hold the machine, (N,).
     """
 
@@ -42,8 +42,8 @@ class BatchedW:
 
 @public(
     measures=instance(Measures, "a Measures, from flexopt.build_measures"),
-    bases=array((), ("n_b",), ("n_b", "N")),
-    postures=array(("n",), ("n", "N")),
+    bases=array((), ("n_b",), ("n_b", "N"), finite=False),
+    postures=array(("n",), ("n", "N"), finite=False),
 )
 def evaluate_w(
     measures: Measures, bases: ArrayLike, postures: ArrayLike, *, threads: int = 1, gradient: bool = False
@@ -51,7 +51,7 @@ def evaluate_w(
     """The w_i of `measures` at N points, with the machine's own parameters.
 
     At a singular posture there is no w, nor under gravity where no equilibrium is found: these points come back as NaN
-    and are marked.
+    and are marked. So does a point that is not finite, and spoils none of the others.
 
     Args:
         measures: from `flexopt.build_measures`.
@@ -61,7 +61,7 @@ def evaluate_w(
         gradient: whether ∂w/∂posture is wanted.
 
     Raises:
-        InputError: an argument is not usable: a shape does not fit, a number is not finite.
+        InputError: an argument is not usable, a shape does not fit.
     """
     bases, postures = np.asarray(bases), np.asarray(postures)
     p = measures.plant.parameter_values.full().ravel()

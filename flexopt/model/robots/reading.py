@@ -66,6 +66,7 @@ import os
 import tomllib
 import warnings
 from pathlib import Path
+
 from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
 from flexopt.model.boundary import path as named
 from flexopt.model.boundary import public
