@@ -17,8 +17,9 @@ from flexopt.coprime import riccati
 from flexopt.coprime.guard import guarded
 from flexopt.coprime.scaling import Scaled, riccati_matrices, scale_for_riccati
 from flexopt.coprime.stabilizability import Escape, escaping_modes, growth, raise_escapes, still_there
-from flexopt.coprime.system import Matrix, StateSpace, from_arguments
+from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
 from flexopt.errors import FlexoptWarning, NoSolutionFound
+from flexopt.model.boundary import public
 from flexopt.model.documents import json_ready
 
 AGREEMENT = 1e-7
@@ -95,6 +96,7 @@ class Pair:
         return 1.0 / math.sqrt(1.0 + self.largest)
 
 
+@public(**PLANT)
 @guarded
 def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: Any = 0.0) -> RobustMargin:
     """The optimal normalized-coprime-factor margin ε_max = sup_K b_{P,K} = (1 + λmax(XZ))^(−1/2).

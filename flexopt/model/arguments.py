@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model.machine import AnyMachine, Machine
-from flexopt.model.plain import plain
-from flexopt.model.plain import shown as shown
+from flexopt.model.plain import plain, shown
 from flexopt.model.problem import Control, check_control, check_placement, check_task
 from flexopt.model.quantities import check_number, coordinate_max
 
@@ -30,24 +29,33 @@ class Arguments:
         call: what is called.
         of: the machine that it is about, where one is known.
         error: what is raised.
+        sizes: what the letters in shapes of arrays stand for.
         faults: noted so far.
     """
 
     def __init__(self, call: str, of: AnyMachine | None = None, error: type[InputError] = InputError) -> None:
         self.call, self.of, self.error = call, of, error
+        self.sizes: Mapping[str, int] = {}
         self.faults: list[Fault] = []
 
     def note(self, field: str, sentence: str, value: Any) -> None:
         """One fault more."""
         self.faults.append(Fault(field, sentence, shown(value)))
 
-    def collect(self, read: Callable[[], T]) -> T | None:
-        """What `read` gives, or None after noting the faults of the `InputError` that it raises."""
+    def collect(self, field: str, read: Callable[[], T]) -> T | None:
+        """What `read` makes of an argument, or None after noting the faults of the `InputError` that it raises."""
         try:
             return read()
         except InputError as error:
-            self.faults += error.faults or [Fault("arguments", str(error))]
+            prefix = f"{field}." if field else ""
+            self.faults += [Fault(f"{prefix}{f.field}", f.sentence, f.value) for f in error.faults]
+            self.faults += [] if error.faults else [Fault(field or "arguments", str(error))]
             return None
+
+    def faulty(self, field: str) -> bool:
+        """Whether a fault of that argument is noted."""
+        parts = tuple(f"{field}{end}" for end in ". [")
+        return any(fault.field == field or fault.field.startswith(parts) for fault in self.faults)
 
     def checked(self, field: str, value: Any, check: Callable[[Any], T], stand_in: T) -> T:
         """`check(value)`, whose `ValueError` carries the sentence."""

@@ -11,7 +11,7 @@ import difflib
 import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -20,12 +20,25 @@ from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, ModelError
 from flexopt.model.arguments import Arguments
+from flexopt.model.constraints import read_constraints
 from flexopt.model.faults import ALIKE
 from flexopt.model.machine import AnyMachine
 from flexopt.model.plain import plain, shown
-from flexopt.model.problem import ELBOWS, Problem, check_gain, check_margin_deg, check_seed, check_starts
-from flexopt.model.quantities import check_number, check_whole
+from flexopt.model.problem import (
+    ELBOWS,
+    Problem,
+    check_base_range,
+    check_gain,
+    check_margin_deg,
+    check_objective,
+    check_seed,
+    check_slack,
+    check_starts,
+    check_weights,
+)
+from flexopt.model.quantities import check_number, check_numbers, check_whole
 from flexopt.model.simulation import Experiment
+from flexopt.model.targets import TARGETS_MAX
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -55,6 +68,35 @@ def number(unit: str, *, above: float | None = None, low: float | None = None, h
 def whole(low: int, high: int) -> Check:
     """A whole number in a range."""
     return by(lambda value: check_whole(value, low, high))
+
+
+def numbers(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Check:
+    """One number or several in a range."""
+
+    def check(value: Any) -> tuple[float, ...]:
+        parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
+        if not parts:
+            raise ValueError("must be a number or a list of numbers" + (f", in {unit}" if unit else ""))
+        names = [f"entry {k}" for k in range(1, len(parts) + 1)]
+        return check_numbers(parts, names, unit, above=above, low=low, high=high)
+
+    return by(check)
+
+
+def targets(least: int) -> Check:
+    """Several targets of the machine's task, (K, n_task), m."""
+
+    def check(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> NDArray[np.float64] | None:
+        rows = arguments.checked(field, value, lambda v: v, None)
+        if arguments.faulty(field):
+            return None
+        listed = list(cast(list[Any], rows)) if isinstance(rows, list | tuple) else []
+        if not least <= len(listed) <= TARGETS_MAX:
+            arguments.note(field, f"must be a list of {least} to {TARGETS_MAX} targets", value)
+            return None
+        return np.array([arguments.point(row, f"{field}[{k}]", machine) for k, row in enumerate(listed)])
+
+    return of_machine(check)
 
 
 def words(*valid: Any) -> Check:
@@ -87,23 +129,28 @@ def callback(arguments: Arguments, field: str, value: Any) -> Any:
 
 def of_machine(check: Callable[[Arguments, AnyMachine, str, Any], Any]) -> Check:
     """A check that asks the machine of the call; where there is no usable one, its fault is enough."""
-    return lambda arguments, field, value: None if arguments.of is None else check(arguments, arguments.of, field, value)
+
+    def asked(arguments: Arguments, field: str, value: Any) -> Any:
+        return None if arguments.of is None else check(arguments, arguments.of, field, value)
+
+    return asked
 
 
 def array(*shapes: tuple[int | str, ...], unit: str = "", kinds: str = "iuf", finite: bool = True) -> Check:
-    """Numbers in one of some shapes; a word in a shape stands for any length, the same in `shapes` of one check."""
+    """Numbers in one of some shapes; a word in a shape is one of `Arguments.sizes`, or stands for any length."""
 
-    def check(value: Any) -> NDArray[Any]:
+    def check(sizes: Mapping[str, int], value: Any) -> NDArray[Any]:
         found = as_array(value, kinds)
-        if not any(len(shape) == found.ndim and _fits(shape, found.shape) for shape in shapes):
-            wanted = " or ".join(shape_text(shape) for shape in shapes)
+        known = [tuple(sizes.get(size, size) if isinstance(size, str) else size for size in shape) for shape in shapes]
+        if not any(len(shape) == found.ndim and _fits(shape, found.shape) for shape in known):
+            wanted = " or ".join(shape_text(shape) for shape in known)
             raise ValueError(f"must have the shape {wanted}, not {shape_text(found.shape)}")
         if finite and not np.all(np.isfinite(found)):
             at = ", ".join(map(str, np.argwhere(~np.isfinite(found))[0]))
             raise ValueError(f"must be finite, but is not at [{at}]" + (f"; in {unit}" if unit else ""))
         return found
 
-    return lambda arguments, field, value: raw(arguments, field, value, check)
+    return lambda arguments, field, value: raw(arguments, field, value, partial(check, arguments.sizes))
 
 
 def raw(arguments: Arguments, field: str, value: Any, check: Callable[[Any], T]) -> T | None:
@@ -134,7 +181,7 @@ def as_array(value: Any, kinds: str = "iuf") -> NDArray[Any]:
         raise ValueError("must be numbers that fit into double precision")
     if found.dtype.kind not in kinds:
         raise ValueError("must be real numbers" if "c" not in kinds else "must be numbers")
-    return found.astype(complex if "c" in kinds else float)
+    return found.astype(complex if "c" in kinds else float, copy=False)
 
 
 def _fits(shape: tuple[int | str, ...], found: tuple[int, ...]) -> bool:
@@ -153,8 +200,14 @@ def check_text(value: Any) -> str:
     return value
 
 
-def path(*suffixes: str, parent: bool = False) -> Check:
-    """The name of a file or folder, text or `os.PathLike`, with one of the suffixes and in a folder that is there."""
+def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
+    """The name of a file or folder, text or `os.PathLike`.
+
+    Args:
+        suffixes: it ends in one of them.
+        parent: it is a file to be written, in a folder that is there.
+        limited: it is as long as file systems allow at most.
+    """
 
     def check(value: Any) -> Any:
         try:
@@ -165,8 +218,9 @@ def path(*suffixes: str, parent: bool = False) -> Check:
             raise ValueError("must be a path, text or os.PathLike")
         bytes_of = os.fsencode(text) if text.isprintable() else text.encode("utf-8", "surrogatepass")
         if not text.strip() or "\0" in text:
-            raise ValueError("must be a path, not empty and without NUL")
-        if len(bytes_of) > PATH_MAX or any(len(part) > NAME_MAX for part in bytes_of.replace(b"\\", b"/").split(b"/")):
+            raise ValueError("is empty or an unusable name; a path is wanted")
+        longest = max(map(len, bytes_of.replace(b"\\", b"/").split(b"/")))
+        if limited and (len(bytes_of) > PATH_MAX or longest > NAME_MAX):
             raise ValueError(f"is too long for a path: at most {PATH_MAX} bytes, {NAME_MAX} in each name")
         if suffixes and Path(text).suffix.lower() not in suffixes:
             raise ValueError("must end in " + ", ".join(suffixes))
@@ -210,6 +264,11 @@ def _experiment(arguments: Arguments, field: str, value: Any) -> Any:
     return value
 
 
+def _base_range(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
+    names, units = machine.base_coordinates, machine.base_units
+    return arguments.checked(field, value, lambda v: check_base_range(v, names, units), None)
+
+
 flag = words(False, True)
 
 TABLE: dict[str, Check] = {
@@ -233,14 +292,19 @@ TABLE: dict[str, Check] = {
     "gain": by(check_gain),
     "singularity_margin_deg": by(check_margin_deg),
     "seed": by(check_seed),
+    "slack": by(check_slack),
     "starts": by(check_starts),
+    "objective": by(check_objective),
+    "weights": by(check_weights),
+    "base_range": of_machine(_base_range),
+    "constraints": lambda a, field, value: a.collect(field, lambda: read_constraints(value)),
     "workers": whole(1, WORKERS_MAX),
     "threads": whole(1, WORKERS_MAX),
     "progress": callback,
     "origin": by(check_text),
     "path": path(*PICTURES, parent=True),
     "folder": path(),
-    "name_or_path": path(),
+    "name_or_path": path(limited=False),  # a long one is answered with the names that there are
 }
 
 
@@ -250,6 +314,7 @@ def public(
     *,
     together: Together | None = None,
     machine: Callable[[Any], AnyMachine] | None = None,
+    sizes: Callable[[Any], Mapping[str, int]] | None = None,
     error: type[InputError] = InputError,
     **own: Check,
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -260,7 +325,7 @@ def public(
     Args:
         call: what messages call it; its own name by default.
         together: notes what concerns several arguments; looked for even where single ones are faulty.
-        machine: of a method, the machine of its object.
+        machine, sizes: of a method, the machine of its object, and what letters in shapes stand for.
         error: what is raised.
         own: checks of arguments in place of the table's.
     """
@@ -279,6 +344,8 @@ def public(
                 raise _miscalled(heading, list(parameters), kwargs, miscall) from None
             given, values = bound.arguments, dict[str, Any]()
             arguments = Arguments(heading, machine(given["self"]) if machine is not None else None, error)
+            if sizes is not None:
+                arguments.sizes = sizes(given["self"])
             for name, check in checks.items():
                 default = parameters[name].default
                 if name not in given or (given[name] is None and default is None):

@@ -244,7 +244,7 @@ class Problem(FileModel):
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
         if self._loaded is None:
-            raise ModelError("holds no machine: flexopt.load_problem gives one that does, or its method with_machine")
+            raise ModelError("holds no machine: flexopt.load_problem gives one that does, or with_machine")
         return self._loaded
 
     def select_arguments(self) -> dict[str, Any]:

@@ -93,13 +93,15 @@ def coordinate_max(unit: str) -> float:
     return ANGLE_MAX if unit == "rad" else COORDINATE_MAX
 
 
-def check_numbers(values: list[Any], names: list[str], unit: str, *, low: float, high: float) -> tuple[float, ...]:
+def check_numbers(
+    values: list[Any], names: list[str], unit: str, *, above: float | None = None, low: float | None = None, high: float
+) -> tuple[float, ...]:
     """Numbers in one range; the sentence names every one that is not."""
     checked_values: list[float] = []
     sentences: list[str] = []
     for value, name in zip(values, names, strict=True):
         try:
-            checked_values.append(check_number(value, unit, low=low, high=high))
+            checked_values.append(check_number(value, unit, above=above, low=low, high=high))
         except ValueError as error:
             sentences.append(f"{name} {error}" if len(names) > 1 else str(error))
     if sentences:

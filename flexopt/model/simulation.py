@@ -321,5 +321,5 @@ class Experiment(FileModel):
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
         if self._loaded is None:
-            raise ModelError("holds no machine: flexopt.load_experiment gives one that does, or its method with_machine")
+            raise ModelError("holds no machine: flexopt.load_experiment gives one that does, or with_machine")
         return self._loaded

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from flexopt.errors import Fault
-from flexopt.model.arguments import Arguments, shown
+from flexopt.model.arguments import Arguments
+from flexopt.model.plain import shown
 from flexopt.model.quantities import check_number
 from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.stage_space import SpaceStage

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.arguments import shown
+from flexopt.model.plain import shown
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.panels import Line, Panel, draw_panel

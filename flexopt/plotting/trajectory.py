@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.arguments import shown
+from flexopt.model.plain import shown
 from flexopt.plant import build_plant
 from flexopt.plotting.files import write
 from flexopt.plotting.panels import Panel, draw_panel

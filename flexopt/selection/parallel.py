@@ -19,14 +19,10 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
 from typing import Any, TypeVar, cast
 
-from flexopt.errors import Fault
-from flexopt.model.arguments import Arguments, shown
-
 T = TypeVar("T")
 Task = Callable[[int], T]
 Done = Callable[[int], None]
 
-WORKERS_MAX = 1024
 # Work left, s, from which on processes are worth their start: forked ones start in some 10 ms, others import anew.
 WORTH_FORKING, WORTH_SPAWNING = 0.1, 5.0
 # Numbers that a process is given ahead.
@@ -36,17 +32,6 @@ AHEAD_MAX = 8
 def available_cores() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def check_workers(arguments: Arguments, value: Any) -> int:
-    """A number of processes, by default one for each core."""
-    if value is None:
-        return available_cores()
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= WORKERS_MAX:
-        sentence = f"must be a whole number between 1 and {WORKERS_MAX}"
-        arguments.faults.append(Fault("workers", sentence, shown(value)))
-        return 1
-    return value
 
 
 def in_parallel(

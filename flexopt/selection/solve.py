@@ -10,16 +10,17 @@ import numpy as np
 
 from flexopt.errors import FlexoptError
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.arguments import Vector
+from flexopt.model.boundary import instance, public
 from flexopt.model.constraints import Constraints
 from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Control, Elbow
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
-from flexopt.selection.build import build_selection
+from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.continua import grouped
 from flexopt.selection.optima import Found, Progress, first_optima, later_optima, next_stage
-from flexopt.selection.parallel import check_workers
+from flexopt.selection.parallel import available_cores
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Candidate, ConstraintValue, Kept, Selection
 from flexopt.selection.starts import starting_points
@@ -29,6 +30,7 @@ from flexopt.selection.starts import starting_points
 TIE_TOLERANCE = 1e-9
 
 
+@public(together=only_notes)
 def select(
     machine: AnyMachine,
     target: Any,
@@ -83,6 +85,7 @@ def select(
     return solve_selection(problem, workers=workers, progress=progress)
 
 
+@public(problem=instance(SelectionProblem, "a SelectionProblem, from flexopt.build_selection"))
 def solve_selection(
     problem: SelectionProblem, *, workers: int | None = None, progress: Progress | None = None
 ) -> Selection:
@@ -98,9 +101,7 @@ def solve_selection(
         NoSolutionFound: no start led to a point that passes the checks; names the violated constraints, their sizes
             and the best iterate.
     """
-    arguments = Arguments("solve_selection")
-    count = check_workers(arguments, workers)
-    arguments.done()
+    count = workers or available_cores()
     found, attempts = first_optima(problem, starting_points(problem), count, progress)
     kept: list[Kept] = []
     while len(problem.kept) + 1 < len(problem.objectives):

@@ -13,7 +13,8 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.model import AnyMachine, Machine
-from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.plain import shown
 from flexopt.model.problem import Elbow
 from flexopt.model.quantities import (
     ANGLE_MAX,

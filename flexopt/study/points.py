@@ -15,7 +15,6 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from flexopt.algebra import symmetric_eigen
 from flexopt.compiled import Batch, batch
@@ -23,11 +22,10 @@ from flexopt.errors import FlexoptWarning
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
-from flexopt.plant.singularity import CONDITION_MAX, inverse_condition
+from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_condition
 from flexopt.robustness import build_measures
-from flexopt.robustness.evaluation import SOLVE_TOLERANCE
 from flexopt.robustness.margin import RESIDUAL_TOLERANCE, Margin, build_margin, evaluate_margin
-from flexopt.robustness.measures import Measures
+from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.study.interpreter import Interpreter
 
 Progress = Callable[[int, int], None]
@@ -172,10 +170,9 @@ def _measured(batches: _Batches, bases: Vector, postures: Vector, threads: int) 
     frequency, w, scale, trace, least, rigid, jv, position, left_over = batches.values(
         bases, postures, p, threads=threads
     )
-    jacobians = jv.T.reshape(-1, plant.n_actuated, plant.n_task)
-    condition, largest = _conditions(jacobians)
+    condition, largest = conditions(jv, plant.n_actuated)
     if plant.n_task == 1:
-        of_position = _conditions(position.T.reshape(-1, plant.n_actuated, position.shape[0] // plant.n_actuated))[1]
+        of_position = conditions(position, plant.n_actuated)[1]
         with np.errstate(divide="ignore"):
             condition = np.maximum(largest, of_position) / largest
         largest = np.maximum(largest, of_position)
@@ -184,15 +181,6 @@ def _measured(batches: _Batches, bases: Vector, postures: Vector, threads: int) 
     sound &= np.all(np.isfinite(frequency), axis=0)
     fields = (frequency, w, scale, trace, least, rigid[0])
     return (*(np.where(sound, field, np.nan) for field in fields), condition)
-
-
-def _conditions(jacobians: Vector) -> tuple[Vector, Vector]:
-    """Ratio of the extreme singular values of each (N, n, r), infinite where it is no number, and the largest."""
-    finite = np.all(np.isfinite(jacobians), axis=(1, 2))
-    values = np.linalg.svd(np.where(finite[:, None, None], jacobians, 0.0), compute_uv=False)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio: NDArray[np.float64] = values[:, 0] / values[:, -1]
-    return np.where(np.isnan(ratio), np.inf, ratio), values[:, 0]
 
 
 def _margins(batches: _Batches, bases: Vector, postures: Vector, gain: float, threads: int) -> Vector:

@@ -15,8 +15,9 @@ import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.model import AnyMachine, Experiment, Problem
-from flexopt.model.arguments import Vector, shown
+from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready, provenance
+from flexopt.model.plain import shown
 from flexopt.model.simulation import SimulationOptions
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import shown
+from flexopt.model.plain import shown
 from flexopt.model.problem import Elbow
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation

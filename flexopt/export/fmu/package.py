@@ -26,8 +26,9 @@ from flexopt.export.fmu.source import VERSIONS, Version, body, source
 from flexopt.export.kernels import Unsupported
 from flexopt.export.naming import identifier
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, shown
+from flexopt.model.arguments import Arguments
 from flexopt.model.documents import json_ready, package_version, provenance
+from flexopt.model.plain import shown
 from flexopt.model.simulation import Sensor, SimulationOptions
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.run import simulate_checked
