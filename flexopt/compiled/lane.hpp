@@ -5,7 +5,8 @@
 // integer: generated code that decides by a number does not compile, and is left to CasADi's virtual machine, except
 // calls that a number chooses, which are made for each choice. Comparisons give 1.0 or 0.0, as in C.
 
-#if defined(__AVX512F__)
+// NARROW, set before this text: half of what AVX-512 holds, with which a point alone is done sooner.
+#if defined(__AVX512F__) && !defined(NARROW)
 #define LANES 8
 #elif defined(__AVX__)
 #define LANES 4
@@ -85,17 +86,39 @@ INLINE lane sqrt(lane x) {
 #elif defined(__clang__)  // before version 16; it joins the points itself
   for (int k = 0; k < LANES; ++k) x.v[k] = __builtin_sqrt(x.v[k]);
   return x;
-#elif defined(__AVX512F__)
+#elif defined(__AVX512F__) && LANES == 8
   return (vec)__builtin_ia32_sqrtpd512_mask(x.v, x.v, -1, 4);
-#elif defined(__AVX__)
+#elif defined(__AVX__) && LANES == 4
   return (vec)__builtin_ia32_sqrtpd256(x.v);
-#elif defined(__SSE2__)
+#elif defined(__SSE2__) && LANES == 2
   return (vec)__builtin_ia32_sqrtpd(x.v);
 #else
   for (int k = 0; k < LANES; ++k) x.v[k] = __builtin_sqrt(x.v[k]);
   return x;
 #endif
 }
+
+// x y + z, rounded once where the processor can; elsewhere a product and a sum.
+#if defined(__ARM_FEATURE_FMA) && defined(__ARM_NEON) && LANES == 2
+#include <arm_neon.h>
+INLINE vec fused(vec x, vec y, vec z) { return (vec)vfmaq_f64((float64x2_t)z, (float64x2_t)x, (float64x2_t)y); }
+#elif defined(__FMA__) && LANES == 8
+INLINE vec fused(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd512_mask(x, y, z, -1, 4); }
+#elif defined(__FMA__) && LANES == 4
+INLINE vec fused(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd256(x, y, z); }
+#elif defined(__FMA__) && LANES == 2
+INLINE vec fused(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd(x, y, z); }
+#else
+INLINE vec fused(vec x, vec y, vec z) { return x * y + z; }
+#endif
+INLINE lane fma(lane x, lane y, lane z) { return fused(x.v, y.v, z.v); }
+#if defined(__FMA__) && LANES == 8 && !defined(__clang__)  // gcc does not join the change of sign to these itself
+INLINE lane fms(lane x, lane y, lane z) { return (vec)__builtin_ia32_vfmsubpd512_mask(x.v, y.v, z.v, -1, 4); }
+INLINE lane fnma(lane x, lane y, lane z) { return (vec)__builtin_ia32_vfnmaddpd512_mask(x.v, y.v, z.v, -1, 4); }
+#else
+INLINE lane fms(lane x, lane y, lane z) { return fused(x.v, y.v, -z.v); }
+INLINE lane fnma(lane x, lane y, lane z) { return fused(-x.v, y.v, z.v); }
+#endif
 
 // Below 2^52 the sum with 2^52 has no fraction bits left; above, every double is whole already.
 INLINE vec whole(vec x) {

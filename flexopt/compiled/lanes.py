@@ -15,6 +15,7 @@ from importlib.resources import files
 
 import casadi as ca
 
+from flexopt.compiled.fused import fused, straight
 from flexopt.compiled.pieces import LONG, in_pieces
 
 # Helpers of the generated code that `lane.hpp` has under another name.
@@ -38,6 +39,13 @@ LINES_MAX = 200_000
 # CasADi writes a graph depth first. Scheduling it before registers are assigned, which gcc leaves out on x86, makes the
 # code 5 to 15 % faster and changes no result.
 _SCHEDULED = '#pragma GCC optimize("schedule-insns", "sched-pressure")'
+
+# Nothing is fused but what `fused` writes, so that kernels of both widths give the same bits.
+_NOT_FUSED = """#if defined(__clang__)
+#pragma clang fp contract(off)
+#else
+#pragma GCC optimize("fp-contract=off")
+#endif"""
 
 _EXPORT = """
 #if defined(_WIN32)
@@ -100,16 +108,17 @@ def kernel_source(function: ca.Function) -> str:
     return "\n".join([_head(), body, _kernel(function, name)])
 
 
-def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int]) -> str:
+def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], *, narrow: bool) -> str:
     """The translation unit of a recurrence.
 
     Args:
         functions: `step` and, if there is a fast step, `fast` and `refresh`; their inputs and outputs dense columns.
         sizes: the numbers of rows, by their names in `recurrence.hpp`.
+        narrow: whether it is meant for so few members that half of the widest vectors hold them; same bits.
     """
     work = max(function.sz_w() for function in functions.values())
     constants = dict(sizes) | {"WORK": work}
-    lines = [_head(), f"#define FAST {int('fast' in functions)}"]
+    lines = [_NOT_FUSED, *(["#define NARROW"] if narrow else []), _head(), f"#define FAST {int('fast' in functions)}"]
     lines.append("enum { " + ", ".join(f"{name} = {value}" for name, value in constants.items()) + " };")
     lines += [_call(name, function) for name, function in functions.items()]
     return "\n".join([*lines, _resource("recurrence.hpp")])
@@ -157,7 +166,13 @@ def _generated(function: ca.Function) -> tuple[str, str]:
     match = re.search(r"return (casadi_\w+)\(", exported)
     assert match is not None, exported
     reached = reached_from(pieces, match[1], _OWN)
-    return "\n".join(in_pieces(text) for name, text in pieces.items() if name in reached), match[1]
+    return "\n".join(_written(text) for name, text in pieces.items() if name in reached), match[1]
+
+
+def _written(text: str) -> str:
+    """A function as it is compiled."""
+    function = straight(text)
+    return text if function is None else in_pieces(fused(function))
 
 
 def by_lane(text: str, sz_res: int) -> str:

@@ -12,6 +12,7 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import Literal
 
@@ -26,6 +27,8 @@ from flexopt.compiled.members import checked_arguments, checked_functions, densi
 
 # A multiple of every processor's number of lanes, so that threads never share a group of members.
 _GROUP = 8
+# Up to so many members run in vectors of half the width at most, in which a step is done sooner.
+_FEW = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +90,15 @@ class Recurrence:
         self._sizes = checked_functions(functions, every)
         self._every = int(every)
         dense = {name: densified(function) for name, function in functions.items()}
-        self._kernel = _kernel(dense, self._sizes)
+        self._kernels = {True: _kernel(dense, self._sizes, narrow=True)}
+        if self.compiled:
+            self._kernels[False] = _kernel(dense, self._sizes, narrow=False)
         self._interpreted = Accumulated(dense["step"])
 
     @property
     def compiled(self) -> bool:
         """Whether compiled code runs the recurrence."""
-        return self._kernel is not None
+        return self._kernels[True] is not None
 
     def __repr__(self) -> str:
         return f"Recurrence({self.step}, {'compiled' if self.compiled else 'CasADi virtual machine'})"
@@ -138,10 +143,11 @@ class Recurrence:
         )  # fmt: skip
         if not n_members:
             return records
-        if self._kernel is None:
+        kernel = self._kernels[n_members <= _FEW or not self.compiled]
+        if kernel is None:
             self._interpret(arguments, records, steps, stride)
         else:
-            _run(self._kernel, _job(arguments, records, steps, stride, self._every), n_members, threads)
+            _run(kernel, _job(arguments, records, steps, stride, self._every), n_members, threads)
         return records
 
     def _interpret(self, arguments: Sequence[Array], records: Records, steps: int, stride: int) -> None:
@@ -213,10 +219,13 @@ def _run(kernel: Callable[..., int], job: tuple[_Job, list[Array]], n: int, thre
         raise MemoryError("no memory for the working space of a compiled recurrence")
 
 
-def _kernel(functions: Mapping[str, ca.Function], sizes: Mapping[str, int]) -> Callable[..., int] | None:
+def _kernel(
+    functions: Mapping[str, ca.Function], sizes: Mapping[str, int], *, narrow: bool
+) -> Callable[..., int] | None:
     """The compiled loop over the steps, or None where it cannot be."""
     rows = {"N": sizes["x"], "N_E": sizes["e"], "N_C": sizes["c"], "N_D": sizes["d"], "N_M": sizes["monitor"]}
-    library = load(list(functions.values()), "recurrence", lambda: recurrence_source(functions, rows))
+    purpose = "recurrence of few" if narrow else "recurrence"
+    library = load(list(functions.values()), purpose, lambda: recurrence_source(functions, rows, narrow=narrow))
     if library is None:
         return None
     kernel = library.flexopt_recurrence
