@@ -7,6 +7,7 @@ loads and runs; that this succeeded is remembered in the cache.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import json
@@ -21,6 +22,7 @@ import subprocess
 import sys
 import threading
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -42,6 +44,9 @@ _WAYS = json.dumps([_FLAGS, _TARGETS])
 _OUTPUT_KEPT, _OUTPUT_MAX = 1 << 16, 1 << 24  # bytes
 # A compiler that is started for the first time may build its own library before.
 _TRIAL_SECONDS = 30.0
+_LEAVE_SECONDS = 2.0
+_lock, _stopping = threading.Lock(), threading.Event()
+_running, _threads = set["subprocess.Popen[bytes]"](), list[threading.Thread]()
 _TINY = 'extern "C" __attribute__((visibility("default"))) int flexopt_answer() { return 42; }'
 
 
@@ -115,9 +120,21 @@ def find_compiler() -> Compiler | None:
     return found
 
 
+def in_background(work: Callable[[], object]) -> threading.Thread:
+    """A thread that runs a compiler. A process that ends does not wait for it: it ends the compiler."""
+    thread = threading.Thread(target=work, name="flexopt compiler", daemon=True)
+    with _lock:
+        if not _threads:
+            atexit.register(_stop)
+        _threads.append(thread)
+    thread.start()
+    return thread
+
+
 def tell_failure(what: str) -> None:
     """Say once that compilation failed and that the virtual machine serves instead."""
-    _warn_once(f"{what}; results are the same, computed more slowly")
+    if not _stopping.is_set():
+        _warn_once(f"{what}; results are the same, computed more slowly")
 
 
 @cache
@@ -237,7 +254,10 @@ def _run(arguments: list[str], folder: Path, seconds: float) -> None:
     said, size = list[bytes](), 0
     # What the compiler started may hold the pipe open when it has ended itself.
     ended = threading.Timer(seconds, _end, (process,))
+    ended.daemon = True
     ended.start()
+    with _lock:
+        _running.add(process)
     try:
         assert process.stdout is not None
         while part := os.read(process.stdout.fileno(), 1 << 16):
@@ -250,6 +270,8 @@ def _run(arguments: list[str], folder: Path, seconds: float) -> None:
         stopped = not ended.is_alive()
     finally:
         ended.cancel()
+        with _lock:
+            _running.discard(process)
         if process.poll() is None:
             _end(process)
         process.wait()
@@ -262,6 +284,16 @@ def _run(arguments: list[str], folder: Path, seconds: float) -> None:
         first = next((line for line in output.splitlines() if "error" in line), output.strip())
         printable = "".join(c if c.isprintable() else " " for c in first[:200])
         raise CompilationFailed(f"{arguments[0]} ended with {process.returncode}: {printable}", output)
+
+
+def _stop() -> None:
+    """End the compilers in the background, and let their threads remove what they have written."""
+    _stopping.set()
+    with _lock:
+        for process in _running:
+            _end(process)
+    for thread in _threads:
+        thread.join(_LEAVE_SECONDS)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -14,7 +14,14 @@ from typing import Literal, TypeVar
 
 import casadi as ca
 
-from flexopt.compiled.compilers import CompilationFailed, Compiler, find_compiler, library_suffix, tell_failure
+from flexopt.compiled.compilers import (
+    CompilationFailed,
+    Compiler,
+    find_compiler,
+    in_background,
+    library_suffix,
+    tell_failure,
+)
 from flexopt.compiled.lanes import level
 from flexopt.compiled.storage import alone, digest, find, in_use, recall, remember, store
 
@@ -30,7 +37,33 @@ def load(functions: Sequence[ca.Function], purpose: str, source: Callable[[], st
         purpose: tells libraries of the same Functions apart.
         source: writes the translation unit; may raise `RuntimeError` where CasADi cannot generate a graph.
     """
-    return opened(functions, purpose, source, level, "c++", lambda path: ctypes.CDLL(str(path)))
+    return opened(functions, purpose, source, level, "c++", _library)
+
+
+def begin(
+    functions: Sequence[ca.Function], purpose: str, source: Callable[[], str]
+) -> Callable[[], ctypes.CDLL | None]:
+    """What `load` does, with the compiler at work in the background: call the result to wait for it.
+
+    `source` is called here and now, as graphs are not for several threads.
+    """
+    compiler = find_compiler()
+    key = None if compiler is None else key_of(functions, compiler, purpose)
+    if compiler is None or key is None or _is_known(key):
+        return lambda: load(functions, purpose, source)
+    name, done = functions[0].name(), list[Path | None]()
+    try:
+        text = source()
+    except RuntimeError:  # CasADi cannot generate it
+        return lambda: None
+    thread = in_background(lambda: done.append(_fetched(name, lambda: text, level, "c++", compiler, key)))
+
+    def wait() -> ctypes.CDLL | None:
+        thread.join()
+        # A process that was forked meanwhile has no such thread, and nothing done.
+        return None if done == [None] else load(functions, purpose, lambda: text)
+
+    return wait
 
 
 def opened(
@@ -63,11 +96,19 @@ def opened(
     return None
 
 
+def _library(path: Path) -> ctypes.CDLL:
+    return ctypes.CDLL(str(path))
+
+
 def is_kept(functions: Sequence[ca.Function], purpose: str) -> bool:
     """Whether the cache says what becomes of a library: it holds it, or that it cannot be had."""
     compiler = find_compiler()
     key = None if compiler is None else key_of(functions, compiler, purpose)
-    return key is None or find(key, library_suffix()) is not None or recall(key) is not None
+    return key is None or _is_known(key)
+
+
+def _is_known(key: str) -> bool:
+    return find(key, library_suffix()) is not None or recall(key) is not None
 
 
 def key_of(functions: Sequence[ca.Function], compiler: Compiler, purpose: str) -> str | None:

@@ -9,7 +9,6 @@ import math
 import os
 import warnings
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.algebra import symmetric_eigen
-from flexopt.compiled import Batch, batch
+from flexopt.compiled import Economical
 from flexopt.errors import FlexoptWarning
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -26,13 +25,10 @@ from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_conditi
 from flexopt.robustness import build_measures
 from flexopt.robustness.margin import RESIDUAL_TOLERANCE, Margin, build_margin, evaluate_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
-from flexopt.study.interpreter import Interpreter
 
 Progress = Callable[[int, int], None]
 # Postures at a time, so that progress shows and memory stays small.
 CHUNK = 4096
-# Instructions of a graph from which on compiling takes longer than a map does without.
-COMPILED_MAX = 10_000
 
 
 @dataclass(frozen=True)
@@ -81,7 +77,7 @@ def evaluate_points(
     """
     threads = default_threads() if threads is None else threads
     count = postures.shape[1]
-    batches = _batches(machine, control, gravity, epsilon_max)
+    batches = expect_points(count, machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
     placed = np.zeros((len(machine.base_coordinates), count)) if bases is None else bases
     parts: list[tuple[Vector, ...]] = []
     if progress is not None:
@@ -101,31 +97,31 @@ def evaluate_points(
 
 
 @dataclass(frozen=True)
-class _Batches:
-    """The batched Functions of one machine under one controller."""
+class Batches:
+    """The Functions of one machine under one controller, for many points."""
 
     measures: Measures
     margin: Margin
-    values: Batch | Interpreter
-    margins: Batch | Interpreter | None
+    values: Economical
+    margins: Economical | None
+
+
+def expect_points(count: int, machine: AnyMachine, *, control: Control, gravity: bool, epsilon_max: bool) -> Batches:
+    """The Functions that `evaluate_points` calls; those that are worth it for so many points begin to be compiled."""
+    batches = _batches(machine, control, gravity, epsilon_max)
+    # The one that takes longer first.
+    if batches.margins is not None:
+        batches.margins.expect(count)
+    batches.values.expect(count)
+    return batches
 
 
 @lru_cache(maxsize=16)
-def _batches(machine: AnyMachine, control: Control, gravity: bool, epsilon_max: bool) -> _Batches:
+def _batches(machine: AnyMachine, control: Control, gravity: bool, epsilon_max: bool) -> Batches:
     measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
-    # Compilers are programs of their own, so that threads suffice to run several.
-    with ThreadPoolExecutor(2) as pool:
-        values = pool.submit(_many, _measure_function(measures))
-        margins = pool.submit(_many_margins, margin) if epsilon_max else None
-        return _Batches(measures, margin, values.result(), margins and margins.result())
-
-
-def _many(function: ca.Function) -> Batch | Interpreter:
-    return batch(function) if function.n_instructions() <= COMPILED_MAX else Interpreter(function)
-
-
-def _many_margins(margin: Margin) -> Batch | Interpreter:
-    return margin.batched if margin.batched.compiled else Interpreter(margin.values)
+    compact = build_margin(machine, control, gravity, compact=True)
+    margins = Economical(margin.values, compact.values) if epsilon_max else None
+    return Batches(measures, margin, Economical(_measure_function(measures)), margins)
 
 
 def _measure_function(measures: Measures) -> ca.Function:
@@ -163,7 +159,7 @@ def _measure_function(measures: Measures) -> ca.Function:
     return ca.Function("map_measures", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
 
 
-def _measured(batches: _Batches, bases: Vector, postures: Vector, threads: int) -> tuple[Vector, ...]:
+def _measured(batches: Batches, bases: Vector, postures: Vector, threads: int) -> tuple[Vector, ...]:
     """The fields of `PointValues` up to `condition`."""
     plant = batches.measures.plant
     p = np.array(plant.parameter_values).ravel()
@@ -183,7 +179,7 @@ def _measured(batches: _Batches, bases: Vector, postures: Vector, threads: int) 
     return (*(np.where(sound, field, np.nan) for field in fields), condition)
 
 
-def _margins(batches: _Batches, bases: Vector, postures: Vector, gain: float, threads: int) -> Vector:
+def _margins(batches: Batches, bases: Vector, postures: Vector, gain: float, threads: int) -> Vector:
     """ε_max (N,); one by one, by the general solvers, where the batched equations are not solved."""
     assert batches.margins is not None
     p = np.array(batches.margin.plant.parameter_values).ravel()

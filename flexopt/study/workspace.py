@@ -15,7 +15,7 @@ from flexopt.model.problem import ELBOWS, Control, Elbow, check_gain
 from flexopt.plant import build_plant
 from flexopt.study.grid import Grid, Over
 from flexopt.study.planes import Plane, read_plane
-from flexopt.study.points import Progress, evaluate_points
+from flexopt.study.points import Progress, evaluate_points, expect_points
 from flexopt.study.workspace_map import WorkspaceMap, workspace_dataset
 
 OVER: tuple[Over, ...] = ("end_point", "posture", "base")
@@ -100,6 +100,8 @@ def map_workspace(
     arguments.done()
     options: dict[str, Any] = {"control": control, "gain": kr, "gravity": gravity, "over": over}
     options |= {"x_range": plane.ranges[0], "y_range": plane.ranges[1], "points": size} | plane.options(elbow)
+    # Compilers are at work while postures are followed.
+    expect_points(size[0] * size[1], machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
     grid = plane.grid(machine, size, elbow)
     return _computed(
         machine, plane, grid, options, measures=measures, margins=epsilon_max, threads=workers, progress=progress
