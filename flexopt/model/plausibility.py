@@ -66,8 +66,8 @@ class Part:
         length: to the farthest joint or the end-point that it carries; 0 where it carries none.
         size: the farthest that anything is known to be from its joint.
         com: distance of its centre of mass;  along: the same along `length`;  aside: across it.
-        variance: ∫ x² dm / m of its mass about its centre, along `length` (in the plane all of it);  across: the largest
-            across it (0 in the plane).
+        variance: ∫ x² dm / m of its mass about its centre, along `length` (in the plane all of it);  across: the
+            largest across it (0 in the plane).
         path: from its parent's joint to its own at most.
         link: whether it is a link between joints, whose mass lies along it.
         hinge: whether its joint turns;  spring: its stiffness;  drive: effort and speed (infinite: none);  limits: of
@@ -256,7 +256,7 @@ def _drives(part: Part, machine: AnyMachine, reach: float) -> Iterator[Finding]:
 
 def _totals(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterator[Finding]:
     payload = next(p.value for p in machine.parameters if p.name == "payload.mass")
-    total = sum(part.mass for part in parts) - payload
+    total = sum(part.mass for part in parts)
     low, high = (bound * reach**2 for bound in MASS_PER_AREA)
     if 0 < total < low:
         meant = f"probably in tonnes: {1000 * total:g} kg"
@@ -351,7 +351,7 @@ def _spatial(machine: Tree) -> tuple[list[Part], float]:
     while above[name] is not None:
         reach += parts[name].path
         name = str(above[name])
-    return list(parts.values()), max(reach, max(part.com for part in parts.values()), 1e-3)
+    return list(parts.values()), max(reach, 1e-3, *(part.com for part in parts.values()))
 
 
 def _farthest(child: TreeBody) -> Array:
@@ -369,10 +369,7 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
     tensor = _tensor(body.inertia)
     # Second moments of the mass about its centre, per kg: tr(I)/2 · 1 − I.
     spread = (np.trace(tensor) / 2 * np.eye(3) - tensor) / body.mass if body.mass else np.zeros((3, 3))
-    if length > 0:
-        along = far / length
-    else:
-        along = np.linalg.eigh(spread)[1][:, -1]
+    along: Array = far / length if length > 0 else np.linalg.eigh(spread)[1][:, -1]
     aside = com - (com @ along) * along
     projector = np.eye(3) - np.outer(along, along)
     joint = body.joint

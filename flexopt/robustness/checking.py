@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from flexopt.errors import Fault, FlexoptWarning, InputError, ModelError
+from flexopt.errors import Fault, FlexoptWarning, ModelError
 from flexopt.model import AnyMachine, Experiment, Problem, load_file
-from flexopt.model.arguments import shown
+from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import TABLE, instance, path, public
 from flexopt.model.documents import provenance
 from flexopt.model.files import ROBOT_SUFFIXES
 from flexopt.model.plausibility import REACH_MAX, Finding
@@ -64,9 +65,9 @@ class Check:
 
     def __repr__(self) -> str:
         counts = (
-            (len(self.faults), "fault"),
-            (len(self.findings), "number that is hardly meant"),
-            (len(self.warnings), "warning"),
+            (len(self.faults), "{0} fault{2}"),
+            (len(self.findings), "{0} number{2} that {1} hardly meant"),
+            (len(self.warnings), "{0} warning{2}"),
         )
         told = ", ".join(_plural(count, word) for count, word in counts if count) or "nothing to mend"
         lines = [f"{self.kind or 'file'} {self.name!r}: {told}"]
@@ -76,19 +77,27 @@ class Check:
 
 
 def _plural(count: int, word: str) -> str:
-    return (
-        f"{count} {word}"
-        if count == 1
-        else f"{count} {word.replace('number that is', 'numbers that are', 1)}" + ("" if "number" in word else "s")
+    return word.format(count, *(("is", "") if count == 1 else ("are", "s")))
+
+
+def _given(arguments: Arguments, field: str, value: Any) -> Any:
+    if isinstance(value, str | os.PathLike):
+        return path(limited=False)(arguments, field, value)
+    if isinstance(value, Problem | Experiment):
+        return TABLE["problem" if isinstance(value, Problem) else "experiment"](arguments, field, value)
+    return instance(AnyMachine, "a machine, a problem or an experiment, or the name or path of one")(
+        arguments, field, value
     )
 
 
+@public(machine_or_path=_given)
 def check(machine_or_path: AnyMachine | Problem | Experiment | str | os.PathLike[str]) -> Check:
     """Every fault of a file, and every number of its machine that is allowed but hardly meant.
 
-    Looked for are slips of unit: kN for N, mm for m, tonnes and grams, degrees, inertia about the pivot. A body's radius
-    of gyration is compared with its length, springs and drives with the weight that they carry, the total mass with the
-    square of the reach, the first mode with 0.1 to 100 Hz, modal damping with the critical one, the reach with 100 m.
+    Looked for are slips of unit: kN for N, mm for m, tonnes and grams, degrees, inertia about the pivot. A link's
+    radius of gyration is compared with its length, springs and drives with the weight that they carry, the total mass
+    with the square of the reach, the first mode with 0.1 to 100 Hz, modal damping with the critical one, the reach with
+    100 m.
 
     Args:
         machine_or_path: a machine, problem or experiment, or the name or path of one; a URDF or MJCF file, too.
@@ -103,13 +112,6 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | str | os.PathLike
     """
     if isinstance(machine_or_path, AnyMachine | Problem | Experiment):
         return _checked(machine_or_path, ())
-    if not isinstance(machine_or_path, str | os.PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
-        sentence = "must be a machine, a problem or an experiment, or the name or path of one"
-        raise InputError(
-            f"check: machine_or_path = {shown(machine_or_path)}: {sentence}",
-            [Fault("machine_or_path", sentence)],
-            "check",
-        )
     name = os.fsdecode(machine_or_path)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FlexoptWarning)
@@ -149,7 +151,8 @@ def _checked(loaded: AnyMachine | Problem | Experiment, sentences: tuple[str, ..
 def _targets(problem: Problem) -> Iterator[Finding]:
     target = problem.target
     given = getattr(target, target.kind)
-    for point in [given] if target.kind == "end_point" else given:
+    points: list[tuple[float, ...]] = [given] if target.kind == "end_point" else list(given)
+    for point in points:
         if max(map(abs, point)) > REACH_MAX:
             text = f"[{', '.join(f'{x:g}' for x in point)}] m"
             yield Finding(f"target.{target.kind}", text, f"lies beyond {REACH_MAX:g} m", "probably in mm, not m")

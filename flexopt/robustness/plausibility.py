@@ -1,7 +1,7 @@
 """Whether a machine's numbers are plausible, its modes included, and the warning that says so where results are made.
 
-In: a validated machine. Out: findings, those of `flexopt.model.plausibility` and of the modes: a first mode or a damping
-that no machine on a base has.
+In: a validated machine. Out: findings, those of `flexopt.model.plausibility` and of the modes: a first mode or a
+damping that no machine on a base has.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def implausibilities(machine: AnyMachine) -> tuple[Finding, ...]:
     return found if any("stiffness" in finding.field for finding in found) else (*found, *_of_modes(machine))
 
 
-def warn_implausible(machine: AnyMachine, *, stacklevel: int = 3) -> None:
+def warn_implausible(machine: AnyMachine, *, stacklevel: int = 4) -> None:
     """One `ImplausibleMachine` warning, where there is anything to tell."""
     found = implausibilities(machine)
     if not found:
@@ -42,7 +42,10 @@ def warn_implausible(machine: AnyMachine, *, stacklevel: int = 3) -> None:
 
 def _of_modes(machine: AnyMachine) -> tuple[Finding, ...]:
     plant = build_plant(machine)
-    modes = [_modes(plant, posture) for posture in _postures(machine)]
+    try:
+        modes = [_modes(plant, posture) for posture in _postures(machine)]
+    except np.linalg.LinAlgError:
+        return ()
     frequencies, ratios = (np.array(part) for part in zip(*modes, strict=True))
     found: list[Finding] = []
     first = frequencies[:, 0]
@@ -75,7 +78,9 @@ def _modes(plant: Plant, posture: Array) -> tuple[Array, Array]:
     m, p = plant.n_passive, plant.parameter_values
     base = np.zeros(plant.n_base)
     q = plant.rest(base, posture, p)
-    mass, stiffness, damping = plant.mass(q, base, p).full(), plant.stiffness(p).full(), plant.damping(p).full()
+    mass: Array = plant.mass(q, base, p).full()
+    stiffness: Array = plant.stiffness(p).full()
+    damping: Array = plant.damping(p).full()
     with np.errstate(all="ignore"):
         follow = -np.linalg.solve(mass[m:, m:], mass[m:, :m])
         lower = np.linalg.cholesky(stiffness[:m, :m])
@@ -84,7 +89,8 @@ def _modes(plant: Plant, posture: Array) -> tuple[Array, Array]:
         values, z = np.linalg.eigh((symmetric + symmetric.T) / 2)
         omega = np.sqrt(np.maximum(values, 0.0))
         shapes = np.vstack([np.eye(m), follow]) @ (compliance @ z / omega)
-        return omega / (2 * math.pi), np.nan_to_num(np.diag(shapes.T @ damping @ shapes) / (2 * omega))
+        ratios = np.diag(shapes.T @ damping @ shapes) / (2 * omega)
+        return np.asarray(omega / (2 * math.pi), float), np.nan_to_num(ratios)
 
 
 def _postures(machine: AnyMachine) -> list[Array]:

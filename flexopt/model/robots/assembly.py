@@ -180,9 +180,8 @@ class Assembly:
             body.inertial = body.inertial + link.inertial.seen_from(pose)
 
     def _check_turns(self, joint: Joint, role: Role) -> None:
-        ends = role.limits or ()
-        if joint.kind == "hinge" and any(degrees_hint("rad", end) for end in ends):
-            low, high = ends
+        low, high = role.limits or (0.0, 0.0)
+        if joint.kind == "hinge" and (degrees_hint("rad", low) or degrees_hint("rad", high)):
             meant = f"in degrees they would be {math.radians(low):.4g} to {math.radians(high):.4g} rad"
             sentence = f"limits {low:g} to {high:g} rad reach beyond two turns and are cut there; {meant}"
             self.warnings.append(f"{joint.element.place}: {joint.element.label}: {sentence}")
