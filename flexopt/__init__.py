@@ -13,6 +13,7 @@ from flexopt.coprime import robust_margin as robust_margin
 from flexopt.errors import ExportError as ExportError
 from flexopt.errors import FlexoptError as FlexoptError
 from flexopt.errors import FlexoptWarning as FlexoptWarning
+from flexopt.errors import ImplausibleMachine as ImplausibleMachine
 from flexopt.errors import InputError as InputError
 from flexopt.errors import ModelError as ModelError
 from flexopt.errors import NoSolutionFound as NoSolutionFound
@@ -34,9 +35,11 @@ from flexopt.plant import Plant as Plant
 from flexopt.plant import build_hydraulics as build_hydraulics
 from flexopt.plant import build_plant as build_plant
 from flexopt.plant import inverse_kinematics as inverse_kinematics
+from flexopt.robustness import Check as Check
 from flexopt.robustness import Evaluation as Evaluation
 from flexopt.robustness import Measures as Measures
 from flexopt.robustness import build_measures as build_measures
+from flexopt.robustness import check as check
 from flexopt.robustness import evaluate as evaluate
 from flexopt.robustness import evaluate_w as evaluate_w
 from flexopt.selection import BasePlan as BasePlan

@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+# Lines of one message; more of them help nobody. The error's `faults` are all of them.
+FAULTS_SHOWN = 100
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -154,8 +157,8 @@ class CompilerNotFound(FlexoptWarning):
     """No C compiler can be used, so CasADi's virtual machine serves: same results, more slowly."""
 
 
-# Lines of one message; more of them help nobody. The error's `faults` are all of them.
-FAULTS_SHOWN = 100
+class ImplausibleMachine(FlexoptWarning):
+    """A machine has numbers that are allowed but hardly meant, such as kN for N; `flexopt.check` tells them all."""
 
 
 def sentence_list(heading: str, faults: Sequence[Fault]) -> str:

@@ -1,4 +1,4 @@
-"""The command line: `flexopt evaluate | select | simulate | map | report | reproduce | export | verify | doctor`.
+"""The command `flexopt`: evaluate, select, simulate, map, report, reproduce, export, verify, check, doctor.
 
 In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
 go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
@@ -13,13 +13,12 @@ import click
 
 from flexopt.cli.analysis import evaluate_command, select_command
 from flexopt.cli.bundles import export_command, verify_command
-from flexopt.cli.common import FAILED, print_json
+from flexopt.cli.checking import check_command
+from flexopt.cli.common import BAD_INPUT, FAILED, print_json
 from flexopt.cli.simulation import simulate_command
 from flexopt.cli.studies import doctor_command, map_command, report_command, reproduce_command
 from flexopt.errors import FlexoptError, InputError
 from flexopt.model.documents import json_ready, package_version
-
-BAD_INPUT = 2
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -37,6 +36,7 @@ for command in (
     reproduce_command,
     export_command,
     verify_command,
+    check_command,
     doctor_command,
 ):
     cli.add_command(command)

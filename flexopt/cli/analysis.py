@@ -25,6 +25,7 @@ from flexopt.cli.common import (
     placement,
     print_json,
     progress_bar,
+    read,
     warnings_to_stderr,
     whole,
     write_output,
@@ -52,8 +53,7 @@ from flexopt.writing import write_file
 @JSON
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
-    with warnings_to_stderr(True):
-        loaded = load(machine)
+    loaded = read(load, machine)
     base = placement(options["base"])
     control = options["control"] or "inverse"
     gravity = bool(options["gravity"])
@@ -147,7 +147,7 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given."""
-    loaded = load_any(machine)
+    loaded = read(load_any, machine)
     settings: dict[str, Any] = loaded.select_arguments() if isinstance(loaded, Problem) else {"machine": loaded}
     if isinstance(loaded, Problem) and loaded.target.kind != "end_point":
         single = [name for name in ("end_point", "elbow", "gain", "slack") if options[name] is not None]

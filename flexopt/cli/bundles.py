@@ -18,6 +18,7 @@ from flexopt.cli.common import (
     option_names,
     print_json,
     progress_bar,
+    read,
     warnings_to_stderr,
     whole,
 )
@@ -57,7 +58,7 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
         return
     from flexopt.export import export_c  # noqa: PLC0415  (only this command needs it)
 
-    loaded = Arguments("export").machine(load(machine))
+    loaded = Arguments("export").machine(read(load, machine))
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)

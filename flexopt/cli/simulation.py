@@ -22,6 +22,7 @@ from flexopt.cli.common import (
     option_names,
     placement,
     print_json,
+    read,
     warnings_to_stderr,
     whole,
     write_output,
@@ -63,7 +64,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Nonlinear closed loop of MACHINE: a machine with --posture or --end-point, or an experiment (name or file)."""
     for name, suffixes in (("out", (".nc", ".csv")), ("plot", PICTURES), ("animate", FILMS)):
         check_output(f"--{name}", options[name], suffixes)
-    loaded = load_simulated(machine)
+    loaded = read(load_simulated, machine)
     given = simulate_arguments(options)
     with option_names(options), warnings_to_stderr(as_json):
         if isinstance(loaded, Experiment):

@@ -25,6 +25,7 @@ from flexopt.cli.common import (
     placement,
     print_json,
     progress_bar,
+    read,
     warnings_to_stderr,
     whole,
     write_output,
@@ -73,7 +74,7 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
 
     check_output("--plot", plot, PICTURES)
     check_output("--out", out, (".nc",))
-    loaded = load(machine)
+    loaded = read(load, machine)
     points = numbers(options["points"])
     given: dict[str, Any] = {
         "points": points and [int(n) if isinstance(n, float) and n.is_integer() else n for n in points],
@@ -157,7 +158,7 @@ def report_command(as_json: bool, problem: str, out: str | None, **options: Any)
     single = {name: number(options[name]) for name in ("duration", "rate") if options[name] is not None}
     lists = {name: numbers(options[name]) for name in ("kp", "kv", "offset") if options[name] is not None}
     words = {} if options["integrator"] is None else {"integrator": options["integrator"]}
-    experiment = None if options["experiment"] is None else load_experiment(options["experiment"])
+    experiment = None if options["experiment"] is None else read(load_experiment, options["experiment"])
     with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
         asked = _problem(problem, options)
         points = whole(options["points"])
@@ -172,7 +173,7 @@ def report_command(as_json: bool, problem: str, out: str | None, **options: Any)
 
 def _problem(name: str, options: dict[str, Any]) -> Problem | SelectionProblem:
     """A problem file's problem, or that of a machine with a target."""
-    loaded = load_any(name)
+    loaded = read(load_any, name)
     own = ("end_point", "posture", "base", "control", "objective")
     if isinstance(loaded, Problem):
         faults = [

@@ -98,7 +98,7 @@ def model_faults(model: type[FileModel], data: Table, error: ValidationError) ->
         if isinstance(inner, InputError) and inner.faults:
             path = _field_path(data, entry["loc"])
             faults += [Fault(f"{path}.{fault.field}", fault.sentence, fault.value) for fault in inner.faults]
-        else:
+        elif not (entry["type"] == "too_short" and entry["input"]):  # its entries are faulty, and named
             faults.append(_fault(model, data, cast(dict[str, Any], entry)))
     return faults
 

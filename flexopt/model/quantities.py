@@ -12,6 +12,8 @@ from pydantic_core import PydanticCustomError
 from flexopt.model.plain import plain
 
 SUPPORTED_SCHEMA = 1
+ANGLE_MAX = 4 * math.pi
+DEGREES_MAX = 720.0
 KINDS: dict[type, str] = {
     str: "text", bool: "true/false", list: "a list", tuple: "a list", dict: "a table", complex: "a complex number",
     type(None): "nothing",
@@ -39,7 +41,7 @@ def check_number(value: Any, unit: str, *, above: float | None = None, low: floa
     if not math.isfinite(number):
         raise ValueError(f"must be finite; it {allowed}")
     if (above is not None and not number > above) or (low is not None and number < low) or number > high:
-        raise ValueError(allowed)
+        raise ValueError(allowed + degrees_hint(unit, number))
     return number + 0.0  # −0.0 becomes 0.0, so that equal inputs have equal hashes
 
 
@@ -49,6 +51,11 @@ def check_whole(value: Any, low: int, high: int, most: str = "") -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"must be a whole number between {low} and {most or high}")
     return value
+
+
+def degrees_hint(unit: str, value: float) -> str:
+    """The end of a sentence about an angle that is too large, where it may have been meant in degrees."""
+    return "; is it in degrees?" if unit == "rad" and ANGLE_MAX < abs(value) <= DEGREES_MAX else ""
 
 
 def _quantity(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> BeforeValidator:
@@ -81,7 +88,6 @@ Damping = Annotated[float, _quantity("N s/m", low=0.0, high=1e12)]
 RotationalDamping = Annotated[float, _quantity("N m s/rad", low=0.0, high=1e12)]
 Torque = Annotated[float, _quantity("N m", above=0.0, high=1e15)]
 AngularSpeed = Annotated[float, _quantity("rad/s", above=0.0, high=1e6)]
-ANGLE_MAX = 4 * math.pi
 Angle = Annotated[float, _quantity("rad", low=-ANGLE_MAX, high=ANGLE_MAX)]
 Acceleration = Annotated[float, _quantity("m/s²", low=0.0, high=1e3)]
 COORDINATE_MAX = 1e6

@@ -82,6 +82,18 @@ def load_any(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Problem:
     return _problem(source) if source.kind == "problems" else _machine(source)
 
 
+def load_file(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Problem | Experiment:
+    """A machine, a problem or an experiment, whichever the name or file is.
+
+    Raises:
+        ModelError: as for `load`, `load_problem` and `load_experiment`.
+    """
+    source = read_source(name_or_path, KINDS)
+    if source.kind == "models":
+        return _machine(source)
+    return _experiment(source) if "simulation" in source.data else _problem(source)
+
+
 @public(error=ModelError)
 def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     """Validate a dictionary in the layout of a machine file.

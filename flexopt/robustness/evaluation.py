@@ -21,6 +21,7 @@ from flexopt.plant.statics import check_held
 from flexopt.robustness.damped import DampedModes, damped_modes
 from flexopt.robustness.margin import build_margin, evaluate_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
+from flexopt.robustness.plausibility import warn_implausible
 
 
 @dataclass(frozen=True)
@@ -248,6 +249,7 @@ def evaluate(
     Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, eqs. (1)–(10); mode derivatives after Fox and
     Kapoor, AIAA Journal 6(12), 1968.
     """
+    warn_implausible(machine)
     placement = np.zeros(len(machine.base_coordinates)) if base is None else base
     return evaluate_checked(machine, posture, placement, control=control, gain=gain, damped=damped, gravity=gravity)
 

@@ -17,6 +17,7 @@ from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Control, Elbow
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
+from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.continua import grouped
 from flexopt.selection.optima import Found, Progress, first_optima, later_optima, next_stage
@@ -101,6 +102,7 @@ def solve_selection(
         NoSolutionFound: no start led to a point that passes the checks; names the violated constraints, their sizes
             and the best iterate.
     """
+    warn_implausible(problem.machine)
     count = workers or available_cores()
     found, attempts = first_optima(problem, starting_points(problem), count, progress)
     kept: list[Kept] = []

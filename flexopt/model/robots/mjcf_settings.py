@@ -50,9 +50,7 @@ class _Includes:
 
     def spliced(self, element: Element, depth: int) -> Element:
         if depth > DEPTH_MAX:
-            raise ModelError(
-                f"{element.place}: elements are nested more than {DEPTH_MAX} deep, with included files"
-            )
+            raise ModelError(f"{element.place}: elements are nested more than {DEPTH_MAX} deep, with included files")
         children: list[Element] = []
         for child in element.children:
             if child.tag != "include":

@@ -24,6 +24,7 @@ from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control
 from flexopt.model.targets import RATE_MAX, TIME_MAX
 from flexopt.plant.reaching import solve_postures
+from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
 from flexopt.selection.parallel import available_cores
 from flexopt.selection.problem import SelectionProblem
@@ -130,6 +131,7 @@ def plan_base(
 
     Source: the wish that ends ASME Letters in Dynamic Systems and Control 1(2), 021001, section 6.
     """
+    warn_implausible(machine)
     points, begin, count = path, start, workers or available_cores()
     even = np.linspace(0.0, DURATION if duration is None else duration, len(points))
     due = even if times is None else np.array(times)

@@ -15,6 +15,7 @@ from flexopt.model.constraints import Constraints
 from flexopt.model.documents import provenance
 from flexopt.model.problem import COMBINES, SINGULARITY_MARGIN_DEG, Control
 from flexopt.model.targets import SHARE_MAX
+from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
 from flexopt.selection.parallel import available_cores
 from flexopt.selection.several.joined import Joined
@@ -81,6 +82,7 @@ def select_stand(
         UnreachableTarget: a target cannot be reached, or no placement reaches all; says which.
         NoSolutionFound: no start led to a point that passes the checks.
     """
+    warn_implausible(machine)
     points, count = targets, workers or available_cores()
     share = np.full(len(points), 1 / len(points)) if shares is None else np.array(shares) / sum(shares)
     options: dict[str, Any] = {"objective": objective, "control": control, "weights": weights, "gravity": gravity}
