@@ -123,6 +123,10 @@ class NoSolutionFound(FlexoptError):
         return super().to_dict() | {"violations": self.violations, "iterate": self.iterate}
 
 
+class MarginNotComputed(NoSolutionFound):
+    """ε_max could not be computed to 1e-6: that says nothing about whether a controller stabilises the plant."""
+
+
 class ExportError(FlexoptError):
     """A graph has no equivalent in C."""
 
