@@ -38,6 +38,22 @@ def solve(matrix: Exact, right: Exact) -> Exact:
     return a[:, n:]
 
 
+def rank(matrix: Exact, tolerance: Decimal) -> int:
+    """Number of pivots above `tolerance` times the first, by elimination with pivots from everywhere."""
+    a, first = matrix.copy(), Decimal(0)
+    for k in range(min(a.shape)):
+        left = np.abs(a[k:, k:])
+        i, j = divmod(int(max(range(left.size), key=lambda index: left.ravel()[index])), left.shape[1])
+        pivot = left[i, j]
+        first = first or pivot
+        if pivot <= tolerance * first:
+            return k
+        a[[k, k + i]] = a[[k + i, k]]
+        a[:, [k, k + j]] = a[:, [k + j, k]]
+        a[k + 1 :, k:] -= np.multiply.outer(a[k + 1 :, k] / a[k, k], a[k, k:])
+    return min(a.shape)
+
+
 def cholesky(matrix: Exact) -> Exact:
     """Lower triangular L with L Lᵀ = matrix; LinAlgError where it is not positive definite."""
     n, a = matrix.shape[0], matrix.copy()

@@ -225,6 +225,17 @@ class ExactPair:
         """The larger relative residual."""
         return max(self.x.relative_residual, self.z.relative_residual)
 
+    def gradient_error(self, top: TopPairs) -> float:
+        """How far X, Z and the vectors may put off the adjoint solutions, relative, to first order."""
+        worst = 0.0
+        gap = float(abs(top.values[0] - top.values[1])) or 1e-300
+        for s, within in ((self.x, self.within_x), (self.z, self.within_z)):
+            X, B = rounded(s.X), rounded(s.equation.B)
+            off = within.delta * float(np.linalg.norm(within.W))
+            bent = float(np.linalg.norm(within.W)) * float(np.linalg.norm(B)) ** 2
+            worst += off * (bent + (1.0 + float(top.values[0]) / gap) / max(float(np.linalg.norm(X)), 1e-300))
+        return worst + top.correction
+
     def eigenvalue_bound(self) -> float:
         """How far λmax of the exact XZ may lie from that of the product of these."""
         return eigenvalue_bound(rounded(self.x.X), rounded(self.z.X), self.within_x, self.within_z)
@@ -261,11 +272,15 @@ def _bounded(x: Solution, z: Solution) -> ExactPair:
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """Derivatives of an eigenvalue of XZ by F, B and C, and how far they may be off, relative to their terms."""
+    """Derivatives of an eigenvalue of XZ by F, B and C; the sums of the absolute values of their terms.
+
+    `correction` is the last correction of the adjoint solutions, relative.
+    """
 
     F: Exact
     B: Exact
     C: Exact
+    sizes: tuple[Matrix, Matrix, Matrix]
     correction: float
 
 
@@ -288,7 +303,12 @@ def seeds(pair: ExactPair, value: Decimal, first: Exact, second: Exact) -> Seeds
     else:
         B = -2 * (XP @ (X @ e.B)) + 2 * (P_z @ e.B)
         C = 2 * (e.C @ P_x) - 2 * ((e.C @ ZP) @ Z)
-    return Seeds(2 * (XP + ZP.T), B, C, max(wrong_x, wrong_z, x.correction, z.correction))
+    x_abs, z_abs, a, b, c, d = (np.abs(rounded(M)) for M in (X, Z, P_x, P_z, e.B, e.C))
+    if e.discrete:
+        x_abs, z_abs = x_abs @ np.abs(rounded(x.loop)), z_abs @ np.abs(rounded(z.loop))
+    xp, zp = x_abs @ a, z_abs @ b
+    sizes = 2 * (xp + zp.T), 2 * (xp @ (x_abs.T @ c) + b @ c), 2 * (d @ a + d @ zp @ z_abs.T)
+    return Seeds(2 * (XP + ZP.T), B, C, sizes, max(wrong_x, wrong_z))
 
 
 def moved_by_rounding(pair: ExactPair, top: TopPairs) -> float:

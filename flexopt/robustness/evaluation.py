@@ -18,8 +18,9 @@ from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.robustness.damped import DampedModes, damped_modes
-from flexopt.robustness.margin import build_margin, evaluate_margin
+from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import Measures, build_measures
+from flexopt.robustness.posture_margin import evaluate_margin
 
 SOLVE_TOLERANCE = 1e-8
 

@@ -26,8 +26,9 @@ from flexopt.model.problem import Control
 from flexopt.plant.singularity import CONDITION_MAX, inverse_condition
 from flexopt.robustness import build_measures
 from flexopt.robustness.evaluation import SOLVE_TOLERANCE
-from flexopt.robustness.margin import RESIDUAL_TOLERANCE, Margin, build_margin, evaluate_margin
+from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import Measures
+from flexopt.robustness.posture_margin import evaluate_margin
 from flexopt.study.interpreter import Interpreter
 
 Progress = Callable[[int, int], None]
