@@ -14,7 +14,8 @@ import numpy as np
 import flexopt
 from benchmarks.timing import table
 from flexopt.errors import FlexoptError, FlexoptWarning
-from flexopt.robustness.margin import build_margin, evaluate_margin
+from flexopt.robustness.margin import build_margin
+from flexopt.robustness.posture_margin import evaluate_margin
 from tests.coprime.oracles import hankel_epsilon, refined_epsilon, scipy_epsilon, slicot_epsilon
 from tests.coprime.plants import chain, random_plant
 from tests.robustness.test_margin import CONTROLS, gradient_errors

@@ -130,6 +130,10 @@ class WrongSlope(FlexoptError):
     """The derivatives that a solver would climb by disagree with independent ones, so that nothing was solved."""
 
 
+class MarginNotComputed(NoSolutionFound):
+    """ε_max could not be computed to 1e-6: that says nothing about whether a controller stabilises the plant."""
+
+
 class ExportError(FlexoptError):
     """A graph has no equivalent in C."""
 

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.coprime.enclosure import factor
 from flexopt.coprime.feedback import ncf_margin
 from flexopt.coprime.guard import guarded
-from flexopt.coprime.margin import Pair, factor, solve_pairs
+from flexopt.coprime.margin import Pair, solve_pairs
 from flexopt.coprime.scaling import scale_for_riccati
 from flexopt.coprime.symbols import rotation, to_continuous, to_discrete, turn_controller, turn_plant
 from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments

@@ -1,30 +1,42 @@
 """The largest robust stability margin ε_max that any controller can give a plant.
 
-In: a plant (A, B, C, D). Out: `RobustMargin` with both Riccati solutions, their residuals and how far two independent
-routes agree.
+In: a plant (A, B, C, D). Out: `RobustMargin` with both Riccati solutions, a bound on the error of ε_max that follows from
+their residuals, and how far two independent routes agree.
 """
 
 from __future__ import annotations
 
 import math
-import warnings as python_warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
+from flexopt.compiled.extended import digits, rounded
 from flexopt.coprime import riccati
+from flexopt.coprime.enclosure import EPS, factor
+from flexopt.coprime.extended import (
+    HOPELESS,
+    Equation,
+    ExactPair,
+    TopPairs,
+    measured,
+    moved_by_rounding,
+    solve_pair,
+    top_pairs,
+)
 from flexopt.coprime.guard import guarded
 from flexopt.coprime.scaling import Scaled, riccati_matrices, scale_for_riccati
-from flexopt.coprime.stabilizability import Escape, escaping_modes, growth, raise_escapes, still_there
+from flexopt.coprime.stabilizability import Escape, escaping_modes, growth, raise_escapes
 from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
-from flexopt.errors import FlexoptWarning, NoSolutionFound
+from flexopt.errors import MarginNotComputed
 from flexopt.model.boundary import public
 from flexopt.model.documents import json_ready
 
-AGREEMENT = 1e-7
 RESIDUAL_MAX = 1e-6
-HOPELESS = 1e24  # λmax(XZ) beyond this puts ε_max below 1e-12, where rounding decides
+# Bounds on the relative error of ε_max: up to which double precision is left at it, and with which it is still told.
+GOOD, TOLD = 1e-9, 1e-6
+STATES_MAX = 64  # decimals take minutes beyond
 
 
 @dataclass(frozen=True)
@@ -39,7 +51,9 @@ class RobustMargin:
         iterations: doublings; 0 where doubling failed.
         agreement: relative difference of ε_max between doubling and Schur vectors; None where one of them failed.
         condition: bound on the relative change of X and Z per relative change of the scaled plant.
-        method: `"doubling"` or `"schur"`, the route whose residuals are smaller.
+        method: `"doubling"` or `"schur"`, or `"extended"` where both were refined in extended precision.
+        error_bound: |ε_max − the exact one of these A, B, C, D| is at most this: it follows from the residuals, computed
+            in extended precision, by the order of solutions of Riccati inequalities; see `flexopt.coprime.enclosure`.
         warnings: sentences on what needs care.
     """
 
@@ -52,6 +66,7 @@ class RobustMargin:
     agreement: float | None
     condition: float
     method: str
+    error_bound: float
     warnings: tuple[str, ...] = ()
 
     @property
@@ -65,22 +80,34 @@ class RobustMargin:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready document."""
         names = ("epsilon_max", "X", "Z", "residual_x", "residual_z", "iterations", "agreement", "condition", "method")
-        document = {name: getattr(self, name) for name in (*names, "warnings")}
+        document = {name: getattr(self, name) for name in (*names, "error_bound", "warnings")}
         return cast(dict[str, Any], json_ready(document))
 
     def __repr__(self) -> str:
         agreement = "one route only" if self.agreement is None else f"routes agree to {self.agreement:.1e}"
         lines = [
-            f"RobustMargin: ε_max = {self.epsilon_max:.10g}  ({self.X.shape[0]} states, {self.method})",
+            f"RobustMargin: ε_max = {with_bound(self.epsilon_max, self.error_bound)}  ({self.X.shape[0]} states, "
+            f"{self.method})",
             f"  residuals X {self.residual_x:.1e}, Z {self.residual_z:.1e}; {agreement}; "
             f"condition {self.condition:.1e}",
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
+def with_bound(value: float, bound: float, digits_max: int = 10) -> str:
+    """A number with as many digits as its bound allows, and a bound that holds for the digits printed."""
+    if not (math.isfinite(value) and math.isfinite(bound)):
+        return f"{value:.{digits_max}g} ± {bound:.1e}"
+    places = digits_max if bound == 0 else max(1, min(digits_max, 1 - math.floor(math.log10(bound / abs(value or 1.0)))))
+    text = f"{value:.{places}g}"
+    total = bound + abs(float(text) - value)
+    # Rounded up, so that the bound holds as printed.
+    return f"{text} ± {total * 1.05 + 5e-324:.1e}"
+
+
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Both Riccati solutions of a scaled plant by one route; `largest` is λmax(XZ)."""
+    """Both Riccati solutions of a scaled plant by one route; `largest` is λmax(XZ), within `bound` of the exact one."""
 
     X: Matrix
     Z: Matrix
@@ -89,11 +116,26 @@ class Pair:
     largest: float
     iterations: int
     method: str
+    bound: float = math.inf
 
     @property
     def epsilon(self) -> float:
         """(1 + λmax(XZ))^(−1/2)."""
         return 1.0 / math.sqrt(1.0 + self.largest)
+
+    @property
+    def error(self) -> float:
+        """Bound on the error of `epsilon`."""
+        return epsilon_error(self.largest, self.bound)
+
+
+def epsilon_error(largest: float, bound: float) -> float:
+    """Bound on the error of (1 + λ)^(−1/2) for λ = largest ± bound, its rounding included."""
+    if not math.isfinite(bound):
+        return math.inf
+    low = max(largest - bound, 0.0)
+    # ε' grows in size towards small λ: the mean value theorem.
+    return 0.5 * bound * (1.0 + low) ** -1.5 + 4 * EPS / math.sqrt(1.0 + largest)
 
 
 @public(**PLANT)
@@ -103,7 +145,9 @@ def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: An
 
     With S = I + DᵀD, R = I + DDᵀ, Ã = A − B S⁻¹DᵀC, G = B S⁻¹Bᵀ and H = CᵀR⁻¹C, X and Z are the stabilizing solutions
     of ÃᵀX + XÃ − XGX + H = 0 and ÃZ + ZÃᵀ − ZHZ + G = 0, or in discrete time of X = ÃᵀX(I + GX)⁻¹Ã + H and
-    Z = ÃZ(I + HZ)⁻¹Ãᵀ + G. Time and states are scaled first; doubling and Schur vectors are run independently.
+    Z = ÃZ(I + HZ)⁻¹Ãᵀ + G. Time and states are scaled first; doubling and Schur vectors are run independently. Where the
+    bound that follows from their residuals is above 1e-9 of ε_max, Newton's method with residuals in extended precision
+    goes on from them, or doubling in extended precision where neither led to a solution.
 
     Args:
         A: (n, n); or a whole system (see `state_space`) when B and C are left out.
@@ -114,11 +158,11 @@ def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: An
 
     Raises:
         InputError: a matrix is not usable (all faults in one message).
-        NotStabilizable: a mode that does not decay escapes the inputs or the outputs; it is named.
-        NoSolutionFound: neither route ends in a stabilizing solution.
-
-    Warns:
-        FlexoptWarning: the routes differ by more than 1e-7, or only one ended in a solution.
+        NotStabilizable: within rounding of each element of the plant a mode that does not decay escapes the inputs or the
+            outputs (Popov–Belevitch–Hautus test; it is named). Where that is so only within rounding of the largest
+            elements, it is said if in extended precision, too, the Riccati equations have no solution, or one with
+            ε_max < 1e-12, or one that rounding moves by a tenth or more.
+        MarginNotComputed: the bound on the error of ε_max stays above 1e-6 of it.
 
     Source: Glover and McFarlane, IEEE Transactions on Automatic Control 34(8), 1989; Chu, Fan and Lin, Linear Algebra
     and its Applications 396, 2005, for the doubling.
@@ -126,11 +170,8 @@ def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: An
     system = from_arguments(A, B, C, D, dt, "robust_margin")
     scaled = scale_for_riccati(system)
     pairs = solve_pairs(scaled, "robust_margin")
-    best = pairs[0]
-    agreement = abs(pairs[0].epsilon / pairs[1].epsilon - 1.0) if len(pairs) > 1 else None
-    sentences = _warnings(agreement, best)
-    for sentence in sentences:
-        python_warnings.warn(sentence, FlexoptWarning, stacklevel=3)
+    best, doubles = pairs[0], [pair for pair in pairs if pair.method != "extended"]
+    agreement = abs(doubles[0].epsilon / doubles[1].epsilon - 1.0) if len(doubles) > 1 else None
     F, G, H = riccati_matrices(scaled.system)
     condition = max(
         riccati.condition(F, G, H, best.X, discrete=system.discrete),
@@ -146,18 +187,18 @@ def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: An
         agreement=agreement,
         condition=condition,
         method=best.method,
-        warnings=sentences,
+        error_bound=best.error,
     )
 
 
 def solve_pairs(scaled: Scaled, call: str) -> list[Pair]:
-    """The stabilizing pair by each route that found one, the smaller residual first."""
+    """The pair whose ε_max is told, with its bound, and then what doubling and Schur vectors found otherwise."""
     s = scaled.system
     if s.n_states == 0:
         empty = np.zeros((0, 0))
-        return [Pair(empty, empty, 0.0, 0.0, 0.0, 0, "doubling")] * 2
-    escapes = escaping_modes(scaled)
-    raise_escapes(call, scaled, [e for e in escapes if e.certain])
+        return [Pair(empty, empty, 0.0, 0.0, 0.0, 0, method, 0.0) for method in ("doubling", "schur")]
+    found = escaping_modes(scaled)
+    raise_escapes(call, scaled, [e for e in found if e.certain])
     F, G, H = riccati_matrices(s)
     pairs: list[Pair] = []
     doubled = riccati.doubling(F, G, H, discrete=s.discrete)
@@ -168,15 +209,56 @@ def solve_pairs(scaled: Scaled, call: str) -> list[Pair]:
     if X is not None and Z is not None:
         pairs += _accept(F, G, H, X, Z, s, 0, "schur")
     pairs.sort(key=lambda p: (p.residual_x + p.residual_z > 1e-12, p.method != "doubling"))
-    raise_escapes(call, scaled, [e for e in escapes if not pairs or _confirmed(e, s, pairs[0])])
-    if not pairs:
-        raise NoSolutionFound(
-            f"{call}: neither doubling nor Schur vectors end in a stabilizing solution of the Riccati equations; the "
-            "plant's numbers are too far apart, or it is within rounding of one that cannot be stabilised",
+    with digits():
+        return _told(scaled, pairs, call, found)
+
+
+def _told(scaled: Scaled, pairs: list[Pair], call: str, doubtful: list[Escape]) -> list[Pair]:
+    """The pairs, before them one whose bound is good enough."""
+    equation = Equation.of(scaled.system)
+    bounded = [_measured(equation, pair) for pair in pairs]
+    bounded.sort(key=lambda p: p.error > GOOD * p.epsilon)
+    if bounded and bounded[0].error <= GOOD * bounded[0].epsilon:
+        return bounded
+    escapes, reason = False, f"its {scaled.system.n_states} states are too many for extended precision"
+    if scaled.system.n_states <= STATES_MAX:
+        try:
+            exact_pair = solve_pair(equation, [(p.X, p.Z) for p in pairs])
+            top = top_pairs(exact_pair.x.X, exact_pair.z.X)
+            bounded.insert(0, of_exact(exact_pair, top))
+            largest = float(top.values[0])
+            escapes = largest > HOPELESS or moved_by_rounding(exact_pair, top) > 0.1 * largest
+        except np.linalg.LinAlgError as error:
+            escapes, reason = True, str(error)
+    if escapes:
+        raise_escapes(call, scaled, doubtful)
+    bounded.sort(key=lambda p: p.error / p.epsilon)
+    if not (bounded and bounded[0].error <= TOLD * bounded[0].epsilon):
+        raise MarginNotComputed(
+            f"{call}: ε_max could not be computed to {TOLD:g}, in extended precision neither ({reason}); the plant's "
+            "numbers are too far apart. This says nothing about whether a controller stabilises it",
             violations={},
             iterate={},
         )
-    return pairs
+    return bounded
+
+
+def _measured(equation: Equation, pair: Pair) -> Pair:
+    """The pair with the bound that its residuals, computed in decimals, prove; infinite where they prove none."""
+    try:
+        bound = measured(equation, pair.X, pair.Z).eigenvalue_bound()
+    except np.linalg.LinAlgError:
+        return pair
+    # λmax(XZ) itself is computed in doubles, from factors of X and Z.
+    n, size = pair.X.shape[0], float(np.linalg.norm(pair.X, 2) * np.linalg.norm(pair.Z, 2))
+    return replace(pair, bound=bound + 8 * n * EPS * size)
+
+
+def of_exact(pair: ExactPair, top: TopPairs) -> Pair:
+    """A pair in decimals as doubles, with its bound."""
+    X, Z, largest = rounded(pair.x.X), rounded(pair.z.X), float(top.values[0])
+    bound = pair.eigenvalue_bound() + top.residual
+    return Pair(X, Z, pair.x.relative_residual, pair.z.relative_residual, largest, 0, "extended", bound)
 
 
 def _accept(
@@ -198,30 +280,3 @@ def _accept(
     except np.linalg.LinAlgError:
         return []
     return [Pair(x, z, rx, rz, largest, iterations, method)] if math.isfinite(largest) else []
-
-
-def factor(X: Matrix) -> Matrix:
-    """R (n, n) with RᵀR = X for a positive semidefinite X."""
-    values, vectors = np.linalg.eigh(X)
-    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-
-
-def _confirmed(escape: Escape, s: StateSpace, pair: Pair) -> bool:
-    """A doubtful mode escapes indeed when the feedback leaves it where it is, or needs gains beyond rounding."""
-    F, G, H = riccati_matrices(s)
-    if pair.largest > HOPELESS:
-        return True
-    if escape.kind == "stabilizable":
-        return still_there(escape, riccati.closed_loop(F, G, pair.X, discrete=s.discrete), discrete=s.discrete)
-    return still_there(escape, riccati.closed_loop(F.T, H, pair.Z, discrete=s.discrete), discrete=s.discrete)
-
-
-def _warnings(agreement: float | None, best: Pair) -> tuple[str, ...]:
-    if agreement is None:
-        return (f"only the {best.method} route ended in a stabilizing solution: ε_max has no independent check",)
-    if agreement > AGREEMENT:
-        return (
-            f"doubling and Schur vectors differ by {agreement:.1e} in ε_max: the plant is badly conditioned, and only "
-            "the digits they share hold",
-        )
-    return ()

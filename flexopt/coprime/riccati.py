@@ -10,12 +10,12 @@ by structure-preserving doubling, and by ordered Schur vectors.
 
 from __future__ import annotations
 
-import warnings as python_warnings
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.coprime.lyapunov import Lyapunov
 from flexopt.coprime.scaling import hamiltonian
 from flexopt.coprime.system import Matrix
 
@@ -154,15 +154,8 @@ def refine(F: Matrix, G: Matrix, H: Matrix, X: Matrix, *, discrete: bool) -> tup
 
 
 def lyapunov(A: Matrix, Q: Matrix, *, discrete: bool = False) -> Matrix:
-    """P of AP + PAᵀ + Q = 0, or P = APAᵀ + Q in discrete time."""
-    import scipy.linalg as sla  # noqa: PLC0415  # slow to import
-
-    if A.shape[0] == 0:
-        return np.zeros((0, 0))
-    with np.errstate(all="ignore"), python_warnings.catch_warnings():
-        python_warnings.simplefilter("ignore", RuntimeWarning)  # SciPy's, on near-singular equations
-        P = sla.solve_discrete_lyapunov(A, Q) if discrete else sla.solve_continuous_lyapunov(A, -Q)
-    return np.asarray(P, dtype=float)
+    """P of AP + PAᵀ + Q = 0, or P = APAᵀ + Q in discrete time, for a stable A; LinAlgError where it is not."""
+    return Lyapunov(A, discrete=discrete).solve(Q, transposed=True) if A.shape[0] else np.zeros((0, 0))
 
 
 def condition(F: Matrix, G: Matrix, H: Matrix, X: Matrix, *, discrete: bool) -> float:

@@ -80,11 +80,14 @@ def scale_for_norm(system: StateSpace) -> Scaled:
 
 
 def typical(moduli: NDArray[np.float64]) -> float:
-    """Geometric mean of the moduli that are not negligible, as a power of two; 1 when there is none."""
+    """Geometric mean of the moduli that are not negligible, as a power of four; 1 when there is none.
+
+    Its root, by which inputs and outputs are scaled, is a power of two then, so that nothing is rounded.
+    """
     finite = moduli[np.isfinite(moduli)]
     kept = finite[finite > 1e-12 * np.max(finite, initial=0.0)]
     kept = kept[kept > 0]
-    return float(2.0 ** np.round(np.mean(np.log2(kept)))) if kept.size else 1.0
+    return float(4.0 ** np.round(np.mean(np.log2(kept)) / 2)) if kept.size else 1.0
 
 
 def balance(system: StateSpace) -> Scaled:

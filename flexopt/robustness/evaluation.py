@@ -19,9 +19,10 @@ from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.robustness.damped import DampedModes, damped_modes
-from flexopt.robustness.margin import build_margin, evaluate_margin
+from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
+from flexopt.robustness.posture_margin import evaluate_margin
 
 
 @dataclass(frozen=True)

@@ -10,25 +10,23 @@ whatever the number of variables: with X Z r = λ r, rᵀ Z r = 1, l = Z r it is
 
 For the same reason tr(P_X F_X) + tr(P_Z F_Z) is what rounding in X and Z has taken from λ: where the gradient is
 computed, ε_max is given with that added, which on badly conditioned plants is worth two digits and more.
+
+These are the graphs for many postures, for optimisation and for C, in double precision. Single postures whose numbers
+are told, with bounds on their errors, go through `posture_margin`.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 
 import casadi as ca
-import numpy as np
 
 from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
 from flexopt.algebra.riccati import DOUBLINGS, lyapunov, riccati_pair, top_eigenpairs
 from flexopt.compiled import Batch, batch
-from flexopt.coprime import robust_margin
-from flexopt.errors import FlexoptError, FlexoptWarning, NotStabilizable
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.plant import OperatingPoint, Plant, build_plant
@@ -37,10 +35,6 @@ from flexopt.robustness.residues import residue_factors, rigid_residue
 
 # A direction that the input or the output hardly touches is balanced as if it did by this share of the strongest one.
 WEAKEST = 1e-4
-# Near singular postures the equations are badly conditioned: a residual of 1e-8 goes with 1e-10 in ε_max there.
-RESIDUAL_TOLERANCE = 1e-6
-# Eigenvalues this close, in ε, are at a kink: on its two sides the gradient belongs to different branches.
-KINK_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True)
@@ -181,14 +175,32 @@ class Margin:
         return a, b, c
 
     @cached_property
+    def plant_at(self) -> ca.Function:
+        """(base, posture, p, deflection) -> A, B, C in physical units without the gain; differentiable.
+
+        `deflection` (m,) is that of `hold`; without gravity it is not looked at.
+        """
+        g, deflection = self.plant.graph, ca.SX.sym("deflection", self.plant.n_passive)
+        at = self.plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
+        outputs = [ca.densify(x) for x in self._state_space(at)]
+        names = ["base", "posture", "p", "deflection"]
+        return ca.Function("plant_at", [g.base, g.posture, g.p, deflection], outputs, names, list("ABC"), {"cse": True})
+
+    @cached_property
     def physical_plant(self) -> ca.Function:
         """(base, posture, p) -> A, B, C in physical units, self-motion left out, without the gain."""
         plant, g = self.plant, self.plant.graph
-        deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else None
-        at = plant.operating_point(g.base, g.posture, g.p, deflection)
-        outputs = [ca.densify(x) for x in self._state_space(at)]
-        names = ["base", "posture", "p"]
-        return ca.Function("physical_plant", [g.base, g.posture, g.p], outputs, names, list("ABC"), {"cse": True})
+        given = [g.base, g.posture, g.p]
+        deflection = plant.deflected(*given) if self.gravity else ca.SX.zeros(plant.n_passive)
+        outputs = self.plant_at.call([*given, deflection])
+        return ca.Function("physical_plant", given, outputs, ["base", "posture", "p"], list("ABC"), {"cse": True})
+
+    @cached_property
+    def coordinates(self) -> ca.Function:
+        """held -> deflection (m,), time scale, and T (n_states, n_states) with physical state = T · scaled state."""
+        held = ca.SX.sym("held", sum(self._held_sizes))
+        deflection, rate, forward, _ = self._scaling(held)
+        return ca.Function("coordinates", [held], [deflection, rate, ca.densify(forward)])
 
     @cached_property
     def values(self) -> ca.Function:
@@ -306,73 +318,6 @@ def build_margin(
     plant = build_plant(machine)
     redundant = plant.n_actuated > plant.n_task
     return Margin(plant, control, gravity, redundant and machine.damped_joints, doublings, compact)
-
-
-@dataclass(frozen=True)
-class PostureMargin:
-    """ε_max of one posture, as numbers.
-
-    Attributes:
-        epsilon_max: None where no feedback of the end-point stabilises the plant.
-        second: (1 + λ_2)^(−1/2) of the next eigenvalue of X Z: ε_max has a kink where the two meet.
-        z: ∂ε_max/∂[base, posture], (n_b + n,);  p: ∂ε_max/∂p, (n_par,);  kr: ∂ε_max/∂kr.
-        kink: rows g_11, g_22, g_12 of `Margin.gradients`, (3, n_b + n), where the two branches meet; else None.
-        residual: largest relative Riccati residual.
-        warning: a sentence, or empty.
-    """
-
-    epsilon_max: float | None
-    second: float
-    z: Vector
-    p: Vector
-    kr: float
-    kink: Vector | None
-    residual: float
-    warning: str
-
-
-def evaluate_margin(margin: Margin, base: Vector, posture: Vector, kr: float) -> PostureMargin:
-    """ε_max and its derivatives at one posture, with the residuals checked."""
-    arguments = [base, posture, margin.plant.parameter_values, kr]
-    _, rest, residual = (x.full() for x in margin.values.call(arguments))
-    left = max(float(rest[0, 0]), float(residual[0, 0]))
-    n_z, n_p = base.size + posture.size, margin.plant.parameter_values.shape[0]
-    if not left <= RESIDUAL_TOLERANCE:
-        unknown = float("nan")
-        value, sentence = _numerically(margin, base, posture, kr)
-        return PostureMargin(value, unknown, np.full(n_z, np.nan), np.full(n_p, np.nan), unknown, None, left, sentence)
-    epsilon, by_z, by_p, by_kr = (x.full() for x in margin.gradients.call(arguments))
-    first, second = epsilon.ravel()
-    meets = second - first <= KINK_TOLERANCE * first
-    sentence = "ε_max has a kink here: the two largest eigenvalues of XZ meet, and each has its own gradient"
-    return PostureMargin(
-        epsilon_max=float(first),
-        second=float(second),
-        z=by_z[0],
-        p=by_p[0],
-        kr=float(by_kr[0, 0]),
-        kink=by_z if meets else None,
-        residual=left,
-        warning=sentence if meets else "",
-    )
-
-
-def _numerically(margin: Margin, base: Vector, posture: Vector, kr: float) -> tuple[float | None, str]:
-    """ε_max by the general solvers where the doubling with its fixed scaling did not converge, and a sentence."""
-    arguments = [base, posture, margin.plant.parameter_values]
-    a, b, c = (x.full() for x in margin.physical_plant.call(arguments))
-    if not all(np.all(np.isfinite(x)) for x in (a, b, c)):
-        return None, "ε_max: no feedback of the end-point stabilises the plant (the joints do not move all task rows)"
-    try:
-        with warnings.catch_warnings():
-            # The sentence below says it: the plant is at the edge of what can be solved.
-            warnings.simplefilter("ignore", FlexoptWarning)
-            value = float(robust_margin(a, kr * b, c))
-    except NotStabilizable as error:
-        return None, f"ε_max: no feedback of the end-point stabilises the plant ({error.faults[0]})"
-    except FlexoptError:
-        return None, "ε_max: the Riccati equations did not converge; a mode is hardly reached or hardly seen"
-    return value, "ε_max has no gradient here: the plant is nearly not stabilizable"
 
 
 def _residual(a: ca.MX, b: ca.MX, c: ca.MX, x: ca.MX) -> tuple[ca.MX, list[ca.MX]]:

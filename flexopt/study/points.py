@@ -23,10 +23,13 @@ from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_condition
 from flexopt.robustness import build_measures
-from flexopt.robustness.margin import RESIDUAL_TOLERANCE, Margin, build_margin, evaluate_margin
+from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
+from flexopt.robustness.posture_margin import evaluate_margin
 
 Progress = Callable[[int, int], None]
+# Beyond it the batched Riccati equations are not solved.
+RESIDUAL_TOLERANCE = 1e-6
 # Postures at a time, so that progress shows and memory stays small.
 CHUNK = 4096
 

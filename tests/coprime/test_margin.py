@@ -9,10 +9,11 @@ import warnings
 import control
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given, reject, settings
 
 from flexopt.coprime import StateSpace, robust_margin, state_space
-from flexopt.errors import FlexoptWarning
+from flexopt.coprime.margin import with_bound
+from flexopt.errors import FlexoptWarning, NotStabilizable
 from tests.coprime.oracles import exact_epsilon, hankel_epsilon, scipy_epsilon, slicot_epsilon
 from tests.coprime.plants import (
     chain,
@@ -205,21 +206,49 @@ def test_result_reads_well_and_is_json_ready():
     assert "ε_max = 0.3826834324" in repr(result)
 
 
-def test_badly_conditioned_plant_warns():
+def badly_conditioned(count):
+    """Integrator chains behind dense coordinates, of which doubling and Schur vectors share few digits."""
     rng = np.random.default_rng(5)
     A = np.zeros((6, 6))
     A[:4, :4], A[4:, 4:] = np.diag(np.ones(3), 1), -np.eye(2)
-    for _ in range(200):
+    for _ in range(count):
         plain = StateSpace(A, rng.normal(size=(6, 1)), rng.normal(size=(1, 6)), np.zeros((1, 1)))
-        plant = in_coordinates(plain, rng.normal(size=(6, 6)))
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                result = robust_margin(plant)
-            except Exception:  # one that double precision cannot solve says so elsewhere
-                continue
+        yield in_coordinates(plain, rng.normal(size=(6, 6)))
+
+
+def test_badly_conditioned_plants_are_within_their_bound():
+    apart = 0
+    for plant in badly_conditioned(60):
+        try:
+            result = robust_margin(plant)
+        except NotStabilizable:  # the chain, within rounding
+            continue
+        assert result.error_bound <= 1e-6 * float(result)
         if result.agreement is None or result.agreement > 1e-7:
-            assert [w.category for w in caught] == [FlexoptWarning]
-            assert result.warnings
-            return
-    pytest.fail("no badly conditioned plant among the draws")
+            apart += 1
+            assert abs(exact_epsilon(plant) - float(result)) <= result.error_bound
+    assert apart
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(seeds, orders)
+def test_every_margin_is_within_its_bound(seed, n):
+    """Poles and gains over six decades, half of them lightly damped."""
+    rng = np.random.default_rng(seed)
+    plant = random_plant(seed, n)
+    units = 10.0 ** rng.uniform(-3, 3, n)
+    A = plant.A * units if seed % 2 else (plant.A - plant.A.T) * units - 1e-6 * np.diag(units)
+    plant = StateSpace(A, plant.B * units[:, None], plant.C, 0 * plant.D)
+    try:
+        result = robust_margin(plant)
+    except NotStabilizable:
+        reject()
+    exact = exact_epsilon(plant, 80)
+    assert abs(exact - float(result)) <= result.error_bound <= 1e-6 * exact
+
+
+def test_a_bound_is_printed_so_that_it_holds():
+    for value, bound in ((0.38268343, 3e-13), (0.3826834323650898, 2e-5), (1.25e-9, 4e-16), (0.5, 0.0), (0.1, 0.02)):
+        text, printed = with_bound(value, bound).split(" ± ")
+        assert abs(float(text) - value) + bound <= float(printed)
+        assert float(printed) <= 2.2 * bound + 1e-10 * value

@@ -14,7 +14,8 @@ from flexopt.cli import main
 from flexopt.errors import FlexoptError, InputError, SingularPosture
 from flexopt.model import machine_from_dict, tree_from_dict
 from flexopt.model.problem import check_control
-from flexopt.robustness.margin import build_margin, evaluate_margin
+from flexopt.robustness.margin import build_margin
+from flexopt.robustness.posture_margin import evaluate_margin
 from tests.oracles.controls import task_map
 from tests.oracles.machines import NumpySource, Structure, draw_machine, regular_posture
 from tests.oracles.spatial import grounded

@@ -18,7 +18,8 @@ from flexopt.errors import InputError, ModelError, SingularPosture
 from flexopt.model import Tree, machine_from_dict, tree_from_dict
 from flexopt.plant import Plant
 from flexopt.robustness import evaluate_w
-from flexopt.robustness.margin import build_margin, evaluate_margin
+from flexopt.robustness.margin import build_margin
+from flexopt.robustness.posture_margin import evaluate_margin
 from tests.coprime.oracles import refined_epsilon, slicot_epsilon
 from tests.model.robots.files import URDF
 from tests.model.test_shipped_machines import POSTURES

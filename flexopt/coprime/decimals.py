@@ -1,0 +1,91 @@
+"""Dense linear algebra on arrays of decimals: elimination, Cholesky factors, small symmetric eigenproblems."""
+
+from __future__ import annotations
+
+from decimal import Decimal, getcontext
+
+import numpy as np
+
+from flexopt.compiled.extended import Exact, exact
+
+SWEEPS = 60
+
+
+def unit(n: int) -> Exact:
+    """The unit matrix (n, n)."""
+    return exact(np.eye(n))
+
+
+def symmetric(matrix: Exact) -> Exact:
+    """The mean of a matrix and its transpose."""
+    return (matrix + matrix.T) / 2
+
+
+def solve(matrix: Exact, right: Exact) -> Exact:
+    """matrix⁻¹ right (n, k), by elimination with pivots; LinAlgError where it is singular."""
+    n = matrix.shape[0]
+    a = np.concatenate([matrix, right], axis=1)
+    for k in range(n):
+        pivot = max(range(k, n), key=lambda i: abs(a[i, k]))
+        if not a[pivot, k] or not a[pivot, k].is_finite():
+            raise np.linalg.LinAlgError("singular in extended precision")
+        if pivot != k:
+            a[[k, pivot]] = a[[pivot, k]]
+        a[k, k + 1 :] = a[k, k + 1 :] / a[k, k]
+        a[k + 1 :, k + 1 :] -= np.multiply.outer(a[k + 1 :, k], a[k, k + 1 :])
+    for k in range(n - 1, 0, -1):
+        a[:k, n:] -= np.multiply.outer(a[:k, k], a[k, n:])
+    return a[:, n:]
+
+
+def rank(matrix: Exact, tolerance: Decimal) -> int:
+    """Number of pivots above `tolerance` times the first, by elimination with pivots from everywhere."""
+    a, first = matrix.copy(), Decimal(0)
+    for k in range(min(a.shape)):
+        left = np.abs(a[k:, k:])
+        i, j = divmod(int(max(range(left.size), key=lambda index: left.ravel()[index])), left.shape[1])
+        pivot = left[i, j]
+        first = first or pivot
+        if pivot <= tolerance * first:
+            return k
+        a[[k, k + i]] = a[[k + i, k]]
+        a[:, [k, k + j]] = a[:, [k + j, k]]
+        a[k + 1 :, k:] -= np.multiply.outer(a[k + 1 :, k] / a[k, k], a[k, k:])
+    return min(a.shape)
+
+
+def cholesky(matrix: Exact) -> Exact:
+    """Lower triangular L with L Lᵀ = matrix; LinAlgError where it is not positive definite."""
+    n, a = matrix.shape[0], matrix.copy()
+    for k in range(n):
+        if not a[k, k] > 0:
+            raise np.linalg.LinAlgError("not positive definite")
+        a[k, k] = a[k, k].sqrt()
+        a[k + 1 :, k] = a[k + 1 :, k] / a[k, k]
+        a[k + 1 :, k + 1 :] -= np.multiply.outer(a[k + 1 :, k], a[k + 1 :, k])
+        a[k, k + 1 :] = Decimal(0)
+    return a
+
+
+def symmetric_eigen(matrix: Exact) -> tuple[Exact, Exact]:
+    """Eigenvalues (k,), descending, and vectors (k, k) of a small symmetric matrix, by cyclic rotations."""
+    k = matrix.shape[0]
+    S, turn = matrix.copy(), unit(k)
+    smallest = Decimal(10) ** -(getcontext().prec - 4)
+    pairs = [(i, j) for i in range(k) for j in range(i + 1, k)]
+    for _ in range(SWEEPS):
+        diagonal = max(abs(x) for x in S.diagonal())
+        if all(abs(S[i, j]) <= smallest * diagonal for i, j in pairs):
+            break
+        for i, j in pairs:
+            if S[i, j]:
+                theta = (S[j, j] - S[i, i]) / (2 * S[i, j])
+                tangent = Decimal(1).copy_sign(theta) / (abs(theta) + (1 + theta * theta).sqrt())
+                cosine = 1 / (1 + tangent * tangent).sqrt()
+                sine = tangent * cosine
+                for M in (S, turn):
+                    M[:, i], M[:, j] = M[:, i] * cosine - M[:, j] * sine, M[:, i] * sine + M[:, j] * cosine
+                S[i, :], S[j, :] = S[i, :] * cosine - S[j, :] * sine, S[i, :] * sine + S[j, :] * cosine
+    values = S.diagonal().copy()
+    order = sorted(range(k), key=lambda i: -values[i])
+    return values[order], turn[:, order]

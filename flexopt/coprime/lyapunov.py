@@ -1,0 +1,104 @@
+"""Lyapunov equations of one stable matrix and many right-hand sides, by Smith's doubling, in doubles or in decimals.
+
+In: A, and Q at each call. Out: P of AᵀP + PA + Q = 0, or P = AᵀPA + Q for sampled time.
+"""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal, getcontext
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.compiled.extended import Exact, exact, largest, rounded
+from flexopt.coprime.decimals import solve, unit
+from flexopt.coprime.system import Matrix
+
+DOUBLINGS = 80
+
+
+class NotConverged(np.linalg.LinAlgError):
+    """An equation was not solved; `hopeless` where that proves that ε_max is below 1e-12."""
+
+    def __init__(self, reason: str, *, hopeless: bool = False) -> None:
+        super().__init__(reason)
+        self.hopeless = hopeless
+
+
+class Lyapunov:
+    """The powers C, C², C⁴, … of C = (γI + A)(γI − A)⁻¹, or of A itself in sampled time, until they vanish.
+
+    Raises:
+        NotConverged: A is not stable.
+
+    Source: Smith, SIAM Journal on Applied Mathematics 16(1), 1968.
+    """
+
+    def __init__(self, A: Matrix, *, discrete: bool) -> None:
+        values = np.linalg.eigvals(A) if np.all(np.isfinite(A)) else np.array([np.nan])
+        if not np.all(np.abs(values) < 1 if discrete else values.real < 0):
+            raise NotConverged("the closed loop is not stable")
+        self.discrete = discrete
+        moduli = np.abs(values)
+        mean = 0.5 * np.log2(moduli.min() * moduli.max()) if values.size else 0.0
+        self.gamma = float(2.0 ** np.round(mean))
+        self.powers, self.resolvent = self._powers(A)
+
+    def _powers(self, A: Matrix) -> tuple[list[Matrix], Matrix]:
+        eye, gamma = np.eye(A.shape[0]), self.gamma
+        resolvent = eye if self.discrete else np.linalg.inv(gamma * eye - A)
+        powers = [A if self.discrete else (gamma * eye + A) @ resolvent]
+        while (size := float(np.max(np.abs(powers[-1]), initial=0.0))) > 1e-17:
+            if len(powers) > DOUBLINGS or not size < 1e150:
+                raise NotConverged("the closed loop decays too slowly")
+            powers.append(powers[-1] @ powers[-1])
+        return powers, resolvent
+
+    def solve(self, Q: Matrix, *, transposed: bool = False) -> Matrix:
+        """P (n, n); with `transposed` of AP + PAᵀ + Q = 0, or P = APAᵀ + Q."""
+        return self._sum(Q, 2 * self.gamma, transposed=transposed)
+
+    def correct(self, Q: Exact, *, transposed: bool = False) -> Exact:
+        """`solve` for a Q in decimals, whose size may be beyond a double's; as good as a double."""
+        size = largest(Q)
+        if not size > 0:
+            return Q * Decimal(0)
+        by = Decimal(2) ** math.frexp(size)[1]
+        return exact(self.solve(rounded(Q / by), transposed=transposed)) * by
+
+    def _sum(self, Q: Any, twice: Any, *, transposed: bool) -> Any:
+        P = Q
+        if not self.discrete:
+            S = self.resolvent if transposed else self.resolvent.T
+            P = S @ P @ S.T * twice
+        for power in self.powers:
+            left = power if transposed else power.T
+            P = P + left @ P @ left.T
+        return (P + P.T) / 2
+
+
+class ExactLyapunov(Lyapunov):
+    """The same in decimals."""
+
+    def __init__(self, A: Exact, *, discrete: bool) -> None:
+        self.exact = A
+        super().__init__(rounded(A), discrete=discrete)
+
+    def _powers(self, A: Matrix) -> tuple[list[Matrix], Matrix]:
+        eye, gamma = unit(A.shape[0]), Decimal(self.gamma)
+        resolvent = eye if self.discrete else solve(eye * gamma - self.exact, eye)
+        powers = [self.exact if self.discrete else (eye * gamma + self.exact) @ resolvent]
+        while (size := largest(powers[-1])) > 10.0 ** -getcontext().prec:
+            if len(powers) > DOUBLINGS or not size < 1e150:
+                raise NotConverged("the closed loop decays too slowly")
+            powers.append(powers[-1] @ powers[-1])
+        return cast(list[Matrix], powers), cast(Matrix, resolvent)
+
+    def solve(self, Q: Matrix, *, transposed: bool = False) -> Matrix:
+        """P, rounded."""
+        return rounded(self.correct(exact(Q), transposed=transposed))
+
+    def correct(self, Q: Exact, *, transposed: bool = False) -> Exact:
+        """`solve`, in decimals throughout."""
+        return self._sum(Q, Decimal(2 * self.gamma), transposed=transposed)

@@ -1,0 +1,259 @@
+"""ε_max of single postures and its gradient, as numbers with bounds on their errors.
+
+In: a `Margin`, a posture, the servo gain. Out: `PostureMargin`. The plant is evaluated in decimals from the machine's
+numbers, its Riccati equations are solved in doubles and refined in decimals (`flexopt.coprime.extended`), and so are the
+adjoint Lyapunov equations of the gradient, which is one reverse sweep through the plant's graph, in decimals as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from decimal import Decimal, getcontext
+
+import numpy as np
+
+from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, rounded
+from flexopt.coprime import StateSpace, riccati
+from flexopt.coprime.decimals import rank, solve, unit
+from flexopt.coprime.extended import (
+    HOPELESS,
+    Equation,
+    ExactPair,
+    Seeds,
+    TopPairs,
+    seeds,
+    solve_pair,
+    top_pairs,
+)
+from flexopt.coprime.lyapunov import NotConverged
+from flexopt.coprime.margin import TOLD, epsilon_error
+from flexopt.coprime.scaling import Scaled, scale_for_riccati
+from flexopt.coprime.stabilizability import REACH, Escape, escaping_modes, pole_text
+from flexopt.model.arguments import Vector
+from flexopt.robustness.margin import Margin
+
+# Eigenvalues this close, in ε, are at a kink: on its two sides the gradient belongs to different branches.
+KINK_TOLERANCE = 1e-7
+# A gradient whose bound is beyond this share of its largest element is not told.
+GRADIENT_TOLERANCE = 1e-7
+DIGITS = (50, 100)
+
+
+@dataclass(frozen=True)
+class PostureMargin:
+    """ε_max of one posture, as numbers.
+
+    Attributes:
+        epsilon_max: None where no feedback of the end-point stabilises the plant, or where it could not be computed.
+        error: bound on |ε_max − the exact one|: what the residuals prove, and to first order what evaluating the plant
+            from the machine's numbers in double precision would change. NaN without ε_max.
+        unstabilizable: whether ε_max is None because it is proven to be below 1e-12.
+        second: (1 + λ_2)^(−1/2) of the next eigenvalue of X Z: ε_max has a kink where the two meet.
+        z: ∂ε_max/∂[base, posture], (n_b + n,);  p: ∂ε_max/∂p, (n_par,);  kr: ∂ε_max/∂kr. NaN where not told.
+        z_error, p_error, kr_error: bounds on their errors, to first order.
+        kink: rows g_11, g_22, g_12 of `Margin.gradients`, (3, n_b + n), where the two branches meet; else None.
+        residual: largest relative Riccati residual.
+        warning: a sentence, or empty.
+    """
+
+    epsilon_max: float | None
+    error: float
+    unstabilizable: bool
+    second: float
+    z: Vector
+    p: Vector
+    kr: float
+    z_error: Vector
+    p_error: Vector
+    kr_error: float
+    kink: Vector | None
+    residual: float
+    warning: str
+
+
+def evaluate_margin(margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True) -> PostureMargin:
+    """ε_max, and its derivatives unless they are not wanted, at one posture."""
+    sentence, hopeless = "", False
+    for count in DIGITS:
+        with digits(count):
+            try:
+                return _evaluated(margin, base, posture, kr, gradient=gradient)
+            except NotConverged as error:
+                sentence, hopeless = str(error), error.hopeless
+            except np.linalg.LinAlgError as error:
+                sentence = str(error)
+        if hopeless:
+            break
+    if hopeless:
+        sentence = "ε_max: no feedback of the end-point stabilises the plant (" + sentence + ")"
+    else:
+        sentence = f"ε_max could not be computed, in extended precision neither ({sentence})"
+    unknown, z, p = float("nan"), np.full(base.size + posture.size, np.nan), np.full(_n_p(margin), np.nan)
+    return PostureMargin(None, unknown, hopeless, unknown, z, p, unknown, z, p, unknown, None, unknown, sentence)
+
+
+def _n_p(margin: Margin) -> int:
+    return len(margin.plant.parameter_names)
+
+
+@dataclass(frozen=True)
+class _ScaledPlant:
+    """The plant in physical units as evaluated, and its equation for x = T ξ, t = τ/rate."""
+
+    evaluated: Evaluated
+    equation: Equation
+    forward: Exact
+    backward: Exact
+    rate: Decimal
+    kr: Decimal
+
+    def to_physical(self, found: Seeds) -> list[Exact]:
+        """Derivatives by the physical A, B and C."""
+        by_a = self.backward.T @ found.F @ self.forward.T / self.rate
+        return [by_a, self.backward.T @ found.B * (self.kr / self.rate), found.C @ self.forward.T]
+
+    def sizes(self, found: Seeds) -> list[Exact]:
+        """Bounds on the terms that those derivatives are sums of."""
+        f, b, c = found.sizes
+        back, forth = np.abs(rounded(self.backward)).T, np.abs(rounded(self.forward)).T
+        of_a, of_b = back @ f @ forth / float(self.rate), back @ b * float(abs(self.kr) / self.rate)
+        return [exact(x) for x in (of_a, of_b, c @ forth)]
+
+
+def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _ScaledPlant:
+    """The plant in decimals; modal coordinates balanced as in `Margin.hold`, of which only T is taken, not T⁻¹."""
+    p = margin.plant.parameter_values.full().ravel()
+    held = margin.hold.call([base, posture, p, kr])[0]
+    deflection, rate, forward = (x.full() for x in margin.coordinates.call([held]))
+    evaluated = extended(margin.plant_at)(*(exact(x) for x in (base, posture, p, deflection.ravel())))
+    A, B, C = evaluated.outputs
+    if not all(x.is_finite() for M in (A, B, C) for x in M.ravel()):
+        raise NotConverged("the joints do not move all task rows", hopeless=True)
+    if not (np.all(np.isfinite(forward)) and np.linalg.cond(forward) < 1e14 and rate[0, 0] > 0):
+        s = StateSpace(rounded(A), rounded(B) * kr, rounded(C), np.zeros((C.shape[0], B.shape[1])))
+        scaled = scale_for_riccati(s)
+        forward, rate = np.diag(scaled.states), np.array([[scaled.rate]])
+    T, speed, gain = exact(forward), Decimal(float(rate[0, 0])), Decimal(kr)
+    back = solve(T, unit(len(T)))
+    equation = Equation(back @ (A @ T) / speed, back @ B * (gain / speed), C @ T)
+    return _ScaledPlant(evaluated, equation, T, back, speed, gain)
+
+
+def _starts(equation: Equation) -> Iterator[tuple[Vector, Vector]]:
+    """Approximate solutions in doubles, the quickest way first."""
+    F, B, C = (rounded(M) for M in (equation.F, equation.B, equation.C))
+    G, H = B @ B.T, C.T @ C
+    doubled = riccati.doubling(F, G, H, discrete=False)
+    if doubled is not None:
+        yield doubled[:2]
+    X, Z = riccati.subspace(F, G, H, discrete=False), riccati.subspace(F.T, H, G, discrete=False)
+    if X is not None and Z is not None:
+        yield X, Z
+
+
+def _evaluated(margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool) -> PostureMargin:
+    plant = _scaled(margin, base, posture, kr)
+    try:
+        pair = solve_pair(plant.equation, _starts(plant.equation))
+        top = top_pairs(pair.x.X, pair.z.X)
+    except NotConverged as error:
+        escapes = _escapes(plant)
+        if error.hopeless or any(e.certain for e in escapes):
+            raise NotConverged(_named(plant, escapes) or str(error), hopeless=True) from None
+        raise
+    largest = float(top.values[0])
+    if largest > HOPELESS:
+        raise NotConverged(_named(plant, _escapes(plant)) or "ε_max is below 1e-12", hopeless=True)
+    found = seeds(pair, top.values[0], top.vectors[:, 0], top.vectors[:, 0])
+    by_input, moved = plant.evaluated.gradient(plant.to_physical(found))
+    epsilon = 1.0 / math.sqrt(1.0 + largest)
+    proven = pair.eigenvalue_bound() + top.residual
+    if not epsilon_error(largest, proven) <= TOLD * epsilon:
+        raise NotConverged(f"the bound on its error is {epsilon_error(largest, proven):.1e}")
+    error = epsilon_error(largest, proven + moved)
+    second = 1.0 / math.sqrt(1.0 + float(top.values[1]))
+    n_z, n_p = base.size + posture.size, _n_p(margin)
+    unknown = np.full(n_z + n_p + 1, np.nan)
+    rows, errors, kink, sentence = unknown, unknown, None, ""
+    if gradient:
+        rows, errors = _row(plant, pair, top, found, by_input, top.values[0])
+        if second - epsilon <= KINK_TOLERANCE * epsilon:
+            sentence = "ε_max has a kink here: the two largest eigenvalues of XZ meet, and each has its own gradient"
+            kink = np.vstack([rows, *_others(plant, pair, top)])[:, :n_z]
+        elif not _good(rows[:n_z], errors[:n_z], 1.0) or not _good(
+            rows[n_z:], errors[n_z:], np.append(margin.plant.parameter_values.full().ravel(), kr)
+        ):
+            if getcontext().prec < DIGITS[-1]:
+                raise NotConverged("the bound on its gradient's error is too large")
+            rows, errors = unknown, unknown
+            sentence = "the gradient of ε_max could not be computed to 1e-7"
+    z, p, by_kr = rows[:n_z], rows[n_z : n_z + n_p], float(rows[-1])
+    z_error, p_error, kr_error = errors[:n_z], errors[n_z : n_z + n_p], float(errors[-1])
+    return PostureMargin(
+        epsilon, error, False, second, z, p, by_kr, z_error, p_error, kr_error, kink, pair.residual, sentence
+    )
+
+
+def _good(rows: Vector, errors: Vector, by: Vector | float) -> bool:
+    """Whether each error is small beside the largest derivative, both per relative change `by`."""
+    size = float(np.max(np.abs(rows * by), initial=0.0))
+    return bool(np.all(np.abs(errors * by) <= GRADIENT_TOLERANCE * size + 1e-15))
+
+
+def _row(
+    plant: _ScaledPlant, pair: ExactPair, top: TopPairs, found: Seeds, by_input: list[Exact], value: Decimal
+) -> tuple[Vector, Vector]:
+    """∂ε/∂[base, posture, p, kr] from the derivatives of λ, and bounds on their errors."""
+    factor = -(1 + value) ** Decimal("-1.5") / 2
+    by_kr = np.sum(found.B * plant.equation.B) / plant.kr
+    row = rounded(np.concatenate([*by_input[:3], [by_kr]]) * factor)
+    # The last summand: rounding of the decimals themselves, thousands of operations long.
+    relative = 10 * (found.correction + pair.gradient_error(top)) + 10.0 ** (8 - getcontext().prec)
+    spread = plant.evaluated.influence(plant.sizes(found))
+    of_kr = float(np.sum(found.sizes[1] * np.abs(rounded(plant.equation.B)))) / float(abs(plant.kr))
+    off = np.concatenate([*spread[:3], [of_kr]]) * relative * float(abs(factor))
+    return row, off + np.abs(row) * 2.0**-52
+
+
+def _others(plant: _ScaledPlant, pair: ExactPair, top: TopPairs) -> list[Vector]:
+    """The second and the mixed branch's rows, g_22 and g_12."""
+    rows: list[Vector] = []
+    for value, (i, j) in ((top.values[1], (1, 1)), ((top.values[0] + top.values[1]) / 2, (0, 1))):
+        found = seeds(pair, value, top.vectors[:, i], top.vectors[:, j])
+        by_input, _ = plant.evaluated.gradient(plant.to_physical(found))
+        rows.append(_row(plant, pair, top, found, by_input, value)[0])
+    return rows
+
+
+def _scaled_system(plant: _ScaledPlant) -> Scaled:
+    e = plant.equation
+    F, B, C = (rounded(M) for M in (e.F, e.B, e.C))
+    return Scaled(StateSpace(F, B, C, np.zeros((C.shape[0], B.shape[1]))), np.ones(len(F)), float(plant.rate))
+
+
+def _escapes(plant: _ScaledPlant) -> list[Escape]:
+    """Modes that do not decay and escape, within rounding, the inputs or the outputs.
+
+    Certain are those at exactly 0, of whose row or column space nothing is left in thirty digits: the free motion of an
+    arm with more joints than task rows, not all of which are damped.
+    """
+    e, scaled = plant.equation, _scaled_system(plant)
+    found = [replace(escape, certain=False) for escape in escaping_modes(scaled)]
+    n = len(e.F)
+    for kind, matrix in (("stabilizable", np.hstack([e.F, e.B])), ("detectable", np.hstack([e.F.T, e.C.T]))):
+        if rank(matrix, Decimal(10) ** -30) < n:
+            found.insert(0, Escape(0j, 0.0, 0.0, kind, certain=True))
+    return found
+
+
+def _named(plant: _ScaledPlant, escapes: list[Escape]) -> str:
+    """The modes that escape as text; empty where there are none."""
+    scaled = _scaled_system(plant)
+    modes = [
+        f"mode = {pole_text(scaled.pole(escape.mode), discrete=False)}: {REACH[escape.kind]}"
+        for escape in escapes
+        if escape.mode.imag >= 0
+    ]
+    return "; ".join(dict.fromkeys(modes))
