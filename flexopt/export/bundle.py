@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import ExportError, Fault, InputError, raise_if_any
 from flexopt.export.context import build_context
 from flexopt.export.extras import TOLERANCES, Extras
@@ -80,6 +81,7 @@ class ExportReport:
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
 
+@in_turn
 def export_c(
     machine: AnyMachine,
     folder: str | Path,

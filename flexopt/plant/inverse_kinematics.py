@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector, shown
@@ -24,6 +25,7 @@ SAME = 1e-6
 EDGE = 1e-12
 
 
+@in_turn
 def inverse_kinematics(
     machine: AnyMachine,
     target: Any,

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flexopt.compiled.turns import in_turn
 from flexopt.robustness.measures import Measures
 from flexopt.robustness.modes import TRUSTED_GAP
 
@@ -33,6 +34,7 @@ class BatchedW:
     repaired: int
 
 
+@in_turn
 def evaluate_w(
     measures: Measures, bases: ArrayLike, postures: ArrayLike, *, threads: int = 1, gradient: bool = False
 ) -> BatchedW:

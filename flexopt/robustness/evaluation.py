@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
@@ -214,6 +215,7 @@ def _listed(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> s
     return ", ".join(parts)
 
 
+@in_turn
 def evaluate(
     machine: AnyMachine,
     posture: Any,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, InputError, UnreachableTarget
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector, shown
@@ -39,6 +40,7 @@ Ranges = dict[str, tuple[float, float]]
 FREE = (-math.inf, math.inf)
 
 
+@in_turn
 def build_selection(
     machine: AnyMachine,
     target: Any,

@@ -13,6 +13,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector, shown
@@ -35,6 +36,7 @@ GAIN_SHARE = 1e-6
 ROUNDING = 1e-12
 
 
+@in_turn
 def nullspace_trajectory(
     machine: AnyMachine,
     posture: Any,

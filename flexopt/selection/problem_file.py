@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from flexopt.compiled.turns import in_turn
 from flexopt.model import Problem
 from flexopt.selection.result import Selection
 from flexopt.selection.several import BasePlan, Stand, plan_base, select_stand
 from flexopt.selection.solve import Progress, select
 
 
+@in_turn
 def solve_problem(
     problem: Problem, *, workers: int | None = None, progress: Progress | None = None
 ) -> Selection | Stand | BasePlan:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import FlexoptError
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
@@ -29,6 +30,7 @@ from flexopt.selection.starts import starting_points
 TIE_TOLERANCE = 1e-9
 
 
+@in_turn
 def select(
     machine: AnyMachine,
     target: Any,
@@ -83,6 +85,7 @@ def select(
     return solve_selection(problem, workers=workers, progress=progress)
 
 
+@in_turn
 def solve_selection(
     problem: SelectionProblem, *, workers: int | None = None, progress: Progress | None = None
 ) -> Selection:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence, batch
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -104,6 +105,7 @@ class Ensemble:
         )
 
 
+@in_turn
 def simulate_ensemble(
     machine: AnyMachine,
     posture: Any = None,

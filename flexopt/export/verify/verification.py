@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import InputError
 from flexopt.export.bundle import (
     MANIFEST,
@@ -132,6 +133,7 @@ class Verification:
         self.page.write_text(report_html(self), encoding="utf-8")
 
 
+@in_turn
 def verify_bundle(
     folder: str | Path,
     *,

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector, shown
@@ -50,6 +51,7 @@ BETWEEN = 8
 BASE_RATE, DURATION = 0.25, 10.0
 
 
+@in_turn
 def plan_base(
     machine: AnyMachine,
     path: Any,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector, shown
@@ -27,6 +28,7 @@ BASES = 401, 512
 SAME_BASE = 1e-4
 
 
+@in_turn
 def select_stand(
     machine: AnyMachine,
     targets: Any,
