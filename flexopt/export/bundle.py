@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import ExportError, Fault, InputError, raise_if_any
 from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
 from flexopt.export.extras import Extras
@@ -89,6 +90,7 @@ class ExportReport:
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
 
+@in_turn
 def export_c(
     machine: AnyMachine,
     folder: str | Path,

@@ -18,6 +18,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, InputError, ModelError
 from flexopt.model.arguments import Arguments
 from flexopt.model.constraints import read_constraints
@@ -337,6 +338,7 @@ def public(
         checks = {name: own[name] if name in own else TABLE[name] for name in parameters}
 
         @wraps(function)
+        @in_turn
         def checked(*args: P.args, **kwargs: P.kwargs) -> T:
             try:
                 bound = signature.bind(*args, **kwargs)

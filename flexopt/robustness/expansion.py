@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 
@@ -21,7 +22,7 @@ from flexopt.robustness.residues import measure, rank_one_measure
 NAMES = ["base", "posture", "p", "held", "alpha"]
 # `held` is a constant to CasADi but changes with the posture: a derivative taken of such a Function would be wrong, so
 # that none can be taken.
-NO_DERIVATIVES = dict.fromkeys(("enable_forward", "enable_reverse", "enable_jacobian", "enable_fd"), False)
+NO_DERIVATIVES: dict[str, Any] = dict.fromkeys(("enable_forward", "enable_reverse", "enable_jacobian", "enable_fd"), False)
 NO_DERIVATIVES["never_inline"] = True
 
 

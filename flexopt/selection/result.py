@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from flexopt.compiled.turns import TURN
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready
 from flexopt.robustness.evaluation import Evaluation
@@ -59,9 +60,15 @@ class Candidate:
     evaluate: Callable[[], Evaluation] = field(repr=False, compare=False)
     continuum: tuple[tuple[float, ...], ...] = ()
 
-    @cached_property
+    @property
     def evaluation(self) -> Evaluation:
         """Every measure there; computed when first asked for."""
+        # The turn first, the property's own lock inside it.
+        with TURN:
+            return self._evaluation
+
+    @cached_property
+    def _evaluation(self) -> Evaluation:
         return self.evaluate()
 
     def to_dict(self) -> dict[str, Any]:

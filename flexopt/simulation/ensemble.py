@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -143,6 +144,7 @@ class Ensemble:
         )
 
 
+@in_turn
 def simulate_ensemble(
     machine: AnyMachine,
     posture: Any = None,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import InputError
 from flexopt.model import Experiment
 from flexopt.plant import inverse_kinematics
@@ -15,6 +16,7 @@ from flexopt.simulation.run import simulate
 from flexopt.simulation.trajectory import Trajectory
 
 
+@in_turn
 def run_experiment(experiment: Experiment, **overrides: Any) -> Trajectory:
     """Run what a file describes.
 

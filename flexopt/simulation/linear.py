@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import InputError
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -111,6 +112,7 @@ class StabilityBorder:
         return self.intervals[0][1] if self.intervals else None
 
 
+@in_turn
 def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> SampledLoop:
     """Multipliers of the loop that `simulate` runs, at its equilibrium.
 
@@ -129,6 +131,7 @@ def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> Sa
     return linearised(linear_scenario(machine, {"posture": posture, **options}, "sampled_loop"))
 
 
+@in_turn
 def stability_border(
     machine: AnyMachine, posture: Any = None, *, ratio: float | None = None, **options: Any
 ) -> StabilityBorder:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.compiled import Batch, Recurrence, batch, recurrence
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -32,6 +33,7 @@ RESIDUAL_MAX = 1e-10
 NEAR_SINGULAR = 1e-3
 
 
+@in_turn
 def simulate(
     machine: AnyMachine,
     posture: Any = None,

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.coprime import gap, nu_gap
 from flexopt.errors import FlexoptError
 from flexopt.model import Machine
@@ -109,6 +110,7 @@ class GapSweep:
         return document | {"holds_at_own_damping": self.holds_at_own_damping, "sentence": self.sentence}
 
 
+@in_turn
 def sweep_gaps(
     machine: Machine,
     postures: Mapping[str, Vector],

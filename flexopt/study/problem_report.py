@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.model import AnyMachine, Experiment, Problem
 from flexopt.model.arguments import Vector
@@ -185,6 +186,7 @@ def machine_document(machine: AnyMachine) -> dict[str, Any]:
     }
 
 
+@in_turn
 def report(
     problem: Problem | SelectionProblem,
     *,

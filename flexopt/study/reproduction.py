@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready, provenance
@@ -169,6 +170,7 @@ def _row(values: Any) -> str:
     return ", ".join(f"{value:.4f}" for value in values)
 
 
+@in_turn
 def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None = None) -> Reproduction:
     """Compute everything.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from typing import Any, cast
 
+from flexopt.compiled.turns import in_turn
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments
 from flexopt.model.documents import provenance
@@ -25,6 +26,7 @@ POINTS, MANY_PASSIVE, FEW_POINTS = (400, 400), 3, (60, 60)
 THREADS_MAX = 1024
 
 
+@in_turn
 def map_workspace(
     machine: AnyMachine,
     *,

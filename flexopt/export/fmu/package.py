@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 from flexopt.compiled.accelerated import level_for
 from flexopt.compiled.compilers import CompilationFailed, find_compiler, library_suffix
 from flexopt.compiled.storage import scratch
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import CompilerNotFound, ExportError, Fault, InputError, raise_if_any
 from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
@@ -87,6 +88,7 @@ class FmuReport:
         return "\n".join([*lines, f"  reference trajectory: {self.reference}"])
 
 
+@in_turn
 def export_fmu(
     machine: AnyMachine,
     path: str | Path,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from flexopt.compiled.turns import in_turn
 from flexopt.errors import InputError
 from flexopt.export.bundle import (
     MANIFEST,
@@ -132,6 +133,7 @@ class Verification:
         write_files({self.page.with_suffix(".json"): text, self.page: report_html(self)})
 
 
+@in_turn
 def verify_bundle(
     folder: str | Path,
     *,
