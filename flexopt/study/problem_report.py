@@ -23,9 +23,8 @@ from flexopt.model.simulation import SimulationOptions
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
-from flexopt.simulation import SampledLoop, Trajectory, sampled_loop, simulate
+from flexopt.simulation import SampledLoop, Trajectory, simulate
 from flexopt.simulation.scenario import checked_options
-from flexopt.study.closed_loops import hertz
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
 from flexopt.study.points import Progress
@@ -46,11 +45,15 @@ class Loop:
     """The closed loop in one configuration: the nonlinear run, and the poles of the sampled linear loop."""
 
     run: Trajectory
-    linear: SampledLoop | None
+
+    @property
+    def linear(self) -> SampledLoop | None:
+        """The linear loop, exact between the samples; None where there is none."""
+        return self.run.linear
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers: growth rates in 1/s, frequency in Hz."""
-        linear = self.linear and {"growth_rate": self.linear.growth_rate, "frequency_hz": hertz(self.linear)}
+        linear = self.linear and {"growth_rate": self.linear.growth_rate, "frequency_hz": self.linear.frequency_hz}
         return {"run": self.run.to_dict(), "linear": linear}
 
 
@@ -233,9 +236,8 @@ def report(
     for name, stand in stands.items():
         run = _attempt(notes, f"the closed loop, {name}", lambda s=stand: _run(machine, s, given))
         if run is not None:
-            linear = _attempt(notes, f"the linear loop, {name}", lambda s=stand: _linear(machine, s, given))
-            loops[name] = Loop(run, linear)
-            notes += _too_short(name, loops[name])
+            loops[name] = Loop(run)
+            notes += _undecided(name, run)
     stages.next()
     borders: list[BorderRow] = []
     for name in loops:
@@ -315,23 +317,14 @@ def _inside(low: float, high: float) -> float:
     return float(np.clip(0.0, low, high))
 
 
-def _too_short(name: str, loop: Loop) -> list[str]:
-    """A note where the run does not yet show what the linear loop does in the end."""
-    if loop.linear is None or loop.linear.stable == (loop.run.verdict == "converges"):
-        return []
-    rate, grows = loop.linear.growth_rate, loop.run.verdict
-    return [
-        f"the closed loop, {name}: the run of {loop.run.time[-1]:g} s {grows}, but the sampled linear loop says "
-        f"{rate:+.3g}/s: the run is too short, or too large, to show it"
-    ]
+def _undecided(name: str, run: Trajectory) -> list[str]:
+    """A note where run and linear loop together do not say what becomes of the oscillation."""
+    said = run.verdict_reason
+    return [f"the closed loop, {name}: {said}"] if run.verdict == "undecided" or run.linear is None else []
 
 
 def _run(machine: AnyMachine, stand: Evaluation, given: Mapping[str, Any]) -> Trajectory:
     return simulate(machine, stand.posture, base=stand.base, **given)
-
-
-def _linear(machine: AnyMachine, stand: Evaluation, given: Mapping[str, Any]) -> SampledLoop:
-    return sampled_loop(machine, stand.posture, base=stand.base, **given)
 
 
 def _borders(machine: AnyMachine, name: str, stand: Evaluation, given: dict[str, Any]) -> list[BorderRow]:
@@ -340,6 +333,7 @@ def _borders(machine: AnyMachine, name: str, stand: Evaluation, given: dict[str,
     if options.feedback != "pd":
         return []
     kp, kv = float(options.kp[0]), float(options.kv[0])
-    rest = {n: v for n, v in given.items() if n not in ("kp", "kv")} | {"integrator": options.integrator}
+    # The loop itself, whatever integrates the runs.
+    rest = {n: v for n, v in given.items() if n not in ("kp", "kv", "integrator", "substeps")}
     ratios = (None, *([kv / kp] if kp > 0 else []))
     return [border_row(machine, name, stand, rest, ratio, kv) for ratio in ratios]

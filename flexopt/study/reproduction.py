@@ -221,7 +221,7 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
     at_b = {name: q for name, q in named.items() if name.startswith("B")}
     contradictions = (
         findings.posture_b(table),
-        findings.below_maximum(machine, maps["inverse"], gain),
+        findings.below_maximum(lines, maps["inverse"]),
         findings.union(maps["inverse"]),
         findings.semidefinite(table, maps["inverse"], maps["transpose"]),
         findings.gain_independent(machine, named, gain),
@@ -231,7 +231,7 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
         loop_findings.integration_step(loops, gain_map),
     )
     claims = (
-        findings.same_shape(lines),
+        findings.same_shape(tuple(curves[control, "up"] for control in CONTROLS)),
         findings.many_in_phase(maps["inverse"]),
         findings.passive(selection, rigid),
         findings.features((maps["transpose"], maps["inverse"])),
