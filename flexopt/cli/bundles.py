@@ -36,7 +36,9 @@ from flexopt.model.arguments import Arguments
 @GAIN
 @option("--baked", is_flag=True, help="The machine's parameters as constants.")
 @option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (1 by default).")
-@option("--limit-allowance-deg", metavar="DEG", help="How far measured hinges may lie beyond their limits (5 by default).")
+@option(
+    "--limit-allowance-deg", metavar="DEG", help="How far measured hinges may lie beyond their limits (5 by default)."
+)
 @option("--limit-allowance-m", metavar="M", help="The same of slides (0.05 by default).")
 @option("--prefix", metavar="NAME", help="Of every C name (from the machine's name by default).")
 @option("--overwrite", is_flag=True, help="Replace a bundle of which files were changed by hand, too.")

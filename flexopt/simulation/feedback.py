@@ -50,7 +50,7 @@ def nullspace_torque(jacobian: ca.SX, rates: ca.SX, damping: ca.SX) -> ca.SX:
 
 
 def self_motion_damping(jacobian: NDArray[np.float64], mass: NDArray[np.float64], decay: float) -> float:
-    """d with which the fastest self-motion decays like exp(−decay t): decay / λmax(Nᵀ M_a⁻¹ N), N the null space of Jv.
+    """D with which the fastest self-motion decays like exp(−decay t): decay / λmax(Nᵀ M_a⁻¹ N), N the null space of Jv.
 
     Args:
         jacobian: Jv (n_task, n), n > n_task.
