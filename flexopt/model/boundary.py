@@ -351,7 +351,7 @@ def public(
             for name, check in checks.items():
                 default = parameters[name].default
                 if name not in given or (given[name] is None and default is None):
-                    values[name] = default
+                    values[name] = {} if parameters[name].kind is parameters[name].VAR_KEYWORD else default
                     continue
                 noted = len(arguments.faults)
                 values[name] = check(arguments, name, given[name])

@@ -19,18 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence
-from flexopt.compiled.turns import in_turn
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.errors import Fault, InputError
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import array as array_of
+from flexopt.model.boundary import of_machine, path, public, words
 from flexopt.model.documents import json_ready, provenance, write_netcdf
 from flexopt.model.parameter_ranges import parameter_range
+from flexopt.model.plain import shown
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
 from flexopt.simulation.run import check_residual, moves, runners
-from flexopt.simulation.scenario import build_scenario, checked_options
+from flexopt.simulation.scenario import OPTIONS, build_scenario, checked_options, note_options
 from flexopt.simulation.verdict import Verdict, judge
 
 if TYPE_CHECKING:
@@ -119,6 +121,7 @@ class Ensemble:
         finite = values[np.isfinite(values)]
         return np.percentile(finite, [5, 50, 95]).tolist() if finite.size else [math.nan] * 3
 
+    @public(path=path(parent=True))
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset and the provenance to a netCDF file.
 
@@ -144,7 +147,39 @@ class Ensemble:
         )
 
 
-@in_turn
+def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> dict[str, Vector]:
+    """The arrays, all with the same number of rows."""
+    plant = build_plant(machine)
+    parameters = {parameter.name: parameter.unit for parameter in machine.parameters}
+    widths: dict[str, tuple[int, ...]] = {
+        "offset": (plant.n_actuated,), "deflection": (plant.n_passive,), "rates": (plant.n_coordinates,),
+        "kp": (0, plant.n_task), "kv": (0, plant.n_task), "ki": (0, plant.n_task),
+    }  # fmt: skip
+    widths |= dict.fromkeys(parameters, (0,))
+    arrays: dict[str, Vector] = {}
+    if not isinstance(value, Mapping) or not value:
+        arguments.note(field, "must be a dictionary of arrays, one row for each member", value)
+        return arrays
+    for name, given in cast(Mapping[Any, Any], value).items():
+        where = f"{field}[{shown(name)}]"
+        if name not in widths:
+            words = ", ".join([*list(widths)[:6], "or a parameter of the machine: " + ", ".join(parameters)])
+            arguments.faults.append(Fault(where, f"is not something that varies; known are {words}"))
+            continue
+        shapes = [("members",) if width == 0 else ("members", width) for width in widths[name]]
+        array = array_of(*shapes)(arguments, where, given)
+        if array is not None and not len(array):
+            arguments.note(where, "must have one row for each member", given)
+        elif array is not None:
+            arguments.faults += _range_faults(machine, name, array)
+            arrays[name] = array
+    lengths = {name: len(array) for name, array in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        arguments.faults.append(Fault(field, f"needs one number of members, not {lengths}"))
+    return arrays
+
+
+@public(together=note_options, vary=of_machine(_vary), keep=words("measures", "trajectories"), **OPTIONS)
 def simulate_ensemble(
     machine: AnyMachine,
     posture: Any = None,
@@ -174,7 +209,7 @@ def simulate_ensemble(
     With noise every member draws its own, from `seed` and its number.
     """
     checked = checked_options("simulate_ensemble", machine, {"posture": posture, **options})
-    varied = _checked(machine, vary, keep, threads)
+    varied = dict[str, Vector](vary)
     n = len(next(iter(varied.values())))
     names = [parameter.name for parameter in machine.parameters]
     zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
@@ -312,50 +347,6 @@ def _dataset(plan: Plan, varied: Mapping[str, Vector], shares: list[_Share]) -> 
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _checked(machine: AnyMachine, vary: Any, keep: Any, threads: Any) -> dict[str, NDArray[np.float64]]:
-    """The arrays, all with the same number of rows, or one error with every fault."""
-    plant, faults = build_plant(machine), list[Fault]()
-    parameters = {parameter.name: parameter.unit for parameter in machine.parameters}
-    widths: dict[str, tuple[int, ...]] = {
-        "offset": (plant.n_actuated,), "deflection": (plant.n_passive,), "rates": (plant.n_coordinates,),
-        "kp": (0, plant.n_task), "kv": (0, plant.n_task), "ki": (0, plant.n_task),
-    }  # fmt: skip
-    widths |= dict.fromkeys(parameters, (0,))
-    arrays: dict[str, Vector] = {}
-    if not isinstance(vary, Mapping) or not vary:
-        faults.append(Fault("vary", "must be a dictionary of arrays, one row for each member"))
-        vary = {}
-    for name, value in cast(Mapping[Any, Any], vary).items():
-        if name not in widths:
-            words = ", ".join([*list(widths)[:6], "or a parameter of the machine: " + ", ".join(parameters)])
-            faults.append(Fault(f"vary[{name!r}]", f"is not something that varies; known are {words}"))
-            continue
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            faults.append(Fault(f"vary[{name!r}]", "must be numbers, as many in each row"))
-            continue
-        width = array.shape[1] if array.ndim == 2 else 0
-        if array.ndim not in (1, 2) or width not in widths[name] or not len(array):
-            shapes = " or ".join("(members,)" if w == 0 else f"(members, {w})" for w in widths[name])
-            faults.append(Fault(f"vary[{name!r}]", f"must have the shape {shapes}, not {array.shape}"))
-        elif not np.all(np.isfinite(array)):
-            row = int(np.argmin(np.isfinite(array).reshape(len(array), -1).all(axis=1)))
-            faults.append(Fault(f"vary[{name!r}]", f"must be finite; row {row} is not"))
-        else:
-            faults += _range_faults(machine, name, array)
-            arrays[name] = array
-    lengths = {name: len(array) for name, array in arrays.items()}
-    if len(set(lengths.values())) > 1:
-        faults.append(Fault("vary", f"needs one number of members, not {lengths}"))
-    if keep not in ("measures", "trajectories"):
-        faults.append(Fault("keep", "must be measures or trajectories", repr(keep)))
-    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-        faults.append(Fault("threads", "must be a whole number of at least 1", repr(threads)))
-    raise_if_any(InputError, "simulate_ensemble", faults)
-    return arrays
 
 
 def _range_faults(machine: AnyMachine, name: str, array: Vector) -> list[Fault]:

@@ -17,14 +17,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.compiled.turns import in_turn
 from flexopt.errors import InputError
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import number, public
 from flexopt.model.simulation import SimulationOptions, dead_time
 from flexopt.plant import build_plant
 from flexopt.simulation.loop import closed_loop
-from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
+from flexopt.simulation.scenario import OPTIONS, Scenario, build_scenario, checked_options
 from flexopt.simulation.structure import LoopStructure
 from flexopt.simulation.tangent import Tangent, still, tangent
 
@@ -112,7 +112,12 @@ class StabilityBorder:
         return self.intervals[0][1] if self.intervals else None
 
 
-@in_turn
+def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    options = {"posture": given["posture"], **given["options"]}
+    arguments.collect("", lambda: linear_options(arguments.of, options, arguments.call))
+
+
+@public(together=_note, **OPTIONS)
 def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> SampledLoop:
     """Multipliers of the loop that `simulate` runs, at its equilibrium.
 
@@ -131,7 +136,7 @@ def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> Sa
     return linearised(linear_scenario(machine, {"posture": posture, **options}, "sampled_loop"))
 
 
-@in_turn
+@public(together=_note, ratio=number("s", low=0.0, high=1e9), **OPTIONS)
 def stability_border(
     machine: AnyMachine, posture: Any = None, *, ratio: float | None = None, **options: Any
 ) -> StabilityBorder:
@@ -258,9 +263,17 @@ def _drifting(scenario: Scenario, values: NDArray[np.complex128], vectors: Any, 
 
 def linear_scenario(machine: AnyMachine, given: Mapping[str, Any], call: str) -> Scenario:
     """A scenario without what vanishing motions do not feel; exact where no integrator is asked for."""
-    exact = given.get("integrator") in (None, EXACT)
-    rest = {name: value for name, value in given.items() if not (exact and name in ("integrator", "substeps"))}
-    return bare_scenario(machine, checked_options(call, machine, rest, any_delay=exact), exact=exact)
+    options, exact = linear_options(machine, given, call)
+    return bare_scenario(machine, options, exact=exact)
+
+
+def linear_options(machine: AnyMachine | None, given: Mapping[str, Any], call: str) -> tuple[SimulationOptions, bool]:
+    """Checked options, and whether the loop is advanced exactly, in which there are no substeps."""
+    method = given.get("integrator")
+    exact = method is None or (isinstance(method, str) and method == EXACT)
+    rest = {name: value for name, value in given.items() if not (exact and name == "integrator")}
+    options = checked_options(call, machine, rest, any_delay=exact)
+    return options.model_copy(update={"substeps": None}) if exact else options, exact
 
 
 def bare_scenario(

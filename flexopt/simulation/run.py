@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from flexopt.compiled import Batch, Recurrence, batch, recurrence
-from flexopt.compiled.turns import in_turn
 from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import public
 from flexopt.model.documents import provenance
 from flexopt.model.problem import Control, Elbow, control_damping
 from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor
@@ -22,7 +22,7 @@ from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
 from flexopt.simulation.levers import feeble_levers
 from flexopt.simulation.loop import baked, closed_loop
-from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
+from flexopt.simulation.scenario import OPTIONS, Scenario, build_scenario, checked_options, note_options
 from flexopt.simulation.structure import LoopStructure
 from flexopt.simulation.trajectory import Trajectory
 from flexopt.simulation.verdict import Ended
@@ -33,7 +33,7 @@ RESIDUAL_MAX = 1e-10
 NEAR_SINGULAR = 1e-3
 
 
-@in_turn
+@public(together=note_options, **OPTIONS)
 def simulate(
     machine: AnyMachine,
     posture: Any = None,

@@ -17,6 +17,7 @@ import numpy as np
 from flexopt.errors import InputError, NoSolutionFound, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import Check, anything
 from flexopt.model.faults import read_table, validated
 from flexopt.model.problem import Control, control_damping, control_method
 from flexopt.model.simulation import Path, SimulationOptions, dead_time
@@ -144,12 +145,28 @@ def _place(motion: Motion, base: Vector) -> Vector:
     return np.array(motion.on_rows(base.tolist(), 0.0))
 
 
-def checked_options(call: str, machine: Any, given: Mapping[str, Any], *, any_delay: bool = False) -> SimulationOptions:
-    """Options of a call, or one error with every fault; `any_delay`: dead times need be no whole samples."""
+# Arguments that are options of a loop: `checked_options` checks them together.
+OPTIONS: dict[str, Check] = dict.fromkeys((*SimulationOptions.model_fields, "options"), anything)
+
+
+def note_options(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """Note the faults of a call's options of a loop."""
+    named = {name: value for name, value in given.items() if name in SimulationOptions.model_fields}
+    options = named | given.get("options", {})
+    arguments.collect("", lambda: checked_options(arguments.call, arguments.of, options))
+
+
+def checked_options(
+    call: str, machine: AnyMachine | None, given: Mapping[str, Any], *, any_delay: bool = False
+) -> SimulationOptions:
+    """Options of a call, or one error with every fault; without a machine, with those that need none.
+
+    `any_delay`: dead times need be no whole samples.
+    """
     table = {name: value for name, value in given.items() if value is not None}
-    machine = Arguments(call).machine(machine)
     options = validated(SimulationOptions, read_table(table, call, "[simulation]", InputError), call, (), InputError)
-    raise_if_any(InputError, call, options.faults(machine, any_delay=any_delay) + path_faults(machine, options))
+    if machine is not None:
+        raise_if_any(InputError, call, options.faults(machine, any_delay=any_delay) + path_faults(machine, options))
     return options
 
 
