@@ -7,7 +7,6 @@ runs and base trajectories, and the poles of the sampled linear loop beside them
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -204,35 +203,32 @@ def close_loops(machine: Machine, stands: Mapping[str, Evaluation]) -> ClosedLoo
     pairs: tuple[tuple[dict[str, float], float], ...]
     pairs = (({"kp": kp, "kv": kv}, FIGURE_9_SECONDS), (LOW_GAINS, LOW_SECONDS))
     a = stands["A"]
-    with ThreadPoolExecutor(1) as aside:
-        # Most of this is the compiler's time.
-        robust = aside.submit(_robust_rows, machine, a, given)
-        moving: dict[str, Any] = law.model_dump() | {"base": a.base, "control": options.control, "rate": options.rate}
-        free: dict[str, Any] = moving | {"base_range": None, "rate": CLIMB_HZ}
-        stopped = nullspace_trajectory(machine, a.posture, **moving | stop)
-        climb = nullspace_trajectory(machine, a.posture, **free)
-        rows = tuple(
-            _row(machine, name, stand, gains, given | {"duration": seconds})
-            for gains, seconds in pairs
-            for name, stand in stands.items()
-        )
-        driven: dict[str, Any] = given | pairs[0][0] | {"base": a.base, "duration": FIGURE_11_SECONDS}
+    moving: dict[str, Any] = law.model_dump() | {"base": a.base, "control": options.control, "rate": options.rate}
+    free: dict[str, Any] = moving | {"base_range": None, "rate": CLIMB_HZ}
+    stopped = nullspace_trajectory(machine, a.posture, **moving | stop)
+    climb = nullspace_trajectory(machine, a.posture, **free)
+    rows = tuple(
+        _row(machine, name, stand, gains, given | {"duration": seconds})
+        for gains, seconds in pairs
+        for name, stand in stands.items()
+    )
+    driven: dict[str, Any] = given | pairs[0][0] | {"base": a.base, "duration": FIGURE_11_SECONDS}
 
-        def run(**more: Any) -> Trajectory:
-            options: dict[str, Any] = driven | {"base_path": stopped.path} | more
-            return simulate(machine, a.posture, **options)
+    def run(**more: Any) -> Trajectory:
+        options: dict[str, Any] = driven | {"base_path": stopped.path} | more
+        return simulate(machine, a.posture, **options)
 
-        return ClosedLoops(
-            stated=stated,
-            stands=dict(stands),
-            rows=rows,
-            stopped=stopped,
-            climb=climb,
-            adjustment={WITH: run(), WITHOUT: run(base_path=None)},
-            low_adjustment=run(**LOW_GAINS, duration=LOW_SECONDS),
-            from_rest=run(offset=[0.0] * a.posture.size),
-            robust=robust.result(),
-        )
+    return ClosedLoops(
+        stated=stated,
+        stands=dict(stands),
+        rows=rows,
+        stopped=stopped,
+        climb=climb,
+        adjustment={WITH: run(), WITHOUT: run(base_path=None)},
+        low_adjustment=run(**LOW_GAINS, duration=LOW_SECONDS),
+        from_rest=run(offset=[0.0] * a.posture.size),
+        robust=_robust_rows(machine, a, given),
+    )
 
 
 def _row(machine: Machine, name: str, stand: Evaluation, gains: dict[str, float], given: dict[str, Any]) -> LoopRow:

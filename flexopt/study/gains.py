@@ -6,7 +6,6 @@ In: a machine and postures to stand in. Out: a `GainMap`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -205,17 +204,11 @@ def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mappin
     given: dict[str, Any] = {name: stated[name] for name in ("control", "feedback", "rate", "integrator")}
     kp, kv = np.geomspace(*KP, POINTS), np.geomspace(*KV, POINTS)
     tested_kp, tested_kv = kp[::EVERY], kv[::EVERY]
-    with ThreadPoolExecutor(1) as aside:
-        # Much of this is the compiler's time.
-        tested = aside.submit(_verdicts, machine, stands, given, stated["offset"], tested_kp, tested_kv)
-        rates, stated_rates = (
-            [
-                _growth_rates(machine, given | {"base": s.base, "posture": s.posture, "integrator": method}, kp, kv)
-                for s in stands.values()
-            ]
-            for method in (EXACT, given["integrator"])
-        )
-        grows = tested.result()
+    grows = _verdicts(machine, stands, given, stated["offset"], tested_kp, tested_kv)
+    rates = [
+        _growth_rates(machine, given | {"base": stand.base, "posture": stand.posture}, kp, kv)
+        for stand in stands.values()
+    ]
     methods = (str(given["integrator"]), EXACT)
     borders = tuple(
         border_row(machine, name, stands[name], given | {"integrator": method}, ratio)
