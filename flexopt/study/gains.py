@@ -205,10 +205,13 @@ def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mappin
     kp, kv = np.geomspace(*KP, POINTS), np.geomspace(*KV, POINTS)
     tested_kp, tested_kv = kp[::EVERY], kv[::EVERY]
     grows = _verdicts(machine, stands, given, stated["offset"], tested_kp, tested_kv)
-    rates = [
-        _growth_rates(machine, given | {"base": stand.base, "posture": stand.posture}, kp, kv)
-        for stand in stands.values()
-    ]
+    rates, stated_rates = (
+        [
+            _growth_rates(machine, given | {"base": s.base, "posture": s.posture, "integrator": method}, kp, kv)
+            for s in stands.values()
+        ]
+        for method in (EXACT, given["integrator"])
+    )
     methods = (str(given["integrator"]), EXACT)
     borders = tuple(
         border_row(machine, name, stands[name], given | {"integrator": method}, ratio)
