@@ -1,8 +1,8 @@
 """Straight-line functions of generated code in which multiplications and the additions after them are one operation.
 
 In: the text of one function as CasADi writes it for an SX graph, a statement a line. Out: the same with `fma`, `fms`
-(x y − z) and `fnma` (z − x y) where they can be, each result in a variable of its own. What compilers fuse depends on how many lanes they work with; chosen here,
-kernels of any width, by any compiler, give the same bits.
+(x y − z) and `fnma` (z − x y) where they can be, each result in a variable of its own. What compilers fuse depends on
+how many lanes they work with; chosen here, kernels of any width, by any compiler, give the same bits.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ RESULT = re.compile(r"  if \(res\[\d+\]!=0\) res\[\d+\]\[\d+\]=[^;]*;$")
 
 _NUMBER = r"-?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _OPERAND = rf"(a\d+|{_NUMBER})"
+_ON_VECTORS = re.compile(rf"\({_OPERAND}[-+*/]{_OPERAND}\)|fn?m[as]\({_OPERAND},{_OPERAND},{_OPERAND}\)|\(-a\d+\)")
+_CONSTANT = re.compile(rf"(?<![\w.]){_NUMBER}(?![\w.])")
 _PRODUCT = re.compile(rf"\({_OPERAND}\*{_OPERAND}\)|casadi_sq\((a\d+)\)")
 _SUM = re.compile(rf"\({_OPERAND}([+-]){_OPERAND}\)")
 
@@ -41,9 +43,13 @@ class Straight:
         return VARIABLE.findall(self.texts[k])
 
     def line(self, k: int) -> str:
-        """A statement as a line of C."""
-        target = self.targets[k]
-        return f"  {target}={self.texts[k]};" if target else self.texts[k]
+        """A statement as a line of C++, whose variables are vectors: structures would take compilers a third longer."""
+        target, text = self.targets[k], self.texts[k]
+        if target is None:
+            return text
+        if _ON_VECTORS.fullmatch(text):
+            return f"  const vec {target}={_CONSTANT.sub(lambda number: f'splat({number[0]})', text)};"
+        return f"  const vec {target}=lane({VARIABLE.sub(lambda name: f'lane({name[0]})', text)}).v;"
 
 
 def straight(function: str) -> Straight | None:

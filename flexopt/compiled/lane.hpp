@@ -101,23 +101,22 @@ INLINE lane sqrt(lane x) {
 // x y + z, rounded once where the processor can; elsewhere a product and a sum.
 #if defined(__ARM_FEATURE_FMA) && defined(__ARM_NEON) && LANES == 2
 #include <arm_neon.h>
-INLINE vec fused(vec x, vec y, vec z) { return (vec)vfmaq_f64((float64x2_t)z, (float64x2_t)x, (float64x2_t)y); }
+INLINE vec fma(vec x, vec y, vec z) { return (vec)vfmaq_f64((float64x2_t)z, (float64x2_t)x, (float64x2_t)y); }
 #elif defined(__FMA__) && LANES == 8
-INLINE vec fused(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd512_mask(x, y, z, -1, 4); }
+INLINE vec fma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd512_mask(x, y, z, -1, 4); }
 #elif defined(__FMA__) && LANES == 4
-INLINE vec fused(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd256(x, y, z); }
+INLINE vec fma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd256(x, y, z); }
 #elif defined(__FMA__) && LANES == 2
-INLINE vec fused(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd(x, y, z); }
+INLINE vec fma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd(x, y, z); }
 #else
-INLINE vec fused(vec x, vec y, vec z) { return x * y + z; }
+INLINE vec fma(vec x, vec y, vec z) { return x * y + z; }
 #endif
-INLINE lane fma(lane x, lane y, lane z) { return fused(x.v, y.v, z.v); }
 #if defined(__FMA__) && LANES == 8 && !defined(__clang__)  // gcc does not join the change of sign to these itself
-INLINE lane fms(lane x, lane y, lane z) { return (vec)__builtin_ia32_vfmsubpd512_mask(x.v, y.v, z.v, -1, 4); }
-INLINE lane fnma(lane x, lane y, lane z) { return (vec)__builtin_ia32_vfnmaddpd512_mask(x.v, y.v, z.v, -1, 4); }
+INLINE vec fms(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmsubpd512_mask(x, y, z, -1, 4); }
+INLINE vec fnma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfnmaddpd512_mask(x, y, z, -1, 4); }
 #else
-INLINE lane fms(lane x, lane y, lane z) { return fused(x.v, y.v, -z.v); }
-INLINE lane fnma(lane x, lane y, lane z) { return fused(-x.v, y.v, z.v); }
+INLINE vec fms(vec x, vec y, vec z) { return fma(x, y, -z); }
+INLINE vec fnma(vec x, vec y, vec z) { return fma(-x, y, z); }
 #endif
 
 // Below 2^52 the sum with 2^52 has no fraction bits left; above, every double is whole already.

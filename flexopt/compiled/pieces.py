@@ -21,9 +21,7 @@ def in_pieces(function: Straight, *, long: int = LONG, piece: int = PIECE) -> st
     """The function's text, in pieces if it has more than `long` statements."""
     count = len(function.texts)
     if count <= long:
-        declared = [name for name in function.targets if name]
-        lines = [f"  casadi_real {', '.join(declared)};"] if declared else []
-        return "\n".join([function.head, *lines, *map(function.line, range(count)), "  return 0;", "}"])
+        return "\n".join([function.head, *map(function.line, range(count)), "  return 0;", "}"])
     edges = [*range(0, count, piece), count]
     needed = _needed(function, edges)
     match = HEAD.fullmatch(function.head)
@@ -32,7 +30,7 @@ def in_pieces(function: Straight, *, long: int = LONG, piece: int = PIECE) -> st
     for k, (start, end) in enumerate(pairwise(edges)):
         own = [target for target in function.targets[start:end] if target]
         carried = sorted(needed[k].intersection(*[{v for i in range(start, end) for v in function.uses(i)}]))
-        read = [f"{v}=s[{place[v]}]" for v in carried]
+        read = [f"  const vec {v}=s[{place[v]}].v;" for v in carried]
         # A place whose value nobody needs any more is free again: pieces read before they write.
         for value in needed[k] - needed[k + 1]:
             free.append(place.pop(value))
@@ -45,8 +43,7 @@ def in_pieces(function: Straight, *, long: int = LONG, piece: int = PIECE) -> st
             f"static __attribute__((noinline)) void {name}_{k}(const casadi_real** arg, casadi_real** res, "
             "casadi_real* s) {"
         )
-        declared = [f"  casadi_real {', '.join([*read, *own])};"] if read or own else []
-        texts += [opening, *declared, *(function.line(i) for i in range(start, end)), *kept, "}"]
+        texts += [opening, *read, *(function.line(i) for i in range(start, end)), *kept, "}"]
     calls = [f"  {name}_{k}(arg, res, s);" for k in range(len(edges) - 1)]
     return "\n".join([*texts, function.head, f"  casadi_real s[{size} + 1];", *calls, "  return 0;", "}"])
 
