@@ -48,7 +48,12 @@ class Records:
 
 
 def recurrence(
-    step: ca.Function, *, fast: ca.Function | None = None, refresh: ca.Function | None = None, every: int = 100
+    step: ca.Function,
+    *,
+    fast: ca.Function | None = None,
+    refresh: ca.Function | None = None,
+    every: int = 100,
+    many: bool = False,
 ) -> Recurrence:
     """The recurrence x_{k+1}, monitor = step(x_k, e_k, c), compiled if that can be, and kept for the next process.
 
@@ -60,11 +65,13 @@ def recurrence(
             with the fast step while its `turn` is NaN.
         refresh: x, c -> d: exact d of a state; needed with `fast`, at the start and every `every` steps.
         every: number of steps between two refreshes.
+        many: whether the first call is for many members, rather than one to four; code for the other is compiled when
+            it is first called, and gives the same bits.
 
     Raises:
         InputError: shapes that do not belong together; `fast` without `refresh` or the reverse; `every` below 1.
     """
-    return Recurrence(step, fast=fast, refresh=refresh, every=every)
+    return Recurrence(step, fast=fast, refresh=refresh, every=every, many=many)
 
 
 class Recurrence:
@@ -82,6 +89,7 @@ class Recurrence:
         fast: ca.Function | None = None,
         refresh: ca.Function | None = None,
         every: int = 100,
+        many: bool = False,
     ) -> None:
         given = {"step": step, "fast": fast, "refresh": refresh}
         functions = {name: function for name, function in given.items() if function is not None}
@@ -89,15 +97,14 @@ class Recurrence:
         self._sizes = checked_functions(functions, every)
         self._every = int(every)
         dense = {name: densified(function) for name, function in functions.items()}
-        self._kernels = {True: _kernel(dense, self._sizes, narrow=True)}
-        if self.compiled:
-            self._kernels[False] = _kernel(dense, self._sizes, narrow=False)
+        self._functions = dense
+        self._kernels = {not many: _kernel(dense, self._sizes, narrow=not many)}
         self._interpreted = Accumulated(dense["step"])
 
     @property
     def compiled(self) -> bool:
         """Whether compiled code runs the recurrence."""
-        return self._kernels[True] is not None
+        return all(kernel is not None for kernel in self._kernels.values())
 
     def __repr__(self) -> str:
         return f"Recurrence({self.step}, {'compiled' if self.compiled else 'CasADi virtual machine'})"
@@ -142,12 +149,19 @@ class Recurrence:
         )  # fmt: skip
         if not n_members:
             return records
-        kernel = self._kernels[n_members <= _FEW or not self.compiled]
+        kernel = self._kernel_for(n_members)
         if kernel is None:
             self._interpret(arguments, records, steps, stride)
         else:
             _run(kernel, _job(arguments, records, steps, stride, self._every), n_members, threads)
         return records
+
+    def _kernel_for(self, n_members: int) -> Callable[..., int] | None:
+        """The loop for so many members, compiled when it is first needed; members give the same bits in each."""
+        narrow = n_members <= _FEW
+        if self.compiled and narrow not in self._kernels:
+            self._kernels[narrow] = _kernel(self._functions, self._sizes, narrow=narrow)
+        return self._kernels[narrow] if self.compiled else None
 
     def _interpret(self, arguments: Sequence[Array], records: Records, steps: int, stride: int) -> None:
         """All members through the virtual machine, one after the other."""

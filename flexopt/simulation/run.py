@@ -143,7 +143,8 @@ def moves(scenario: Scenario) -> bool:
 def _runner(structure: LoopStructure) -> tuple[Recurrence, Batch]:
     loop = closed_loop(structure)
     fast = loop.fast
-    runner = recurrence(loop.step, fast=fast, refresh=loop.refresh if fast else None)
+    refresh = loop.refresh if fast else None
+    runner = recurrence(loop.step, fast=fast, refresh=refresh, many=structure.watched)
     return runner, batch(loop.outputs)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import casadi as ca
 import pytest
 
 import flexopt
@@ -27,14 +26,11 @@ MACHINES = shipped_names("models")
 REGULAR = {"excavator": (0.9929, -2.6306)} | POSTURES
 
 
-def map_measures(machine: AnyMachine) -> ca.Function:
-    return points._measure_function(flexopt.build_measures(machine))
-
-
 BATCHED: dict[str, Callable[[AnyMachine], Batch]] = {
     "w": lambda machine: flexopt.build_measures(machine).quick_batch,
     "w with gradient": lambda machine: flexopt.build_measures(machine).quick_batch_with_gradient,
     "distance from singularity": lambda machine: batch(build_plant(machine).singularity_sine_squared),
+    "measures of maps": lambda machine: batch(points._measure_function(flexopt.build_measures(machine))),
     "task at rest": follow._task_at_rest,
 }
 
@@ -43,16 +39,6 @@ BATCHED: dict[str, Callable[[AnyMachine], Batch]] = {
 @pytest.mark.parametrize("what", BATCHED)
 def test_at_many_points(name: str, what: str) -> None:
     assert BATCHED[what](flexopt.load(name)).compiled == (find_compiler() is not None)
-
-
-@pytest.mark.parametrize("name", MACHINES)
-def test_measures_of_maps(name: str) -> None:
-    """Large graphs are left to the virtual machine, which is done before a compiler would be; small ones never."""
-    function = map_measures(flexopt.load(name))
-    found = points._many(function)
-    small = function.n_instructions() <= points.COMPILED_MAX
-    assert isinstance(found, Batch) == small
-    assert not small or found.compiled == (find_compiler() is not None)
 
 
 @pytest.mark.parametrize(("name", "control"), [*((name, "inverse") for name in MACHINES), ("excavator", "transpose")])
