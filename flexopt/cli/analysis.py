@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -36,8 +36,10 @@ from flexopt.model.arguments import Arguments
 from flexopt.model.problem import ELBOWS
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import evaluate
-from flexopt.selection import BasePlan, Selection, Stand, plan_base, select, select_stand
 from flexopt.writing import write_file
+
+if TYPE_CHECKING:
+    from flexopt.selection import BasePlan, Selection, Stand
 
 
 @click.command("evaluate", short_help="Frequencies, measures w_i and gradients in one posture.")
@@ -142,6 +144,8 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
     if as_json:
         print_json(result.to_dict())
     else:
+        from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
+
         click.echo(_selection_text(result) if isinstance(result, Selection) else repr(result))
 
 
@@ -184,6 +188,8 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]
 
 
 def _solver(settings: dict[str, Any]) -> Callable[..., Selection | Stand | BasePlan]:
+    from flexopt.selection import plan_base, select, select_stand  # noqa: PLC0415  (`evaluate` does not need it)
+
     return select_stand if "targets" in settings else plan_base if "path" in settings else select
 
 

@@ -13,7 +13,8 @@ from flexopt.model.table_quantities import check_place, check_polygon, check_spa
 class FileModel(BaseModel):
     """Common to every table of a file: closed (no unknown key), frozen, strict."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    # Built when first used: a process that reads a machine needs no schema of problems.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
 
 
 class Payload(FileModel):

@@ -100,6 +100,6 @@ def _postures(machine: AnyMachine) -> list[Array]:
     low = np.array([max(limits[0], -r) for limits, r in zip(machine.limits, units, strict=True)])
     high = np.array([min(limits[1], r) for limits, r in zip(machine.limits, units, strict=True)])
     low, high = np.minimum(low, high), np.maximum(low, high)
-    rng = np.random.default_rng(0)
-    middle = (low + high) / 2
-    return [middle, *(rng.uniform(low, high) for _ in range(POSTURES - 1))]
+    # Spread evenly by multiples of irrational numbers, as random ones would be: numpy.random takes longer to import.
+    irrational = np.sqrt(2.0 + np.arange(len(low)) * 3.0)
+    return [(low + high) / 2, *(low + (high - low) * np.modf(k * irrational)[0] for k in range(1, POSTURES))]
