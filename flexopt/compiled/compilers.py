@@ -258,6 +258,8 @@ def _run(arguments: list[str], folder: Path, seconds: float) -> None:
     ended.start()
     with _lock:
         _running.add(process)
+    if _stopping.is_set():
+        _end(process)
     try:
         assert process.stdout is not None
         while part := os.read(process.stdout.fileno(), 1 << 16):

@@ -13,9 +13,8 @@ import casadi as ca
 # Of an ordinary core of the 2020s; right within a factor of two, which is all that a choice needs.
 OPERATION_SECONDS = 2.5e-9
 COMPILE_SECONDS = 0.25e-3
-# A call whose function is chosen by a number stands for an iteration that may have ended: such a share is made, of
-# doublings more, of Jacobi's sweeps fewer.
-_CHOSEN = 0.5
+# A call whose function is chosen by a number stands for an iteration that may have ended: such a share is made.
+_CHOSEN = 0.25
 
 
 def evaluation_seconds(function: ca.Function) -> float:
@@ -50,7 +49,7 @@ def _executed(function: ca.Function, known: dict[str, float]) -> float:
         total = sum(_of_matrices(function, k, known) for k in range(function.n_instructions()))
     else:
         inner = [_executed(each, known) for each in _called(function)]
-        times = _CHOSEN if function.is_a("Switch") else float(cast(Any, function).info().get("n", 1))
+        times = _CHOSEN if function.class_name() == "Switch" else float(cast(Any, function).info().get("n", 1))
         total = times * max(inner, default=0.0)
     known[name] = total
     return total
@@ -66,7 +65,7 @@ def _of_matrices(function: ca.Function, k: int, known: dict[str, float]) -> floa
         size = float(node.nnz())
     except RuntimeError:  # inputs and outputs, and what has several outputs
         return 0.0
-    return 2 * size * node.dep(1).shape[0] if code == ca.OP_MTIMES else size
+    return 2 * size * node.dep(1).shape[1] if code == ca.OP_MTIMES else size
 
 
 def _called(function: ca.Function) -> list[ca.Function]:

@@ -31,6 +31,7 @@ from flexopt.writing import fresh_folder, write_file
 MEGABYTES = 512.0
 # Pruning leaves this share of the limit, and nothing that was used in the last seconds.
 _LEFT, _RECENT = 0.8, 60.0
+_FORGOTTEN = 86400.0
 # Longer than any compilation may take: the process that has a key's lock may be stopped.
 _PATIENCE = 180.0
 _IN_USE = ".lock"
@@ -252,7 +253,11 @@ def _prune(root: Path) -> None:
     """Remove what has lain unused longest where the folder has grown beyond its bound."""
     most = 1e6 * _megabytes()
     with contextlib.suppress(OSError):
-        found = [(path.stat(), path) for path in root.rglob("*") if path.is_file() and not path.name.startswith(".")]
+        for path in root.glob(".lock-*"):  # of processes that were killed
+            if time.time() - path.stat().st_mtime > _FORGOTTEN:
+                path.unlink()
+        paths = [path for path in root.rglob("*") if not any(p.startswith(".") for p in path.relative_to(root).parts)]
+        found = [(path.stat(), path) for path in paths if path.is_file()]
         size = sum(status.st_size for status, _ in found)
         if size <= most:
             return

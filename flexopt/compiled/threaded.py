@@ -30,7 +30,8 @@ class Interpreter:
         """
         given = [np.asarray(array, dtype=np.float64) for array in arrays]
         inputs = [array.reshape(-1, 1) if array.ndim < 2 else array for array in given]
-        count = max(array.shape[1] for array in inputs)
+        lengths = {array.shape[1] for array in inputs} - {1}
+        count = lengths.pop() if lengths else 1
         function = self.function
         outputs = [np.empty((function.numel_out(k), count)) for k in range(function.n_out())]
         edges = [count * k // threads for k in range(threads + 1)]
