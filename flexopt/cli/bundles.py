@@ -28,7 +28,19 @@ from flexopt.model import load
 from flexopt.model.arguments import Arguments
 
 
-@click.command("export", short_help="C for the machine's controller, or an FMU of its loop.")
+class _WithParts(click.Command):
+    """Its help names the parts of a bundle."""
+
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Fill in the parts where they are asked for: they stand on everything that is exported."""
+        from flexopt.export import PARTS  # noqa: PLC0415  (only this help needs it)
+
+        named = ", ".join(f"{name} ({part.title})" for name, part in PARTS.items())
+        self.help = (self.help or "").replace("{parts}", named)
+        super().format_help_text(ctx, formatter)
+
+
+@click.command("export", cls=_WithParts, short_help="C for the machine's controller, or an FMU of its loop.")
 @click.argument("machine")
 @option("--out", metavar="DIR", help="Folder to write; one that exists is replaced if it is an unchanged bundle.")
 @option("--parts", metavar="A,B,…", help="Some of those named above; by default all that the machine allows.")
@@ -38,7 +50,7 @@ from flexopt.model.arguments import Arguments
 @option("--baked", is_flag=True, help="The machine's parameters as constants.")
 @option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (1 by default).")
 @option(
-    "--limit-allowance-deg", metavar="DEG", help="How far measured hinges may lie beyond their limits (5 by default)."
+    "--limit-allowance-deg", metavar="DEG", help="How far beyond its limits a hinge may be measured (5 by default)."
 )
 @option("--limit-allowance-m", metavar="M", help="The same of a slide (0.05 by default).")
 @option("--prefix", metavar="NAME", help="Of every C name (from the machine's name by default).")
@@ -48,9 +60,7 @@ from flexopt.model.arguments import Arguments
 def export_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
     """C for the controller of MACHINE (a name or a file): a folder that compiles and explains itself.
 
-    Parts: kinematics (end-point, Jacobians), controller (control step), measures (w_i, V, gradient), nullspace (step of
-    base and joints), margin (ε_max), optimiser (placement and posture), simulator (one step of the machine, for
-    hardware in the loop). With --fmu, an FMU of the closed loop instead.
+    Parts: {parts}. With --fmu, an FMU of the closed loop instead.
     """
     _check_kind(options | {"out": out})
     if options["fmu"] is not None:

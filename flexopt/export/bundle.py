@@ -108,11 +108,9 @@ def export_c(
 ) -> ExportReport:
     """C for the controller of a machine: a folder with one file for each part.
 
-    Parts: kinematics, control step, lever map, measures w_i, nullspace step, ε_max, the posture optimiser, the
-    machine's own step.
-
-    The generated code is that of the CasADi Functions which `evaluate` and `select` use, wrapped in functions that
-    check their inputs. Every number of the machine is a run-time parameter unless `baked`.
+    Its parts are those of `flexopt.export.PARTS`, with their titles. The generated code is that of the CasADi Functions
+    which `evaluate` and `select` use, wrapped in functions that check their inputs. Every number of the machine is a
+    run-time parameter unless `baked`.
 
     Args:
         machine: from `flexopt.load`.

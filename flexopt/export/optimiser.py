@@ -48,7 +48,7 @@ ROUGH = {"double": 1e-4, "float": 1e-2}
 MARGIN_EDGE = {"double": 1e-10, "float": 1e-4}
 # Instructions of an emulated Cortex-M7 (benchmarks/optimiser.py): an operation of a unit of the budget, what a unit
 # takes besides, what a call may take.
-PER_OPERATION, PER_UNIT, INSTRUCTIONS = 2.35, 4200, 4_900_000
+PER_OPERATION, PER_UNIT, INSTRUCTIONS = {"double": 2.35, "float": 2.1}, 4200, 4_900_000
 # Rounding of positions relative to the reach, in units of the precision; how far off its target an answer may be.
 EDGE, TARGET_TOLERANCES = 32, {"double": 128, "float": 8}
 # In double precision Newton's method ends at rounding by itself; in single precision its last step but one is close
@@ -152,7 +152,7 @@ def build_optimiser(
         weights = alpha
     kernels = build_optimiser_kernels(at, measures, weights=weights)
     text = kernel_text(kernels.functions, real, real_type or real)
-    budget = budget or default_budget(kernels)
+    budget = budget or default_budget(kernels, real)
     values = _values(at, measures, kernels, text.kernels, weights is None, real, margin, budget)
     values |= {"p": f"{prefix}_optimiser", "P": f"{prefix}_optimiser".upper(), "real": real_type or real}
     header = _filled(_template("optimiser.h"), values, real)
@@ -190,9 +190,9 @@ def optimiser_refusal(machine: AnyMachine) -> str:
     return ""
 
 
-def default_budget(kernels: OptimiserKernels) -> int:
+def default_budget(kernels: OptimiserKernels, real: Real) -> int:
     """Evaluations of V that cost less than five million instructions of an emulated Cortex-M7."""
-    return BUDGET if kernels.exact_second else int(INSTRUCTIONS / (PER_OPERATION * kernels.unit + PER_UNIT))
+    return BUDGET if kernels.exact_second else int(INSTRUCTIONS / (PER_OPERATION[real] * kernels.unit + PER_UNIT))
 
 
 def _check_budget(value: Any) -> int:
