@@ -74,6 +74,20 @@ class PostureMargin:
     residual: float
     warning: str
 
+    @property
+    def status(self) -> str:
+        """`"computed"`, `"not stabilizable"` or `"not computed"`."""
+        if self.epsilon_max is not None:
+            return "computed"
+        return "not stabilizable" if self.unstabilizable else "not computed"
+
+
+def prepare_margin(margin: Margin) -> None:
+    """Build the graphs of `evaluate_margin` now, so that it need not."""
+    assert margin.hold is not None
+    assert margin.coordinates is not None
+    extended(margin.plant_at)
+
 
 def evaluate_margin(margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True) -> PostureMargin:
     """ε_max, and its derivatives unless they are not wanted, at one posture."""
@@ -188,8 +202,9 @@ def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _Scaled
     whole = Equation(back @ (A @ T) / speed, back @ B * (gain / speed), C @ T)
     unseen = _Unseen(whole, list(range(len(T))), [], np.zeros((len(T), 0), dtype=object))
     if margin.keeps_joint_rates:
-        unseen = _Unseen(whole, *null_space(np.concatenate([whole.F, whole.C]), RANK))
-    return _ScaledPlant(evaluated, unseen, unseen.reduced if unseen.left_out else whole, T, back, speed, gain)
+        kept, left_out, W = null_space(np.concatenate([whole.F, whole.C]), RANK)
+        unseen = _Unseen(whole, kept, left_out, W) if left_out else unseen
+    return _ScaledPlant(evaluated, unseen, unseen.reduced, T, back, speed, gain)
 
 
 def _starts(equation: Equation) -> Iterator[tuple[Vector, Vector]]:
