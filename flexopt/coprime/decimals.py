@@ -38,20 +38,26 @@ def solve(matrix: Exact, right: Exact) -> Exact:
     return a[:, n:]
 
 
-def rank(matrix: Exact, tolerance: Decimal) -> int:
-    """Number of pivots above `tolerance` times the first, by elimination with pivots from everywhere."""
-    a, first = matrix.copy(), Decimal(0)
+def null_space(matrix: Exact, tolerance: Decimal) -> tuple[list[int], list[int], Exact]:
+    """Columns P and F, and W, with matrix x = 0 exactly where x_P = −W x_F.
+
+    By elimination with pivots from everywhere; those below `tolerance` times the first count as zero.
+    """
+    a, first, columns = matrix.copy(), Decimal(0), list(range(matrix.shape[1]))
+    count = 0
     for k in range(min(a.shape)):
-        left = np.abs(a[k:, k:])
-        i, j = divmod(int(max(range(left.size), key=lambda index: left.ravel()[index])), left.shape[1])
-        pivot = left[i, j]
+        left = np.abs(a[k:, k:]).ravel()
+        i, j = divmod(max(range(left.size), key=lambda index: left[index]), a.shape[1] - k)
+        pivot = abs(a[k + i, k + j])
         first = first or pivot
         if pivot <= tolerance * first:
-            return k
+            break
         a[[k, k + i]] = a[[k + i, k]]
         a[:, [k, k + j]] = a[:, [k + j, k]]
+        columns[k], columns[k + j] = columns[k + j], columns[k]
         a[k + 1 :, k:] -= np.multiply.outer(a[k + 1 :, k] / a[k, k], a[k, k:])
-    return min(a.shape)
+        count = k + 1
+    return columns[:count], columns[count:], solve(a[:count, :count], a[:count, count:])
 
 
 def cholesky(matrix: Exact) -> Exact:

@@ -1,13 +1,24 @@
-"""Residues with damping: complex modes of the full plant, with exact first derivatives.
+"""Residues with damping: complex modes of the full plant, with exact first derivatives, beyond double precision.
 
 M, D and K are symmetric, so a mode u of (λ² M + λ D + K) u = 0, scaled to uᵀ (2 λ M + D) u = 1, is its own left mode
 and the residue of P(s) at λ is ρ = (J u) b(u)ᵀ. A complex pair contributes (N1 s + N0)/(s² + 2 ζ ω s + ω²) with
 N1 = 2 Re ρ and N0 = −2 Re(ρ λ̄); without damping N0 = R_i and N1 = 0. The measure is λmin(N0 + N0ᵀ).
+
+Where poles come close, modes turn fast, and doubles lose the digits of ∂w and even its sign. So poles and modes found in
+doubles are refined in decimals, by Newton's method on the bordered system
+
+    [[Q, v], [vᵀ, uᵀMu]] [du; dλ] = −[Q u; (uᵀv − 1)/2],    Q = λ² M + λ D + K,    v = (2 λ M + D) u,
+
+and the derivatives of w come from one more solve with this symmetric matrix and one reverse sweep through the graph of
+M, D, K, J and of the map from forces to joints.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal, getcontext
 from functools import lru_cache
 from typing import cast
 
@@ -15,15 +26,21 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.errors import InputError
+from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, largest, rounded
+from flexopt.coprime.decimals import solve, symmetric, symmetric_eigen
+from flexopt.errors import InputError, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
-from flexopt.plant.control import task_to_joints_transposed
+from flexopt.plant.control import task_to_joints
 
 # Poles closer than this, relative to their size, are one cluster: see `modes.CLUSTER_TOLERANCE`, there for ω².
 CLUSTER_TOLERANCE = 5e-7
+NEWTON_STEPS = 12
+# Last Newton correction, relative, and the bound on ∂w beside its largest element, up to which results are told.
+CONVERGED, TOLD = 1e-25, 1e-7
+ROUNDING = 2.0**-52
 
 
 @dataclass(frozen=True)
@@ -34,8 +51,10 @@ class DampedModes:
         poles: λ_i with positive imaginary part, (m,), rad/s.
         w: λmin(N0 + N0ᵀ), (m,), of the cluster's sum where poles repeat.
         n0, n1: numerators, (m, r, r).
-        w_z, w_p: ∂w/∂[base, posture] (m, n_z) and ∂w/∂p (m, n_par); NaN rows where poles repeat.
+        w_z, w_p: ∂w/∂[base, posture] (m, n_z) and ∂w/∂p (m, n_par); NaN rows where poles repeat, or where the bound on
+            a derivative's error is beyond 1e-7 of the largest.
         clusters: groups of modes with equal poles, as tuples of indices.
+        w_z_error, w_p_error: bounds on the errors of the derivatives, to first order, like them.
     """
 
     poles: NDArray[np.complex128]
@@ -45,6 +64,15 @@ class DampedModes:
     w_z: Vector
     w_p: Vector
     clusters: tuple[tuple[int, ...], ...]
+    w_z_error: Vector
+    w_p_error: Vector
+
+    def summed(self) -> Vector:
+        """N0 (m, r, r), summed over the cluster where poles repeat."""
+        total = self.n0.copy()
+        for group in self.clusters:
+            total[list(group)] = self.n0[list(group)].sum(axis=0)
+        return total
 
 
 def damped_modes(
@@ -54,13 +82,22 @@ def damped_modes(
 
     Raises:
         InputError: a mode is overdamped, so that it has no complex pair.
+        NoSolutionFound: Newton's method does not converge to a pole found in doubles.
     """
     graphs = _build(machine, control, gravity)
-    plant = graphs.plant
-    p = plant.parameter_values
+    with digits():
+        return _refined(graphs, base, posture, lowest_frequency)
+
+
+def _refined(graphs: _Graphs, base: Vector, posture: Vector, lowest_frequency: float) -> DampedModes:
+    plant, p = graphs.plant, graphs.plant.parameter_values
     m, n, r = plant.n_passive, plant.n_coordinates, plant.n_task
-    mass, damping, stiffness, deflection = (x.full() for x in graphs.point.call([base, posture, p]))
-    top = cast(Vector, np.linalg.solve(mass, np.hstack([-damping, -stiffness])))
+    deflection = plant.deflected(base, posture, p).full().ravel() if graphs.gravity else np.zeros(m)
+    evaluated = extended(graphs.matrices)(*(exact(x) for x in (base, posture, p.full().ravel(), deflection)))
+    mass, damping, stiffness = (rounded(x) for x in evaluated.outputs[:3])
+    by = 1 / np.sqrt(np.diag(mass))
+    scaled = [by[:, None] * x * by for x in (mass, damping, stiffness)]
+    top = cast(Vector, np.linalg.solve(scaled[0], np.hstack([-scaled[1], -scaled[2]])))
     solved = np.linalg.eig(np.vstack([top, np.eye(n, 2 * n)]))
     values, vectors = solved.eigenvalues.astype(np.complex128), solved.eigenvectors.astype(np.complex128)
     # Rigid poles are zero up to the square root of the rounding; a pair closer to the real axis than a tenth of the
@@ -72,29 +109,44 @@ def damped_modes(
             f"damping: {m - len(upper)} of {m} vibration modes are overdamped and have no complex pair of poles; "
             "lower the damping of the passive coordinates, or use the undamped measures"
         )
-    poles = values[upper]
-    n0, n1 = np.empty((m, r, r)), np.empty((m, r, r))
-    w_z, w_p = np.full((m, plant.n_base + plant.n_actuated), np.nan), np.full((m, p.shape[0]), np.nan)
-    eigen: list[Vector] = []
-    for i, k in enumerate(upper):
-        pole, u = poles[i], vectors[n:, k]
-        u = u / np.sqrt(u @ (2 * pole * mass + damping) @ u)
-        eigen.append(np.concatenate([[pole.real, pole.imag], u.real, u.imag]))
-        out = graphs.residue.call([base, posture, p, deflection, eigen[i]])
-        n0[i], n1[i] = out[0].full(), out[1].full()
-        refined = out[2].full().ravel()
-        poles[i] = complex(refined[0], refined[1])
+    modes = [_newton(evaluated.outputs, values[k], by * vectors[n:, k]) for k in upper]
+    poles = np.array([mode.pole for mode in modes])
+    n0, n1 = (np.array([rounded(x) for x in each]).reshape(m, r, r) for each in zip(*(mode.numerators for mode in modes)))
     groups = _clusters(poles)
-    w = np.empty(m)
+    _check_distinct(poles, values[upper])
+    w, n_z, n_p = np.empty(m), base.size + posture.size, p.shape[0]
+    w_z, w_p = np.full((m, n_z), np.nan), np.full((m, n_p), np.nan)
+    z_error, p_error = w_z.copy(), w_p.copy()
     for group in groups:
-        total = n0[list(group)].sum(axis=0)
-        smallest, directions = np.linalg.eigh(total + total.T)
-        w[list(group)] = smallest[0]
+        total = sum((modes[i].numerators[0] for i in group[1:]), modes[group[0]].numerators[0])
+        smallest, directions = symmetric_eigen(total + total.T)
+        w[list(group)] = float(smallest[-1])
         if len(group) == 1:
             i = group[0]
-            gradient = graphs.gradient.call([base, posture, p, deflection, eigen[i], directions[:, 0]])
-            w_z[i], w_p[i] = gradient[0].full().ravel(), gradient[1].full().ravel()
-    return DampedModes(poles, w, n0, n1, w_z, w_p, tuple(g for g in groups if len(g) > 1))
+            row, error = modes[i].gradient(evaluated, directions[:, -1])
+            size = float(np.linalg.norm(n0[i]))
+            if _told(row[:n_z], error[:n_z], 1.0, size) and _told(row[n_z:], error[n_z:], p.full().ravel(), size):
+                w_z[i], w_p[i], z_error[i], p_error[i] = row[:n_z], row[n_z:], error[:n_z], error[n_z:]
+    clusters = tuple(g for g in groups if len(g) > 1)
+    return DampedModes(poles, w, n0, n1, w_z, w_p, clusters, z_error, p_error)
+
+
+def _told(row: Vector, error: Vector, by: Vector | float, size: float) -> bool:
+    """Whether every error is small beside the largest derivative, or beside N0, all per relative change `by`."""
+    return bool(np.all(np.abs(error * by) <= TOLD * max(float(np.max(np.abs(row * by), initial=0.0)), 1e-3 * size)))
+
+
+def _check_distinct(poles: NDArray[np.complex128], found: NDArray[np.complex128]) -> None:
+    """Each pole found in doubles led to the refined one next to it, no two to the same."""
+    for i, pole in enumerate(poles):
+        if abs(pole - found[i]) > 0.3 * min((abs(found[i] - other) for other in np.delete(found, i)), default=abs(pole)):
+            near = any(abs(pole - other) <= CLUSTER_TOLERANCE * abs(pole) for other in np.delete(poles, i))
+            if not near:
+                raise NoSolutionFound(
+                    f"the damped modes did not converge (a pole at {found[i]:.6g} rad/s led to {pole:.6g} rad/s)",
+                    violations={},
+                    iterate={},
+                )
 
 
 def _clusters(poles: NDArray[np.complex128]) -> list[tuple[int, ...]]:
@@ -108,75 +160,184 @@ def _clusters(poles: NDArray[np.complex128]) -> list[tuple[int, ...]]:
     return [tuple(g) for g in groups]
 
 
+@dataclass(frozen=True, eq=False)
+class Complex:
+    """A complex array of decimals."""
+
+    re: Exact
+    im: Exact
+
+    @classmethod
+    def of(cls, values: NDArray[np.complex128]) -> Complex:
+        """From doubles."""
+        return cls(exact(values.real), exact(values.imag))
+
+    def __add__(self, other: Complex) -> Complex:
+        return Complex(self.re + other.re, self.im + other.im)
+
+    def __mul__(self, other: Complex) -> Complex:
+        return Complex(self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re)
+
+    def times(self, factor: Exact | Decimal | int) -> Complex:
+        """Each part times real numbers."""
+        return Complex(self.re * factor, self.im * factor)
+
+    def conjugate(self) -> Complex:
+        """The conjugate."""
+        return Complex(self.re, -self.im)
+
+    def left(self, matrix: Exact) -> Complex:
+        """matrix @ self for a real matrix."""
+        return Complex(matrix @ self.re, matrix @ self.im)
+
+    def outer(self, other: Complex) -> Complex:
+        """self otherᵀ."""
+        product = np.multiply.outer
+        real = product(self.re, other.re) - product(self.im, other.im)
+        return Complex(real, product(self.re, other.im) + product(self.im, other.re))
+
+    def dot(self, other: Complex) -> Complex:
+        """selfᵀ other, nothing conjugated."""
+        return Complex(self.re @ other.re - self.im @ other.im, self.re @ other.im + self.im @ other.re)
+
+
+@dataclass(frozen=True, eq=False)
+class _Mode:
+    """A refined pole λ and mode u; `correction` is how far they may be off, relative."""
+
+    outputs: Sequence[Exact]
+    lam: Complex
+    u: Complex
+    correction: float
+
+    @property
+    def pole(self) -> complex:
+        """λ, rounded."""
+        return complex(float(self.lam.re), float(self.lam.im))
+
+    @property
+    def numerators(self) -> tuple[Exact, Exact]:
+        """N0 and N1, (r, r)."""
+        _, _, _, jacobian, into = self.outputs
+        rho = self.u.left(jacobian).outer(self._actuated.left(into.T))
+        return (rho * self.lam.conjugate()).re * -2, rho.re * 2
+
+    @property
+    def _actuated(self) -> Complex:
+        m = self.outputs[0].shape[0] - self.outputs[4].shape[0]
+        return Complex(self.u.re[m:], self.u.im[m:])
+
+    def gradient(self, evaluated: Evaluated, direction: Exact) -> tuple[Vector, Vector]:
+        """∂(νᵀ(N0 + N0ᵀ)ν)/∂[base, posture, p] for ν = `direction`, and bounds on the errors."""
+        mass, jacobian, into = self.outputs[0], *self.outputs[3:]
+        n, passive = mass.shape[0], mass.shape[0] - into.shape[0]
+        lam, u, conj = self.lam, self.u, self.lam.conjugate().times(-4)
+        spread = np.concatenate([np.full(passive, Decimal(0), dtype=object), into @ direction])
+        seen = jacobian.T @ direction
+        s, t = Complex(seen @ u.re, seen @ u.im), Complex(spread @ u.re, spread @ u.im)
+        by_lam = (s * t).conjugate().times(-4)
+        by_u = (conj * t * Complex(seen, seen * 0)) + (conj * s * Complex(spread, spread * 0))
+        right = Complex(np.append(by_u.re, by_lam.re), np.append(by_u.im, by_lam.im))
+        solution = _solve(_bordered(self.outputs, lam, u)[0], right)
+        y, eta = Complex(solution.re[:n], solution.im[:n]), Complex(solution.re[n], solution.im[n])
+        yu, uu = _symmetric_part(y.outer(u)), u.outer(u)
+        seeds = [
+            (lam * lam * yu + eta * lam * uu).re * -1,
+            (lam * yu + (eta * uu).times(Decimal("0.5"))).re * -1,
+            yu.re * -1,
+            np.multiply.outer(direction, (conj * t * u).re),
+            np.multiply.outer((conj * s * self._actuated).re, direction),
+        ]
+        by_input, _ = evaluated.gradient(seeds)
+        row = rounded(np.concatenate(by_input[:3]))
+        off = np.concatenate(evaluated.influence(seeds)[:3])
+        return row, 100 * self.correction * off + ROUNDING * np.abs(row)
+
+
+def _symmetric_part(x: Complex) -> Complex:
+    """The symmetric part of a complex matrix."""
+    return Complex(symmetric(x.re), symmetric(x.im))
+
+
+def _bordered(outputs: Sequence[Exact], lam: Complex, u: Complex) -> tuple[Complex, Complex]:
+    """[[Q, v], [vᵀ, uᵀMu]] and [Q u; (uᵀv − 1)/2]."""
+    mass, damping, stiffness = outputs[:3]
+    n, zero = mass.shape[0], mass * 0
+    square = lam * lam
+    Q = square * Complex(mass, zero) + lam * Complex(damping, zero) + Complex(stiffness, zero)
+    mu = u.left(mass)
+    v = (lam * mu).times(2) + u.left(damping)
+    corner, left = u.dot(mu), u.dot(v)
+    matrix = []
+    for block, edge, end in ((Q.re, v.re, corner.re), (Q.im, v.im, corner.im)):
+        whole = np.full((n + 1, n + 1), Decimal(0), dtype=object)
+        whole[:n, :n], whole[:n, n], whole[n, :n], whole[n, n] = block, edge, edge, end
+        matrix.append(whole)
+    q = Complex(Q.re @ u.re - Q.im @ u.im, Q.re @ u.im + Q.im @ u.re)
+    rest = Complex(np.append(q.re, (left.re - 1) / 2), np.append(q.im, left.im / 2))
+    return Complex(*matrix), rest
+
+
+def _solve(matrix: Complex, right: Complex) -> Complex:
+    """matrix⁻¹ right of a complex symmetric matrix, real and imaginary parts side by side, rows and columns scaled."""
+    size = [max(sum(abs(x) for x in (*a, *b)), Decimal("1e-300")) for a, b in zip(matrix.re, matrix.im, strict=True)]
+    by = np.array([1 / x.sqrt() for x in size], dtype=object)
+    re, im = (by[:, None] * part * by for part in (matrix.re, matrix.im))
+    whole = np.block([[re, -im], [im, re]])
+    found = solve(whole, np.concatenate([right.re * by, right.im * by])[:, None])[:, 0]
+    k = len(by)
+    return Complex(found[:k] * by, found[k:] * by)
+
+
+def _newton(outputs: Sequence[Exact], pole: complex, vector: NDArray[np.complex128]) -> _Mode:
+    """The pole and mode near those found in doubles.
+
+    Raises:
+        NoSolutionFound: the corrections do not vanish.
+    """
+    mass, damping = (rounded(x) for x in outputs[:2])
+    vector = vector / np.sqrt(vector @ (2 * pole * mass + damping) @ vector)
+    lam, u, relative = Complex(*(np.array(Decimal(x)) for x in (pole.real, pole.imag))), Complex.of(vector), math.inf
+    lam = Complex(lam.re[()], lam.im[()])
+    for _ in range(NEWTON_STEPS):
+        matrix, rest = _bordered(outputs, lam, u)
+        step = _solve(matrix, rest.times(-1))
+        u = u + Complex(step.re[:-1], step.im[:-1])
+        lam = lam + Complex(step.re[-1], step.im[-1])
+        before = relative
+        relative = max(
+            largest(np.append(step.re[:-1], step.im[:-1])) / largest(np.append(u.re, u.im)),
+            float(abs(step.re[-1]) + abs(step.im[-1])) / abs(pole),
+        )
+        if relative <= 10.0 ** (10 - getcontext().prec) or (relative <= CONVERGED and relative > 0.5 * before):
+            break
+    if not relative <= CONVERGED:
+        raise NoSolutionFound(
+            f"the damped modes did not converge (the pole near {pole:.6g} rad/s moves by {relative:.1g} of itself)",
+            violations={"pole": relative},
+            iterate={},
+        )
+    # Two poles that nearly meet take up to twice seven digits from what is solved for with them.
+    return _Mode(outputs, lam, u, max(relative, 10.0 ** (22 - getcontext().prec)))
+
+
 @dataclass(frozen=True)
 class _Graphs:
     plant: Plant
-    point: ca.Function
-    residue: ca.Function
-    gradient: ca.Function
+    gravity: bool
+    matrices: ca.Function
 
 
 @lru_cache(maxsize=32)
 def _build(machine: AnyMachine, control: Control, gravity: bool) -> _Graphs:
     plant = build_plant(machine)
-    g, n, m = plant.graph, plant.n_coordinates, plant.n_passive
+    g, m, r = plant.graph, plant.n_passive, plant.n_task
     deflection = ca.SX.sym("deflection", m)
-    where = [g.base, g.posture, g.p]
-    names = ["base", "posture", "p"]
     at = plant.operating_point(g.base, g.posture, g.p, deflection if gravity else None)
-    solved = plant.deflected(g.base, g.posture, g.p) if gravity else ca.SX.zeros(m, 1)
-    matrices = ca.substitute([at.mass, at.damping, at.stiffness], [deflection], [solved])
-    point = ca.Function("point", where, [*matrices, solved], names, ["M", "D", "K", "deflection"], {"cse": True})
-
-    eigen = ca.SX.sym("eigen", 2 + 2 * n)
-    pole, u = _newton_step(at.mass, at.damping, at.stiffness, (eigen[0], eigen[1]), (eigen[2 : 2 + n], eigen[2 + n :]))
-    alpha = [at.jacobian @ part for part in u]
-    beta = [task_to_joints_transposed(at.rigid_jacobian, control, part[m:]) for part in u]
-    real = alpha[0] @ beta[0].T - alpha[1] @ beta[1].T
-    imaginary = alpha[0] @ beta[1].T + alpha[1] @ beta[0].T
-    n0, n1 = -2 * (real * pole[0] + imaginary * pole[1]), 2 * real
-    inputs, input_names = [*where, deflection, eigen], [*names, "deflection", "eigen"]
-    residue = ca.Function(
-        "damped_residue", inputs, [n0, n1, ca.vertcat(*pole)], input_names, ["N0", "N1", "pole"], {"cse": True}
+    into = task_to_joints(at.rigid_jacobian, control, ca.SX.eye(r))
+    outputs = [ca.densify(x) for x in (at.mass, at.damping, at.stiffness, at.jacobian, into)]
+    names = ["base", "posture", "p", "deflection"]
+    matrices = ca.Function(
+        "damped_plant", [g.base, g.posture, g.p, deflection], outputs, names, ["M", "D", "K", "J", "E"], {"cse": True}
     )
-    direction = ca.SX.sym("direction", plant.n_task)
-    w = direction.T @ (n0 + n0.T) @ direction
-    derivatives = [ca.densify(ca.jacobian(w, ca.vertcat(g.base, g.posture))), ca.densify(ca.jacobian(w, g.p))]
-    gradient = ca.Function(
-        "damped_gradient", [*inputs, direction], derivatives, [*input_names, "direction"], ["w_z", "w_p"], {"cse": True}
-    )
-    return _Graphs(plant, point, residue, gradient)
-
-
-def _newton_step(
-    mass: ca.SX, damping: ca.SX, stiffness: ca.SX, pole: tuple[ca.SX, ca.SX], u: tuple[ca.SX, ca.SX]
-) -> tuple[tuple[ca.SX, ca.SX], tuple[ca.SX, ca.SX]]:
-    """One Newton step on (λ² M + λ D + K) u = 0, uᵀ (2 λ M + D) u = 1 from a solution held constant.
-
-    Real and imaginary parts are solved side by side, rows and columns scaled by the diagonal of M and by |λ|.
-    """
-    re, im = pole
-    size = ca.sqrt(re**2 + im**2)
-    scale = 1 / ca.sqrt(ca.diag(mass))
-    by = ca.diag(scale)
-    m, d, k = by @ mass @ by, (by @ damping @ by) / size, (by @ stiffness @ by) / size**2
-    # λ = |λ| (c + i s), u = by (x + i y) / sqrt|λ|: all entries of order one.
-    c, s = re / size, im / size
-    x, y = (part / scale * ca.sqrt(size) for part in u)
-    q_re, q_im = (c**2 - s**2) * m + c * d + k, 2 * c * s * m + s * d
-    t_re, t_im = 2 * c * m + d, 2 * s * m
-    f_re, f_im = q_re @ x - q_im @ y, q_re @ y + q_im @ x
-    v_re, v_im = t_re @ x - t_im @ y, t_re @ y + t_im @ x
-    mx, my = m @ x, m @ y
-    norm_re, norm_im = ca.dot(x, v_re) - ca.dot(y, v_im) - 1, ca.dot(x, v_im) + ca.dot(y, v_re)
-    corner_re, corner_im = ca.dot(x, mx) - ca.dot(y, my), 2 * ca.dot(x, my)
-    real = ca.blockcat([[q_re, v_re], [v_re.T, corner_re]])
-    imaginary = ca.blockcat([[q_im, v_im], [v_im.T, corner_im]])
-    matrix = ca.blockcat([[real, -imaginary], [imaginary, real]])
-    right = ca.vertcat(f_re, norm_re / 2, f_im, norm_im / 2)
-    step = ca.solve(ca.densify(matrix), -right)
-    n = m.shape[0]
-    x, y = x + step[:n], y + step[n + 1 : 2 * n + 1]
-    c, s = c + step[n], s + step[2 * n + 1]
-    back = scale / ca.sqrt(size)
-    return (c * size, s * size), (x * back, y * back)
+    return _Graphs(plant, gravity, matrices)

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from flexopt.coprime.margin import with_bound
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -22,7 +23,7 @@ from flexopt.robustness.damped import DampedModes, damped_modes
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
-from flexopt.robustness.posture_margin import evaluate_margin
+from flexopt.robustness.posture_margin import evaluate_margin, prepare_margin
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,15 @@ class Gradient:
     Attributes:
         variables: placement coordinates, then actuated joints.
         w: ∂w_i/∂variables, (m, n_b + n), per m or rad, as `base_units` and `joint_units` say.
-        epsilon_max: ∂ε_max/∂variables, (n_b + n,).
+        epsilon_max: ∂ε_max/∂variables, (n_b + n,); NaN (JSON: null) where it is not known, which a warning says.
         parameters: names of the machine's parameters p.
         w_parameters: ∂w_i/∂p, (m, n_par).
         epsilon_max_parameters: ∂ε_max/∂p, (n_par,).
         epsilon_max_gain: ∂ε_max/∂kr.
         epsilon_max_kink: where the two largest eigenvalues of XZ meet, so that ε_max has a kink, the rows g_11, g_22
             and g_12, (3, n_b + n), of `epsilon_max_along`. None elsewhere.
+        epsilon_max_error, epsilon_max_parameters_error, epsilon_max_gain_error: bounds on the errors of ∂ε_max, shaped
+            like it, to first order.
     """
 
     variables: tuple[str, ...]
@@ -49,6 +52,9 @@ class Gradient:
     epsilon_max_parameters: Vector
     epsilon_max_gain: float
     epsilon_max_kink: Vector | None
+    epsilon_max_error: Vector
+    epsilon_max_parameters_error: Vector
+    epsilon_max_gain_error: float
 
     def epsilon_max_along(self, direction: Vector) -> tuple[float, float]:
         """Derivatives of the two branches of ε_max along d (n_b + n,), the smaller one that of ε_max itself.
@@ -75,19 +81,26 @@ class Evaluation:
         end_point: the task (r,), m, inertial frame.
         frequencies_hz, damping_ratios: (m,). Undamped frequencies and φᵀDφ/(2ω); with `damped` those of the poles.
         w: w_i = λmin(R_i + R_iᵀ), (m,), article eq. (7); with `damped` λmin(N0 + N0ᵀ).
-        scale: |a_i||b_i|, (m,), the size of R_i = a_i b_iᵀ, to compare w_i with.
-        rigid: λmin(R_0 + R_0ᵀ); negative values mean that the rigid part is not passive.
-        in_phase: trace R_i > 0;  in_phase_strict: every diagonal element of R_i ≥ 0.
-        rigid_residue: R_0 (r, r);  residues: R_i (m, r, r), summed over the cluster where frequencies repeat.
+        scale: |a_i||b_i|, (m,), the size of R_i = a_i b_iᵀ, to compare w_i with; with `damped` that of N0 (Frobenius
+            norm, without damping the same).
+        rigid: λmin(R_0 + R_0ᵀ); negative values mean that the rigid part is not passive. Of the undamped plant always.
+        in_phase: trace R_i > 0;  in_phase_strict: every diagonal element of R_i ≥ 0; with `damped` of N0.
+        rigid_residue: R_0 (r, r), undamped;  residues: R_i (m, r, r), with `damped` N0, summed over the cluster where
+            frequencies (poles) repeat.
         gradient: exact derivatives of w.
         clusters: groups of modes with equal frequencies, for which w is that of the cluster's sum.
         condition: cond Jv; of one task row, the end-point's mobility over that along the row, where that is larger.
         static_deflection: passive coordinates minus their rest values, (m,); zero without gravity.
         self_motion_unstabilised: whether the arm has more joints than task rows, so that a motion exists that the
             end-point neither sees nor controls.
-        epsilon_max: ε_max of the damped plant with the servo gain `gain`, Appendix A; None where the feedback of the
-            end-point cannot stabilise the plant.
-        epsilon_max_residual: largest relative residual of its Riccati equations.
+        epsilon_max: ε_max of the damped plant with the servo gain `gain`, Appendix A; None where `epsilon_max_status`
+            says so.
+        epsilon_max_error: bound on its error: what the residuals of its Riccati equations prove, and to first order what
+            evaluating the plant in double precision would change; NaN without ε_max.
+        epsilon_max_status: `"computed"`; `"not stabilizable"` where no feedback of the end-point stabilises the plant
+            (proven: ε_max < 1e-12, or a mode at 0 that no input reaches or no output sees, to thirty digits);
+            `"not computed"` where no bound below 1e-6 was reached, which says nothing about the plant.
+        epsilon_max_residual: largest relative residual of its Riccati equations, in extended precision.
         gain: servo gain kr.
         damped: numerators N0, N1 and poles with damping, where asked for.
         damped_difference: largest |w_damped − w_undamped| / (|a||b|), where damping was asked for.
@@ -120,6 +133,8 @@ class Evaluation:
     static_deflection: Vector
     self_motion_unstabilised: bool
     epsilon_max: float | None
+    epsilon_max_error: float
+    epsilon_max_status: str
     epsilon_max_residual: float
     gain: float
     damped: DampedModes | None
@@ -136,6 +151,8 @@ class Evaluation:
             "N0": self.damped.n0,
             "N1": self.damped.n1,
             "difference": self.damped_difference,
+            "w_error": self.damped.w_z_error,
+            "w_parameters_error": self.damped.w_p_error,
         }
         document: dict[str, Any] = {
             "machine": self.machine,
@@ -155,6 +172,8 @@ class Evaluation:
             "in_phase": self.in_phase,
             "in_phase_strict": self.in_phase_strict,
             "epsilon_max": self.epsilon_max,
+            "epsilon_max_error": self.epsilon_max_error,
+            "epsilon_max_status": self.epsilon_max_status,
             "epsilon_max_residual": self.epsilon_max_residual,
             "gain": self.gain,
             "gradient": {
@@ -166,6 +185,9 @@ class Evaluation:
                 "epsilon_max_parameters": self.gradient.epsilon_max_parameters,
                 "epsilon_max_gain": self.gradient.epsilon_max_gain,
                 "epsilon_max_kink": self.gradient.epsilon_max_kink,
+                "epsilon_max_error": self.gradient.epsilon_max_error,
+                "epsilon_max_parameters_error": self.gradient.epsilon_max_parameters_error,
+                "epsilon_max_gain_error": self.gradient.epsilon_max_gain_error,
             },
             "residues": {"R0": self.rigid_residue, "R": self.residues},
             "clusters": self.clusters,
@@ -197,7 +219,8 @@ class Evaluation:
             )
         lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {self.rigid:.5e}; cond Jv = {self.condition:.4g}")
         if self.epsilon_max is not None:
-            lines.append(f"  robust stability margin ε_max = {self.epsilon_max:.6f} at gain kr = {self.gain:g}")
+            margin = with_bound(self.epsilon_max, self.epsilon_max_error)
+            lines.append(f"  robust stability margin ε_max = {margin} at gain kr = {self.gain:g}")
         if self.damped_difference is not None:
             lines.append(
                 f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|"
@@ -238,7 +261,8 @@ def evaluate(
             `"damped:LAMBDA"`, the inverse Jvᵀ (Jv Jvᵀ + λ² I)⁻¹ with λ in the unit of Jv's entries, which singular
             postures have too.
         gain: servo gain kr of the margin ε_max.
-        damped: measures from the numerators N0 of the damped plant instead of R_i.
+        damped: measures, their gradients, residues, scale and phases from the numerators N0 of the damped plant instead
+            of R_i; only the rigid residue stays that of the undamped one.
         gravity: solve for the static deflection.
 
     Raises:
@@ -258,9 +282,9 @@ def evaluate(
 def prepare(machine: AnyMachine, control: Control, *, gravity: bool) -> None:
     """Build the graphs of `evaluate` now, so that it need not."""
     measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
-    for functions in (measures, margin):
-        assert functions.values is not None
-        assert functions.gradients is not None
+    assert measures.values is not None
+    assert measures.gradients is not None
+    prepare_margin(margin)
 
 
 def evaluate_checked(
@@ -280,8 +304,6 @@ def evaluate_checked(
 
     a, b, same = v["a"], v["b"], v["same"]
     residues = np.stack([(a * same[i]) @ b.T for i in range(m)])
-    traces = np.trace(residues, axis1=1, axis2=2)
-    diagonals = np.diagonal(residues, axis1=1, axis2=2)
     omega = np.sqrt(v["omega_squared"].ravel())
     w, frequencies, ratios = v["w"].ravel(), omega / (2 * math.pi), v["zeta"].ravel()
     scale = np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
@@ -292,14 +314,20 @@ def evaluate_checked(
         detail = damped_modes(machine, base, posture, control, gravity, float(omega[0]))
         difference = float(np.max(np.abs(detail.w - w) / np.where(scale > 0, scale, 1.0)))
         clusters = detail.clusters
-        w, w_z, w_p = detail.w, detail.w_z, detail.w_p
+        w, w_z, w_p, residues = detail.w, detail.w_z, detail.w_p, detail.summed()
+        scale = np.linalg.norm(detail.n0, axis=(1, 2))
         frequencies = np.abs(detail.poles) / (2 * math.pi)
         ratios = -detail.poles.real / np.abs(detail.poles)
+    traces = np.trace(residues, axis1=1, axis2=2)
+    diagonals = np.diagonal(residues, axis1=1, axis2=2)
     margin = evaluate_margin(build_margin(machine, control, gravity), base, posture, gain)
+    alone = [i for i in range(m) if not any(i in c for c in clusters)]
+    untold = tuple(i for i in alone if detail is not None and not np.all(np.isfinite(w_z[i])))
     sentences = _warnings(clusters, frequencies, damped) + ((margin.warning,) if margin.warning else ())
+    sentences += tuple(f"the gradient of w{i + 1} could not be computed to 1e-7: two poles nearly meet" for i in untold)
     for sentence in sentences:
         python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
-    _check_finite(w, w_z[[i for i in range(m) if not any(i in c for c in clusters)]], frequencies, ratios, traces)
+    _check_finite(w, w_z[[i for i in alone if i not in untold]], frequencies, ratios, traces)
     options = {"gain": gain, "damped": damped, "gravity": gravity}
     return Evaluation(
         machine=machine.name,
@@ -329,12 +357,17 @@ def evaluate_checked(
             epsilon_max_parameters=margin.p,
             epsilon_max_gain=margin.kr,
             epsilon_max_kink=margin.kink,
+            epsilon_max_error=margin.z_error,
+            epsilon_max_parameters_error=margin.p_error,
+            epsilon_max_gain_error=margin.kr_error,
         ),
         clusters=clusters,
         condition=condition,
         static_deflection=v["q"].ravel()[:m] - rest[:m],
         self_motion_unstabilised=plant.n_actuated > r,
         epsilon_max=margin.epsilon_max,
+        epsilon_max_error=margin.error,
+        epsilon_max_status=margin.status,
         epsilon_max_residual=margin.residual,
         gain=gain,
         damped=detail,

@@ -16,7 +16,7 @@ import numpy as np
 
 from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, rounded
 from flexopt.coprime import StateSpace, riccati
-from flexopt.coprime.decimals import rank, solve, unit
+from flexopt.coprime.decimals import null_space, solve, unit
 from flexopt.coprime.extended import (
     HOPELESS,
     Equation,
@@ -39,6 +39,8 @@ KINK_TOLERANCE = 1e-7
 # A gradient whose bound is beyond this share of its largest element is not told.
 GRADIENT_TOLERANCE = 1e-7
 DIGITS = (50, 100)
+# Pivots that are so small beside others are zeros that rounding has touched.
+RANK = Decimal(10) ** -30
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,20 @@ class PostureMargin:
     residual: float
     warning: str
 
+    @property
+    def status(self) -> str:
+        """`"computed"`, `"not stabilizable"` or `"not computed"`."""
+        if self.epsilon_max is not None:
+            return "computed"
+        return "not stabilizable" if self.unstabilizable else "not computed"
+
+
+def prepare_margin(margin: Margin) -> None:
+    """Build the graphs of `evaluate_margin` now, so that it need not."""
+    assert margin.hold is not None
+    assert margin.coordinates is not None
+    extended(margin.plant_at)
+
 
 def evaluate_margin(margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True) -> PostureMargin:
     """ε_max, and its derivatives unless they are not wanted, at one posture."""
@@ -99,10 +115,52 @@ def _n_p(margin: Margin) -> int:
 
 
 @dataclass(frozen=True)
+class _Unseen:
+    """States that nothing depends on: A R = 0 and C R = 0 for R = [−W; I] in the columns (P, F).
+
+    They are the free motion of an arm with more joints than task rows, where joint damping leaves some of it undamped;
+    like the whole of it in an arm without joint damping they are left out. ξ = Q x with Q = [I, W] has A_r = Q A_P,
+    B_r = Q B, C_r = C_P. W moves with A and C: dW = L [dA; dC] R for a left inverse L of [A_P; C_P].
+    """
+
+    plant: Equation
+    kept: list[int]
+    left_out: list[int]
+    W: Exact
+
+    @property
+    def Q(self) -> Exact:
+        """(n − k, n)."""
+        Q = np.full((len(self.kept), len(self.plant.F)), Decimal(0), dtype=object)
+        Q[:, self.kept], Q[:, self.left_out] = unit(len(self.kept)), self.W
+        return Q
+
+    @property
+    def reduced(self) -> Equation:
+        """The plant without them."""
+        e, Q = self.plant, self.Q
+        return Equation(Q @ e.F[:, self.kept], Q @ e.B, e.C[:, self.kept])
+
+    def whole(self, F: Exact, B: Exact, C: Exact) -> tuple[Exact, Exact, Exact]:
+        """Derivatives by the whole plant's A, B, C from those by the reduced one's."""
+        e, Q, n = self.plant, self.Q, len(self.plant.F)
+        seen = np.concatenate([e.F, e.C])[:, self.kept]
+        R = np.full((n, len(self.left_out)), Decimal(0), dtype=object)
+        R[self.kept], R[self.left_out] = -self.W, unit(len(self.left_out))
+        of_w = F @ e.F[np.ix_(self.left_out, self.kept)].T + B @ e.B[self.left_out].T
+        both = seen @ solve(seen.T @ seen, of_w) @ R.T
+        by_f, by_c = both[:n].copy(), both[n:].copy()
+        by_f[:, self.kept] += Q.T @ F
+        by_c[:, self.kept] += C
+        return by_f, Q.T @ B, by_c
+
+
+@dataclass(frozen=True)
 class _ScaledPlant:
-    """The plant in physical units as evaluated, and its equation for x = T ξ, t = τ/rate."""
+    """The plant in physical units as evaluated, and its equation for x = T ξ, t = τ/rate, unseen states left out."""
 
     evaluated: Evaluated
+    unseen: _Unseen
     equation: Equation
     forward: Exact
     backward: Exact
@@ -111,15 +169,19 @@ class _ScaledPlant:
 
     def to_physical(self, found: Seeds) -> list[Exact]:
         """Derivatives by the physical A, B and C."""
-        by_a = self.backward.T @ found.F @ self.forward.T / self.rate
-        return [by_a, self.backward.T @ found.B * (self.kr / self.rate), found.C @ self.forward.T]
+        F, B, C = self.unseen.whole(found.F, found.B, found.C)
+        by_a = self.backward.T @ F @ self.forward.T / self.rate
+        return [by_a, self.backward.T @ B * (self.kr / self.rate), C @ self.forward.T]
 
     def sizes(self, found: Seeds) -> list[Exact]:
-        """Bounds on the terms that those derivatives are sums of."""
-        f, b, c = found.sizes
+        """Bounds on the terms that those derivatives are sums of; of what `unseen` adds, itself."""
+        F, B, C = (np.abs(rounded(M)) for M in self.unseen.whole(found.F, found.B, found.C))
+        Q, kept, (f, b, c) = np.abs(rounded(self.unseen.Q)), self.unseen.kept, found.sizes
+        F[:, kept] += Q.T @ f
+        C[:, kept] += c
         back, forth = np.abs(rounded(self.backward)).T, np.abs(rounded(self.forward)).T
-        of_a, of_b = back @ f @ forth / float(self.rate), back @ b * float(abs(self.kr) / self.rate)
-        return [exact(x) for x in (of_a, of_b, c @ forth)]
+        of_a, of_b = back @ F @ forth / float(self.rate), back @ (B + Q.T @ b) * float(abs(self.kr) / self.rate)
+        return [exact(x) for x in (of_a, of_b, C @ forth)]
 
 
 def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _ScaledPlant:
@@ -137,8 +199,12 @@ def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _Scaled
         forward, rate = np.diag(scaled.states), np.array([[scaled.rate]])
     T, speed, gain = exact(forward), Decimal(float(rate[0, 0])), Decimal(kr)
     back = solve(T, unit(len(T)))
-    equation = Equation(back @ (A @ T) / speed, back @ B * (gain / speed), C @ T)
-    return _ScaledPlant(evaluated, equation, T, back, speed, gain)
+    whole = Equation(back @ (A @ T) / speed, back @ B * (gain / speed), C @ T)
+    unseen = _Unseen(whole, list(range(len(T))), [], np.zeros((len(T), 0), dtype=object))
+    if margin.keeps_joint_rates:
+        kept, left_out, W = null_space(np.concatenate([whole.F, whole.C]), RANK)
+        unseen = _Unseen(whole, kept, left_out, W) if left_out else unseen
+    return _ScaledPlant(evaluated, unseen, unseen.reduced, T, back, speed, gain)
 
 
 def _starts(equation: Equation) -> Iterator[tuple[Vector, Vector]]:
@@ -236,14 +302,13 @@ def _scaled_system(plant: _ScaledPlant) -> Scaled:
 def _escapes(plant: _ScaledPlant) -> list[Escape]:
     """Modes that do not decay and escape, within rounding, the inputs or the outputs.
 
-    Certain are those at exactly 0, of whose row or column space nothing is left in thirty digits: the free motion of an
-    arm with more joints than task rows, not all of which are damped.
+    Certain are those at exactly 0: A with B beside it, or C below it, has lost rank, to thirty digits.
     """
     e, scaled = plant.equation, _scaled_system(plant)
     found = [replace(escape, certain=False) for escape in escaping_modes(scaled)]
     n = len(e.F)
     for kind, matrix in (("stabilizable", np.hstack([e.F, e.B])), ("detectable", np.hstack([e.F.T, e.C.T]))):
-        if rank(matrix, Decimal(10) ** -30) < n:
+        if len(null_space(matrix, RANK)[0]) < n:
             found.insert(0, Escape(0j, 0.0, 0.0, kind, certain=True))
     return found
 

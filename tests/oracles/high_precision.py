@@ -9,6 +9,7 @@ from __future__ import annotations
 import casadi as ca
 import flint
 import numpy as np
+import scipy.linalg
 from flint import acb_mat, arb, arb_mat
 
 BITS = 420
@@ -105,6 +106,26 @@ def epsilon(a: arb_mat, b: arb_mat, c: arb_mat) -> arb:
     return 1 / (1 + max((v.real.mid() for v in values), key=float)).sqrt()
 
 
+def _without_unseen(a: arb_mat, b: arb_mat, c: arb_mat) -> tuple[arb_mat, arb_mat, arb_mat]:
+    """The plant without states x with A x = 0 and C x = 0: the free motion of a redundant arm, where it is undamped.
+
+    Coordinates are those of the orthogonal complement of the kernel of [A; C].
+    """
+    rows = a.tolist() + c.tolist()
+    n = a.nrows()
+    stacked = arb_mat(rows)
+    plain = np.array([[float(x.mid()) for x in row] for row in rows])
+    plain = plain / np.abs(plain).max(axis=0)
+    rank = int(np.linalg.matrix_rank(plain, tol=1e-13 * np.linalg.norm(plain)))
+    if rank == n:
+        return a, b, c
+    # Rows of the stacked matrix span the complement of its kernel: ξ = Q x with Q some `rank` independent rows.
+    chosen = scipy.linalg.qr(plain.T, pivoting=True, mode="r")[1][:rank]
+    q = arb_mat([stacked.tolist()[int(i)] for i in chosen])
+    right = q.transpose() * (q * q.transpose()).inv()
+    return _middle(q * a * right), _middle(q * b), _middle(c * right)
+
+
 class MarginOracle:
     """ε_max of a `Margin` at a posture, for the machine's numbers taken as exact."""
 
@@ -113,6 +134,8 @@ class MarginOracle:
         p = margin.plant.parameter_values.full().ravel()
         held = margin.hold.call([base, posture, p, kr])[0]
         deflection, rate, forward = (x.full() for x in margin.coordinates.call([held]))
+        if not np.all(np.isfinite(forward)):
+            forward, rate = np.eye(len(forward)), np.ones((1, 1))
         # Coordinates near unity, for the sign iteration; which ones does not matter.
         self.deflection, self.rate, self.forward = balls(deflection), arb(float(rate[0, 0])), forward
         self.point = [balls(x) for x in (base, posture, p, [kr])]
@@ -127,7 +150,7 @@ class MarginOracle:
         t = arb_mat(self.forward.tolist())
         back = t.inv()
         a, b = back * a * t / self.rate, back * b * (at[3][0] / self.rate)
-        return epsilon(_middle(a), _middle(b), _middle(c * t))
+        return epsilon(*_without_unseen(_middle(a), _middle(b), _middle(c * t)))
 
     def slope(self, here: arb, shift: list[np.ndarray]) -> float:
         """Derivative along `shift`."""
