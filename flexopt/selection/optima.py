@@ -176,7 +176,7 @@ def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
 
 def _hurried(problem: SelectionProblem) -> bool:
     """Whether solves are cut short first: with one degree of redundancy optima are points, and solves are quick."""
-    return problem.redundancy > 1 and not any(o.has_kinks for o in problem.objectives[: len(problem.kept) + 1])
+    return problem.redundancy > 1
 
 
 def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
