@@ -44,7 +44,10 @@ def ends_from(joined: Joined, starts: list[Vector], workers: int, progress: Prog
         if progress is not None:
             progress(done, len(starts))
 
-    return in_parallel(partial(_numbered, joined, starts), len(starts), workers, tell)
+    def lost(number: int, sentence: str) -> End:
+        return End(starts[number], {"solver": np.inf}, np.inf, sentence)
+
+    return in_parallel(partial(_numbered, joined, starts), len(starts), workers, tell, lost=lost)
 
 
 def _numbered(joined: Joined, starts: list[Vector], number: int) -> End:
