@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from flexopt.coprime import nu_gap as nu_gap
     from flexopt.coprime import optimal_controller as optimal_controller
     from flexopt.coprime import robust_margin as robust_margin
+    from flexopt.export import ExportReport as ExportReport
+    from flexopt.export import Verification as Verification
+    from flexopt.export import export_c as export_c
+    from flexopt.export import verify_bundle as verify_bundle
+    from flexopt.export.fmu import FmuReport as FmuReport
+    from flexopt.export.fmu import export_fmu as export_fmu
     from flexopt.model import Experiment as Experiment
     from flexopt.model import Machine as Machine
     from flexopt.model import Problem as Problem
@@ -32,6 +38,7 @@ if TYPE_CHECKING:
     from flexopt.model import load_problem as load_problem
     from flexopt.model import machine_from_dict as machine_from_dict
     from flexopt.model import tree_from_dict as tree_from_dict
+    from flexopt.model.robots import load_robot as load_robot
     from flexopt.plant import Hydraulics as Hydraulics
     from flexopt.plant import Plant as Plant
     from flexopt.plant import build_hydraulics as build_hydraulics
@@ -57,13 +64,6 @@ if TYPE_CHECKING:
     from flexopt.selection import select_stand as select_stand
     from flexopt.selection import solve_problem as solve_problem
     from flexopt.selection import solve_selection as solve_selection
-    from flexopt.export import ExportReport as ExportReport
-    from flexopt.export import Verification as Verification
-    from flexopt.export import export_c as export_c
-    from flexopt.export import verify_bundle as verify_bundle
-    from flexopt.export.fmu import FmuReport as FmuReport
-    from flexopt.export.fmu import export_fmu as export_fmu
-    from flexopt.model.robots import load_robot as load_robot
     from flexopt.simulation import Actuator as Actuator
     from flexopt.simulation import Ensemble as Ensemble
     from flexopt.simulation import Path as Path

@@ -16,7 +16,6 @@ from flexopt.cli.common import BAD_INPUT, FAILED, print_json
 from flexopt.errors import FlexoptError, InputError
 from flexopt.model.documents import json_ready, package_version
 
-
 # Commands and their modules, imported when they are asked for: what one needs takes longest.
 _COMMANDS = {
     "evaluate": "analysis",

@@ -64,6 +64,7 @@ SQP_OPTIONS: dict[str, Any] = QUIET | {
     "tol_pr": 1e-10,
     "min_step_size": 1e-12,
 }
+SQP_QUICK = 30
 
 
 @dataclass(frozen=True)
@@ -274,7 +275,7 @@ def build_solver(configuration: Configuration, forms: tuple[Form, ...], *, quick
     on which of them is the smaller one just now. `quick` is for first solves of problems with much redundancy.
     """
     if any(form.kinks for form in forms):
-        return make_solver("selection", "sqpmethod", *_sequential(configuration, forms))
+        return make_solver("selection", "sqpmethod", *_sequential(configuration, forms, quick=quick))
     return make_solver("selection", "ipopt", *_interior_point(configuration, len(forms), quick=quick))
 
 
@@ -328,7 +329,9 @@ def _interior_point(
     return {"x": x, "p": parameters, "f": f, "g": g}, options
 
 
-def _sequential(configuration: Configuration, forms: tuple[Form, ...]) -> tuple[dict[str, ca.MX], dict[str, Any]]:
+def _sequential(
+    configuration: Configuration, forms: tuple[Form, ...], *, quick: bool
+) -> tuple[dict[str, ca.MX], dict[str, Any]]:
     """The program and the options of the sequential method."""
     measures, plant = configuration.measures, configuration.measures.plant
     n_z, n_b, m, count = plant.n_base + plant.n_actuated, plant.n_base, plant.n_passive, len(forms)
@@ -377,4 +380,5 @@ def _sequential(configuration: Configuration, forms: tuple[Form, ...]) -> tuple[
     f_there, g_there = program(rows)
     outputs = [f_there, ca.densify(gradient), g_there, ca.densify(ca.vertcat(*jacobian))]
     given = ca.Function("jac_fg", [x, parameters], outputs, ["x", "p"], ["f", "grad_f_x", "g", "jac_g_x"])
-    return {"x": x, "p": parameters, "f": f, "g": g}, SQP_OPTIONS | {"jac_fg": given}
+    options = SQP_OPTIONS | {"jac_fg": given} | ({"max_iter": SQP_QUICK} if quick else {})
+    return {"x": x, "p": parameters, "f": f, "g": g}, options

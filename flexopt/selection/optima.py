@@ -143,11 +143,14 @@ def _attempted(
 
     # What candidates are evaluated by is built while others solve.
     meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
-    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile)
+    lost = partial(_lost, starts)
+    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile, lost)
     unfinished = _promising(problem, solved)
     points = [solved[number][0] for number in unfinished]
     for number, (z, proof, more, status) in zip(
-        unfinished, in_parallel(partial(_resume, problem, points), len(points), workers), strict=True
+        unfinished,
+        in_parallel(partial(_resume, problem, points), len(points), workers, lost=partial(_lost, points)),
+        strict=True,
     ):
         solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
@@ -165,6 +168,10 @@ def _attempted(
     return found, attempts, failures
 
 
+def _lost(starts: list[Vector], number: int, sentence: str) -> Solved:
+    return starts[number], None, 0, sentence
+
+
 def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
     """Whether a point counts as an optimum.
 
@@ -176,7 +183,7 @@ def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
 
 def _hurried(problem: SelectionProblem) -> bool:
     """Whether solves are cut short first: with one degree of redundancy optima are points, and solves are quick."""
-    return problem.redundancy > 1 and not any(o.has_kinks for o in problem.objectives[: len(problem.kept) + 1])
+    return problem.redundancy > 1
 
 
 def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:

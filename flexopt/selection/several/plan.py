@@ -32,7 +32,7 @@ from flexopt.selection.several.joined import Joined
 from flexopt.selection.several.postures import EDGE, Reached, reached_from, value_of
 from flexopt.selection.several.program import Joint
 from flexopt.selection.several.results import BasePlan, Still
-from flexopt.selection.several.solving import End, Progress, end_from, ends_from, places_at, verified
+from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, places_at, verified
 from flexopt.selection.several.standing import best_placements, one_placement
 from flexopt.selection.several.targets import build_problems, sample_bases
 from flexopt.selection.several.ways import coarse_ways, nodes_of
@@ -157,7 +157,7 @@ def plan_base(
         sentence = "with these rates no configurations of neighbouring targets are near enough"
         raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
     ends = ends_from(joined, begins, count, progress)
-    good = verified(joined, ends, "way")
+    good = not_below(joined, verified(joined, ends, "way"), begins, "way")
     best, stationarity = _shortest(joined, good)
     places = places_at(joined, best)
     stated = {"path": points.tolist(), "times": due.tolist(), "max_base_rate": base_rates.tolist()}
