@@ -8,6 +8,7 @@ feedback make it. For every tenth the truth is looked up in a nonlinear run of o
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 import warnings
@@ -171,6 +172,8 @@ def intervals() -> list[list[str]]:
 
 
 def main() -> None:
+    # Every machine wants code of its own, which takes longer to compile than to interpret once.
+    os.environ.setdefault("FLEXOPT_COMPILE", "0")
     machines = int(sys.argv[1]) if len(sys.argv) > 1 else MACHINES
     start = time.perf_counter()
     found = count(machines)
