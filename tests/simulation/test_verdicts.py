@@ -73,6 +73,7 @@ def test_a_mode_that_ten_seconds_do_not_show():
         assert run.linear_growth_rate == pytest.approx(truth, rel=1e-9)
         assert run.to_dict()["verdict"] == run.verdict
     assert "undecided: the run of 10 s decays" in repr(short)
+    assert short.verdict_reason.endswith("the run is too short to show it, or too large for a linear loop")
     assert pickle.loads(pickle.dumps(short)).verdict == "undecided"
 
 
@@ -93,6 +94,7 @@ def test_an_integrator_that_damps_a_growing_loop_decides_nothing():
     late = {"kp": 1e4, "kv": 1e3, "sensor": {"delay": 0.02}, "offset": (1e-4, -1e-4), "duration": 60.0}
     damped = flexopt.simulate(EXCAVATOR, POSTURE_B, **late)
     assert (damped.run.word, damped.verdict) == ("converges", "undecided")
+    assert "the integrator rk4 makes it -0.004774/s by itself" in damped.verdict_reason
     assert flexopt.simulate(EXCAVATOR, POSTURE_B, integrator="dop853", **late | {"duration": 2000.0}).verdict == "grows"
 
 
