@@ -70,6 +70,8 @@ def simulate(
     (inverse), f = Kp (r_d − r) + Kv (ṙ_d − ṙ); it knows the joints' angles and takes the passive coordinates for what
     they are at equilibrium: nobody measures the base (article, sections 3.2 and 5).
 
+    The verdict takes the run and the eigenvalues of the linear loop together; see `Trajectory`.
+
     Args:
         machine: from `flexopt.load`.
         posture: actuated joints (n,), rad or m, about which to work; or give `end_point`, and `elbow` of a planar arm.

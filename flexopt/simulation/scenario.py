@@ -31,17 +31,11 @@ from flexopt.simulation.behaviour import STILL, Grounds
 from flexopt.simulation.levers import with_servo_gain
 from flexopt.simulation.loop import ClosedLoop, closed_loop
 from flexopt.simulation.robust import robust_law
+from flexopt.simulation.stepping import stepping
 from flexopt.simulation.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 
 OFFSET = 0.05  # rad or m
-# Steps of the accurate methods, as shares of the fastest mode's radian.
-ACCURATE_STEP = 0.3
-# Where RK4 leaves the imaginary axis: |R(iy)| > 1 beyond √8.
-RK4_LIMIT = math.sqrt(8.0)
-# And where it leaves the negative real axis: |R(−y)| > 1 beyond.
-RK4_REAL_LIMIT = 2.785
 STATIC_TOLERANCE = 1e-8
-SUBSTEPS_MAX = 1000
 
 
 @dataclass(frozen=True)
@@ -207,7 +201,7 @@ def build_scenario(
     period = 1 / options.rate
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
     servo = 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,))
-    substeps, iterations = (1, 0) if exact else _stepping(options, fastest, servo)
+    substeps, iterations = (1, 0) if exact else stepping(options, fastest, servo)
     structure = _structure(machine, options, substeps, iterations)
     structure = replace(structure, watched=watched, method="rk4" if exact else structure.method)
     if zeros is not None:
@@ -353,30 +347,6 @@ def _flexible_modes(stiffness: Vector, mass: Vector, m: int) -> tuple[Vector, Ve
     frequencies: Vector = np.sqrt(np.maximum(values[-m:], 0.0)) / (2 * math.pi)
     modes: Vector = np.asarray(inverse.T @ vectors[:, -m:], dtype=np.float64)
     return frequencies, modes
-
-
-def _stepping(options: SimulationOptions, mode: float, servo: float) -> tuple[int, int]:
-    """Integration steps in a sample, and iterations of the implicit method; the fastest mode and servo in rad/s."""
-    period = 1 / options.rate
-    fastest, substeps = max(mode, servo), options.substeps
-    what = f"mode at {mode / (2 * math.pi):.4g} Hz" if mode >= servo else f"servo of {servo / (2 * math.pi):.4g} Hz"
-    if substeps is None:
-        substeps = 1 if options.integrator == "rk4" else max(1, math.ceil(fastest * period / ACCURATE_STEP))
-    reach = fastest * period / substeps
-    need = max(math.ceil(mode * period / RK4_LIMIT), math.ceil(servo * period / RK4_REAL_LIMIT))
-    if options.integrator == "rk4" and substeps < need <= SUBSTEPS_MAX:
-        raise InputError(
-            f"simulate: rate = {options.rate:g} Hz with {substeps} substeps: RK4 is unstable for the {what} "
-            f"(step {period / substeps:g} s); needs substeps of at least {need}, or integrator = 'dop853' or 'gauss'"
-        )
-    if substeps > SUBSTEPS_MAX or need > SUBSTEPS_MAX:
-        raise InputError(
-            f"simulate: rate = {options.rate:g} Hz is too slow for the {what}: a sample would need more than "
-            f"{SUBSTEPS_MAX} integration steps"
-        )
-    # Fixed-point iterations shrink the change by a quarter of the step in radians of the fastest mode.
-    shrink = min(0.25 * reach, 0.75)
-    return substeps, max(6, math.ceil(-38.0 / math.log(shrink))) if options.integrator == "gauss" else 0
 
 
 def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, iterations: int) -> LoopStructure:

@@ -77,6 +77,7 @@ def _exponential(flow: bytes, drive: bytes, n: int, m: int, span: float) -> tupl
     block: Vector = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = np.frombuffer(flow).reshape(n, n), np.frombuffer(drive).reshape(n, m)
     whole = expm(block * span)
+    whole.setflags(write=False)
     return whole[:n, :n], whole[:n, n:]
 
 

@@ -111,7 +111,7 @@ class Trajectory:
 
     @cached_property
     def _judgement(self) -> Judgement:
-        return judge(self.run, self._linear)
+        return judge(self.run, self._linear, self.ended)
 
     @property
     def verdict(self) -> Verdict:

@@ -19,7 +19,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.simulation import SimulationOptions
 from flexopt.simulation.behaviour import Shown
-from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly
+from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly, linearised
 from flexopt.simulation.scenario import Scenario
 from flexopt.simulation.tangent import at_rest
 
@@ -64,6 +64,15 @@ class Ended:
         except FlexoptError as error:
             return str(error)
 
+    def integrated(self) -> float | None:
+        """Growth rate of the linear loop as the run's integrator makes it, 1/s; None where it is not to be had."""
+        if self.x is not None:
+            return None
+        try:
+            return linearised(bare_scenario(self.machine, self.options, exact=False)).growth_rate
+        except FlexoptError:
+            return None
+
 
 def _essential(options: SimulationOptions) -> SimulationOptions:
     """The options without those that the linear loop does not depend on."""
@@ -92,8 +101,8 @@ def about(bare: Scenario, x: Vector, e: Vector, parts: Mapping[str, Any] | None 
         return str(error)
 
 
-def judge(run: Shown, linear: SampledLoop | str) -> Judgement:
-    """The verdict."""
+def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> Judgement:
+    """The verdict; with `ended` the reason can name an integrator that hides what the loop does."""
     said = f"the run of {run.duration:g} s {_words(run)}"
     if isinstance(linear, str):
         word: Verdict = "undecided" if run.short or not run.significant else run.word
@@ -110,8 +119,18 @@ def judge(run: Shown, linear: SampledLoop | str) -> Judgement:
         return Judgement(run.word, f"{said}; {other}")
     if eigenvalues == "undecided":
         return Judgement("undecided", f"{said}, but {other}, to rounding")
-    why = "the run is too short to show it, too large for a linear loop, or damped by its own integrator"
-    return Judgement("undecided", f"{said}, but {other}: {why}")
+    return Judgement("undecided", f"{said}, but {other}: {_why(linear, ended)}")
+
+
+def _why(linear: SampledLoop, ended: Ended | None) -> str:
+    """What sets run and eigenvalues apart."""
+    own = None if ended is None else ended.integrated()
+    if own is None or ended is None:
+        return "the run is too short to show it, too large for a linear loop, or damped by its own integrator"
+    if (own > 0) != (linear.growth_rate > 0):
+        integrator = ended.options.integrator
+        return f"the integrator {integrator} makes it {own:+.4g}/s by itself; more substeps or another show the loop"
+    return "the run is too short to show it, or too large for a linear loop"
 
 
 def _words(run: Shown) -> str:

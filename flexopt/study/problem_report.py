@@ -207,8 +207,8 @@ def report(
         experiment: from `flexopt.load_experiment`: its controller, gains, start and run are those of the closed loops.
         simulation: arguments of `flexopt.simulate` for these, before those of the experiment; not where the machine
             stands, nor `control` and `gravity`, which are the problem's. Where neither names `kp` or `kv` they are as
-            heavy as the machine in the chosen configuration: a corner at 0.3 of its lowest mode, damped by 0.7; see
-            `flexopt.study.default_gains`.
+            heavy as the machine in the chosen configuration: a corner at 0.3 of its lowest mode, damped by 0.7, and
+            halved until the linear loop is stable; see `flexopt.study.default_gains`.
         points: of the map, along each axis; 160, or with more than three passive coordinates 48.
         progress: called with the number of stages done and of all.
 
@@ -310,7 +310,8 @@ def _with_gains(machine: AnyMachine, stand: Evaluation, given: dict[str, Any]) -
     """The options with gains that suit the machine, where nobody named any."""
     if {"kp", "kv"} & given.keys() or given.get("feedback", "pd") not in ("pd", "pid"):
         return given
-    return default_gains(machine, stand, given.get("rate", SimulationOptions.model_fields["rate"].default)) | given
+    rate = given.get("rate", SimulationOptions.model_fields["rate"].default)
+    return default_gains(machine, stand, rate, given) | given
 
 
 def _inside(low: float, high: float) -> float:

@@ -125,7 +125,8 @@ def test_figures_11_and_12(loops):
 
 def test_robust_controller(loops):
     rk4, accurate = loops.robust
-    assert (rk4.integrator, accurate.integrator) == ("rk4", "dop853")
+    assert (rk4.integrator, accurate.integrator) == ("rk4", "exact")
+    assert accurate.run.provenance["options"]["integrator"] == "dop853"
     assert accurate.linear.stable
     assert not rk4.linear.stable
     assert rk4.linear.frequency_hz == pytest.approx(22.25, abs=0.1)
@@ -201,7 +202,7 @@ def test_verdicts_agree_with_eigenvalues_outside_a_band(gain_map):
     exact = gain_map.growth_rate[:, ::2, ::2]
     assert np.count_nonzero(gain_map.grows != (exact >= 0)) == len(gain_map.disagreements)
     # RK4 at 5 ms damps the faster modes away: the loop grows where its runs decay.
-    assert gain_map.hidden == np.count_nonzero(~gain_map.grows & (exact >= 0) & (rates < 0)) > 50
+    assert gain_map.hidden == np.count_nonzero(~gain_map.grows & (exact >= 0) & (rates < 0)) > 30
     assert f"{gain_map.hidden} decay only because RK4 damps" in gain_map.sentence
     # Enough of either kind, and most of them outside the band.
     assert 0.2 < gain_map.grows.mean() < 0.9

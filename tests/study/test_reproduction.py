@@ -3,12 +3,13 @@
 import json
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import flexopt
-from flexopt.study import reproduce
+from flexopt.study import gaps, reproduce
 from flexopt.study.gaps import RIGID_MARGIN
 from flexopt.study.reproduction_page import report_html
 from tests.cli.command import strict_json
@@ -81,6 +82,15 @@ def test_posture_b(result):
     worst = finding(result.contradictions, "posture B").numbers["deviation"]
     assert worst["printed workspace point (1.32687, 1.0870) m"] > 2
     assert worst["workspace point (1.5575, 1.0870) m"] < 4e-3
+
+
+def test_quotations_are_the_articles_words(result):
+    """Every part of each, letter by letter, in the sentences that were copied from the article's text."""
+    copied = (Path(__file__).parent / "quotations.txt").read_text(encoding="utf-8")
+    parts = [part for f in (*result.contradictions, *result.claims) for part in f.quote.split(" … ")]
+    parts += re.findall('"(.*?)"', " ".join(gaps.__doc__.split()))
+    assert len(parts) > len(result.contradictions) + len(result.claims)
+    assert [part for part in parts if part not in copied] == []
 
 
 def test_maximum(result):
