@@ -127,9 +127,15 @@ def table(arguments: Arguments, field: str, value: Any) -> Any:
 
 
 def callback(arguments: Arguments, field: str, value: Any) -> Any:
-    """A function."""
-    if not callable(value):
-        arguments.note(field, "must be a function", value)
+    """A function of two numbers, done and in all."""
+    try:
+        fits = callable(value) and not isinstance(value, type) and bool(inspect.signature(value).bind(0, 1))
+    except TypeError:  # it takes others
+        fits = False
+    except ValueError:  # built in, its arguments unknown
+        fits = True
+    if not fits:
+        arguments.note(field, "must be a function of two numbers, (done, in all)", value)
     return value
 
 
@@ -222,8 +228,11 @@ def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
             text = None
         if not isinstance(text, str):
             raise ValueError("must be a path, text or os.PathLike")
-        bytes_of = os.fsencode(text) if text.isprintable() else text.encode("utf-8", "surrogatepass")
-        if not text.strip() or "\0" in text:
+        try:
+            bytes_of = os.fsencode(text)
+        except UnicodeEncodeError:
+            bytes_of = b""
+        if not bytes_of.strip() or b"\0" in bytes_of:
             raise ValueError("is empty or an unusable name; a path is wanted")
         longest = max(map(len, bytes_of.replace(b"\\", b"/").split(b"/")))
         if limited and (len(bytes_of) > PATH_MAX or longest > NAME_MAX):

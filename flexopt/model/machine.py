@@ -13,6 +13,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.plain import shown
 from flexopt.model.quantities import (
+    COORDINATE_MAX,
     Acceleration,
     Angle,
     AngularSpeed,
@@ -27,6 +28,7 @@ from flexopt.model.quantities import (
     RotationalStiffness,
     Stiffness,
     Torque,
+    check_number,
     check_schema,
     checked,
 )
@@ -147,6 +149,10 @@ class AnyMachine(BuiltByCall):
     def beyond_stroke(self, joint: str, q: Any) -> str:
         """The end of a sentence about a value that its joint cannot take, where that is its cylinder's doing."""
         self._check_joint("beyond_stroke", joint)
+        try:
+            q = check_number(q, "rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
+        except ValueError as error:
+            raise_if_any(InputError, "beyond_stroke", [Fault("q", str(error), shown(q))])
         return next((self.travel(c).beyond_stroke(q) for c in self.cylinders if c.joint == joint), "")
 
     @cached_property
