@@ -8,11 +8,13 @@ from flexopt.errors import FlexoptError as FlexoptError
 from flexopt.errors import FlexoptWarning as FlexoptWarning
 from flexopt.errors import ImplausibleMachine as ImplausibleMachine
 from flexopt.errors import InputError as InputError
+from flexopt.errors import MarginNotComputed as MarginNotComputed
 from flexopt.errors import ModelError as ModelError
 from flexopt.errors import NoSolutionFound as NoSolutionFound
 from flexopt.errors import NotStabilizable as NotStabilizable
 from flexopt.errors import SingularPosture as SingularPosture
 from flexopt.errors import UnreachableTarget as UnreachableTarget
+from flexopt.errors import WriteError as WriteError
 from flexopt.errors import WrongSlope as WrongSlope
 
 if TYPE_CHECKING:
@@ -78,6 +80,84 @@ if TYPE_CHECKING:
     from flexopt.study import WorkspaceMap as WorkspaceMap
     from flexopt.study import map_workspace as map_workspace
     from flexopt.study import report as report
+
+__all__ = [
+    "Actuator",
+    "BasePlan",
+    "BaseTrajectory",
+    "Candidate",
+    "Check",
+    "Ensemble",
+    "Evaluation",
+    "Experiment",
+    "ExportError",
+    "ExportReport",
+    "FlexoptError",
+    "FlexoptWarning",
+    "FmuReport",
+    "Hydraulics",
+    "ImplausibleMachine",
+    "InputError",
+    "Machine",
+    "MarginNotComputed",
+    "Measures",
+    "ModelError",
+    "NoSolutionFound",
+    "NotStabilizable",
+    "Path",
+    "Plant",
+    "Problem",
+    "Report",
+    "RobustMargin",
+    "Selection",
+    "SelectionProblem",
+    "Sensor",
+    "SingularPosture",
+    "Stand",
+    "StateSpace",
+    "Trajectory",
+    "Tree",
+    "UnreachableTarget",
+    "Verification",
+    "WorkspaceMap",
+    "WriteError",
+    "WrongSlope",
+    "build_hydraulics",
+    "build_measures",
+    "build_plant",
+    "build_selection",
+    "check",
+    "evaluate",
+    "evaluate_w",
+    "export_c",
+    "export_fmu",
+    "gap",
+    "inverse_kinematics",
+    "load",
+    "load_experiment",
+    "load_problem",
+    "load_robot",
+    "machine_from_dict",
+    "map_workspace",
+    "ncf_margin",
+    "nu_gap",
+    "nullspace_trajectory",
+    "optimal_controller",
+    "plan_base",
+    "report",
+    "robust_margin",
+    "run_experiment",
+    "sampled_loop",
+    "select",
+    "select_stand",
+    "simulate",
+    "simulate_ensemble",
+    "solve_problem",
+    "solve_selection",
+    "stability_border",
+    "tree_from_dict",
+    "verify_bundle",
+]
 
 # What is imported when first asked for, from which module: an import that needs nothing else takes milliseconds.
 _LATER: dict[str, str] = {
@@ -159,4 +239,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LATER})
+    return sorted({*globals(), *__all__})

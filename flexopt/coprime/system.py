@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexopt.coprime.guard import INSIDE
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import Check, anything, array, public
+from flexopt.model.boundary import Check, anything, array_of, public
 from flexopt.model.documents import json_ready
 from flexopt.model.plain import plain, shown
 from flexopt.model.quantities import check_number
@@ -77,7 +77,7 @@ class StateSpace:
         """Eigenvalues of A (n,), rad/s (dimensionless in discrete time)."""
         return np.asarray(np.linalg.eigvals(self.A), dtype=complex) if self.n_states else np.zeros(0, complex)
 
-    @public(points=array((), ("k",), kinds="iufc"))
+    @public(points=array_of((), ("k",), kinds="iufc"))
     def at(self, points: Any) -> NDArray[np.complex128]:
         """C (s I − A)⁻¹ B + D at complex `points` (k,) that are no poles; (k, p, m)."""
         s = np.atleast_1d(np.asarray(points, dtype=complex))
@@ -112,7 +112,13 @@ def state_space(system: Any, *, call: str = "state_space", field: str = "system"
     """
     if isinstance(system, StateSpace):
         return system
-    A, B, C, D, dt = _parts(system, call, field)
+    try:
+        A, B, C, D, dt = _parts(system, call, field)
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001, RUF100  # a foreign object's own methods raise whatever they like
+        sentence = f"cannot be read ({type(error).__name__}); pass (A, B, C, D)"
+        raise InputError(f"{call}: {field}: {sentence}", [Fault(field, sentence)], call) from None
     return build_system(A, B, C, D, dt, call=call, prefix=f"{field}.")
 
 

@@ -8,12 +8,11 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from flexopt.compiled.turns import in_turn
 from flexopt.errors import ExportError, Fault, InputError, raise_if_any
 from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
 from flexopt.export.extras import Extras
@@ -24,9 +23,10 @@ from flexopt.export.parts import PARTS
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
 from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import by, number, public, words
 from flexopt.model.documents import json_ready, package_version, provenance
-from flexopt.model.problem import Control, check_gain, check_margin_deg
-from flexopt.model.quantities import check_number
+from flexopt.model.plain import shown
+from flexopt.model.problem import Control
 from flexopt.writing import replace_folder
 
 FORMAT = "flexopt C bundle"
@@ -90,7 +90,44 @@ class ExportReport:
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
 
-@in_turn
+def _check_parts(value: Any) -> tuple[str, ...]:
+    given = cast(list[Any], list(value) if isinstance(value, list | tuple) else [value])
+    valid = ", ".join(PARTS)
+    unknown = [shown(part) for part in given if not isinstance(part, str) or part not in PARTS]
+    if unknown or not given:
+        named = f", not {', '.join(unknown[:3])}" if unknown else ""
+        raise ValueError(f"must be some of {valid}{named}")
+    if all(PARTS[part].foreign for part in given):
+        given = ["kinematics", *given]
+    return tuple(part for part in PARTS if part in given)
+
+
+def _check_prefix(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", value):
+        raise ValueError("must be a C name in lower case: a letter, then up to 30 letters, digits or underscores")
+    return value
+
+
+def _allowed(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """Parts that were asked for by name must be possible."""
+    for part, sentence in _left_out(arguments.of, given["parts"] or ()).items():
+        arguments.note("parts", f"{sentence}; {given['machine'].name} does not allow it", part)
+
+
+def _left_out(machine: AnyMachine | None, parts: Sequence[str]) -> dict[str, str]:
+    """Parts that the machine does not allow, and why."""
+    refused = {part: PARTS[part].refusal(machine) for part in parts} if machine is not None else {}
+    return {part: sentence for part, sentence in refused.items() if sentence}
+
+
+@public(
+    parts=by(_check_parts),
+    real=words(*REALS),
+    limit_allowance_deg=number("degrees", low=0.0, high=45.0),
+    limit_allowance_m=number("m", low=0.0, high=10.0),
+    prefix=by(_check_prefix),
+    together=_allowed,
+)
 def export_c(
     machine: AnyMachine,
     folder: str | Path,
@@ -135,31 +172,9 @@ def export_c(
         WriteError: the folder cannot be written; what was there is as it was.
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
     """
-    arguments = Arguments("export_c")
-    machine = arguments.machine(machine)
-    wanted = _checked_parts(arguments, parts)
-    real = arguments.choice("real", real, REALS)
-    control = arguments.control(control)
-    gain = arguments.checked("gain", gain, check_gain, 5e5)
-    baked = arguments.flag("baked", baked)
-    margin = arguments.checked(
-        "singularity_margin_deg", singularity_margin_deg, check_margin_deg, SINGULARITY_MARGIN_DEG
-    )
-    allowance_deg = arguments.checked(
-        "limit_allowance_deg", limit_allowance_deg, _check_allowance_deg, LIMIT_ALLOWANCE_DEG
-    )
-    allowance_m = arguments.checked("limit_allowance_m", limit_allowance_m, _check_allowance_m, LIMIT_ALLOWANCE_M)
-    overwrite = arguments.flag("overwrite", overwrite)
-    prefix = arguments.checked("prefix", identifier(machine.name) if prefix is None else prefix, _check_prefix, "x")
-    refused = {part: PARTS[part].refusal(machine) for part in wanted} if not arguments.faults else {}
-    left_out = {part: sentence for part, sentence in refused.items() if sentence}
-    if parts is not None:
-        arguments.faults += [
-            Fault("parts", f"{sentence}; {machine.name} does not allow it", repr(part))
-            for part, sentence in left_out.items()
-        ]
-    arguments.done()
-    wanted = tuple(part for part in wanted if part not in left_out)
+    prefix = identifier(machine.name) if prefix is None else prefix
+    left_out = {} if parts is not None else _left_out(machine, tuple(PARTS))
+    wanted = tuple(part for part in (PARTS if parts is None else parts) if part not in left_out)
     target = Path(folder)
     check_replaceable(target, overwrite)
     texts, manifest = render_bundle(
@@ -169,9 +184,9 @@ def export_c(
         control=control,
         gain=gain,
         baked=baked,
-        singularity_margin_deg=margin,
-        limit_allowance_deg=allowance_deg,
-        limit_allowance_m=allowance_m,
+        singularity_margin_deg=singularity_margin_deg,
+        limit_allowance_deg=limit_allowance_deg,
+        limit_allowance_m=limit_allowance_m,
         prefix=prefix,
     )
     replace_folder(target, texts, _kept(target))
@@ -371,32 +386,3 @@ def _kept(folder: Path) -> Callable[[str], bool]:
 
 def _some(names: list[str]) -> str:
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-
-
-def _checked_parts(arguments: Arguments, parts: Any) -> tuple[str, ...]:
-    if parts is None:
-        return tuple(PARTS)
-    given = cast(Sequence[Any], [parts] if not isinstance(parts, list | tuple) else parts)
-    valid = ", ".join(PARTS)
-    for part in given:
-        if not isinstance(part, str) or part not in PARTS:
-            arguments.faults.append(Fault("parts", f"must be some of {valid}", repr(part)))
-    if not given:
-        arguments.faults.append(Fault("parts", f"must be at least one of {valid}", "[]"))
-    if given and all(isinstance(part, str) and part in PARTS and PARTS[part].foreign for part in given):
-        given = ["kinematics", *given]
-    return tuple(part for part in PARTS if part in given)
-
-
-def _check_allowance_deg(value: Any) -> float:
-    return check_number(value, "degrees", low=0.0, high=45.0)
-
-
-def _check_allowance_m(value: Any) -> float:
-    return check_number(value, "m", low=0.0, high=10.0)
-
-
-def _check_prefix(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", value):
-        raise ValueError("must be a C name in lower case: a letter, then up to 30 letters, digits or underscores")
-    return value

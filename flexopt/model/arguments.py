@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
@@ -106,8 +107,10 @@ class Arguments:
                 )
             )
             for fault in self.faults[known:]:
-                longer = f"{fault.sentence}{machine.beyond_stroke(name, part)}"
-                self.faults[known] = Fault(fault.field, longer, fault.value)
+                # Of what is no number there is no more to say.
+                with contextlib.suppress(InputError):
+                    longer = f"{fault.sentence}{machine.beyond_stroke(name, part)}"
+                    self.faults[known] = Fault(fault.field, longer, fault.value)
         return np.array(checked)
 
     def displacement(self, machine: AnyMachine, value: Any, field: str) -> Vector:

@@ -24,7 +24,7 @@ from flexopt.model.arguments import Arguments
 from flexopt.model.constraints import read_constraints
 from flexopt.model.faults import ALIKE
 from flexopt.model.machine import AnyMachine
-from flexopt.model.plain import plain, shown
+from flexopt.model.plain import plain, plain_table, shown
 from flexopt.model.problem import (
     ELBOWS,
     Problem,
@@ -38,7 +38,6 @@ from flexopt.model.problem import (
     check_weights,
 )
 from flexopt.model.quantities import check_number, check_numbers, check_whole
-from flexopt.model.simulation import Experiment
 from flexopt.model.targets import TARGETS_MAX
 
 P = ParamSpec("P")
@@ -121,10 +120,24 @@ def anything(_arguments: Arguments, _field: str, value: Any) -> Any:
     return value
 
 
+def table(arguments: Arguments, field: str, value: Any) -> Any:
+    """A dictionary of plain data."""
+    read = plain_table(value)
+    if not isinstance(read, dict):
+        arguments.note(field, "must be a dictionary", value)
+    return read
+
+
 def callback(arguments: Arguments, field: str, value: Any) -> Any:
-    """A function."""
-    if not callable(value):
-        arguments.note(field, "must be a function", value)
+    """A function of two numbers, done and in all."""
+    try:
+        fits = callable(value) and not isinstance(value, type) and bool(inspect.signature(value).bind(0, 1))
+    except TypeError:  # it takes others
+        fits = False
+    except ValueError:  # built in, its arguments unknown
+        fits = True
+    if not fits:
+        arguments.note(field, "must be a function of two numbers, (done, in all)", value)
     return value
 
 
@@ -137,7 +150,7 @@ def of_machine(check: Callable[[Arguments, AnyMachine, str, Any], Any]) -> Check
     return asked
 
 
-def array(*shapes: tuple[int | str, ...], unit: str = "", kinds: str = "iuf", finite: bool = True) -> Check:
+def array_of(*shapes: tuple[int | str, ...], unit: str = "", kinds: str = "iuf", finite: bool = True) -> Check:
     """Numbers in one of some shapes; a word in a shape is one of `Arguments.sizes`, or stands for any length."""
 
     def check(sizes: Mapping[str, int], value: Any) -> NDArray[Any]:
@@ -217,8 +230,11 @@ def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
             text = None
         if not isinstance(text, str):
             raise ValueError("must be a path, text or os.PathLike")
-        bytes_of = os.fsencode(text) if text.isprintable() else text.encode("utf-8", "surrogatepass")
-        if not text.strip() or "\0" in text:
+        try:
+            bytes_of = os.fsencode(text)
+        except UnicodeEncodeError:
+            bytes_of = b""
+        if not bytes_of.strip() or b"\0" in bytes_of:
             raise ValueError("is empty or an unusable name; a path is wanted")
         longest = max(map(len, bytes_of.replace(b"\\", b"/").split(b"/")))
         if limited and (len(bytes_of) > PATH_MAX or longest > NAME_MAX):
@@ -242,27 +258,20 @@ def _machine(arguments: Arguments, field: str, value: Any) -> Any:
     return value
 
 
-def _loaded(arguments: Arguments, field: str, value: Any) -> Any:
+def holding_machine(kind: type, sentence: str) -> Check:
     """A problem or an experiment, which must hold its machine."""
-    try:
-        arguments.of = value.loaded_machine
-    except ModelError as error:
-        arguments.note(field, str(error), value.name)
-    return value
 
+    def check(arguments: Arguments, field: str, value: Any) -> Any:
+        if not isinstance(value, kind):
+            arguments.note(field, f"must be {sentence}", value)
+            return value
+        try:
+            arguments.of = value.loaded_machine
+        except ModelError as error:
+            arguments.note(field, str(error), value.name)
+        return value
 
-def _problem(arguments: Arguments, field: str, value: Any) -> Any:
-    if isinstance(value, Problem):
-        return _loaded(arguments, field, value)
-    arguments.note(field, "must be a Problem, from flexopt.load_problem", value)
-    return value
-
-
-def _experiment(arguments: Arguments, field: str, value: Any) -> Any:
-    if isinstance(value, Experiment):
-        return _loaded(arguments, field, value)
-    arguments.note(field, "must be an Experiment, from flexopt.load_experiment", value)
-    return value
+    return check
 
 
 def _base_range(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
@@ -274,8 +283,7 @@ flag = words(False, True)
 
 TABLE: dict[str, Check] = {
     "machine": _machine,
-    "problem": _problem,
-    "experiment": _experiment,
+    "problem": holding_machine(Problem, "a Problem, from flexopt.load_problem"),
     "data": anything,  # `faults.read_table` and `faults.validated` name every fault by its key
     "posture": of_machine(lambda a, machine, field, value: a.posture(machine, value, field)),
     "base": of_machine(lambda a, machine, field, value: a.base(machine, value, field)),

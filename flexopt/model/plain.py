@@ -7,8 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-# More lists and tables than this, or deeper ones, are nothing that anybody means.
-PARTS_MAX, DEPTH_MAX = 1_000_000, 64
+# More lists and tables than this, deeper ones, or the same ones more often, are nothing that anybody means.
+PARTS_MAX, DEPTH_MAX, REPEATS_MAX = 1_000_000, 64, 10_000
 SHOWN = 60
 
 
@@ -42,18 +42,26 @@ def plain_table(value: Any) -> Any:
     return _Reader(tuples=True).read(value)
 
 
+class _TooMuchError(Exception):
+    """Of lists and tables."""
+
+
 class _Reader:
     """Remembers in what it is, counts, and notes what it cannot read."""
 
-    def __init__(self, *, tuples: bool = False) -> None:
-        self.tuples = tuples
+    def __init__(self, *, tuples: bool = False, most: int = PARTS_MAX) -> None:
+        self.tuples, self.most = tuples, most
         self.inside: list[int] = []
-        self.parts = 0
+        self.parts, self.seen = 0, set[int]()
         self.sentences: list[str] = []
 
     def read(self, value: Any) -> Any:
         try:
             return self._read(value)
+        except _TooMuchError:
+            if self.inside:
+                raise
+            return self._unreadable("holds too many lists and tables, or too deep ones")
         except Exception as error:  # noqa: BLE001, RUF100  # a foreign object's own methods raise whatever they like
             return self._unreadable(f"cannot be read ({type(error).__name__})")
 
@@ -63,9 +71,12 @@ class _Reader:
 
     def _read(self, value: Any) -> Any:
         if isinstance(value, np.ndarray | np.generic):
+            objects = value.dtype.kind == "O"
             value = cast(Any, value).tolist()
             if isinstance(value, np.floating):  # extended precision
                 return float(cast(Any, value))
+            if not objects:
+                return _tuples(value) if self.tuples else value
         table = isinstance(value, Mapping)
         # Named tuples and the like are objects of their own.
         if not table and not isinstance(value, list) and type(value) is not tuple:
@@ -73,8 +84,9 @@ class _Reader:
         if id(value) in self.inside:
             return self._unreadable("contains itself")
         self.parts += 1
-        if len(self.inside) == DEPTH_MAX or self.parts > PARTS_MAX:
-            return self._unreadable("holds too many lists and tables, or too deep ones")
+        self.seen.add(id(value))
+        if len(self.inside) == DEPTH_MAX or self.parts > min(self.most, len(self.seen) + REPEATS_MAX):
+            raise _TooMuchError
         self.inside.append(id(value))
         try:
             if table:
@@ -91,10 +103,17 @@ class _Reader:
         return {key: self.read(part) for key, part in table.items()}
 
 
+def _tuples(value: Any) -> Any:
+    """An array's lists as tuples."""
+    return tuple(map(_tuples, cast(list[Any], value))) if isinstance(value, list) else value
+
+
 def shown(value: Any) -> str:
     """A value as it is quoted in a message."""
     try:
-        text = repr(_Reader().read(value))
+        if isinstance(value, list | tuple | np.ndarray) and len(cast(list[Any], value)) > SHOWN:
+            value = cast(list[Any], value)[:SHOWN]
+        text = repr(_Reader(most=10 * SHOWN).read(value))
     except Exception:  # noqa: BLE001, RUF100  # whatever it is, the message about it must come out
         text = f"<{type(value).__name__}>"
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."

@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, PrivateAttr
 
-from flexopt.errors import ModelError
+from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine, FileModel
+from flexopt.model.plain import shown
 from flexopt.model.quantities import (
     COORDINATE_MAX,
     check_number,
@@ -21,7 +22,8 @@ from flexopt.model.quantities import (
     checked,
     coordinate_max,
 )
-from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares
+from flexopt.model.tables import BuiltByCall
+from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares, target_faults
 
 # "inverse", "transpose" or "damped:LAMBDA", as `check_control` gives it.
 Control = str
@@ -219,7 +221,7 @@ class SelectionOptions(FileModel):
     shares: Annotated[tuple[float, ...], checked(check_any_shares)] | None = None
 
 
-class Problem(FileModel):
+class Problem(BuiltByCall):
     """A configuration problem (`flexopt.load_problem` reads one from a file)."""
 
     schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
@@ -234,8 +236,18 @@ class Problem(FileModel):
 
     _loaded: AnyMachine | None = PrivateAttr(default=None)
 
+    def structural_faults(self) -> list[Fault]:
+        """As of a file."""
+        from flexopt.model.faults import problem_faults  # noqa: PLC0415  (which knows the tables)
+
+        table = self.model_dump(by_alias=True, exclude_unset=True)
+        return [*problem_faults(table), *target_faults(table)]
+
     def with_machine(self, machine: AnyMachine) -> Problem:
         """The same problem, holding its machine."""
+        if not isinstance(machine, AnyMachine):  # pyright: ignore[reportUnnecessaryIsInstance]
+            sentence = 'must be a Machine, from flexopt.load("excavator") for example'
+            raise_if_any(InputError, "with_machine", [Fault("machine", sentence, shown(machine))])
         twin = self.model_copy()
         twin._loaded = machine
         return twin

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr, ValidationError
+from pydantic import Field, PrivateAttr
 
-from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.errors import Fault, ModelError
 from flexopt.model.arguments import Arguments
-from flexopt.model.faults import model_faults
+from flexopt.model.boundary import array_of, public
 from flexopt.model.machine import AnyMachine, FileModel
 from flexopt.model.plain import plain
 from flexopt.model.problem import (
@@ -33,6 +34,7 @@ from flexopt.model.quantities import (
     check_whole,
     checked,
 )
+from flexopt.model.tables import BuiltByCall
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
@@ -89,18 +91,7 @@ Torques = Annotated[Numbers, checked(_list_of("N m or N", low=0.0, high=1e12))]
 Coordinates = Annotated[Numbers, checked(_list_of("rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX))]
 
 
-class _Option(FileModel):
-    """A table that may also be built by a call, whose faults come in flexopt's own words."""
-
-    def __init__(self, **data: Any) -> None:
-        try:
-            super().__init__(**data)
-        except ValidationError as error:
-            raise_if_any(InputError, type(self).__name__, model_faults(type(self), data, error))
-            raise
-
-
-class Sensor(_Option):
+class Sensor(BuiltByCall):
     """How the end-point is measured.
 
     Attributes:
@@ -116,7 +107,7 @@ class Sensor(_Option):
     delay: Annotated[float, _number("s", low=0.0, high=10.0)] = 0.0
 
 
-class Actuator(_Option):
+class Actuator(BuiltByCall):
     """What the joints' drives make of the torque asked for; a number, or a list with one for each actuated joint.
 
     Attributes:
@@ -140,32 +131,45 @@ class Actuator(_Option):
     servo_gain: Annotated[float, _number("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
 
 
-class Path(_Option):
+class Path(BuiltByCall):
     """Points at times, s, joined by straight lines; held before the first and after the last."""
 
     times: Annotated[Numbers, checked(_list_of("s", low=0.0, high=1e6))]
     points: Annotated[tuple[Numbers, ...], checked(_check_points)]
 
-    def faults(self, name: str, names: tuple[str, ...]) -> list[Fault]:
-        """What does not fit together; `names` of a point's coordinates."""
-        found: list[Fault] = []
-        if len(self.times) != len(self.points):
-            found.append(
-                Fault(f"{name}.points", f"needs one for each of the {len(self.times)} times", str(len(self.points)))
-            )
-        if any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
-            found.append(Fault(f"{name}.times", "must increase, in s"))
-        if not names:
-            found.append(Fault(name, "has nothing to move: the machine has no placement coordinates"))
-        elif any(len(point) != len(names) for point in self.points):
-            sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
-            found.append(Fault(f"{name}.points", sentence))
-        return found
+    def structural_faults(self) -> list[Fault]:
+        """What does not fit together."""
+        return _shape_faults(self, "")
 
+    @public(times=array_of((), ("K",), unit="s"))
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points (len(times), size)."""
         columns = [np.interp(times, self.times, column) for column in zip(*self.points, strict=True)]
         return np.array(columns).T
+
+
+def _shape_faults(path: Path, name: str) -> list[Fault]:
+    """What does not fit together in a path, `name` (and a dot) before its keys."""
+    found: list[Fault] = []
+    if len(path.times) != len(path.points):
+        sentence = f"needs one for each of the {len(path.times)} times"
+        found.append(Fault(f"{name}points", sentence, str(len(path.points))))
+    if any(later <= earlier for earlier, later in pairwise(path.times)):
+        found.append(Fault(f"{name}times", "must increase, in s"))
+    if len({len(point) for point in path.points}) > 1:
+        found.append(Fault(f"{name}points", "must have as many coordinates each"))
+    return found
+
+
+def _path_faults(path: Path, name: str, names: tuple[str, ...]) -> list[Fault]:
+    """What does not fit together; `names` of a point's coordinates."""
+    found = _shape_faults(path, f"{name}.")
+    if not names:
+        found.append(Fault(name, "has nothing to move: the machine has no placement coordinates"))
+    elif any(len(point) != len(names) for point in path.points):
+        sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
+        found.append(Fault(f"{name}.points", sentence))
+    return found
 
 
 class SimulationOptions(FileModel):
@@ -209,7 +213,7 @@ class SimulationOptions(FileModel):
             ("base_path", self.base_path, machine.base_coordinates),
             ("target_path", self.target_path, machine.task_rows),
         ):
-            found += [] if path is None else path.faults(name, names)
+            found += [] if path is None else _path_faults(path, name, names)
         return found
 
     def _posture_faults(self, machine: AnyMachine) -> list[Fault]:
@@ -298,7 +302,7 @@ class NullspaceOptions(FileModel):
     duration: Annotated[float, _number("s", above=0.0, high=1e6)] = 60.0
 
 
-class Experiment(FileModel):
+class Experiment(BuiltByCall):
     """A simulation in a file (`flexopt.load_experiment` reads one)."""
 
     schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
@@ -311,6 +315,7 @@ class Experiment(FileModel):
 
     _loaded: AnyMachine | None = PrivateAttr(default=None)
 
+    @public()
     def with_machine(self, machine: AnyMachine) -> Experiment:
         """The same experiment, holding its machine."""
         twin = self.model_copy()

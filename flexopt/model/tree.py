@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from flexopt.errors import ModelError
+from flexopt.errors import Fault, ModelError
 from flexopt.model.boundary import public
 from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, read_table, validated
@@ -131,6 +131,10 @@ class Tree(AnyMachine):
 
     __hash__ = AnyMachine.__hash__
 
+    def structural_faults(self) -> list[Fault]:
+        """As of `tree_from_dict`."""
+        return tree_faults(self.to_dict()) or self.stroke_faults()
+
     @property
     def passive_bodies(self) -> tuple[TreeBody, ...]:
         """Bodies on passive joints, in order."""
@@ -174,6 +178,7 @@ class Tree(AnyMachine):
 
     def joint_frame(self, joint: str) -> JointFrame:
         """The joint's axis is the third of its frame."""
+        self._check_joint("joint_frame", joint)
         body = next(body for body in self.actuated_bodies if body.joint.name == joint)
         of_body = axes_about(body.joint.axis)
         of_parent = snapped_rows(np.array(of_body) @ np.array(body.rotation).T)

@@ -18,7 +18,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
-from flexopt.model.boundary import array, instance, public, public_class, words
+from flexopt.model.boundary import array_of, instance, public, public_class, words
 from flexopt.model.hydraulics import Cylinder, pin_to_pin
 from flexopt.plant.plant import Plant, build_plant
 
@@ -215,7 +215,9 @@ class Hydraulics:
         return self._function("lever_rates", {"lever": lever}, [ca.vertcat(*rates)], ["rates"])
 
     @public(
-        machine=lambda self: self.plant.machine, sizes=lambda self: {"n_q": self.plant.n_coordinates}, q=array(("n_q",))
+        machine=lambda self: self.plant.machine,
+        sizes=lambda self: {"n_q": self.plant.n_coordinates},
+        q=array_of(("n_q",)),
     )
     def states(self, q: Vector, base: Vector) -> tuple[CylinderState, ...]:
         """Every cylinder at a configuration q (n_q,) of the machine's plant, the placement being `base` (n_b,)."""

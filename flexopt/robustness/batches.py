@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexopt.model.boundary import array, instance, public
+from flexopt.model.boundary import array_of, instance, public
 from flexopt.plant.singularity import singular_points
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.robustness.modes import TRUSTED_GAP
@@ -42,8 +42,8 @@ class BatchedW:
 
 @public(
     measures=instance(Measures, "a Measures, from flexopt.build_measures"),
-    bases=array((), ("n_b",), ("n_b", "N"), finite=False),
-    postures=array(("n",), ("n", "N"), finite=False),
+    bases=array_of((), ("n_b",), ("n_b", "N"), finite=False),
+    postures=array_of(("n",), ("n", "N"), finite=False),
 )
 def evaluate_w(
     measures: Measures, bases: ArrayLike, postures: ArrayLike, *, threads: int = 1, gradient: bool = False

@@ -111,7 +111,9 @@ def _refined(graphs: _Graphs, base: Vector, posture: Vector, lowest_frequency: f
         )
     modes = [_newton(evaluated.outputs, values[k], by * vectors[n:, k]) for k in upper]
     poles = np.array([mode.pole for mode in modes])
-    n0, n1 = (np.array([rounded(x) for x in each]).reshape(m, r, r) for each in zip(*(mode.numerators for mode in modes)))
+    n0, n1 = (
+        np.array([rounded(x) for x in each]).reshape(m, r, r) for each in zip(*(mode.numerators for mode in modes))
+    )
     groups = _clusters(poles)
     _check_distinct(poles, values[upper])
     w, n_z, n_p = np.empty(m), base.size + posture.size, p.shape[0]
@@ -139,7 +141,9 @@ def _told(row: Vector, error: Vector, by: Vector | float, size: float) -> bool:
 def _check_distinct(poles: NDArray[np.complex128], found: NDArray[np.complex128]) -> None:
     """Each pole found in doubles led to the refined one next to it, no two to the same."""
     for i, pole in enumerate(poles):
-        if abs(pole - found[i]) > 0.3 * min((abs(found[i] - other) for other in np.delete(found, i)), default=abs(pole)):
+        if abs(pole - found[i]) > 0.3 * min(
+            (abs(found[i] - other) for other in np.delete(found, i)), default=abs(pole)
+        ):
             near = any(abs(pole - other) <= CLUSTER_TOLERANCE * abs(pole) for other in np.delete(poles, i))
             if not near:
                 raise NoSolutionFound(

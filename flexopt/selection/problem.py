@@ -11,6 +11,7 @@ import numpy as np
 
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import array_of, instance, public
 from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.model.problem import Control, Elbow
 from flexopt.robustness.measures import Measures
@@ -54,6 +55,15 @@ class Travel:
 
     cost: float
     now: Vector
+
+
+def _sizes(of: Any) -> dict[str, int]:
+    return {"n_z": len(of.variables)}
+
+
+_OBJECTIVE = instance(Objective, "one of the problem's `objectives`")
+# One configuration or many.
+_MANY = array_of(("n_z",), ("N", "n_z"), ("K", "N", "n_z"), finite=False)
 
 
 @dataclass(frozen=True)
@@ -179,6 +189,7 @@ class SelectionProblem:
                 of_z[k] = of_target[rows.index(name)] = self.target[rows.index(name)]
         return of_z, of_target
 
+    @public(sizes=_sizes, objective=_OBJECTIVE, z=array_of(("n_z",)))
     def branches(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
         """V of an objective with each of the branches of ε_max, and gradients by z, as `Quantities.branches`.
 
@@ -191,6 +202,7 @@ class SelectionProblem:
         gradients[: values.size] -= slope
         return values - cost, gradients
 
+    @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
     def travel_cost(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
         """What V of an objective is less by at z (…, n_z), and its gradient."""
         if self.travel is None:
@@ -199,6 +211,7 @@ class SelectionProblem:
         away = (z - self.travel.now) / self.scale
         return size * np.sum(away**2, axis=-1), 2 * size * away / self.scale
 
+    @public(sizes=_sizes, z=_MANY)
     def wrapped(self, z: Vector) -> Vector:
         """The same configurations (…, n_z) with unlimited angles within half a turn of the present ones, or of 0."""
         units = (*self.machine.base_units, *self.machine.joint_units)
@@ -207,6 +220,7 @@ class SelectionProblem:
         away = (z - now + math.pi) % (2 * math.pi) - math.pi
         return np.where(turns, now + away, z)
 
+    @public(sizes=_sizes, z=array_of(("n_z",)))
     def rows(self, z: Vector) -> Vector:
         """Values of all constraints, (n_rows,), in their units."""
         n_base, p = len(self.machine.base_coordinates), self.measures.plant.parameter_values
@@ -221,6 +235,7 @@ class SelectionProblem:
         """How many variables the target leaves free."""
         return int(np.sum(self.lower < self.upper)) - self.target.size
 
+    @public()
     def solver(self, *, quick: bool = False) -> ca.Function:
         """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameters: `solver_parameters`."""
         return build_solver(self.configuration, self._forms, quick=quick)

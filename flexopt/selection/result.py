@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from flexopt.compiled.turns import TURN
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import public
 from flexopt.model.documents import json_ready
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
@@ -156,6 +157,7 @@ class Selection:
             }
         )
 
+    @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the machine in the chosen and the initial posture beside w along the redundancy.
 

@@ -22,8 +22,7 @@ from flexopt.compiled import Batch, Recurrence
 from flexopt.errors import Fault, InputError
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import array as array_of
-from flexopt.model.boundary import of_machine, path, public, words
+from flexopt.model.boundary import array_of, of_machine, path, public, words
 from flexopt.model.documents import json_ready, provenance, write_netcdf
 from flexopt.model.parameter_ranges import parameter_range
 from flexopt.model.plain import shown

@@ -11,12 +11,14 @@ from typing import Any
 from flexopt.errors import InputError
 from flexopt.model import Experiment
 from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import anything, public
+from flexopt.model.boundary import anything, holding_machine, public
 from flexopt.plant import inverse_kinematics
 from flexopt.selection import nullspace_trajectory
 from flexopt.simulation.run import simulate
 from flexopt.simulation.scenario import checked_options
 from flexopt.simulation.trajectory import Trajectory
+
+HELD = holding_machine(Experiment, "an Experiment, from flexopt.load_experiment")
 
 
 def _given(experiment: Experiment, overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -37,7 +39,7 @@ def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
         arguments.collect("", lambda: checked_options(arguments.call, arguments.of, options))
 
 
-@public(together=_note, overrides=anything)
+@public(experiment=HELD, together=_note, overrides=anything)
 def run_experiment(experiment: Experiment, **overrides: Any) -> Trajectory:
     """Run what a file describes.
 

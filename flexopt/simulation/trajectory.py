@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import array_of, path, public
 from flexopt.model.documents import json_ready, write_netcdf
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Shown
@@ -21,6 +23,12 @@ from flexopt.writing import write_file
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
+
+
+def _as_many(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    q, base = given["q"], given["base"]
+    if q is not None and base is not None and len(q) != len(base):
+        arguments.note("base", f"needs a row for each of the {len(q)} configurations", base)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +141,12 @@ class Trajectory:
         """See the class."""
         return self.skeletons(self.q, self.base)
 
+    @public(
+        sizes=lambda self: {"n_q": self.q.shape[1], "n_b": self.base.shape[1]},
+        q=array_of(("K", "n_q"), finite=False),
+        base=array_of(("K", "n_b"), finite=False),
+        together=_as_many,
+    )
     def skeletons(self, q: Vector, base: Vector) -> Vector:
         """Points as in `Plant.skeleton` in K configurations (K, n_q) and placements (K, n_b).
 
@@ -183,6 +197,7 @@ class Trajectory:
         }  # fmt: skip
         return cast(dict[str, Any], json_ready(document))
 
+    @public(path=path(parent=True))
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write every sample, the measures and the provenance to a netCDF file.
 
@@ -195,6 +210,7 @@ class Trajectory:
         data.attrs["flexopt"] = json.dumps(self.to_dict())
         write_netcdf(path, data)
 
+    @public(path=path(parent=True))
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them.
 
@@ -211,6 +227,7 @@ class Trajectory:
         lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
         write_file(path, "\n".join(lines) + "\n")
 
+    @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw end-point error, base oscillation and torques over time.
 

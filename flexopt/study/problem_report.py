@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.model import AnyMachine, Experiment, Problem
-from flexopt.model.arguments import Vector
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import TABLE, instance, public, table, whole
 from flexopt.model.documents import json_ready, provenance
 from flexopt.model.plain import shown
 from flexopt.model.simulation import SimulationOptions
@@ -24,6 +24,7 @@ from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
 from flexopt.simulation import SampledLoop, Trajectory, simulate
+from flexopt.simulation.experiment import HELD
 from flexopt.simulation.scenario import checked_options
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STAGES = 4
+POINTS_MAX = 1000  # of the map, along each axis
 # Options of `simulate` that say where the machine stands and are the selection's to say.
 PLACES = ("posture", "end_point", "elbow", "base", "control", "gravity", "base_path", "target_path")
 T = TypeVar("T")
@@ -93,6 +95,7 @@ class Report:
         """Configurations by name, the present one first where it is known."""
         return stands_of(self.selection)
 
+    @public(stand=instance(Evaluation, "an Evaluation, such as those of `stands`"))
     def mode_shares(self, stand: Evaluation) -> Vector:
         """Share of each passive coordinate in the strain energy of each mode, (n_passive, modes): columns add to 1.
 
@@ -147,6 +150,7 @@ class Report:
             ),
         )
 
+    @public()
     def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:
         """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.
 
@@ -189,7 +193,38 @@ def machine_document(machine: AnyMachine) -> dict[str, Any]:
     }
 
 
-@in_turn
+def _reported(arguments: Arguments, field: str, value: Any) -> Any:
+    """A problem of one target."""
+    if isinstance(value, SelectionProblem):
+        arguments.of = value.machine
+        return value
+    value = TABLE["problem"](arguments, field, value)
+    if isinstance(value, Problem) and value.target.kind != "end_point":
+        sentence = f"must have one target, target.end_point, not target.{value.target.kind}"
+        arguments.faults.append(Fault(field, sentence, value.name))
+    return value
+
+
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    machine = arguments.of
+    if machine is not None and not arguments.faulty("simulation"):
+        arguments.collect("", lambda: _simulation(machine, given["experiment"], given["simulation"]))
+
+
+def _other_experiment(arguments: Arguments, field: str, value: Any) -> Any:
+    """Its machine is not the one of the call."""
+    machine = arguments.of
+    value, arguments.of = HELD(arguments, field, value), machine
+    return value
+
+
+@public(
+    problem=_reported,
+    experiment=_other_experiment,
+    simulation=table,
+    points=whole(2, POINTS_MAX),
+    together=_together,
+)
 def report(
     problem: Problem | SelectionProblem,
     *,
@@ -215,15 +250,9 @@ def report(
     Raises:
         InputError, UnreachableTarget, NoSolutionFound: as `flexopt.select`; arguments are not usable.
     """
-    if not isinstance(problem, Problem | SelectionProblem):  # pyright: ignore[reportUnnecessaryIsInstance]
-        sentence = "must be a problem, from flexopt.load_problem or flexopt.build_selection"
-        raise_if_any(InputError, "report", [Fault("problem", sentence, shown(problem))])
-    if isinstance(problem, Problem) and problem.target.kind != "end_point":
-        sentence = f"must have one target, target.end_point, not target.{problem.target.kind}"
-        raise_if_any(InputError, "report", [Fault("problem", sentence, problem.name)])
     machine = problem.loaded_machine if isinstance(problem, Problem) else problem.machine
     given = _simulation(machine, experiment, simulation)
-    size = map_points(machine, points)
+    size = map_points(machine) if points is None else points
     stages = _Stages(progress)
     selection = select(**problem.select_arguments()) if isinstance(problem, Problem) else solve_selection(problem)
     solved, notes = selection.problem, list[str]()
@@ -288,9 +317,6 @@ def _simulation(
     """Options of the closed loops, checked."""
     given: dict[str, Any] = {}
     if experiment is not None:
-        if not isinstance(experiment, Experiment):  # pyright: ignore[reportUnnecessaryIsInstance]
-            sentence = "must be an Experiment, from flexopt.load_experiment"
-            raise_if_any(InputError, "report", [Fault("experiment", sentence, shown(experiment))])
         options = experiment.simulation
         given = {name: getattr(options, name) for name in options.model_fields_set if name not in PLACES}
         if len(experiment.loaded_machine.joints) != len(machine.joints):

@@ -17,7 +17,6 @@ from xml.etree import ElementTree as ET
 from flexopt.compiled.accelerated import level_for
 from flexopt.compiled.compilers import CompilationFailed, find_compiler, library_suffix
 from flexopt.compiled.storage import scratch
-from flexopt.compiled.turns import in_turn
 from flexopt.errors import CompilerNotFound, ExportError, Fault, InputError, raise_if_any
 from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
@@ -28,12 +27,12 @@ from flexopt.export.kernels import Unsupported
 from flexopt.export.naming import identifier
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import path, public, words
 from flexopt.model.documents import json_ready, package_version, provenance
-from flexopt.model.plain import shown
 from flexopt.model.simulation import Sensor, SimulationOptions
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.run import simulate_checked
-from flexopt.simulation.scenario import build_scenario, checked_options
+from flexopt.simulation.scenario import OPTIONS, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
 from flexopt.writing import write_files
 
@@ -88,7 +87,26 @@ class FmuReport:
         return "\n".join([*lines, f"  reference trajectory: {self.reference}"])
 
 
-@in_turn
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    options = dict(given["options"])
+    for name in _NOT_TAKEN:
+        if options.pop(name, None) is not None:
+            arguments.note(name, "belongs to flexopt.simulate alone", given["options"][name])
+    if given["kind"] == "model-exchange" and options.get("hold") is True:
+        sentence = "a sampled controller cannot be integrated from outside; take kind = 'co-simulation' or hold = False"
+        arguments.note("hold", sentence, True)
+    note_options(arguments, {"posture": given["posture"], "options": _loop_options(given["kind"], options)})
+
+
+def _loop_options(kind: Any, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of the loop that an FMU of that kind holds."""
+    if kind != "model-exchange":
+        return dict(options)
+    method = options.get("integrator")
+    return {**options, "hold": False, "integrator": "dop853" if method is None else method}
+
+
+@public(path=path(".fmu", parent=True), version=words(*VERSIONS), kind=words(*KINDS), together=_together, **OPTIONS)
 def export_fmu(
     machine: AnyMachine,
     path: str | Path,
@@ -126,21 +144,8 @@ def export_fmu(
     Warns:
         CompilerNotFound: there is no C compiler, so the FMU holds sources alone.
     """
-    arguments = Arguments("export_fmu")
-    machine = arguments.machine(machine)
-    version = arguments.choice("version", version, VERSIONS)
-    kind = arguments.choice("kind", kind, KINDS)
-    target = _checked_path(arguments, path)
-    for name in _NOT_TAKEN:
-        if options.get(name) is not None:
-            arguments.faults.append(Fault(name, "belongs to flexopt.simulate alone", shown(options[name])))
-    if kind == "model-exchange" and options.get("hold"):
-        sentence = "a sampled controller cannot be integrated from outside; take kind = 'co-simulation' or hold = False"
-        arguments.faults.append(Fault("hold", sentence, "True"))
-    arguments.done()
-    if kind == "model-exchange":
-        options |= {"hold": False, "integrator": options.get("integrator") or "dop853"}
-    checked = checked_options("export_fmu", machine, {"posture": posture} | options)
+    target = Path(path)
+    checked = checked_options("export_fmu", machine, {"posture": posture} | _loop_options(kind, options))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)
@@ -171,16 +176,6 @@ def export_fmu(
         files=tuple(files),
         provenance=provenance(machine, version=version, kind=kind, **checked.model_dump(exclude_defaults=True)),
     )
-
-
-def _checked_path(arguments: Arguments, path: Any) -> Path:
-    if not isinstance(path, str | Path) or Path(path).suffix != ".fmu":
-        arguments.faults.append(Fault("path", "must be the name of a file that ends in .fmu", shown(path)))
-        return Path("model.fmu")
-    if not Path(path).parent.is_dir():
-        sentence = f"there is no folder {str(Path(path).parent)!r} to write a file into"
-        arguments.faults.append(Fault("path", sentence, repr(str(path))))
-    return Path(path)
 
 
 def _check_base_path(machine: AnyMachine, options: SimulationOptions) -> None:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from flexopt.compiled.turns import in_turn
 from flexopt.errors import InputError
 from flexopt.export.bundle import (
     MANIFEST,
@@ -32,7 +31,7 @@ from flexopt.export.verify.objects import check_objects
 from flexopt.export.verify.report import report_html
 from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
-from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import public, whole, words
 from flexopt.model.documents import json_ready, package_version
 from flexopt.writing import make_folder, write_files
 
@@ -133,7 +132,10 @@ class Verification:
         write_files({self.page.with_suffix(".json"): text, self.page: report_html(self)})
 
 
-@in_turn
+_COUNT = whole(1, COUNT_MAX)
+
+
+@public("verify", target=words(*TARGETS), inputs=_COUNT, fuzz_calls=_COUNT)
 def verify_bundle(
     folder: str | Path,
     *,
@@ -154,16 +156,11 @@ def verify_bundle(
     Raises:
         InputError: the folder is no bundle, or an argument is not usable.
     """
-    arguments = Arguments("verify")
-    chosen = None if target is None else arguments.choice("target", target, TARGETS)
-    inputs = arguments.checked("inputs", inputs, _check_count, INPUTS)
-    fuzz_calls = arguments.checked("fuzz_calls", fuzz_calls, _check_count, FUZZ_CALLS)
-    arguments.done()
     path = Path(folder).resolve()
     if not path.is_dir():
         raise InputError(f"verify: there is no folder {str(folder)!r}")
     manifest = read_manifest(path)
-    targets = TARGETS if chosen is None else (chosen,)
+    targets = TARGETS if target is None else (target,)
     with tempfile.TemporaryDirectory(prefix="flexopt-verify-") as scratch:
         bench = Bench(path, Path(scratch), manifest, library_of(manifest), inputs, fuzz_calls)
         checks: list[Check] = [attempt("files as they were exported", targets[0], lambda: _files(bench))]
@@ -212,9 +209,3 @@ def _files(bench: Bench) -> Finding:
 
 def _differs(path: Path, text: str) -> bool:
     return not path.is_file() or path.read_bytes() != text.encode()
-
-
-def _check_count(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= COUNT_MAX:
-        raise ValueError(f"must be a whole number between 1 and {COUNT_MAX}")
-    return value
