@@ -13,6 +13,9 @@ machine does falls on all alike; each time is the least of its rounds.
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +26,8 @@ import numpy as np
 import scipy.linalg
 
 import flexopt
-from benchmarks.timing import table
+from benchmarks.score import Row, means
+from benchmarks.timing import least_of, table
 from flexopt.compiled import Batch, batch
 from flexopt.robustness.batches import evaluate_w
 from flexopt.robustness.measures import Measures
@@ -87,15 +91,71 @@ def least_seconds(works: dict[str, Callable[[], object]]) -> dict[str, float]:
     return least
 
 
+def random_postures(count: int) -> np.ndarray:
+    """Of the excavator, away from its singular ones."""
+    rng = np.random.default_rng(0)
+    return np.vstack([rng.uniform(-3, 3, count), rng.choice([-1, 1], count) * rng.uniform(0.2, 2.9, count)])
+
+
+PEER = """
+import sys, time
+import numpy as np
+from benchmarks.batches import Peers
+given = np.load(sys.argv[1])
+peers = Peers(given["stiffness"], given["mass"], given["jacobian"], given["inverse"], int(given["m"]))
+least = float("inf")
+for _ in range(int(sys.argv[2])):
+    begin = time.perf_counter()
+    peers.numpy_batched()
+    least = min(least, time.perf_counter() - begin)
+print(least)
+"""
+
+
+def numpy_in_its_own_process(others: Peers, calls: int) -> float:
+    """Seconds of NumPy's work in a process that has done nothing else: elsewhere its time varies twofold."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "peers.npz"
+        np.savez(file, stiffness=others.stiffness, mass=others.mass, jacobian=others.jacobian,
+                 inverse=others.inverse, m=others.m)  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-c", PEER, str(file), str(calls)], check=True, capture_output=True, text=True
+        )
+    return float(done.stdout)
+
+
+def rows(quick: bool) -> list[Row]:
+    """All w_i of many postures beside NumPy, and with their Jacobian beside without."""
+    measures, count = flexopt.build_measures(flexopt.load("excavator")), 500 if quick else POSTURES
+    postures, p = random_postures(count), np.array(measures.plant.parameter_values).ravel()
+    value, both = measures.quick_batch, measures.quick_batch_with_gradient
+    theirs, least = float("inf"), dict.fromkeys(("value", "both"), float("inf"))
+    others = peers(measures, postures)
+    for _ in range(1 if quick else 4):
+        theirs = min(theirs, numpy_in_its_own_process(others, 2 if quick else 8))
+        found = least_of(
+            {"value": lambda: value([0.0], postures, p), "both": lambda: both([0.0], postures, p)}, 2 if quick else 15
+        )
+        least = {name: min(least[name], found[name]) for name in least}
+    bar = 60.0 if _has_avx512() else 20.0
+    return [
+        Row("NumPy / flexopt, all w_i, excavator", theirs / least["value"], bar, at_least=True, ran=means(value)),
+        Row(
+            "w_i with Jacobian / without, excavator",
+            least["both"] / least["value"],
+            4.0,
+            at_least=False,
+            ran=means(both),
+        ),
+    ]
+
+
 def main() -> None:
     """Print the table."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     measures = flexopt.build_measures(flexopt.load("excavator"))
-    rng = np.random.default_rng(0)
-    postures = np.vstack(
-        [rng.uniform(-3, 3, POSTURES), rng.choice([-1, 1], POSTURES) * rng.uniform(0.2, 2.9, POSTURES)]
-    )
+    postures = random_postures(POSTURES)
     parameters = np.array(measures.plant.parameter_values).ravel()
     others = peers(measures, postures)
 

@@ -10,6 +10,7 @@ flexopt's time includes computing the plant from the posture. SLICOT's and SciPy
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -19,9 +20,10 @@ import scipy.linalg
 import slycot
 
 import flexopt
-from benchmarks.timing import median_seconds, table
-from flexopt.compiled import batch, find_compiler
-from flexopt.robustness.margin import build_margin
+from benchmarks.score import Row, means
+from benchmarks.timing import least_of, median_seconds, table
+from flexopt.compiled import Batch
+from flexopt.robustness.margin import Margin, build_margin
 
 POSTURES = 2048
 SAMPLE = 200
@@ -45,43 +47,86 @@ def _scipy(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     return _epsilon(x, scipy.linalg.solve_continuous_are(a.T, c.T, b @ b.T, unit))
 
 
+@dataclass(frozen=True)
+class Case:
+    """One machine's margins at random postures, and the plants of some of them."""
+
+    margin: Margin
+    runner: Batch
+    postures: np.ndarray
+
+    @property
+    def p(self) -> np.ndarray:
+        """The machine's parameters."""
+        return self.margin.plant.parameter_values.full()
+
+    @property
+    def bases(self) -> np.ndarray:
+        """Where it stands."""
+        return np.zeros((self.margin.plant.n_base, 1))
+
+    def ours(self) -> np.ndarray:
+        """ε_max of all postures."""
+        return self.runner(self.bases, self.postures, self.p, np.array([GAIN]))[0][0]
+
+    def in_the_vm(self) -> list[float]:
+        """ε_max of the sample, call by call."""
+        calls = (self.margin.values.call([self.bases, q, self.p, GAIN]) for q in self.postures[:, :SAMPLE].T)
+        return [float(call[0][0]) for call in calls]
+
+    def plants(self) -> list[list[np.ndarray]]:
+        """Scaled A, B, C of the sample."""
+        found = []
+        for q in self.postures[:, :SAMPLE].T:
+            held = self.margin.hold.call([self.bases, q, self.p, GAIN])
+            found.append([x.full() for x in self.margin.scaled_plant.call([self.bases, q, self.p, GAIN, *held])])
+        return found
+
+
+def case(name: str, postures: int = POSTURES) -> Case:
+    """The code that maps and scans run."""
+    margin = build_margin(flexopt.load(name), "inverse")
+    rng = np.random.default_rng(0)
+    if name == "excavator":
+        sides = rng.choice([-1, 1], postures)
+        at = np.vstack([rng.uniform(-3, 3, postures), sides * rng.uniform(0.2, 2.9, postures)])
+    else:
+        at = rng.uniform(-1.5, 1.5, (margin.plant.n_actuated, postures))
+    return Case(margin, margin.batched, at)
+
+
+def rows(quick: bool) -> list[Row]:
+    """ε_max beside SLICOT: of three passive coordinates, and of six."""
+    found = []
+    for name, bar in (("excavator", 18.0), ("truck-crane", 5.0), ("slewing-excavator", 5.0)):
+        of = case(name, 64 if quick else POSTURES)
+        plants = of.plants()[: 8 if quick else SAMPLE]
+        least = least_of(
+            {"ours": of.ours, "theirs": lambda plants=plants: [_slicot(*plant) for plant in plants]}, 2 if quick else 15
+        )
+        ratio = least["theirs"] / len(plants) / (least["ours"] / of.postures.shape[1])
+        what = f"SLICOT / flexopt, ε_max, {name}, {of.margin.plant.n_passive} passive coordinates"
+        found.append(Row(what, ratio, bar, at_least=True, ran=means(of.runner)))
+    return found
+
+
 def main() -> None:
     """Print the table."""
-    machine = flexopt.load("excavator")
-    margin = build_margin(machine, "inverse")
-    p = margin.plant.parameter_values.full()
-    rng = np.random.default_rng(0)
-    sides = rng.choice([-1, 1], POSTURES)
-    postures = np.vstack([rng.uniform(-3, 3, POSTURES), sides * rng.uniform(0.2, 2.9, POSTURES)])
-    plants = []
-    for posture in postures[:, :SAMPLE].T:
-        held = margin.hold.call([0, posture, p, GAIN])
-        plants.append([x.full() for x in margin.scaled_plant.call([0, posture, p, GAIN, *held])])
-    fast = build_margin(machine, "inverse", doublings=17, compact=True)
-    compiled = batch(fast.values)
-
-    def ours() -> np.ndarray:
-        epsilon, rest, _ = compiled(np.zeros((1, POSTURES)), postures, p, np.array([GAIN]))
-        assert rest.max() < 1e-3, "the doublings were too few"
-        return epsilon[0]
-
-    def in_the_vm() -> list[float]:
-        return [float(margin.values.call([0, posture, p, GAIN])[0][0]) for posture in postures[:, :SAMPLE].T]
-
-    values = ours()[:SAMPLE]
+    of = case("excavator")
+    plants, values = of.plants(), of.ours()[:SAMPLE]
     timed = {
         "SLICOT sb02md, twice": (lambda: [_slicot(*plant) for plant in plants], SAMPLE),
         "SciPy solve_continuous_are, twice": (lambda: [_scipy(*plant) for plant in plants], SAMPLE),
-        "flexopt, CasADi VM": (in_the_vm, SAMPLE),
-        f"flexopt, batch ({'compiled' if find_compiler() else 'no compiler: VM'})": (ours, POSTURES),
+        "flexopt, CasADi VM": (of.in_the_vm, SAMPLE),
+        f"flexopt, batch ({means(of.runner)})": (of.ours, POSTURES),
     }
     seconds = {name: median_seconds(work, repeats=5, seconds=1.0) / count for name, (work, count) in timed.items()}
     slicot = seconds["SLICOT sb02md, twice"]
-    rows: list[tuple[str, ...]] = [("who", "µs each", "SLICOT : this", "largest difference from flexopt's batch")]
+    lines: list[tuple[str, ...]] = [("who", "µs each", "SLICOT : this", "largest difference from flexopt's batch")]
     for name, (work, _) in timed.items():
         difference = float(np.abs(np.asarray(work())[:SAMPLE] - values).max())
-        rows.append((name, f"{1e6 * seconds[name]:.2f}", f"{slicot / seconds[name]:.1f}", f"{difference:.1e}"))
-    print(table(f"One ε_max, {margin.n_states} states, random postures of the excavator, one core", rows))
+        lines.append((name, f"{1e6 * seconds[name]:.2f}", f"{slicot / seconds[name]:.1f}", f"{difference:.1e}"))
+    print(table(f"One ε_max, {of.margin.n_states} states, random postures of the excavator, one core", lines))
 
 
 if __name__ == "__main__":

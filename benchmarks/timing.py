@@ -22,6 +22,18 @@ def median_seconds(work: Callable[[], object], *, repeats: int = 15, seconds: fl
     return statistics.median(times)
 
 
+def least_of(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """The least time of a call of each, over interleaved rounds: what else the machine does falls on all alike."""
+    least = dict.fromkeys(works, float("inf"))
+    for _ in range(rounds):
+        for name, work in works.items():
+            for _ in range(2):  # the second finds its data in the caches
+                start = time.perf_counter()
+                work()
+                least[name] = min(least[name], time.perf_counter() - start)
+    return least
+
+
 def table(title: str, rows: list[tuple[str, ...]]) -> str:
     """Rows of text in aligned columns; the first row is the header."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]

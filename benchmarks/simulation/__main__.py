@@ -15,6 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
+from benchmarks.score import Row, means
 from benchmarks.simulation.ours import Ours, first_use, large_ensemble, python_call
 from benchmarks.simulation.peers import (
     WITHOUT_AVX512,
@@ -119,6 +120,25 @@ def one_by_one(states: tuple[np.ndarray, ...], steps: int, simulator: Simulator)
 def reference() -> Simulator | None:
     """The hand-written C, or Numba where there is no compiler."""
     return next(iter(built({LIMIT: HandWritten, "Numba": NumbaLoop})[0].values()), None)
+
+
+def rows(quick: bool) -> list[Row]:
+    """A step of one simulation, and of each of many, beside the hand-written limits."""
+    one: dict[str, Simulator] = {"limit": HandWritten(), "ours": Ours()}
+    many: dict[str, Simulator] = {"limit": HandWrittenLanes(), "ours": Ours(watched=True)}
+    steps, members = (200, 64) if quick else (STEPS, MEMBERS)
+    found = []
+    for what, simulators, states, n, bar in (
+        ("closed-loop step / hand-written C, one simulation, excavator", one, start(), 1, 1.55),
+        ("closed-loop step / hand-written C, ensemble, excavator", many, start(members), members, None),
+    ):
+        least = dict.fromkeys(simulators, np.inf)
+        for _ in range(2 if quick else 400 if n == 1 else 15):
+            for name, simulator in simulators.items():
+                least[name] = min(least[name], simulator.run(*states, steps).seconds)
+        runner = simulators["ours"].runner
+        found.append(Row(what, least["ours"] / least["limit"], bar, at_least=False, ran=means(runner, members=n)))
+    return found
 
 
 def main() -> None:

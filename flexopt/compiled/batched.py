@@ -42,7 +42,9 @@ class Batch:
 
     def __init__(self, function: ca.Function, library: Callable[[], ctypes.CDLL | None] | None = None) -> None:
         self.function = function
-        self._kernel = _kernel(load_batch(function) if library is None else library())
+        loaded = load_batch(function) if library is None else library()
+        self._kernel = _kernel(loaded)
+        self._lanes = loaded.flexopt_lanes() if loaded is not None else 0
         self._interpreted = Interpreted(function)
         self._in = [_Layout(function.sparsity_in(k)) for k in range(function.n_in())]
         self._out = [_Layout(function.sparsity_out(k)) for k in range(function.n_out())]
@@ -51,6 +53,11 @@ class Batch:
     def compiled(self) -> bool:
         """Whether compiled code evaluates the Function."""
         return self._kernel is not None
+
+    @property
+    def lanes(self) -> int:
+        """How many points go through one instruction; 0 in the virtual machine."""
+        return self._lanes
 
     def __repr__(self) -> str:
         return f"Batch({self.function}, {'compiled' if self.compiled else 'CasADi virtual machine'})"

@@ -53,6 +53,7 @@ _EXPORT = """
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif
+extern "C" EXPORT int flexopt_lanes() { return LANES; }
 """
 
 _KERNEL = """

@@ -98,13 +98,18 @@ class Recurrence:
         self._every = int(every)
         dense = {name: densified(function) for name, function in functions.items()}
         self._functions = dense
-        self._kernels = {not many: _kernel(dense, self._sizes, narrow=not many)}
+        self._libraries = {not many: _loaded(dense, self._sizes, narrow=not many)}
         self._interpreted = Accumulated(dense["step"])
 
     @property
     def compiled(self) -> bool:
         """Whether compiled code runs the recurrence."""
-        return all(kernel is not None for kernel in self._kernels.values())
+        return all(library is not None for library in self._libraries.values())
+
+    def lanes(self, n_members: int) -> int:
+        """How many members go through one instruction where there are so many; 0 in the virtual machine."""
+        library = self._library_for(n_members)
+        return 0 if library is None else library.flexopt_lanes()
 
     def __repr__(self) -> str:
         return f"Recurrence({self.step}, {'compiled' if self.compiled else 'CasADi virtual machine'})"
@@ -149,19 +154,19 @@ class Recurrence:
         )  # fmt: skip
         if not n_members:
             return records
-        kernel = self._kernel_for(n_members)
-        if kernel is None:
+        library = self._library_for(n_members)
+        if library is None:
             self._interpret(arguments, records, steps, stride)
         else:
-            _run(kernel, _job(arguments, records, steps, stride, self._every), n_members, threads)
+            _run(library.flexopt_recurrence, _job(arguments, records, steps, stride, self._every), n_members, threads)
         return records
 
-    def _kernel_for(self, n_members: int) -> Callable[..., int] | None:
+    def _library_for(self, n_members: int) -> ctypes.CDLL | None:
         """The loop for so many members, compiled when it is first needed; members give the same bits in each."""
         narrow = n_members <= _FEW
-        if self.compiled and narrow not in self._kernels:
-            self._kernels[narrow] = _kernel(self._functions, self._sizes, narrow=narrow)
-        return self._kernels[narrow] if self.compiled else None
+        if self.compiled and narrow not in self._libraries:
+            self._libraries[narrow] = _loaded(self._functions, self._sizes, narrow=narrow)
+        return self._libraries[narrow] if self.compiled else None
 
     def _interpret(self, arguments: Sequence[Array], records: Records, steps: int, stride: int) -> None:
         """All members through the virtual machine, one after the other."""
@@ -232,15 +237,11 @@ def _run(kernel: Callable[..., int], job: tuple[_Job, list[Array]], n: int, thre
         raise MemoryError("no memory for the working space of a compiled recurrence")
 
 
-def _kernel(
-    functions: Mapping[str, ca.Function], sizes: Mapping[str, int], *, narrow: bool
-) -> Callable[..., int] | None:
+def _loaded(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], *, narrow: bool) -> ctypes.CDLL | None:
     """The compiled loop over the steps, or None where it cannot be."""
     rows = {"N": sizes["x"], "N_E": sizes["e"], "N_C": sizes["c"], "N_D": sizes["d"], "N_M": sizes["monitor"]}
     purpose = "recurrence of few" if narrow else "recurrence"
     library = load(list(functions.values()), purpose, lambda: recurrence_source(functions, rows, narrow=narrow))
-    if library is None:
-        return None
-    kernel = library.flexopt_recurrence
-    kernel.argtypes = [ctypes.c_void_p, ctypes.c_longlong, ctypes.c_longlong]
-    return kernel
+    if library is not None:
+        library.flexopt_recurrence.argtypes = [ctypes.c_void_p, ctypes.c_longlong, ctypes.c_longlong]
+    return library
