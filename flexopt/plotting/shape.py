@@ -20,6 +20,8 @@ Points = NDArray[np.float64]
 ARC = 16
 # Below this share of the machine's size an arm has no main direction to be seen from the side.
 UPRIGHT = 1e-3
+# What is as near to a plane as this share of its coordinates, which is rounding, touches it.
+TOUCHING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,12 @@ class View:
         return seen
 
     def cuts(self, points: Points, radius: float = 0.0) -> bool:
-        """Whether the plane passes through the hull of points (d, K) with a radius; in the plane always."""
+        """Whether the plane passes through or touches the hull of points (d, K) with a radius; in the plane always."""
         if self.axes.shape[1] == 2:
             return True
         depth = np.cross(self.axes[0], self.axes[1]) @ (points - self.origin[:, None])
-        return bool(depth.min() <= radius and depth.max() >= -radius)
+        reach = radius + TOUCHING * max(float(np.abs(points).max()), float(np.abs(self.origin).max()), radius)
+        return bool(depth.min() <= reach and depth.max() >= -reach)
 
 
 def machine_segments(machine: AnyMachine) -> tuple[tuple[int, int], ...]:

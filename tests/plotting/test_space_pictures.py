@@ -78,10 +78,17 @@ def test_views_are_orthogonal_projections():
     tip, foot = shape.skeleton[:, -1], shape.skeleton[:, 0]
     # From the side the arm is seen in its full extent; from above the placement is where it is.
     assert side.of(tip)[0] - side.of(foot)[0] == pytest.approx(math.hypot(*(tip - foot)[:2]))
-    assert side.of(tip)[1] == tip[2]
+    assert side.of(tip)[1] == pytest.approx(tip[2], rel=1e-15)
     np.testing.assert_allclose(above.of(foot), [0.4, -0.2], atol=1e-15)
     assert machine_segments(machine) == shape.segments
     assert side.cuts(tip[:, None])
+    # What touches counts, on whichever side rounding leaves it; what is a millimetre off does not.
+    away = np.cross(side.axes[0], side.axes[1])
+    for rounding in (-4, -1, 0, 1, 4):
+        off = rounding * np.finfo(float).eps
+        assert side.cuts((tip + off * away)[:, None])
+        assert side.cuts((tip + (3 + off) * away)[:, None], radius=3.0)
+    assert not side.cuts((tip + 1e-3 * away)[:, None])
     assert not side.cuts((tip + 3 * np.cross(side.axes[0], side.axes[1]))[:, None], radius=2.9)
     assert side.cuts((tip + 3 * np.cross(side.axes[0], side.axes[1]))[:, None], radius=3.1)
 
