@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -119,12 +118,10 @@ def test_odd_commands_are_told_and_the_virtual_machine_serves(
         command = f"{script} {rest}"
     monkeypatch.setattr(compilers, "_TRIAL_SECONDS", 1.0)
     monkeypatch.setenv("FLEXOPT_CXX", command)
-    start = time.monotonic()
     with pytest.warns(CompilerNotFound, match=reason) as told:
         _check_fallback()
     assert len(told) == 1
     assert "\n" not in str(told[0].message)
-    assert time.monotonic() - start < 30
 
 
 @pytest.mark.filterwarnings(QUIET)
@@ -163,10 +160,8 @@ def test_a_compiler_that_hangs_is_stopped(tmp_path: Path) -> None:
     script = tmp_path / "cc.py"
     script.write_text("import time; time.sleep(60)", encoding="utf-8")
     compiler = Compiler((sys.executable, str(script)), "test", ())
-    start = time.monotonic()
     with pytest.raises(CompilationFailed, match=r"took longer than 0\.5 s"):
         compiler.build("", tmp_path / "library.so", language="c", seconds=0.5)
-    assert time.monotonic() - start < 20
 
 
 @pytest.mark.filterwarnings(QUIET)

@@ -1,0 +1,41 @@
+"""Which files of tests are left out where an oracle cannot be installed."""
+
+from __future__ import annotations
+
+import re
+import sys
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+# Oracles without wheels, by platform: the same as the markers in pyproject.toml.
+WITHOUT = {"win32": ("pinocchio", "example_robot_data"), "darwin": ("slycot",)}
+missing: tuple[str, ...] = tuple(name for name in WITHOUT.get(sys.platform, ()) if find_spec(name) is None)
+
+_IMPORT = re.compile(r"^\s*(?:from|import)\s+([\w.]+)", re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    """Leave out files that need what is missing; None lets pytest decide."""
+    if missing and collection_path.suffix == ".py" and collection_path.name.startswith("test_"):
+        return needs(collection_path, missing) or None
+    return None
+
+
+@cache
+def needs(path: Path, names: tuple[str, ...]) -> bool:
+    """Whether a file imports one of the modules, itself or by what it imports from the tests and benchmarks."""
+    seen, waiting = set[Path](), [path]
+    while waiting:
+        file = waiting.pop()
+        if file in seen or not file.exists():
+            continue
+        seen.add(file)
+        for module in _IMPORT.findall(file.read_text(encoding="utf-8")):
+            top, *rest = module.split(".")
+            if top in names:
+                return True
+            if top in {"tests", "benchmarks"}:
+                waiting.append(ROOT.joinpath(top, *rest).with_suffix(".py"))
+    return False
