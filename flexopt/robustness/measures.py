@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -187,7 +188,7 @@ class Measures:
     @cached_property
     def values(self) -> ca.Function:
         """(base, posture, p) -> every output of `MeasureGraph`, by name."""
-        return self._composed("measures", self.graph.outputs())
+        return self._composed("measures", self.graph.outputs(), {"cse": False})
 
     @cached_property
     def w(self) -> ca.Function:
@@ -206,7 +207,7 @@ class Measures:
         z = ca.vertcat(g.base, g.posture)
         slopes = ca.jacobian(graph.w, ca.vertcat(z, g.p))
         outputs = {"w_z": slopes[:, : z.shape[0]], "w_p": slopes[:, z.shape[0] :]}
-        return self._composed("gradients", outputs | {"end_point_z": ca.jacobian(graph.end_point, z)})
+        return self._composed("gradients", outputs | {"end_point_z": ca.jacobian(graph.end_point, z)}, {"cse": False})
 
     @cached_property
     def weighted_gradient(self) -> ca.Function:
@@ -309,9 +310,14 @@ class Measures:
         outputs = inner.call([*symbols, *self.hold.call(symbols)])
         return ca.Function("measures", symbols, outputs, ["base", "posture", "p"], ["w", "end_point"])
 
-    def _composed(self, name: str, outputs: Mapping[str, ca.SX]) -> ca.Function:
-        """The Function of (base, posture, p) in which `held` is computed."""
-        return self._behind_hold(self._function(name, [self.held], outputs, {"cse": False}), {})
+    def _composed(
+        self, name: str, outputs: Mapping[str, ca.SX], options: Mapping[str, bool] = MappingProxyType({})
+    ) -> ca.Function:
+        """The Function of (base, posture, p) in which `held` is computed.
+
+        `{"cse": False}` for what is called once for a posture: to search for equal parts would take longer than they do.
+        """
+        return self._behind_hold(self._function(name, [self.held], outputs, {"cse": False}), dict(options))
 
     def _behind_hold(self, inner: ca.Function, options: dict[str, Any]) -> ca.Function:
         """A Function of (base, posture, p, held, …) without `held`, which is computed: written out or by a call."""
