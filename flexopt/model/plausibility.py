@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +127,7 @@ def implausible_numbers(machine: AnyMachine) -> tuple[Finding, ...]:
 def _lengths(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterator[Finding]:
     given = [part.length for part in parts if part.length > 0]
     for part in parts:
-        others = median([length for length in given if length != part.length] or given or [0.0])
+        others = float(np.median([length for length in given if length != part.length] or given or [0.0]))
         if len(given) > 1 and part.length > LONGER * others:
             yield Finding(
                 f"{part.where}.length",

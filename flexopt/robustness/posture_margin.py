@@ -89,7 +89,9 @@ def prepare_margin(margin: Margin) -> None:
     extended(margin.plant_at)
 
 
-def evaluate_margin(margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True) -> PostureMargin:
+def evaluate_margin(
+    margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True
+) -> PostureMargin:
     """ε_max, and its derivatives unless they are not wanted, at one posture."""
     sentence, hopeless = "", False
     for count in DIGITS:
@@ -272,7 +274,7 @@ def _row(
     plant: _ScaledPlant, pair: ExactPair, top: TopPairs, found: Seeds, by_input: list[Exact], value: Decimal
 ) -> tuple[Vector, Vector]:
     """∂ε/∂[base, posture, p, kr] from the derivatives of λ, and bounds on their errors."""
-    factor = -(1 + value) ** Decimal("-1.5") / 2
+    factor = -((1 + value) ** Decimal("-1.5")) / 2
     by_kr = np.sum(found.B * plant.equation.B) / plant.kr
     row = rounded(np.concatenate([*by_input[:3], [by_kr]]) * factor)
     # The last summand: rounding of the decimals themselves, thousands of operations long.
