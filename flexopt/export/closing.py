@@ -88,14 +88,24 @@ def settling_start(at: Context, operations: Mapping[str, Operation]) -> Start | 
                 jv: Array = plant.rigid_jacobian.call([rest, base, p])[0].full()
                 moved = mass[m:, m:] if "machine_step" in operations else inertia * np.eye(plant.n_actuated)
                 damping = self_motion_damping(jv, moved, 2 * bandwidth)
-            gains = (inertia * bandwidth**2, 2 * inertia * bandwidth, damping, inertia)
             start = Start(
-                posture, rest.full().ravel()[:m], *(float(f"{gain:.4g}") for gain in gains), substeps, STEP * length,
-                SETTLED * length,
-            )  # fmt: skip
+                posture=posture,
+                rest=rest.full().ravel()[:m],
+                kp=_few_digits(inertia * bandwidth**2),
+                kv=_few_digits(2 * inertia * bandwidth),
+                nullspace_damping=_few_digits(damping),
+                inertia=_few_digits(inertia),
+                substeps=substeps,
+                distance=STEP * length,
+                settled=SETTLED * length,
+            )
             if _settles(at, operations, start, length):
                 return start
     return None
+
+
+def _few_digits(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def _settles(at: Context, operations: Mapping[str, Operation], start: Start, length: float) -> bool:

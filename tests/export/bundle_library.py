@@ -16,7 +16,8 @@ class BundleLibrary:
     """The C functions of one bundle, by their names without the prefix."""
 
     def __init__(self, report: ExportReport, folder: Path) -> None:
-        self.manifest, self.prefix = report.manifest, report.prefix
+        self.manifest, self.prefix, self.folder = report.manifest, report.prefix, report.folder
+        self.machine = report.manifest["machine"]["name"]
         path = folder / f"lib{report.prefix}.so"
         sources = sorted((report.folder / "src").glob("*.c"))
         include = f"-I{report.folder / 'include'}"
