@@ -123,7 +123,14 @@ def test_refusals_name_the_argument(rows: Rows) -> None:
 def names(row: Mapping[str, str]) -> bool:
     """Whether a message names the argument, or is about the file or table that it is."""
     last = row["argument"].rpartition(".")[2]
-    own = row["call"] in ("load", "load_problem", "load_experiment", "load_robot", "machine_from_dict", "tree_from_dict")
+    own = row["call"] in (
+        "load",
+        "load_problem",
+        "load_experiment",
+        "load_robot",
+        "machine_from_dict",
+        "tree_from_dict",
+    )
     return last in row["message"] or own or "cannot be written" in row["message"]
 
 
