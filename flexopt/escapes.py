@@ -10,6 +10,9 @@ import codecs
 import html
 import re
 import unicodedata
+from functools import cache
+from importlib import import_module
+from typing import Any, cast
 
 # Letters whose ASCII the Unicode tables do not tell.
 _SPELLED = {
@@ -103,22 +106,17 @@ def _glyphs() -> frozenset[int]:
     """Letters that the fonts of pictures have."""
     from matplotlib import rcParams  # noqa: PLC0415  (only pictures need it)
 
-    families = [*rcParams["font.family"]]
-    named = [name for family in families for name in rcParams.get(f"font.{family}", [family])]
-    return _glyphs_of(tuple(named))
+    settings = cast(dict[str, list[str]], rcParams)
+    families = settings["font.family"]
+    return _glyphs_of(tuple(name for family in families for name in settings.get(f"font.{family}", [family])))
 
 
-_KNOWN_GLYPHS: dict[tuple[str, ...], frozenset[int]] = {}
-
-
+@cache
 def _glyphs_of(names: tuple[str, ...]) -> frozenset[int]:
-    from matplotlib import font_manager  # noqa: PLC0415  (only pictures need it)
-
-    if names not in _KNOWN_GLYPHS:
-        installed = {font.name for font in font_manager.fontManager.ttflist}
-        paths = {font_manager.findfont(name) for name in names if name in installed}
-        found: set[int] = set()
-        for path in paths or {font_manager.findfont("DejaVu Sans")}:
-            found |= set(font_manager.get_font(path).get_charmap())
-        _KNOWN_GLYPHS[names] = frozenset(found)
-    return _KNOWN_GLYPHS[names]
+    font_manager: Any = import_module("matplotlib.font_manager")  # only pictures need it
+    installed = {font.name for font in font_manager.fontManager.ttflist}
+    paths = {str(font_manager.findfont(name)) for name in names if name in installed}
+    found: set[int] = set()
+    for path in paths or {str(font_manager.findfont("DejaVu Sans"))}:
+        found |= set(font_manager.get_font(path).get_charmap())
+    return frozenset(found)

@@ -191,11 +191,11 @@ class Complex:
         return Complex(self.re, -self.im)
 
     def left(self, matrix: Exact) -> Complex:
-        """Matrix @ self for a real matrix."""
+        """matrix @ self for a real matrix."""
         return Complex(matrix @ self.re, matrix @ self.im)
 
     def outer(self, other: Complex) -> Complex:
-        """Self otherᵀ."""
+        """self otherᵀ."""
         product = np.multiply.outer
         real = product(self.re, other.re) - product(self.im, other.im)
         return Complex(real, product(self.re, other.im) + product(self.im, other.re))

@@ -65,11 +65,12 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("*.to_netcdf", "path", ("text",), "a file may have any name"),
     ("Report.write", "folder", ("text",), "a folder may have any name"),
     ("export_c", "folder", ("text",), "a folder may have any name"),
+    ("check", "machine_or_path", ("text", "million *"), "what is wrong with a file is part of the result"),
 ]
 
 # Classes whose objects come from functions alone, as the results of computing: nobody passes them numbers.
 RESULTS = {
-    "BasePlan", "BaseTrajectory", "Candidate", "Ensemble", "Evaluation", "ExportReport", "FmuReport", "Report",
+    "BasePlan", "BaseTrajectory", "Candidate", "Check", "Ensemble", "Evaluation", "ExportReport", "FmuReport", "Report",
     "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory", "Verification", "WorkspaceMap",
 }  # fmt: skip
 NAMES = [call.name for call in calls()]
@@ -123,14 +124,7 @@ def test_refusals_name_the_argument(rows: Rows) -> None:
 def names(row: Mapping[str, str]) -> bool:
     """Whether a message names the argument, or is about the file or table that it is."""
     last = row["argument"].rpartition(".")[2]
-    own = row["call"] in (
-        "load",
-        "load_problem",
-        "load_experiment",
-        "load_robot",
-        "machine_from_dict",
-        "tree_from_dict",
-    )
+    own = row["call"] in ("load", "load_problem", "load_experiment", "load_robot", "machine_from_dict", "tree_from_dict")
     return last in row["message"] or own or "cannot be written" in row["message"]
 
 

@@ -40,11 +40,7 @@ def evaluate_graph(function: ca.Function, inputs: list[list[arb]]) -> list[arb_m
     work: dict[int, arb] = {}
     outputs = [[arb(0)] * function.numel_out(k) for k in range(function.n_out())]
     for k in range(function.n_instructions()):
-        operation, out, given = (
-            function.instruction_id(k),
-            function.instruction_output(k),
-            function.instruction_input(k),
-        )
+        operation, out, given = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
         if operation == ca.OP_INPUT:
             work[out[0]] = inputs[given[0]][given[1]]
         elif operation == ca.OP_CONST:
