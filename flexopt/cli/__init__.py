@@ -12,8 +12,9 @@ from importlib import import_module
 
 import click
 
-from flexopt.cli.common import BAD_INPUT, FAILED, print_json
+from flexopt.cli.common import BAD_INPUT, FAILED, print_json, say
 from flexopt.errors import FlexoptError, InputError
+from flexopt.escapes import TERMINAL
 from flexopt.model.documents import json_ready, package_version
 
 # Commands and their modules, imported when they are asked for: what one needs takes longest.
@@ -54,7 +55,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = sys.argv[1:] if arguments is None else arguments
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # Greek letters on a console that has none
+            stream.reconfigure(errors=TERMINAL)  # Greek letters on a console that has none
     try:
         cli.main(args=given, prog_name="flexopt", standalone_mode=False)
     except click.exceptions.Exit as leave:
@@ -68,7 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _fail(error: FlexoptError, as_json: bool) -> None:
-    click.echo(f"flexopt: {error}", err=True)
+    say(f"flexopt: {error}", err=True)
     if as_json:
         print_json({"status": "failed", "converged": False, "error": json_ready(error.to_dict())})
     sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)

@@ -26,6 +26,7 @@ from flexopt.cli.common import (
     print_json,
     progress_bar,
     read,
+    say,
     warnings_to_stderr,
     whole,
     write_output,
@@ -68,7 +69,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     if as_json:
         print_json(result.to_dict())
     else:
-        click.echo(repr(result))
+        say(repr(result))
 
 
 def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: bool) -> Any:
@@ -146,7 +147,7 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
     else:
         from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
 
-        click.echo(_selection_text(result) if isinstance(result, Selection) else repr(result))
+        say(_selection_text(result) if isinstance(result, Selection) else repr(result))
 
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from flexopt.cli.common import (
     print_json,
     progress_bar,
     read,
+    say,
     warnings_to_stderr,
     whole,
 )
@@ -87,7 +88,7 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
     if as_json:
         print_json(report.to_dict())
     else:
-        click.echo(repr(report))
+        say(repr(report))
 
 
 def _check_kind(options: dict[str, Any]) -> None:
@@ -130,6 +131,6 @@ def verify_command(as_json: bool, folder: str, **options: Any) -> None:
     if as_json:
         print_json(result.to_dict())
     else:
-        click.echo(f"{result!r}\n\nreport: {result.page}")
+        say(f"{result!r}\n\nreport: {result.page}")
     if not result.passed or (options["target"] is not None and not result.complete):
         sys.exit(FAILED)

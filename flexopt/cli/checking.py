@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from flexopt.cli.common import BAD_INPUT, JSON, print_json
+from flexopt.cli.common import BAD_INPUT, JSON, print_json, say
 from flexopt.robustness import check
 
 
@@ -23,6 +23,6 @@ def check_command(as_json: bool, file: str) -> None:
     if as_json:
         print_json(result.to_dict())
     else:
-        click.echo(repr(result))
+        say(repr(result))
     if result.faults:
         sys.exit(BAD_INPUT)

@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 import click
 
 from flexopt.errors import Fault, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
+from flexopt.escapes import terminal
 from flexopt.model.problem import CONTROLS, DAMPED, ELBOWS
 
 BAD_INPUT, FAILED = 2, 3
@@ -40,6 +41,12 @@ END_POINT = option("--end-point", metavar="X,Y[,Z]", help="Target of the end-poi
 ELBOW = option(
     "--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch of a planar arm (up by default)."
 )
+
+
+def say(text: str, *, err: bool = False) -> None:
+    """Print text, whatever letters are in it."""
+    # Not `click.echo`, which writes UTF-8 where the terminal has only ASCII.
+    print(terminal(text), file=sys.stderr if err else sys.stdout, flush=True)
 
 
 def print_json(document: dict[str, Any]) -> None:
@@ -85,7 +92,7 @@ def warnings_to_stderr(as_json: bool) -> Generator[None]:
                 warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
             elif (as_json or issubclass(warning.category, ImplausibleMachine)) and sentence not in told:
                 told.add(sentence)
-                click.echo(f"flexopt: warning: {sentence}", err=True)
+                say(f"flexopt: warning: {sentence}", err=True)
 
 
 def read(load: Callable[[str], T], name: str) -> T:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import click
-
-from flexopt.cli.common import BASE, ELBOW, END_POINT, option, option_names, print_json, read, warnings_to_stderr
+from flexopt.cli.common import BASE, ELBOW, END_POINT, option, option_names, print_json, read, say, warnings_to_stderr
 from flexopt.cli.simulation import simulate_arguments
 from flexopt.errors import InputError
 from flexopt.model import load
@@ -59,4 +57,4 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(report.to_dict())
     else:
-        click.echo(repr(report))
+        say(repr(report))

@@ -23,6 +23,7 @@ from flexopt.cli.common import (
     placement,
     print_json,
     read,
+    say,
     warnings_to_stderr,
     whole,
     write_output,
@@ -111,7 +112,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     if as_json:
         print_json(result.to_dict() | {"files": files})
     else:
-        click.echo("\n".join([repr(result), *(f"{what}: {path}" for what, path in files.items())]))
+        say("\n".join([repr(result), *(f"{what}: {path}" for what, path in files.items())]))
 
 
 def simulate_arguments(options: dict[str, Any]) -> dict[str, Any]:

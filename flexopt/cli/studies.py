@@ -26,6 +26,7 @@ from flexopt.cli.common import (
     print_json,
     progress_bar,
     read,
+    say,
     warnings_to_stderr,
     whole,
     write_output,
@@ -101,7 +102,7 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
     if as_json:
         print_json(result.to_dict())
     else:
-        click.echo(repr(result))
+        say(repr(result))
 
 
 def _names(text: str | None) -> list[str] | None:
@@ -126,7 +127,7 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
     if as_json:
         print_json(result.to_dict())
     else:
-        click.echo(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
+        say(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
 
 
 @click.command("report", short_help="Everything about a problem on one page.")
@@ -168,7 +169,7 @@ def report_command(as_json: bool, problem: str, out: str | None, **options: Any)
     if as_json:
         print_json(result.to_dict())
     else:
-        click.echo(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
+        say(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
 
 
 def _problem(name: str, options: dict[str, Any]) -> Problem | SelectionProblem:
@@ -205,6 +206,6 @@ def doctor_command(as_json: bool) -> None:
     if as_json:
         print_json(report.to_dict())
     else:
-        click.echo(repr(report))
+        say(repr(report))
     if not report.healthy:
         sys.exit(FAILED)

@@ -36,6 +36,7 @@ REALS: tuple[Real, ...] = ("double", "float")
 SINGULARITY_MARGIN_DEG = 1.0
 # Below this share of accepted inputs an export says so.
 FULL = 0.995
+PREFIX_MAX = 31
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 # What `make` and CMake leave behind when the README is followed.
 _PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
@@ -172,7 +173,7 @@ def export_c(
         WriteError: the folder cannot be written; what was there is as it was.
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
     """
-    prefix = identifier(machine.name) if prefix is None else prefix
+    prefix = identifier(machine.name)[:PREFIX_MAX].rstrip("_") if prefix is None else prefix
     left_out = {} if parts is not None else _left_out(machine, tuple(PARTS))
     wanted = tuple(part for part in (PARTS if parts is None else parts) if part not in left_out)
     target = Path(folder)

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import re
 import textwrap
-import unicodedata
 from collections.abc import Sequence
 from importlib.resources import files
 from string import Template
 
+from flexopt.escapes import c_identifier as identifier
+from flexopt.escapes import c_text as text_of
 from flexopt.export.kernels import Real, single_constant
 
 WIDTH = 118
-
-
-def identifier(name: str) -> str:
-    """A name in lower case that C takes."""
-    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    word = re.sub(r"[^a-z0-9]+", "_", plain.lower()).strip("_")
-    return word if word[:1].isalpha() else f"machine_{word}".rstrip("_")
 
 
 def constants(names: Sequence[str]) -> list[str]:
@@ -31,12 +25,6 @@ def constants(names: Sequence[str]) -> list[str]:
             unique, count = f"{word}_{count}", count + 1
         found.append(unique)
     return found
-
-
-def text_of(name: str) -> str:
-    """Text that may stand inside a C string or comment."""
-    plain = "".join(c if c.isprintable() and c not in '"\\' else " " for c in name)
-    return plain.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
 
 
 def number(value: float, real: Real) -> str:

@@ -124,6 +124,7 @@ def _fault(model: type[FileModel], data: Table, entry: dict[str, Any]) -> Fault:
         return Fault(field, "must not be empty", shown)
     wanted = {
         "string_type": "must be text",
+        "string_unicode": "must be text; it holds half of a character",
         "bool_type": "must be true or false",
         "tuple_type": "must be a list",
         "dict_type": "must be a table",

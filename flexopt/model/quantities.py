@@ -41,7 +41,8 @@ def check_number(value: Any, unit: str, *, above: float | None = None, low: floa
     if not math.isfinite(number):
         raise ValueError(f"must be finite; it {allowed}")
     if (above is not None and not number > above) or (low is not None and number < low) or number > high:
-        raise ValueError(allowed + degrees_hint(unit, number))
+        hint = "; is it in mm?" if unit == "m" and high == LENGTH_MAX and abs(number) > high else ""
+        raise ValueError(allowed + hint + degrees_hint(unit, number))
     return number + 0.0  # −0.0 becomes 0.0, so that equal inputs have equal hashes
 
 

@@ -112,6 +112,7 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
 
 
 def _machine(source: Source) -> Machine | Tree:
+    check_extent(source.data, source.name)
     if "robot" in source.data:
         from flexopt.model.robots import robot_from_dict  # noqa: PLC0415  (readers that few machines need)
 

@@ -8,7 +8,6 @@ In: a trajectory. Out: a `.gif`, or a `.html` that needs nothing else. Frames ar
 from __future__ import annotations
 
 import base64
-import html
 import io
 import json
 import math
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from flexopt.escapes import markup
 from flexopt.model.arguments import Arguments
 from flexopt.model.boundary import instance, number, path, public
 from flexopt.plotting.stage import Film, Stage
@@ -135,7 +135,7 @@ def _page(film: Film, images: list[Image.Image]) -> str:
         overlays.append(_data_url(overlay, transparency=TRANSPARENT))
     template = files("flexopt.plotting").joinpath("player.html").read_text(encoding="utf-8")
     fields = {
-        "TITLE": html.escape(f"{film.trajectory.machine}, {film.caption}"),
+        "TITLE": markup(f"{film.trajectory.machine}, {film.caption}"),
         "STILL": _data_url(images[0]),
         "FRAMES": json.dumps(overlays),
         "DELAY": str(10 * film.delay),

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.escapes import mathtext
 from flexopt.model.plain import shown
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
@@ -70,7 +71,7 @@ def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str
         at = [descent.index for descent in t.descents]
         drawn[-1].plot(t.time[at], t.V[at], "v", color=CHOSEN, markersize=4, linestyle="none", label="V descends")
         drawn[-1].legend(loc="best", fontsize=7.5)
-    heading = f"{t.machine}, Jacobian {t.control} control, objective {t.objective}: {t.status}"
+    heading = f"{mathtext(t.machine)}, Jacobian {t.control} control, objective {t.objective}: {t.status}"
     figure.suptitle(textwrap.fill(heading, TITLE_WIDTH), fontsize=9)
     write("plot_base_trajectory", figure, path)
     return figure

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
+from flexopt.escapes import mathtext
 from flexopt.model.constraints import Area, Box, Constraints, HalfPlane, Obstacle, Sphere
 from flexopt.plotting.shape import Points, View
 
@@ -68,8 +69,8 @@ def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:
             return
     if obstacle.name:
         axes.annotate(
-            obstacle.name, (float(middle[0]), float(middle[1])), fontsize=7.5, ha="center", va="center", zorder=7,
-            clip_on=True,
+            mathtext(obstacle.name), (float(middle[0]), float(middle[1])), fontsize=7.5, ha="center", va="center",
+            zorder=7, clip_on=True,
         )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexopt.escapes import mathtext
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.scenery import AREAS, draw_scenery, scenery_points
@@ -73,7 +74,7 @@ def draw_configurations(axes: Sequence[Axes], selection: Selection) -> None:
     best, initial, machine = selection.best.evaluation, selection.initial, selection.problem.machine
     chosen = shape_of(machine, best)
     present = None if initial is None else shape_of(machine, initial)
-    title = f"{best.machine}: Jacobian {best.control} control, objective {selection.problem.name}"
+    title = f"{mathtext(best.machine)}: Jacobian {best.control} control, objective {selection.problem.name}"
     for k, (panel, view) in enumerate(zip(axes, views(chosen), strict=True)):
         panel.set_aspect("equal")
         _draw_view(panel, view, selection, chosen, present)

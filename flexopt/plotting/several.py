@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.escapes import mathtext
 from flexopt.model.plain import shown
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
@@ -185,7 +186,9 @@ def _draw_measures(axes: Axes, places: Sequence[Place], numbers: NDArray[np.int6
 
 def _end(call: str, figure: Figure, result: Stand | BasePlan, path: str | os.PathLike[str] | None) -> Figure:
     first = result.problems[0]
-    heading = f"{first.machine.name}, Jacobian {first.control} control, objective {first.name}: {result.status}"
+    heading = (
+        f"{mathtext(first.machine.name)}, Jacobian {first.control} control, objective {first.name}: {result.status}"
+    )
     figure.suptitle(textwrap.fill(heading, TITLE_WIDTH), fontsize=9)
     for panel in figure.axes:
         panel.tick_params(labelsize=7.5)

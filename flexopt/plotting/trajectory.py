@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.escapes import LEGEND_MAX, mathtext
 from flexopt.model.plain import shown
 from flexopt.plant import build_plant
 from flexopt.plotting.files import write
@@ -41,7 +42,8 @@ def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None 
     check_runs("plot_trajectory", {"trajectory": trajectory})
     t = trajectory
     torques = Panel(
-        _torque_label(t), tuple((j, t.time, 1e-3 * row) for j, row in zip(t.joints, t.torque.T, strict=True))
+        _torque_label(t),
+        tuple((mathtext(j, LEGEND_MAX), t.time, 1e-3 * row) for j, row in zip(t.joints, t.torque.T, strict=True)),
     )
     energy = Panel("energy, kJ", (("energy", t.time, 1e-3 * t.energy),), logarithmic=True)
     deflections = [deflection_panel({"deflection": t}, k, t.growth_rate) for k in range(t.n_passive)]
@@ -77,7 +79,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], path: str | os.Pat
     figure = Figure(figsize=(7.2, 0.9 + 0.3 * len(trajectories) + 1.4 * rows), layout="constrained")
     panels = _draw_columns(figure, left, right, legends=False)
     handles = panels[0].get_lines()[: len(trajectories)]
-    labels = [f"{name}: {outcome(t)}" for name, t in trajectories.items()]
+    labels = [f"{mathtext(name)}: {outcome(t)}" for name, t in trajectories.items()]
     figure.legend(handles, labels, loc="outside upper center", ncols=1 if len(labels) > 2 else 2, fontsize=8)
     write("plot_trajectories", figure, path)
     return figure
@@ -110,7 +112,7 @@ def title(trajectory: Trajectory) -> str:
     t = trajectory
     finite = np.flatnonzero(np.isfinite(t.energy))
     until = f", no number after {t.time[finite[-1]]:.3g} s" if 0 < finite.size < t.time.size else ""
-    return f"{t.machine}, Jacobian {t.control} control: {outcome(t)}{until}"
+    return f"{mathtext(t.machine)}, Jacobian {t.control} control: {outcome(t)}{until}"
 
 
 def outcome(trajectory: Trajectory) -> str:
@@ -147,8 +149,8 @@ def deflection_panel(runs: Mapping[str, Trajectory], k: int, rate: float | None 
     kind = "rotation" if coordinate == "base.rotation" else coordinate.removeprefix("base.")
     unit = "m" + build_plant(first.model).graph.coordinate_units[k]
     name = f"base {kind}" if coordinate.startswith("base.") else kind
-    lines = tuple((run, t.time, 1e3 * t.deflection[:, k]) for run, t in runs.items())
-    return Panel(f"{name}, {unit}", lines, rate)
+    lines = tuple((mathtext(run), t.time, 1e3 * t.deflection[:, k]) for run, t in runs.items())
+    return Panel(f"{mathtext(name, LEGEND_MAX)}, {unit}", lines, rate)
 
 
 def _draw_columns(figure: Figure, *columns: Sequence[Panel], legends: bool = True) -> list[Axes]:

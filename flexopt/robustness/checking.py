@@ -21,6 +21,7 @@ from flexopt.robustness.plausibility import implausibilities
 
 # A start displacement beyond this, rad, is a quarter turn: hardly a disturbance.
 OFFSET_MAX = math.pi / 2
+NAME_SHOWN = 200
 
 
 @dataclass(frozen=True)
@@ -120,8 +121,9 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | str | os.PathLike
                 return _checked_robot(name)
             loaded = load_file(machine_or_path)
         except ModelError as error:
-            faults = error.faults or (Fault(name, str(error).removeprefix(f"{name}: ")),)
-            return Check(name, None, None, tuple(faults), (), _sentences(caught), provenance())
+            word = name if len(name) <= NAME_SHOWN else name[: NAME_SHOWN - 3] + "..."
+            faults = error.faults or (Fault(word, str(error).removeprefix(f"{name}: ")),)
+            return Check(word, None, None, tuple(faults), (), _sentences(caught), provenance())
     return _checked(loaded, _sentences(caught))
 
 

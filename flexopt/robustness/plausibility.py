@@ -6,9 +6,11 @@ damping that no machine on a base has.
 
 from __future__ import annotations
 
+import inspect
 import math
 import warnings
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from flexopt.plant import Plant, build_plant
 
 FIRST_MODE = (0.1, 100.0)  # Hz
 POSTURES = 4
+PACKAGE = Path(__file__).parents[1]
 
 
 @lru_cache(maxsize=64)
@@ -29,15 +32,18 @@ def implausibilities(machine: AnyMachine) -> tuple[Finding, ...]:
     return found if any("stiffness" in finding.field for finding in found) else (*found, *_of_modes(machine))
 
 
-def warn_implausible(machine: AnyMachine, *, stacklevel: int = 4) -> None:
-    """One `ImplausibleMachine` warning, where there is anything to tell."""
+def warn_implausible(machine: AnyMachine) -> None:
+    """One `ImplausibleMachine` warning at the user's line, where there is anything to tell."""
     found = implausibilities(machine)
     if not found:
         return
     count = "a number is" if len(found) == 1 else f"{len(found)} numbers are"
     more = "" if len(found) == 1 else f"; and {len(found) - 1} more"
     sentence = f"machine {machine.name!r}: {count} not plausible (`flexopt check` tells all): {found[0]}{more}"
-    warnings.warn(sentence, ImplausibleMachine, stacklevel=stacklevel)
+    frame, level = inspect.currentframe(), 1
+    while frame is not None and frame.f_back is not None and Path(frame.f_code.co_filename).is_relative_to(PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(sentence, ImplausibleMachine, stacklevel=level)
 
 
 def _of_modes(machine: AnyMachine) -> tuple[Finding, ...]:

@@ -6,7 +6,6 @@ In: text, numbers and figures. Out: HTML.
 from __future__ import annotations
 
 import base64
-import html
 import io
 import json
 from collections.abc import Iterable, Sequence
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexopt import writing
+from flexopt.escapes import markup
 from flexopt.writing import make_folder
 
 if TYPE_CHECKING:
@@ -33,19 +33,19 @@ footer { margin-top: 3em; font-size: 0.8em; color: #6b7178; overflow-wrap: anywh
 
 def page(title: str, body: Iterable[str], provenance: Any) -> str:
     """A whole page; the provenance goes to its foot."""
-    head = f'<meta charset="utf-8"><title>{html.escape(title)}</title><style>{STYLE}</style>'
-    lines = [f"<h1>{html.escape(title)}</h1>", *body, f"<footer>{html.escape(json.dumps(provenance))}</footer>"]
+    head = f'<meta charset="utf-8"><title>{markup(title)}</title><style>{STYLE}</style>'
+    lines = [f"<h1>{markup(title)}</h1>", *body, f"<footer>{markup(json.dumps(provenance))}</footer>"]
     return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>\n' + "\n".join(lines) + "\n</body></html>\n"
 
 
 def paragraph(text: str) -> str:
     """A paragraph; nothing where there is no text."""
-    return f"<p>{html.escape(text)}</p>" if text else ""
+    return f"<p>{markup(text)}</p>" if text else ""
 
 
 def heading(text: str) -> str:
     """The heading of a section."""
-    return f"<h2>{html.escape(text)}</h2>"
+    return f"<h2>{markup(text)}</h2>"
 
 
 def picture(figure: Figure, caption: str) -> str:
@@ -53,7 +53,7 @@ def picture(figure: Figure, caption: str) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)  # pyright: ignore[reportUnknownMemberType]
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    text = html.escape(caption)
+    text = markup(caption)
     return f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
 
 
@@ -62,9 +62,9 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
     def cell(text: str) -> str:
         number = text[:1] in tuple("+-−0123456789–") and len(text) < 32
-        return f"<td{' class=number' if number else ''}>{html.escape(text)}</td>"
+        return f"<td{' class=number' if number else ''}>{markup(text)}</td>"
 
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
+    head = "".join(f"<th>{markup(name)}</th>" for name in header)
     lines = "\n".join("<tr>" + "".join(cell(text) for text in row) + "</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>\n{lines}\n</tbody></table>"
 

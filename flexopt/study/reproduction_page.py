@@ -5,11 +5,11 @@ In: a `Reproduction`. Out: `report.html` with its pictures inside, `report.json`
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flexopt.escapes import markup
 from flexopt.study.findings import Finding
 from flexopt.study.gains import BorderRow
 from flexopt.study.page import page, picture, table, write_files
@@ -55,19 +55,19 @@ def report_html(result: Reproduction) -> str:
         "<h2>Figures</h2>",
         *(pictures[name] for name in ("figure5", "figure6", "figure7", "figure8")),
         "<h2>The closed loop</h2>",
-        f"<p>{html.escape(result.loops.sentence)}</p>",
+        f"<p>{markup(result.loops.sentence)}</p>",
         _loops(result),
         *(pictures[name] for name in ("figure9", "figure10", "figures11and12")),
         "<h2>The gains that a posture allows</h2>",
         _borders(result),
-        f"<p>{html.escape(result.gains.sentence)}</p>",
+        f"<p>{markup(result.gains.sentence)}</p>",
         pictures["gains"],
         "<h2>Where the article contradicts itself or the numbers</h2>",
         _findings(result.contradictions),
         "<h2>Its claims in words</h2>",
         _findings(result.claims),
         "<h2>The link through the gap metric</h2>",
-        f"<p>{html.escape(result.gaps.sentence)}</p>",
+        f"<p>{markup(result.gaps.sentence)}</p>",
         _gaps(result),
         pictures["gaps"],
     ]
@@ -90,7 +90,7 @@ def _table2(result: Reproduction) -> list[str]:
         f"ε_max, but B is. kr = {gain.other:.4g} would suit A, too, but makes B {gain.other_epsilon_b:.4f}."
     )
     header = ("posture and its input", "measure", "printed", "computed", "deviation (ε_max: difference)")
-    return [f"<p>{html.escape(sentence)}</p>", table(header, rows), f"<p>{html.escape(result.table.note)}</p>"]
+    return [f"<p>{markup(sentence)}</p>", table(header, rows), f"<p>{markup(result.table.note)}</p>"]
 
 
 def _frequencies(result: Reproduction) -> str:
@@ -103,9 +103,9 @@ def _frequencies(result: Reproduction) -> str:
 
 def _findings(group: Sequence[Finding]) -> str:
     rows = "\n".join(
-        f"<tr><td>“{html.escape(f.quote)}”<br><small>{html.escape(f.where)}</small></td>"
+        f"<tr><td>“{markup(f.quote)}”<br><small>{markup(f.where)}</small></td>"
         f"<td class={'holds' if f.holds else 'fails'}>{'holds' if f.holds else 'fails'}</td>"
-        f"<td>{html.escape(f.sentence)}</td></tr>"
+        f"<td>{markup(f.sentence)}</td></tr>"
         for f in group
     )
     head = "<tr><th>printed</th><th>verdict</th><th>numbers</th></tr>"

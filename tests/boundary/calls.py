@@ -103,6 +103,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     "build_measures": lambda: _machine(control="inverse", gravity=False),
     "build_plant": _machine,
     "build_selection": lambda: _machine(target=TARGET, gain=5e5, elbow="up", **SELECT),
+    "check": lambda: {"machine_or_path": "excavator"},
     "evaluate": lambda: _machine(posture=POSTURE, base=0.0, control="inverse", gain=5e5, damped=False, gravity=False),
     "evaluate_w": lambda: {
         "measures": flexopt.build_measures(excavator()), "bases": [0.0], "postures": [[1.0, 1.1], [-2.0, -1.9]],

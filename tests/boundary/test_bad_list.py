@@ -65,11 +65,12 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("*.to_netcdf", "path", ("text",), "a file may have any name"),
     ("Report.write", "folder", ("text",), "a folder may have any name"),
     ("export_c", "folder", ("text",), "a folder may have any name"),
+    ("check", "machine_or_path", ("text", "million *"), "what is wrong with a file is part of the result"),
 ]
 
 # Classes whose objects come from functions alone, as the results of computing: nobody passes them numbers.
 RESULTS = {
-    "BasePlan", "BaseTrajectory", "Candidate", "Ensemble", "Evaluation", "ExportReport", "FmuReport", "Report",
+    "BasePlan", "BaseTrajectory", "Candidate", "Check", "Ensemble", "Evaluation", "ExportReport", "FmuReport", "Report",
     "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory", "Verification", "WorkspaceMap",
 }  # fmt: skip
 NAMES = [call.name for call in calls()]

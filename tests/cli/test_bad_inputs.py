@@ -153,7 +153,7 @@ MACHINE_ROWS = [
     content("file-nested-deep", "a = " + "[" * 20_000, "TOML"),
     content("file-not-utf-8", b"name = \xff\xfe", "UTF-8"),
     content("file-nul", b"\0", "TOML"),
-    content("file-of-5-mb", b"#" * 5_000_000, "larger than 4 MB"),
+    content("file-of-5-mb", b"#" * 5_000_000, "larger than 500 kB"),
     content("file-is-folder", None, "folder"),
     content("file-is-folder-select", None, "folder", command="select machine.toml --end-point 0,1.6"),
     call("file-missing", EVALUATE, "machine.toml", "no such file"),

@@ -140,11 +140,13 @@ def test_missing_numbers_are_null(command: Command) -> None:
     # An arm that hardly moves the base cannot damp its modes either.
     assert document["epsilon_max"] is None
     assert document["gradient"]["epsilon_max"] == [None] * 3
-    assert as_json.stderr.startswith("flexopt: warning: modes 1 and 2 share the frequency")
-    printed = [line.removeprefix("flexopt: warning: ") for line in as_json.stderr.splitlines()]
+    assert as_json.message.startswith("flexopt: warning: modes 1 and 2 share the frequency")
+    printed = [line.removeprefix("flexopt: warning: ") for line in as_json.message.splitlines()]
     assert printed == document["warnings"]
     assert "warning: modes 1 and 2 share the frequency" in plain.stdout
-    assert plain.stderr == ""
+    assert plain.message == ""
+    for outcome in (as_json, plain):
+        assert outcome.stderr.count("not plausible (`flexopt check` tells all)") == 1
 
 
 def test_infinite_bounds_are_null(command: Command) -> None:

@@ -337,6 +337,7 @@ shapes = st.one_of(
 )
 
 
+@pytest.mark.filterwarnings("ignore:.*reach beyond two turns:flexopt.errors.FlexoptWarning")
 @given(shapes, st.tuples(*[st.integers(-9, 9).map(lambda k: k / 5)] * 6))
 def test_capsules_enclose_the_collision_geometry(
     tmp_path_factory: pytest.TempPathFactory, drawn: tuple[str, tuple[float, ...]], pose: tuple[float, ...]

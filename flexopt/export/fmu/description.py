@@ -10,10 +10,11 @@ import re
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
+from flexopt.escapes import one_line
 from flexopt.export.fmu.model import FmuModel, dependencies
 from flexopt.export.fmu.source import Version, references
 from flexopt.export.fmu.units import unit_of
-from flexopt.export.fmu.variable import Variable, printable
+from flexopt.export.fmu.variable import Variable
 from flexopt.model.documents import package_version
 
 _LOG = {"logStatusError": "what was refused, and why", "logStatusWarning": "what needs care"}
@@ -47,9 +48,9 @@ def describe(model: FmuModel, version: Version, identifier: str, token: str, too
     names = [entry.variable.name for entry in entries]
     root = ET.Element("fmiModelDescription", {
         "fmiVersion": version,
-        "modelName": printable(machine.name),
+        "modelName": one_line(machine.name),
         "instantiationToken" if three else "guid": token,
-        "description": printable(f"Closed loop of {machine.name} and its task-space controller"),
+        "description": one_line(f"Closed loop of {machine.name} and its task-space controller"),
         "version": package_version("flexopt"),
         "generationTool": tool,
         "variableNamingConvention": "structured" if all(map(_is_structured, names)) else "flat",

@@ -6,11 +6,11 @@ In: an `FmuModel`. Out: texts.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from html import escape
 from string import Template
 
 import numpy as np
 
+from flexopt.escapes import markup
 from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import Version, template
 from flexopt.export.fmu.variable import Variable
@@ -52,15 +52,15 @@ def page(model: FmuModel, version: Version, tool: str) -> str:
 
     def rows(variables: tuple[Variable, ...], *, start: bool) -> str:
         return "\n".join(
-            f"<tr><td><code>{escape(v.name)}</code></td><td>{escape(v.unit)}</td><td>{escape(v.text)}</td>"
+            f"<tr><td><code>{markup(v.name)}</code></td><td>{markup(v.unit)}</td><td>{markup(v.text)}</td>"
             + (f"<td>{v.start:g}</td><td>{v.low:g} … {v.high:g}</td>" if start else "")
             + "</tr>"
             for v in variables
         )
 
     values: Mapping[str, str] = {
-        "name": escape(machine.name),
-        "about": escape(machine.description),
+        "name": markup(machine.name),
+        "about": markup(machine.description),
         "version": version,
         "kind": model.kind,
         "period": f"{model.scenario.period:g}",

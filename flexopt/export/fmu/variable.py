@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from flexopt.escapes import one_line
 from flexopt.model.problem import Control
 from flexopt.model.tree import ORIENTATION_ROWS
 
@@ -47,12 +48,7 @@ class Variable:
         # Names of links come from machine files; XML and FMI's flat names know no control characters.
         for field in ("name", "text"):
             value: str = getattr(self, field)
-            object.__setattr__(self, field, printable(value))
-
-
-def printable(text: str) -> str:
-    """Text without control characters."""
-    return "".join(c if c.isprintable() else " " for c in text)
+            object.__setattr__(self, field, one_line(value))
 
 
 def words(name: str) -> str:

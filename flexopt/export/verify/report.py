@@ -5,9 +5,9 @@ In: a `Verification`. Out: text.
 
 from __future__ import annotations
 
-import html
 from typing import TYPE_CHECKING, Any
 
+from flexopt.escapes import markup
 from flexopt.export.verify.checks import Check, Table
 
 if TYPE_CHECKING:
@@ -28,32 +28,32 @@ def report_html(result: Verification) -> str:
     """The page."""
     title = f"Verification of {result.machine} ({result.real})"
     body = [
-        f"<h1>{html.escape(title)}</h1>",
-        f"<p>{html.escape(result.sentence)}</p>",
+        f"<h1>{markup(title)}</h1>",
+        f"<p>{markup(result.sentence)}</p>",
         f"<p>Bundle sha256 {result.bundle_sha256}.</p>",
-        *(f"<p class=not>Not verified: {html.escape(line)}</p>" for line in result.not_verified),
+        *(f"<p class=not>Not verified: {markup(line)}</p>" for line in result.not_verified),
         "<h2>Checks</h2>",
         _summary(result.checks),
         *(_details(check) for check in result.checks if check.tables),
         "<h2>Tools</h2>",
         _grid(("tool", "version"), tuple(result.tools.items())),
     ]
-    head = f'<meta charset="utf-8"><title>{html.escape(title)}</title><style>{_STYLE}</style>'
+    head = f'<meta charset="utf-8"><title>{markup(title)}</title><style>{_STYLE}</style>'
     return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>\n' + "\n".join(body) + "\n</body></html>\n"
 
 
 def _summary(checks: tuple[Check, ...]) -> str:
     rows = "\n".join(
-        f"<tr><td>{c.target}</td><td>{html.escape(c.name)}</td><td class={c.state.split()[0]}>{c.state}</td>"
-        f"<td>{html.escape(c.finding)}</td></tr>"
+        f"<tr><td>{c.target}</td><td>{markup(c.name)}</td><td class={c.state.split()[0]}>{c.state}</td>"
+        f"<td>{markup(c.finding)}</td></tr>"
         for c in checks
     )
     return f"<table><tr><th>target</th><th>check</th><th>state</th><th>finding</th></tr>\n{rows}\n</table>"
 
 
 def _details(check: Check) -> str:
-    head = f"<h2>{check.target}: {html.escape(check.name)}</h2>"
-    return head + "".join(f"<h3>{html.escape(t.title)}</h3>{_table(t)}" for t in check.tables)
+    head = f"<h2>{check.target}: {markup(check.name)}</h2>"
+    return head + "".join(f"<h3>{markup(t.title)}</h3>{_table(t)}" for t in check.tables)
 
 
 def _table(table: Table) -> str:
@@ -61,7 +61,7 @@ def _table(table: Table) -> str:
 
 
 def _grid(header: tuple[str, ...], rows: tuple[tuple[Any, ...], ...]) -> str:
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
+    head = "".join(f"<th>{markup(name)}</th>" for name in header)
     lines = "\n".join("<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in rows)
     return f"<table><tr>{head}</tr>\n{lines}\n</table>"
 
@@ -71,4 +71,4 @@ def _cell(value: Any) -> str:
         return f"<td class=number>{value:.2e}</td>"
     if isinstance(value, int):
         return f"<td class=number>{value:,}</td>"
-    return f"<td>{html.escape(str(value))}</td>"
+    return f"<td>{markup(str(value))}</td>"

@@ -185,7 +185,7 @@ COMPILERS: dict[str, dict[str, str]] = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:.*principal moments:flexopt.errors.FlexoptWarning")
+@pytest.mark.filterwarnings("ignore:.*(principal moments|reach beyond two turns):flexopt.errors.FlexoptWarning")
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_mjcf_compiler_settings_are_mujocos(tmp_path: Path, compiler: str) -> None:
     text = changed_text(MJCF, 'angle="degree" autolimits="true"', compiler)
