@@ -1,6 +1,6 @@
 """First and second derivatives of what solvers are given, beside differences of the values: for any program.
 
-Differences are central, of fourth order. A derivative that is wrong is wrong at every point, while differences lose
+Differences are central, of sixth order. A derivative that is wrong is wrong at every point, while differences lose
 their digits where a distance changes its nearest feature: of several points the best one counts.
 """
 
@@ -21,8 +21,8 @@ def differences(values: Values, x: np.ndarray, step: float = STEP) -> np.ndarray
     columns = []
     for i in range(x.size):
         e = step * np.eye(x.size)[i]
-        near, far = values(x + e) - values(x - e), values(x + 2 * e) - values(x - 2 * e)
-        columns.append((8 * near - far) / (12 * step))
+        near, far, farther = (values(x + k * e) - values(x - k * e) for k in (1, 2, 3))
+        columns.append((45 * near - 9 * far + farther) / (60 * step))
     return np.array(columns).T
 
 
