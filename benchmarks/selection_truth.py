@@ -214,13 +214,16 @@ def machines(seeds: Sequence[int]) -> Iterator[tuple[str, Machine, list[np.ndarr
 
 
 def examined(
-    points: int, n_targets: int, each: tuple[str, Machine, list[np.ndarray], int]
+    points: int,
+    n_targets: int,
+    each: tuple[str, Machine, list[np.ndarray], int],
+    controls: Sequence[str] = CONTROLS,
 ) -> list[tuple[str, str, str, str, float, float, str]]:
     """Rows: machine, target, control, case, gap, seconds, failure."""
     name, machine, targets, seed = each
     rows: list[tuple[str, str, str, str, float, float, str]] = []
     for number, target in enumerate(targets[:n_targets]):
-        for control in CONTROLS:
+        for control in controls:
             try:
                 scan = scanned(machine, target, control, points, 1000 * seed + number)
                 sizes = (
