@@ -1,6 +1,6 @@
 """Selections by mixes of w_i and ε_max and by objectives in order, beside a scan that shares nothing with the solvers.
 
-Run: python -m benchmarks.selection_truth [--machines N] [--targets N] [--points N] [--first N] [--workers N]
+Run: python -m benchmarks.selection_truth [--machines N] [--seeds K …] [--targets N] [--points N] [--workers N]
 
 For each target a scan of N configurations: placements and leading joints are drawn at random, the last two segments
 reach the target in closed form (here, in NumPy), the w_i come from `flexopt.evaluate_w` and ε_max from a doubling in
@@ -16,7 +16,7 @@ import functools
 import math
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any
@@ -197,11 +197,14 @@ def gap(machine: Machine, control: Any, target: np.ndarray, scan: Scanned, case:
     return worst, seconds
 
 
-def machines(count: int, first: int) -> Iterator[tuple[str, Machine, list[np.ndarray], int]]:
-    """The excavator, then random machines, with targets."""
-    if first == 0:
-        yield "excavator", flexopt.load("excavator"), [np.array(target) for target in EXCAVATOR], 0
-    for seed in range(max(first, 1), first + count if first else count + 1):
+def machines(seeds: Sequence[int]) -> Iterator[tuple[str, Machine, list[np.ndarray], int]]:
+    """Random machines by their seeds, with targets; 0 is the excavator."""
+    for seed in seeds:
+        if seed == 0:
+            excavator = flexopt.load("excavator")
+            assert isinstance(excavator, Machine)
+            yield "excavator", excavator, [np.array(target) for target in EXCAVATOR], 0
+            continue
         rng = np.random.default_rng(seed)
         _, machine = random_machine(rng)
         targets: list[np.ndarray] = []
@@ -211,13 +214,16 @@ def machines(count: int, first: int) -> Iterator[tuple[str, Machine, list[np.nda
 
 
 def examined(
-    points: int, n_targets: int, each: tuple[str, Machine, list[np.ndarray], int]
+    points: int,
+    n_targets: int,
+    each: tuple[str, Machine, list[np.ndarray], int],
+    controls: Sequence[str] = CONTROLS,
 ) -> list[tuple[str, str, str, str, float, float, str]]:
     """Rows: machine, target, control, case, gap, seconds, failure."""
     name, machine, targets, seed = each
     rows: list[tuple[str, str, str, str, float, float, str]] = []
     for number, target in enumerate(targets[:n_targets]):
-        for control in CONTROLS:
+        for control in controls:
             try:
                 scan = scanned(machine, target, control, points, 1000 * seed + number)
                 sizes = (
@@ -242,8 +248,8 @@ def examined(
 def main() -> None:
     """Print the worst gaps, and every failure."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--machines", type=int, default=50)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first random machine; 0: the excavator, too")
+    parser.add_argument("--machines", type=int, default=50, help="random ones, with the seeds 1, 2, …")
+    parser.add_argument("--seeds", type=int, nargs="*", help="these in place of them and the excavator; 0: excavator")
     parser.add_argument("--targets", type=int, default=3)
     parser.add_argument("--points", type=int, default=20_000)
     parser.add_argument("--workers", type=int, default=2)
@@ -252,7 +258,7 @@ def main() -> None:
     work = functools.partial(examined, options.points, options.targets)
     context = get_context("spawn")
     with context.Pool(options.workers, maxtasksperchild=1) as pool:
-        for done in pool.imap(work, machines(options.machines, options.first)):
+        for done in pool.imap(work, machines(range(options.machines + 1) if options.seeds is None else options.seeds)):
             rows += done
             worst = max((row[4] for row in done if not math.isnan(row[4])), default=math.nan)
             seconds = sum(row[5] for row in done)

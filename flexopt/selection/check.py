@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -83,6 +84,8 @@ def prove(problem: SelectionProblem, z: Vector) -> Proof:
         _note(violations, name, -value, KEPT_TOLERANCE)
     multipliers, kept = _multipliers(local)
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
+    if KINK_NAME in local.names:
+        stationarity = _at_kink(local, multipliers, kept, stationarity)
     unsurpassed = problem.bounded_by_zero and -local.value <= BEST_TOLERANCE
     curvature = 0.0
     if not unsurpassed:
@@ -250,6 +253,30 @@ def _multipliers(local: _Linear) -> tuple[Vector, list[int]]:
             left = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
             return (multipliers, kept) if left <= STATIONARITY_TOLERANCE else _nearest_multipliers(local)
         del kept[int(np.argmax(signs))]
+
+
+def _at_kink(local: _Linear, multipliers: Vector, kept: list[int], stationarity: float) -> float:
+    """Stationarity where the branches meet, with a mean of their gradients and no more.
+
+    V's generalised gradients are (1 − μ) g_11 + μ g_22 + 2 ν g_12 with ν² ≤ μ (1 − μ): multipliers beyond that would
+    make nearly equal branches out to be whatever is wanted. They are moved to the nearest mean, all others follow.
+    """
+    at, coupling = local.names.index(KINK_NAME), local.curved[0]
+    share = -float(multipliers[len(local.equalities) + kept.index(at)]) if at in kept else 0.0
+    mixed = -float(multipliers[coupling]) / 2
+    away = math.hypot(share - 0.5, mixed)
+    if not away > 0.5:
+        return stationarity
+    share, mixed = 0.5 + (share - 0.5) / (2 * away), mixed / (2 * away)
+    plain = replace(
+        local,
+        gradient=local.gradient + share * local.inequalities[at] + 2 * mixed * local.equalities[coupling],
+        equalities=np.delete(local.equalities, coupling, axis=0),
+        inequalities=np.delete(local.inequalities, at, axis=0),
+        names=tuple(name for name in local.names if name != KINK_NAME),
+    )
+    others, pulling = _multipliers(plain)
+    return float(np.linalg.norm(plain.gradient - others @ plain.rows(pulling)))
 
 
 def _nearest_multipliers(local: _Linear) -> tuple[Vector, list[int]]:

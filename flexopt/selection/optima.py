@@ -32,6 +32,10 @@ RESUMED = 3
 # tried again, and from how many points each time.
 AROUND = (0.0, 1e-3, 1e-2, 1e-1)
 AROUND_STARTS = 8
+# How far a solve may lead from a point that was seen and is better than every optimum, in scaled variables: where
+# derivatives change quickly a step of full length ends behind the hill. How often it goes on from where it came to.
+WITHIN = (np.inf, 1e-1, 1e-2, 1e-3)
+ONWARD = 12
 
 Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
@@ -49,7 +53,7 @@ def first_optima(
         NoSolutionFound: there is none, or none as good as a feasible point of the scan.
     """
     found, attempts, failures = _attempted(problem, starts, workers, progress, _solve_start)
-    return _not_below_seen(problem, found, attempts, failures, workers)
+    return _not_below_seen(problem, found, attempts, failures)
 
 
 def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) -> tuple[list[Found], list[Attempt]]:
@@ -70,7 +74,7 @@ def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) 
         near = starts if distance == 0 else _around(problem, starts, distance, round_number)
         found, more, failed = _attempted(problem, near, workers, None, _finish)
         attempts, failures = attempts + more, failures + failed
-    return _not_below_seen(problem, found, attempts, failures, workers)
+    return _not_below_seen(problem, found, attempts, failures)
 
 
 def _not_below_seen(
@@ -78,7 +82,6 @@ def _not_below_seen(
     found: list[Found],
     attempts: list[Attempt],
     failures: list[tuple[Vector, Proof]],
-    workers: int,
 ) -> tuple[list[Found], list[Attempt]]:
     """The optima, and more from every point that was seen and is better than all of them.
 
@@ -88,11 +91,9 @@ def _not_below_seen(
     values, tried = seen_values(problem), 0
     best = max((_value(problem, z) for z, _, _ in found), default=-np.inf)
     while (point := better_than(problem, best, values)) is not None:
-        if tried == len(AROUND):
+        if tried == len(WITHIN):
             raise _below(problem, best, point, len(attempts)) if found else _no_solution(problem, attempts, failures)
-        distance = AROUND[tried]
-        starts = [point] if distance == 0 else [point, *_around(problem, [point], distance, tried)]
-        more, others, failed = _attempted(problem, starts, workers, None, _finish)
+        more, others, failed = _attempted(problem, [point], 1, None, partial(_climbed, WITHIN[tried]))
         found += [item for item in more if _is_new(problem, item[0], found)]
         attempts, failures = attempts + others, failures + failed
         better = max((_value(problem, z) for z, _, _ in more), default=-np.inf)
@@ -203,6 +204,22 @@ def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> Sol
     return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
 
 
+def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+    """As `_finish`, in steps of limited length for as long as they lead up."""
+    z, total, status = starts[number], 0, CUT_SHORT
+    proof: Proof | None = None
+    for _ in range(ONWARD if np.isfinite(within) else 1):
+        there, iterations, status = run_solver(problem, z, within=within)
+        total += iterations
+        if not np.all(np.isfinite(there)):
+            break
+        ahead, proof = _value(problem, there) > _value(problem, z), prove(problem, there)
+        z = there
+        if proof.holds or not ahead:
+            break
+    return z, proof, total, status
+
+
 def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Solved:
     """A solve that was cut short, taken up again a few times: what wanders for longer does not settle."""
     z, iterations, status = points[number], 0, CUT_SHORT
@@ -248,11 +265,17 @@ def next_stage(problem: SelectionProblem, found: list[Found]) -> tuple[Selection
     return replace(problem, kept=(*problem.kept, kept.at_least)), kept
 
 
-def run_solver(problem: SelectionProblem, start: Vector, *, quick: bool = False) -> tuple[Vector, int, str]:
-    """One solve from z = start: the point reached, iterations, and the solver's own status."""
+def run_solver(
+    problem: SelectionProblem, start: Vector, *, quick: bool = False, within: float = np.inf
+) -> tuple[Vector, int, str]:
+    """One solve from z = start: the point reached, iterations, and the solver's own status.
+
+    `within` limits how far it leads, in scaled variables.
+    """
     solver, shift, n_task = problem.solver(quick=quick), problem.shift[0], problem.target.size
     objective, rows = problem.objective, problem.constraints[n_task:]
     x0, lower, upper = ((bound - shift) / problem.scale for bound in (start, problem.lower, problem.upper))
+    lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
     at_least = [np.zeros(n_task), np.array([row.lower / row.scale for row in rows])]
     at_most = [np.zeros(n_task), np.array([row.upper / row.scale for row in rows])]
     for earlier, kept, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):

@@ -70,9 +70,9 @@ def test_an_objective_that_nobody_solves_has_no_answer(monkeypatch: pytest.Monke
     machine = flexopt.load("excavator")
     honest, tries = optima.run_solver, []
 
-    def stuck(problem, start, *, quick=False):
+    def stuck(problem, start, **options):
         if not problem.kept:
-            return honest(problem, start, quick=quick)
+            return honest(problem, start, **options)
         tries.append(start)
         return start, 0, "Restoration_Failed"
 
@@ -92,8 +92,8 @@ def test_an_optimum_of_the_objective_before_may_be_one_of_the_next(monkeypatch: 
     )
     honest = optima.run_solver
 
-    def stuck(problem, start, *, quick=False):
-        return (start, 0, "Restoration_Failed") if problem.kept else honest(problem, start, quick=quick)
+    def stuck(problem, start, **options):
+        return (start, 0, "Restoration_Failed") if problem.kept else honest(problem, start, **options)
 
     monkeypatch.setattr(optima, "run_solver", stuck)
     twice = flexopt.solve_selection(problem, workers=1)

@@ -8,6 +8,7 @@ import pytest
 import flexopt
 from flexopt.errors import WrongSlope
 from flexopt.selection import programs
+from flexopt.selection.check import prove
 from flexopt.selection.objective import Quantities
 from flexopt.selection.several.joined import Joined
 
@@ -67,3 +68,19 @@ def test_a_point_without_digits_is_no_evidence(machine, monkeypatch):
 
     monkeypatch.setattr(Quantities, "branches", noisy)
     assert flexopt.solve_selection(problem).candidates
+
+
+def test_nearly_equal_branches_do_not_prove_what_is_no_optimum(machine):
+    """With a small β the branches of ε_max are alike everywhere: their difference must not stand in for a slope."""
+    problem = flexopt.build_selection(machine, TARGET, objective="w1")
+    mixed = dataclasses.replace(
+        problem,
+        objectives=(dataclasses.replace(problem.objective, beta=1e-9),),
+        objective_scales=problem.objective_scales,
+    )
+    z = np.append(problem.scan.base[:, 300], problem.scan.posture[:, 300])
+    plain, kinked = prove(problem, z), prove(mixed, z)
+    assert "kink of ε_max" in kinked.active
+    assert plain.stationarity > 1e-3
+    assert kinked.stationarity == pytest.approx(plain.stationarity, rel=1e-3)
+    assert not kinked.holds

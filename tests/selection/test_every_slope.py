@@ -1,0 +1,347 @@
+"""Every Function that a solver or a climb is given, beside differences, at points that are no optimum.
+
+What is walked is found in the source: a solver that is made elsewhere, or a derivative that is taken in a function that
+the table does not name, fails the test until it is walked, too.
+"""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.export.context import build_context
+from flexopt.export.optimiser_kernels import build_optimiser_kernels
+from flexopt.model.constraints import Constraints
+from flexopt.plant.reaching import reach_steps
+from flexopt.selection import nullspace_law, optima, programs
+from flexopt.selection.check import row_gradients
+from flexopt.selection.nlp import IPOPT_OPTIONS
+from flexopt.selection.objective import Objective
+from flexopt.selection.several import joined as joined_module
+from flexopt.selection.several.plan import _along
+from flexopt.selection.several.standing import one_placement
+from flexopt.selection.several.targets import build_problems
+from flexopt.selection.starts import starting_points
+from tests.oracles.machines import arm_at_rest, random_machine, regular_posture
+from tests.oracles.slopes import POINTS, away, best_of, differences, of_function, of_solver
+from tests.selection.test_spatial import CONSTRAINTS, PRESENT, slewing
+
+# Differences of sixth order over 2e-3 of a machine's size lose less than this of smooth graphs.
+FIRST, SECOND = 2e-6, 2e-5
+ROOT = Path(flexopt.__file__).parent
+SOLVER_MAKERS = {"nlpsol", "qpsol", "conic", "rootfinder", "integrator", "Opti", "dpleqsol", "simpleIRK", "collocation"}
+DERIVATIVES = {"jacobian", "gradient", "hessian", "jtimes", "forward", "reverse", "tangent", "jacobian_sparsity"}
+# Where solvers are made, and how each is walked here.
+MADE = {
+    ("selection/programs.py", "make_solver"): "the one place",
+    ("study/doctor.py", "_ipopt"): "(x − 1)² in one variable, to see that IPOPT runs",
+}
+ASKED = {("selection/nlp.py", "build_solver"), ("selection/several/program.py", "build_joint_solver")}
+# Where derivatives are taken of what a solver or a climb is given: the test that walks them.
+TAKEN = {
+    ("algebra/feasible.py", "feasible_steps"): "test_steps_onto_rows",
+    ("robustness/expansion.py", "_machine_slope"): "test_single",
+    ("robustness/expansion.py", "_machine_curvature"): "test_single",
+    ("robustness/expansion.py", "_slopes"): "test_single",
+    ("robustness/expansion.py", "_pull"): "test_single",
+    ("robustness/expansion.py", "_bent"): "test_single",
+    ("selection/nlp.py", "row_slopes"): "test_single",
+    ("selection/nlp.py", "row_curvature"): "test_single",
+    ("selection/check.py", "_extra_slopes"): "test_the_independent_ones",
+    ("export/optimiser_kernels.py", "build_optimiser_kernels"): "test_the_optimiser_in_c",
+    ("export/optimiser_kernels.py", "_position"): "test_the_optimiser_in_c",
+}
+ROOMS = ("selection", "algebra/feasible.py", "plant/reaching.py", "robustness/expansion.py", "export/optimiser_kernels.py",
+         "export/optimiser.py")  # fmt: skip
+walked: set[str] = set()
+
+
+def calls_in(path: Path, names: set[str]) -> set[tuple[str, str]]:
+    """Functions of a file that call one of these as an attribute (`ca.nlpsol`) or by name, with the file."""
+    found: set[tuple[str, str]] = set()
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for outer in ast.walk(tree):
+        if not isinstance(outer, ast.FunctionDef):
+            continue
+        for node in ast.walk(outer):
+            if isinstance(node, ast.Call):
+                called = node.func
+                name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+                owner = (
+                    called.value.id if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name) else ""
+                )
+                if name in names and owner in ("", "ca", "casadi"):
+                    found.add((path.relative_to(ROOT).as_posix(), outer.name))
+    return found
+
+
+def sources(*rooms: str) -> list[Path]:
+    places = [ROOT / room for room in rooms]
+    return [path for place in places for path in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
+
+
+def test_solvers_are_made_in_one_place():
+    made = {place for path in sources(".") for place in calls_in(path, SOLVER_MAKERS)}
+    assert made == set(MADE)
+    assert {place for path in sources(".") for place in calls_in(path, {"make_solver"})} == ASKED
+
+
+def test_every_derivative_is_walked():
+    taken = {place for path in sources(*ROOMS) for place in calls_in(path, DERIVATIVES)}
+    assert taken == set(TAKEN)
+    assert set(TAKEN.values()) <= set(globals())
+
+
+@pytest.mark.parametrize("wrong", ["grad_f", "jac_g", "hess_lag", None])
+def test_what_is_wrong_by_a_thousandth_is_seen(wrong):
+    x, p = ca.MX.sym("x", 2), ca.MX.sym("p")
+    f, g = ca.sin(x[0]) * x[1] + p, ca.vertcat(x[0] * x[1], ca.exp(x[0]))
+    of_f, of_g = ca.MX.sym("of_f"), ca.MX.sym("of_g", 2)
+    second = ca.triu(ca.densify(ca.hessian(of_f * f + ca.dot(of_g, g), x)[0]))
+    off = {name: 1.001 if name == wrong else 1.0 for name in ("grad_f", "jac_g", "hess_lag")}
+    given = {
+        "grad_f": ca.Function("grad_f", [x, p], [f, off["grad_f"] * ca.gradient(f, x)]),
+        "jac_g": ca.Function("jac_g", [x, p], [g, off["jac_g"] * ca.jacobian(g, x)]),
+        "hess_lag": ca.Function("hess_lag", [x, p, of_f, of_g], [off["hess_lag"] * second]),
+    }
+    solver = programs.make_solver("toy", "ipopt", {"x": x, "p": p, "f": f, "g": g}, IPOPT_OPTIONS | given)
+    found = of_solver(solver, np.array([0.3, 1.2]), np.array([2.0]), np.random.default_rng(0))
+    assert (found["first"] > FIRST or found["second"] > SECOND) == (wrong is not None)
+
+
+class _WalkedError(Exception):
+    """What stops a solve that was only made to be walked."""
+
+
+@pytest.fixture
+def walk(monkeypatch):
+    """Instead of solving, check what the solver is given near the start."""
+
+    def checked(solver, independent, start, parameters, bounds):
+        rng = np.random.default_rng(1)
+        spread = [start + 5e-2 * rng.uniform(-1, 1, start.size) for _ in range(POINTS)]
+        points = [np.clip(x, bounds.x_lower, bounds.x_upper) for x in spread]
+        found = best_of(lambda x: of_solver(solver, x, parameters, rng), points)
+        walked.add(f"{solver.name()} {solver.class_name()}")
+        assert found["first"] < FIRST, found
+        assert found.get("second", 0.0) < SECOND, found
+        raise _WalkedError
+
+    programs._confirmed.clear()
+    monkeypatch.setattr(programs, "confirm", checked)
+
+    def go(problem, *args):
+        with pytest.raises(_WalkedError):
+            optima.run_solver(problem, *args) if isinstance(problem, flexopt.SelectionProblem) else problem.solve(*args)
+
+    yield go
+    programs._confirmed.clear()
+
+
+def every_stage(problem):
+    """The problem of each of its objectives in order, the earlier ones kept a little below what the start has."""
+    start = starting_points(problem)[0]
+    yield problem, start
+    for objective, size in zip(problem.objectives[:-1], problem.objective_scales, strict=False):
+        level = float(problem.branches(objective, start)[0][0]) - 0.1 * size
+        problem = replace(problem, kept=(*problem.kept, level))
+        yield problem, start
+
+
+def machine_of(name):
+    if isinstance(name, str):
+        machine = flexopt.load(name)
+        posture = np.array([sum(ends) / 2 if np.isfinite(ends).all() else 0.4 for ends in machine.limits])
+        base = np.zeros(len(machine.base_coordinates))
+        plant = flexopt.build_plant(machine)
+        return machine, plant.end_point(
+            plant.rest(base, posture, plant.parameter_values), base, plant.parameter_values
+        ).full().ravel()
+    rng = np.random.default_rng(name)
+    machine = random_machine(rng)[1]
+    return machine, arm_at_rest(machine, regular_posture(rng, machine))[1]
+
+
+def maximising(problem, *objectives):
+    """The problem with other objectives, given by α (one number for all modes) and β: no scan of ε_max is needed."""
+    m = problem.measures.plant.n_passive
+    wanted = tuple(Objective(f"V{k}", (alpha,) * m, beta) for k, (alpha, beta) in enumerate(objectives))
+    sizes = tuple(alpha * problem.objective_scale + beta for alpha, beta in objectives)
+    return replace(problem, objectives=wanted, objective_scales=sizes)
+
+
+SHIPPED = ("excavator", "boom-stick-bucket", "slewing-excavator", "truck-crane", "mobile-manipulator")
+
+
+@pytest.mark.parametrize("name", [*SHIPPED, 1, 4])
+def test_single(walk, name):
+    """w_i with exact second derivatives, and a mix with ε_max."""
+    machine, target = machine_of(name)
+    problem = flexopt.build_selection(machine, target, starts=2)
+    start = starting_points(problem)[0]
+    walk(maximising(problem, (1.0, 0.0)), start)
+    walk(maximising(problem, (1.0, problem.objective_scale)), start)
+
+
+@pytest.mark.parametrize(
+    ("objectives", "control", "gravity"),
+    [
+        ([(1.0, 0.0), (0.5, 0.0)], "transpose", False),
+        ([(1.0, 0.0), (0.0, 1.0)], "damped:0.3", False),
+        ([(0.0, 1.0), (1.0, 0.0)], "transpose", True),
+        ([(1.0, 1e-3), (0.0, 1.0), (1.0, 0.0)], "inverse", False),
+        ([(1.0, 0.0), (0.5, 0.0)], "damped:0.3", True),
+    ],
+)
+def test_in_order(walk, objectives, control, gravity):
+    machine, target = machine_of("excavator")
+    problem = flexopt.build_selection(machine, target, control=control, gravity=gravity)
+    for stage, start in every_stage(maximising(problem, *objectives)):
+        walk(stage, start)
+
+
+def constrained():
+    assert set(CONSTRAINTS) == set(Constraints.model_fields), "a kind of constraint is not walked"
+    machine = flexopt.tree_from_dict(slewing())
+    options = {"constraints": CONSTRAINTS, "starts": 2, **PRESENT}
+    return flexopt.build_selection(machine, (3.5, 1.0, 1.2), **options)
+
+
+@pytest.mark.parametrize("objectives", [[(1.0, 0.0)], [(1.0, 0.0), (0.0, 1.0)]])
+def test_every_kind_of_constraint(walk, objectives):
+    for stage, start in every_stage(maximising(constrained(), *objectives)):
+        walk(stage, start)
+
+
+@pytest.mark.parametrize("goal", ["worst", "weighted", "motion"])
+def test_several(walk, goal):
+    machine = flexopt.load("excavator")
+    options = {"objective": "w1", "control": "inverse", "weights": None, "gravity": False}
+    problems = build_problems("test", machine, np.array([(0.0, 1.6), (0.2, 1.5)]), "targets", options)
+    if goal == "motion":
+        together = _along(problems, np.array([0.0, 1.0]), np.full(3, 0.5), None).kept(-0.1)
+    else:
+        together = one_placement(problems, np.array([0.3, 0.7]), weighted=goal == "weighted")
+    walk(together, together.packed([starting_points(problem)[0] for problem in problems]))
+    assert joined_module.run is programs.run
+
+
+@pytest.mark.parametrize(
+    "problem", [constrained, lambda: flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))]
+)
+def test_the_independent_ones(problem):
+    """What solvers are compared with, and what proofs and the steps onto constraints go by."""
+    problem = problem()
+    start = starting_points(problem)[0]
+    rng, n = np.random.default_rng(2), start.size
+
+    def check(z):
+        rows = differences(problem.rows, z)
+        v = differences(lambda at: problem.branches(problem.objective, at)[0], z)
+        given = row_gradients(problem, z), problem.branches(problem.objective, z)[1]
+        size = np.abs(v).max()
+        return {
+            "rows": float((np.abs(given[0] - rows) / np.maximum(1.0, np.abs(rows).max(axis=1, keepdims=True))).max()),
+            "V": float(np.abs(given[1] - v).max() / size),
+        }
+
+    found = best_of(check, [start + 2e-2 * rng.uniform(-1, 1, n) * problem.scale for _ in range(POINTS)])
+    assert max(found.values()) < FIRST, found
+
+
+@pytest.mark.parametrize("spatial", [False, True])
+def test_the_nullspace_law(spatial):
+    machine, posture = flexopt.load("excavator"), np.array([0.9, -1.3])
+    if spatial:
+        machine, posture = flexopt.tree_from_dict(slewing()), np.array([0.3, 0.4, -1.2, -0.5])
+    plant = flexopt.build_plant(machine)
+    base, p = np.full(plant.n_base, 0.1), plant.parameter_values.full().ravel()
+    scale = np.abs(flexopt.build_measures(machine).w.call([base, posture, p])[1].full()).max()
+    point, end_point = nullspace_law._functions(machine, "inverse", False)
+    given = [base, posture, p]
+
+    def scaled(function, outputs):
+        symbols = function.mx_in()
+        found = function.call(symbols)
+        return ca.Function("scaled", symbols, [found[k] / size for k, size in outputs])
+
+    assert of_function(scaled(point, [(0, scale), (1, scale)]), given, 0, 1, [0, 1]) < FIRST
+    assert of_function(point, given, 2, 3, [0, 1]) < FIRST
+    assert of_function(end_point, given, 0, 1, [0, 1]) < FIRST
+    margin = nullspace_law._margin_gradients(machine, "inverse", False)
+    found = margin.call([*given, 5e5])
+    expected = differences(
+        lambda z: margin.call([z[: base.size], z[base.size :], p, 5e5])[0].full().ravel(), np.concatenate(given[:2])
+    )
+    assert np.abs(found[1].full()[:2] - expected).max() < FIRST
+
+
+@pytest.mark.parametrize("spatial", [False, True])
+def test_steps_onto_rows(spatial):
+    """With the right slopes the steps are Newton's: a call from nearby leads to round-off."""
+    problem = constrained() if spatial else flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
+    region, start = problem.region, starting_points(problem)[0]
+    rng, p = np.random.default_rng(3), problem.measures.plant.parameter_values
+    near = np.clip(start + 1e-3 * rng.uniform(-1, 1, start.size) * problem.scale, region.lower, region.upper)
+    rows = region.row_lower, region.row_upper, region.row_scale
+    left = problem.configuration.feasible.call([near, 1e-9, *region.bounds, *rows, p, region.constants])[2]
+    assert float(left) < 1e-13
+    n_task = problem.target.size
+    target, scale = problem.target, region.row_scale[:n_task]
+    left = reach_steps(problem.machine).call([near, 1e-9, *region.bounds, target, target, scale, p])[2]
+    assert float(left) < 1e-13
+
+
+@pytest.mark.parametrize("name", ["excavator", "slewing-excavator"])
+def test_the_optimiser_in_c(name):
+    """V, r and the margin as its C climbs them: slopes, and second derivatives where it has exact ones."""
+    machine, _ = machine_of(name)
+    options = {"gain": 5e5, "single": False, "baked": False, "singularity_margin_deg": 10.0}
+    at, measures = build_context(machine, control="inverse", **options), flexopt.build_measures(machine)
+    kernels, plant = build_optimiser_kernels(at, measures, weights=None), measures.plant
+    m, p, rng = plant.n_passive, plant.parameter_values, np.random.default_rng(4)
+    n_b, near = plant.n_base, [] if plant.closed_form else [np.eye(m)]
+    alpha = rng.uniform(0.5, 1.5, m)
+
+    def called(function, z):
+        place = [z[:n_b], z[n_b:], p]
+        held = [kernels.hold.call([*place, *near])[0], alpha] if "held" in function.name_in() else []
+        return [out.full() for out in function.call([*place, *held])]
+
+    def check(z):
+        size = called(kernels.value, z)[1].item()
+        slopes = called(kernels.derivatives, z)
+        found = {
+            "V": away(slopes[0].reshape(1, -1) / size, lambda x: called(kernels.value, x)[0].ravel() / size, z),
+            "r": away(called(kernels.position, z)[1].reshape(-1, plant.n_task).T,
+                      lambda x: called(kernels.position, x)[0].ravel(), z),
+            "margin": away(called(kernels.margin, z)[0].reshape(1, -1),
+                           lambda x: called(kernels.distance, x)[0].ravel(), z),
+        }  # fmt: skip
+        if kernels.exact_second:
+            n = z.size
+            of_v, of_r, of_margin = (x.reshape(-1, n) for x in slopes[1:])
+            found["second of V"] = away(of_v / size, lambda x: called(kernels.derivatives, x)[0].ravel() / size, z)
+            found["second of r"] = away(
+                of_r, lambda x: called(kernels.position, x)[1].reshape(n, plant.n_task).T.ravel(), z
+            )
+            found["second of the margin"] = away(of_margin, lambda x: called(kernels.margin, x)[0].ravel(), z)
+        return found
+
+    middle = np.array([sum(ends) / 2 if np.isfinite(ends).all() else 0.4 for ends in machine.limits])
+    points = [np.append(np.zeros(n_b), middle + 0.2 * rng.uniform(-1, 1, middle.size)) for _ in range(POINTS)]
+    found = best_of(check, points)
+    assert max(found.values()) < SECOND, found
+
+
+def test_all_solvers_were_walked(walk):
+    """In a process that runs the whole file: the three families of solvers."""
+    test_several(walk, "worst")
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
+    for stage, start in every_stage(maximising(problem, (1.0, 0.0), (0.0, 1.0))):
+        walk(stage, start)
+    assert walked >= {"selection IpoptInterface", "selection Sqpmethod", "several IpoptInterface"}

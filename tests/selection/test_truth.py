@@ -1,0 +1,117 @@
+"""Mixed and ordered objectives beside a scan that shares nothing with the solvers: `benchmarks.selection_truth`, shortly."""
+
+import dataclasses
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import flexopt
+from benchmarks.selection_truth import cases, examined, machines, scanned
+from flexopt.selection import optima
+from flexopt.selection.seen import better_than, seen_values, settled
+
+COMMAND = [sys.executable, "-c", "from flexopt.cli import main; main()"]
+TARGET = (0.0, 1.6)
+# Of the objective's scale: what a scan may be better by.
+BAR = 1e-7
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return flexopt.load("excavator")
+
+
+@pytest.mark.parametrize("seed", [0, 6])
+def test_never_below_a_scan_of_its_own(seed):
+    rows = examined(4000, 1, next(iter(machines([seed]))), ("inverse",))
+    assert len(rows) == len(list(cases(2, 1.0)))
+    for *what, off, _, failure in rows:
+        assert not failure, (what, failure)
+        assert off <= BAR, what
+
+
+def test_the_scan_tells_where_a_selection_falls_short(machine):
+    """With a single start the selection stays on a lower hill; the guard takes the scan's best for a start."""
+    scan = scanned(machine, np.array(TARGET), "inverse", 4000, 0)
+    problem = flexopt.build_selection(machine, TARGET, objective="epsilon_max")
+    poor = dataclasses.replace(problem, starts=1)
+    values = seen_values(poor)
+    assert better_than(poor, float(values.max()) - 1e-3, values) is not None
+    assert better_than(poor, float(values.max()) + 1e-3, values) is None
+    worst = np.vstack([problem.scan.base, problem.scan.posture])[:, values.argmin()]
+    found, attempts = optima.first_optima(poor, [worst], 1, None)
+    assert max(optima._value(poor, z) for z, _, _ in found) >= max(values.max(), scan.epsilon.max()) - BAR
+    assert len(attempts) > 1
+
+
+def test_a_better_point_that_leads_nowhere_is_an_error(machine, monkeypatch):
+    problem = flexopt.build_selection(machine, TARGET)
+    monkeypatch.setattr(optima, "seen_values", lambda problem: np.full(problem.scan.size, 1.0))
+    monkeypatch.setattr(optima, "better_than", lambda problem, value, values: problem.wrapped(np.zeros(3)))
+    with pytest.raises(flexopt.NoSolutionFound, match="of a configuration that was seen"):
+        flexopt.solve_selection(problem)
+
+
+def test_points_are_moved_onto_the_rows_under_gravity(machine):
+    problem = flexopt.build_selection(machine, TARGET, gravity=True)
+    z = np.append(problem.scan.base[:, 100], problem.scan.posture[:, 100])
+    assert np.abs(problem.rows(z)[:2] - problem.target).max() > 1e-6
+    there = settled(problem, z)
+    assert np.abs(problem.rows(there)[:2] - problem.target).max() < 1e-8
+
+
+@pytest.mark.parametrize(("objective", "slack"), [("epsilon_max,w1", None), ("epsilon_max,w1", 1e-3), ("w1,w2", 1e-4)])
+def test_the_slack_is_a_share_of_the_value_and_stated(machine, objective, slack):
+    share = {} if slack is None else {"slack": slack}
+    selection = flexopt.select(machine, TARGET, objective=objective, workers=1, **share)
+    (kept,) = selection.kept
+    first, size = selection.problem.objectives[0], selection.problem.objective_scales[0]
+    allowed = (slack or 1e-5) * max(abs(kept.best), size - first.beta)
+    assert math.isclose(kept.best - kept.at_least, allowed, rel_tol=1e-9)
+    assert f"{kept.objective} kept: at least" in repr(selection)
+    assert selection.to_dict()["kept"] == [vars(kept)]
+    for candidate in selection.candidates:
+        value = first.value(candidate.w, candidate.evaluation.epsilon_max)
+        assert value >= kept.at_least - 1e-8 * size
+
+
+def test_the_slack_decides_between_good_optima(machine):
+    """The best maxima of ε_max are 4e-5 of it apart: only a slack above that lets the second objective choose."""
+    fine, coarse = (
+        flexopt.select(machine, TARGET, objective="epsilon_max,w1", slack=s, workers=1) for s in (1e-5, 1e-3)
+    )
+    assert coarse.best.w[0] > fine.best.w[0]
+    assert fine.best.evaluation.epsilon_max > coarse.best.evaluation.epsilon_max
+
+
+def test_the_slack_in_a_file_and_on_the_command_line(tmp_path):
+    text = f"""
+schema = 1
+name = "ordered"
+machine = "excavator"
+[target]
+end_point = {list(TARGET)}
+[selection]
+objective = "w1,w2"
+slack = 1e-3
+"""
+    path = tmp_path / "ordered.toml"
+    path.write_text(text, encoding="utf-8")
+    assert flexopt.load_problem(path).select_arguments()["slack"] == 1e-3
+    for given, slack in (([], 1e-3), (["--slack", "2e-3"], 2e-3)):
+        out = subprocess.run(
+            [*COMMAND, "select", str(path), "--json", *given], capture_output=True, text=True, check=True
+        )
+        document = json.loads(out.stdout)
+        assert document["problem"]["slack"] == slack
+    assert document["kept"][0]["best"] > document["kept"][0]["at_least"]
+
+
+@pytest.mark.parametrize("slack", [0.0, -1e-3, 2.0, float("nan"), "much", True])
+def test_a_slack_out_of_range_is_named(machine, slack):
+    with pytest.raises(flexopt.InputError, match="slack"):
+        flexopt.build_selection(machine, TARGET, slack=slack)
