@@ -334,7 +334,8 @@ def public(
     Args:
         call: what messages call it; its own name by default.
         together: notes what concerns several arguments; looked for even where single ones are faulty.
-        machine, sizes: of a method, the machine of its object, and what letters in shapes stand for.
+        machine: of a method, the machine of its object.
+        sizes: what letters in shapes stand for, from a method's object or a function's first argument.
         error: what is raised.
         own: checks of arguments in place of the table's.
     """
@@ -343,6 +344,7 @@ def public(
         signature = inspect.signature(function)
         heading, parameters = call or function.__name__, dict(signature.parameters)
         owner = parameters.pop("self", None)
+        first = next(iter(parameters), "")
         checks = {name: own[name] if name in own else TABLE[name] for name in parameters}
 
         @wraps(function)
@@ -354,7 +356,7 @@ def public(
                 raise _miscalled(heading, list(parameters), kwargs, miscall) from None
             given, values = bound.arguments, dict[str, Any]()
             arguments = Arguments(heading, machine(given["self"]) if machine is not None else None, error)
-            if sizes is not None:
+            if sizes is not None and owner is not None:
                 arguments.sizes = sizes(given["self"])
             for name, check in checks.items():
                 default = parameters[name].default
@@ -367,6 +369,8 @@ def public(
                     values[name] = None
                 else:
                     given[name] = values[name]
+                    if sizes is not None and owner is None and name == first:
+                        arguments.sizes = sizes(values[name])
             if together is not None:
                 together(arguments, values | ({"self": given["self"]} if owner is not None else {}))
             arguments.done()

@@ -59,8 +59,10 @@ class _Reader:
         try:
             return self._read(value)
         except _TooMuchError:
-            if self.inside:
+            # The whole part of the outermost table goes, and the others stay.
+            if len(self.inside) > 1:
                 raise
+            self.parts = 0
             return self._unreadable("holds too many lists and tables, or too deep ones")
         except Exception as error:  # noqa: BLE001, RUF100  # a foreign object's own methods raise whatever they like
             return self._unreadable(f"cannot be read ({type(error).__name__})")
