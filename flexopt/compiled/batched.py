@@ -91,14 +91,15 @@ class Batch:
         if len(arrays) != len(self._in):
             raise InputError(f"{function.name()} takes {len(self._in)} arrays ({', '.join(function.name_in())}), "
                              f"got {len(arrays)}")  # fmt: skip
-        if threads < 1:
-            raise InputError(f"threads = {threads}: at least 1")
+        # A caller without types may pass anything.
+        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:  # pyright: ignore
+            raise InputError(f"{function.name()}: threads must be a whole number of at least 1")
         values: list[Array] = []
         faults: list[Fault] = []
         for name, layout, given in zip(function.name_in(), self._in, arrays, strict=True):
             try:
                 value = np.asarray(given, dtype=np.float64)
-            except (TypeError, ValueError):
+            except Exception:  # a foreign object's own conversion raises whatever it likes
                 faults.append(Fault(name, "must be numbers, as many in each row"))
                 continue
             value = value.reshape(-1, 1) if value.ndim < 2 else value
@@ -154,6 +155,7 @@ def _run(
         return kernel(*tables, *edge)
 
     groups = -(-n // _GROUP)
+    threads = min(threads, groups)
     edges = [min(n, _GROUP * (groups * k // threads)) for k in range(threads + 1)]
     parts = [(begin, end) for begin, end in pairwise(edges) if end > begin]
     if len(parts) == 1:

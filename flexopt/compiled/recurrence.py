@@ -229,6 +229,7 @@ def _run(kernel: Callable[..., int], job: tuple[_Job, list[Array]], n: int, thre
         statuses = [part((0, n))]
     else:
         groups = -(-n // _GROUP)
+        threads = min(threads, groups)
         edges = [min(n, _GROUP * (groups * k // threads)) for k in range(threads + 1)]
         parts = [(begin, end) for begin, end in pairwise(edges) if end > begin]
         with ThreadPoolExecutor(len(parts)) as pool:

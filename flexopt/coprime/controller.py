@@ -29,7 +29,7 @@ EQUAL = (1e-8, 1e-12, 1e-5)  # how close two ν count as one
 TURNS = (0.0, 0.4, -0.7)  # rotations of the graph, rad, tried in turn
 
 
-@public(**PLANT)
+@public(checks=PLANT)
 @guarded
 def optimal_controller(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: Any = 0.0) -> StateSpace:
     """K with b_{P,K} = ε_max, for u = −K y.

@@ -24,7 +24,7 @@ NEAR = 1e-9
 UNSOLVED = 1e-6
 
 
-@public(**PAIR)
+@public(checks=PAIR)
 @guarded
 def gap(P1: Any, P2: Any) -> float:
     """δ_g(P1, P2) = max of the two directed gaps inf_{Q ∈ H∞} ‖G1 − G2 Q‖∞, to 1e-8.
@@ -54,7 +54,7 @@ def gap(P1: Any, P2: Any) -> float:
     return forward if forward >= bounds[1] else max(forward, _directed_gap(two, one, bounds))
 
 
-@public(**PAIR)
+@public(checks=PAIR)
 @guarded
 def nu_gap(P1: Any, P2: Any) -> float:
     """δ_ν(P1, P2) = ‖G̃2 G1‖∞ if det(G2*G1) has no zero on the axis and winding number 0, else 1.

@@ -140,7 +140,7 @@ def epsilon_error(largest: float, bound: float) -> float:
     return 0.5 * bound * (1.0 + low) ** -1.5 + 4 * EPS / math.sqrt(1.0 + largest)
 
 
-@public(**PLANT)
+@public(checks=PLANT)
 @guarded
 def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: Any = 0.0) -> RobustMargin:
     """The optimal normalized-coprime-factor margin ε_max = sup_K b_{P,K} = (1 + λmax(XZ))^(−1/2).

@@ -282,7 +282,7 @@ def _matrix(field: str, value: Any, faults: list[Fault]) -> Matrix | None:
         return None
     if value is None:
         sentence = "is missing"
-    elif np.ma.isMaskedArray(value):
+    elif np.ma.isMaskedArray(cast(Any, value)):
         sentence = "must not be masked"
     elif raw.dtype.kind not in "iuf":
         sentence = "must hold real numbers" + (", not complex ones" if raw.dtype.kind == "c" else "")

@@ -92,7 +92,7 @@ class ExportReport:
 
 
 def _check_parts(value: Any) -> tuple[str, ...]:
-    given = cast(list[Any], list(value) if isinstance(value, list | tuple) else [value])
+    given = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
     valid = ", ".join(PARTS)
     unknown = [shown(part) for part in given if not isinstance(part, str) or part not in PARTS]
     if unknown or not given:

@@ -42,7 +42,7 @@ from flexopt.model.targets import TARGETS_MAX
 
 P = ParamSpec("P")
 T = TypeVar("T")
-C = TypeVar("C", bound=type)
+C = TypeVar("C", bound=type[Any])
 # Takes the collector of the call's faults, the argument's name and its value; gives the checked value.
 Check = Callable[[Arguments, str, Any], Any]
 # Sees the checked values of a call, None in place of the faulty ones; notes what does not go together.
@@ -125,7 +125,7 @@ def table(arguments: Arguments, field: str, value: Any) -> Any:
     read = plain_table(value)
     if not isinstance(read, dict):
         arguments.note(field, "must be a dictionary", value)
-    return read
+    return cast(Any, read)
 
 
 def callback(arguments: Arguments, field: str, value: Any) -> Any:
@@ -182,7 +182,7 @@ def as_array(value: Any, kinds: str = "iuf") -> NDArray[Any]:
     Raises:
         ValueError: ragged, masked, no numbers, or too large for a double; the sentence says which.
     """
-    given = value if isinstance(value, np.ndarray | np.generic) else plain(value)
+    given = cast(Any, value if isinstance(value, np.ndarray | np.generic) else plain(value))
     if np.ma.isMaskedArray(given):
         raise ValueError("must not be masked")
     try:
@@ -225,7 +225,7 @@ def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
 
     def check(value: Any) -> Any:
         try:
-            text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+            text: Any = os.fspath(cast(Any, value)) if isinstance(value, str | os.PathLike) else None
         except Exception:  # noqa: BLE001, RUF100  # somebody else's __fspath__
             text = None
         if not isinstance(text, str):
@@ -245,7 +245,7 @@ def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
             raise ValueError(f"there is no folder {str(Path(text).parent)!r} to write a file into")
         if parent and Path(text).is_dir():
             raise ValueError("is a folder")
-        return value
+        return cast(Any, value)
 
     return lambda arguments, field, value: raw(arguments, field, value, check)
 
@@ -325,6 +325,7 @@ def public(
     machine: Callable[[Any], AnyMachine] | None = None,
     sizes: Callable[[Any], Mapping[str, int]] | None = None,
     error: type[InputError] = InputError,
+    checks: Mapping[str, Check] | None = None,
     **own: Check,
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A function whose arguments are checked before it runs.
@@ -334,16 +335,19 @@ def public(
     Args:
         call: what messages call it; its own name by default.
         together: notes what concerns several arguments; looked for even where single ones are faulty.
-        machine, sizes: of a method, the machine of its object, and what letters in shapes stand for.
+        machine: of a method, the machine of its object.
+        sizes: what letters in shapes stand for, from a method's object or a function's first argument.
         error: what is raised.
-        own: checks of arguments in place of the table's.
+        checks, own: of arguments, in place of the table's.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
         heading, parameters = call or function.__name__, dict(signature.parameters)
         owner = parameters.pop("self", None)
-        checks = {name: own[name] if name in own else TABLE[name] for name in parameters}
+        first = next(iter(parameters), "")
+        table = {**(checks or {}), **own}
+        each = {name: table[name] if name in table else TABLE[name] for name in parameters}
 
         @wraps(function)
         @in_turn
@@ -354,9 +358,9 @@ def public(
                 raise _miscalled(heading, list(parameters), kwargs, miscall) from None
             given, values = bound.arguments, dict[str, Any]()
             arguments = Arguments(heading, machine(given["self"]) if machine is not None else None, error)
-            if sizes is not None:
+            if sizes is not None and owner is not None:
                 arguments.sizes = sizes(given["self"])
-            for name, check in checks.items():
+            for name, check in each.items():
                 default = parameters[name].default
                 if name not in given or (given[name] is None and default is None):
                     values[name] = {} if parameters[name].kind is parameters[name].VAR_KEYWORD else default
@@ -367,6 +371,8 @@ def public(
                     values[name] = None
                 else:
                     given[name] = values[name]
+                    if sizes is not None and owner is None and name == first:
+                        arguments.sizes = sizes(values[name])
             if together is not None:
                 together(arguments, values | ({"self": given["self"]} if owner is not None else {}))
             arguments.done()
@@ -381,7 +387,8 @@ def public_class(**own: Check) -> Callable[[C], C]:
     """A class that users make objects of, its constructor behind the boundary."""
 
     def decorate(made: C) -> C:
-        made.__init__ = public(made.__name__, **own)(made.__init__)
+        kind = cast(Any, made)
+        kind.__init__ = public(made.__name__, checks=own)(kind.__init__)
         return made
 
     return decorate

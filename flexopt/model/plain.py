@@ -29,7 +29,7 @@ def plain(value: Any) -> Any:
         ValueError: it contains itself, is too deep or too large, or cannot be read; the sentence says which.
     """
     if value is None or isinstance(value, bool | int | float | str):
-        return value.item() if isinstance(value, np.generic) else value
+        return cast(Any, value).item() if isinstance(value, np.generic) else value
     reader = _Reader()
     read = reader.read(value)
     if reader.sentences:
@@ -59,8 +59,10 @@ class _Reader:
         try:
             return self._read(value)
         except _TooMuchError:
-            if self.inside:
+            # The whole part of the outermost table goes, and the others stay.
+            if len(self.inside) > 1:
                 raise
+            self.parts = 0
             return self._unreadable("holds too many lists and tables, or too deep ones")
         except Exception as error:  # noqa: BLE001, RUF100  # a foreign object's own methods raise whatever they like
             return self._unreadable(f"cannot be read ({type(error).__name__})")
@@ -71,16 +73,17 @@ class _Reader:
 
     def _read(self, value: Any) -> Any:
         if isinstance(value, np.ndarray | np.generic):
-            objects = value.dtype.kind == "O"
-            value = cast(Any, value).tolist()
+            array = cast(Any, value)
+            value = array.tolist()
             if isinstance(value, np.floating):  # extended precision
                 return float(cast(Any, value))
-            if not objects:
+            if array.dtype.kind != "O":
                 return _tuples(value) if self.tuples else value
         table = isinstance(value, Mapping)
         # Named tuples and the like are objects of their own.
         if not table and not isinstance(value, list) and type(value) is not tuple:
             return value
+        value = cast(Any, value)
         if id(value) in self.inside:
             return self._unreadable("contains itself")
         self.parts += 1
@@ -90,8 +93,8 @@ class _Reader:
         self.inside.append(id(value))
         try:
             if table:
-                return self._table(dict(cast(Mapping[Any, Any], value)))
-            parts = [self.read(part) for part in cast(list[Any], value)]
+                return self._table(dict(value))
+            parts = [self.read(part) for part in value]
             return parts if isinstance(value, list) and not self.tuples else tuple(parts)
         finally:
             self.inside.pop()
@@ -111,8 +114,8 @@ def _tuples(value: Any) -> Any:
 def shown(value: Any) -> str:
     """A value as it is quoted in a message."""
     try:
-        if isinstance(value, list | tuple | np.ndarray) and len(cast(list[Any], value)) > SHOWN:
-            value = cast(list[Any], value)[:SHOWN]
+        long = cast(Any, value)
+        value = long[:SHOWN] if isinstance(value, list | tuple | np.ndarray) and len(long) > SHOWN else long
         text = repr(_Reader(most=10 * SHOWN).read(value))
     except Exception:  # noqa: BLE001, RUF100  # whatever it is, the message about it must come out
         text = f"<{type(value).__name__}>"

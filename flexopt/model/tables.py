@@ -25,7 +25,7 @@ class BuiltByCall(FileModel):
     def __init__(self, **data: Any) -> None:
         from flexopt.model.faults import model_faults  # noqa: PLC0415  (which knows these tables)
 
-        table = {name: plain_table(value) for name, value in data.items()}
+        table = plain_table(data)
         try:
             super().__init__(**table)
         except ValidationError as error:

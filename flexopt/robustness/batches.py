@@ -44,6 +44,7 @@ class BatchedW:
     measures=instance(Measures, "a Measures, from flexopt.build_measures"),
     bases=array_of((), ("n_b",), ("n_b", "N"), finite=False),
     postures=array_of(("n",), ("n", "N"), finite=False),
+    sizes=lambda measures: {"n_b": measures.plant.n_base, "n": measures.plant.n_actuated},
 )
 def evaluate_w(
     measures: Measures, bases: ArrayLike, postures: ArrayLike, *, threads: int = 1, gradient: bool = False

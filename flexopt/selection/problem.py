@@ -11,7 +11,7 @@ import numpy as np
 
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
-from flexopt.model.boundary import array_of, instance, public
+from flexopt.model.boundary import array_of, instance, number, public
 from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.model.problem import Control, Elbow
 from flexopt.robustness.measures import Measures
@@ -146,6 +146,7 @@ class SelectionProblem:
         """Its scale."""
         return self.objective_scales[len(self.kept)]
 
+    @public(best=number("", low=-1e100, high=1e100))
     def given_up(self, best: float) -> float:
         """What the objective being solved, at most `best`, may give up for the next one, in V's unit.
 

@@ -81,6 +81,7 @@ class Ensemble:
         shown = (share.shown(k) for share in self.measures for k in range(len(share.grows)))
         return np.array([judge(run, loop).verdict for run, loop in zip(shown, self._loops, strict=True)])
 
+    @public(verdict=words(*VERDICTS))
     def share(self, verdict: Verdict) -> float:
         """Share of the members with a verdict."""
         return float(np.count_nonzero(self.verdict == verdict) / self.n_members)
@@ -178,7 +179,7 @@ def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
     return arrays
 
 
-@public(together=note_options, vary=of_machine(_vary), keep=words("measures", "trajectories"), **OPTIONS)
+@public(together=note_options, vary=of_machine(_vary), keep=words("measures", "trajectories"), checks=OPTIONS)
 def simulate_ensemble(
     machine: AnyMachine,
     posture: Any = None,

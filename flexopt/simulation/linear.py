@@ -117,7 +117,7 @@ def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
     arguments.collect("", lambda: linear_options(arguments.of, options, arguments.call))
 
 
-@public(together=_note, **OPTIONS)
+@public(together=_note, checks=OPTIONS)
 def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> SampledLoop:
     """Multipliers of the loop that `simulate` runs, at its equilibrium.
 
@@ -136,7 +136,7 @@ def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> Sa
     return linearised(linear_scenario(machine, {"posture": posture, **options}, "sampled_loop"))
 
 
-@public(together=_note, ratio=number("s", low=0.0, high=1e9), **OPTIONS)
+@public(together=_note, ratio=number("s", low=0.0, high=1e9), checks=OPTIONS)
 def stability_border(
     machine: AnyMachine, posture: Any = None, *, ratio: float | None = None, **options: Any
 ) -> StabilityBorder:

@@ -33,7 +33,7 @@ RESIDUAL_MAX = 1e-10
 NEAR_SINGULAR = 1e-3
 
 
-@public(together=note_options, **OPTIONS)
+@public(together=note_options, checks=OPTIONS)
 def simulate(
     machine: AnyMachine,
     posture: Any = None,

@@ -36,7 +36,7 @@ def _check_points(value: Any) -> tuple[int, int]:
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     if arguments.of is not None:
-        read_plane(arguments, arguments.of, given["over"], given)
+        read_plane(arguments, arguments.of, given["over"], dict(given))
 
 
 @public(

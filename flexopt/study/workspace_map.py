@@ -45,10 +45,11 @@ def _marks(arguments: Arguments, field: str, value: Any) -> dict[str, tuple[floa
         arguments.note(field, "must be a dictionary, name -> (x, y)", value)
         return {}
     points = cast(Mapping[str, Any], value)
-    return {
-        name: arguments.checked(f"{field}[{shown(name)}]", point, check_point, (0.0, 0.0))
-        for name, point in points.items()
-    }
+    found: dict[str, tuple[float, float]] = {}
+    for name, point in points.items():
+        x, y = arguments.checked(f"{field}[{shown(name)}]", point, check_point, (0.0, 0.0))
+        found[name] = x, y
+    return found
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,8 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("simulate", "sensor", ("empty dict",), "the defaults of flexopt.Sensor"),
     ("simulate", "actuator", ("empty dict",), "the defaults of flexopt.Actuator"),
     ("report", "simulation", ("empty dict",), "the defaults of flexopt.simulate"),
+    ("check", "machine_or_path", ("text", "million *"), "a file that is not there is a fault in the result"),
+    ("SelectionProblem.given_up", "best", ("2**63",), "a value up to 1e100"),
     ("nullspace_trajectory", "step_gain", ("2**63",), "a gain up to 1e30"),
     ("Actuator", "*", ("wrong length",), "how many joints there are is the machine's to say, in flexopt.simulate"),
     ("Path.at", "times", ("1e308", "-1e308", "2**63"), "held before the first time and after the last"),
@@ -124,7 +126,15 @@ def test_refusals_name_the_argument(rows: Rows) -> None:
 def names(row: Mapping[str, str]) -> bool:
     """Whether a message names the argument, or is about the file or table that it is."""
     last = row["argument"].rpartition(".")[2]
-    own = row["call"] in ("load", "load_problem", "load_experiment", "load_robot", "machine_from_dict", "tree_from_dict")
+    own = row["call"] in (
+        "load",
+        "load_problem",
+        "load_experiment",
+        "load_robot",
+        "machine_from_dict",
+        "tree_from_dict",
+    )
+    own |= row["call"] == "report"  # whose `simulation` has faults of its own keys
     return last in row["message"] or own or "cannot be written" in row["message"]
 
 

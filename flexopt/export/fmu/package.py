@@ -106,7 +106,9 @@ def _loop_options(kind: Any, options: Mapping[str, Any]) -> dict[str, Any]:
     return {**options, "hold": False, "integrator": "dop853" if method is None else method}
 
 
-@public(path=path(".fmu", parent=True), version=words(*VERSIONS), kind=words(*KINDS), together=_together, **OPTIONS)
+@public(
+    path=path(".fmu", parent=True), version=words(*VERSIONS), kind=words(*KINDS), together=_together, checks=OPTIONS
+)
 def export_fmu(
     machine: AnyMachine,
     path: str | Path,
