@@ -8,6 +8,7 @@ many digits in double precision; a graph of a thousand instructions takes some m
 from __future__ import annotations
 
 import decimal
+import math
 import operator
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -91,6 +92,23 @@ def _pi(precision: int) -> Decimal:
         return +(16 * arctangent_of_inverse(5) - 4 * arctangent_of_inverse(239))
 
 
+def _arctangent(y: Decimal, x: Decimal) -> Decimal:
+    """The angle of (x, y), from the double's by steps that cube its error."""
+    if not (x.is_finite() and y.is_finite()) or not (x or y):
+        return _ZERO if x.is_finite() and y.is_finite() else Decimal("NaN")
+    size = max(abs(x), abs(y))
+    angle = Decimal(math.atan2(float(y / size), float(x / size)))
+    for _ in range(2 + decimal.getcontext().prec // 50):
+        sine, cosine = _sine_cosine(angle)
+        angle += (y * cosine - x * sine) / (x * cosine + y * sine)
+    return angle
+
+
+def _of_arctangent(y: Decimal, x: Decimal, value: Decimal) -> tuple[Decimal, Decimal]:  # noqa: ARG001
+    square = x * x + y * y
+    return x / square, -y / square
+
+
 def _choose(condition: Decimal, value: Decimal) -> Decimal:
     return value if condition else _ZERO
 
@@ -124,6 +142,7 @@ OPERATIONS: dict[int, tuple[Value, Partials]] = {
     ca.OP_SQRT: (lambda a, b: a.sqrt(), lambda a, b, v: (_ONE / (v + v), _ZERO)),
     ca.OP_SIN: (lambda a, b: _sine_cosine(a)[0], lambda a, b, v: (_sine_cosine(a)[1], _ZERO)),
     ca.OP_COS: (lambda a, b: _sine_cosine(a)[1], lambda a, b, v: (-_sine_cosine(a)[0], _ZERO)),
+    ca.OP_ATAN2: (_arctangent, _of_arctangent),
     ca.OP_FABS: (lambda a, b: abs(a), lambda a, b, v: (_sign(a), _ZERO)),
     ca.OP_SIGN: (lambda a, b: _sign(a), _flat),
     ca.OP_FMIN: (min, lambda a, b, v: (_ONE, _ZERO) if a <= b else (_ZERO, _ONE)),

@@ -97,7 +97,9 @@ def with_bound(value: float, bound: float, digits_max: int = 10) -> str:
     """A number with as many digits as its bound allows, and a bound that holds for the digits printed."""
     if not (math.isfinite(value) and math.isfinite(bound)):
         return f"{value:.{digits_max}g} ± {bound:.1e}"
-    places = digits_max if bound == 0 else max(1, min(digits_max, 1 - math.floor(math.log10(bound / abs(value or 1.0)))))
+    places = (
+        digits_max if bound == 0 else max(1, min(digits_max, 1 - math.floor(math.log10(bound / abs(value or 1.0)))))
+    )
     text = f"{value:.{places}g}"
     total = bound + abs(float(text) - value)
     # Rounded up, so that the bound holds as printed.

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, largest, rounded
-from flexopt.coprime.decimals import solve, symmetric, symmetric_eigen
+from flexopt.coprime.decimals import Complex, solve_complex, symmetric, symmetric_eigen
 from flexopt.errors import InputError, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -111,7 +111,9 @@ def _refined(graphs: _Graphs, base: Vector, posture: Vector, lowest_frequency: f
         )
     modes = [_newton(evaluated.outputs, values[k], by * vectors[n:, k]) for k in upper]
     poles = np.array([mode.pole for mode in modes])
-    n0, n1 = (np.array([rounded(x) for x in each]).reshape(m, r, r) for each in zip(*(mode.numerators for mode in modes)))
+    n0, n1 = (
+        np.array([rounded(x) for x in each]).reshape(m, r, r) for each in zip(*(mode.numerators for mode in modes))
+    )
     groups = _clusters(poles)
     _check_distinct(poles, values[upper])
     w, n_z, n_p = np.empty(m), base.size + posture.size, p.shape[0]
@@ -139,7 +141,9 @@ def _told(row: Vector, error: Vector, by: Vector | float, size: float) -> bool:
 def _check_distinct(poles: NDArray[np.complex128], found: NDArray[np.complex128]) -> None:
     """Each pole found in doubles led to the refined one next to it, no two to the same."""
     for i, pole in enumerate(poles):
-        if abs(pole - found[i]) > 0.3 * min((abs(found[i] - other) for other in np.delete(found, i)), default=abs(pole)):
+        if abs(pole - found[i]) > 0.3 * min(
+            (abs(found[i] - other) for other in np.delete(found, i)), default=abs(pole)
+        ):
             near = any(abs(pole - other) <= CLUSTER_TOLERANCE * abs(pole) for other in np.delete(poles, i))
             if not near:
                 raise NoSolutionFound(
@@ -158,47 +162,6 @@ def _clusters(poles: NDArray[np.complex128]) -> list[tuple[int, ...]]:
         else:
             groups.append([i])
     return [tuple(g) for g in groups]
-
-
-@dataclass(frozen=True, eq=False)
-class Complex:
-    """A complex array of decimals."""
-
-    re: Exact
-    im: Exact
-
-    @classmethod
-    def of(cls, values: NDArray[np.complex128]) -> Complex:
-        """From doubles."""
-        return cls(exact(values.real), exact(values.imag))
-
-    def __add__(self, other: Complex) -> Complex:
-        return Complex(self.re + other.re, self.im + other.im)
-
-    def __mul__(self, other: Complex) -> Complex:
-        return Complex(self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re)
-
-    def times(self, factor: Exact | Decimal | int) -> Complex:
-        """Each part times real numbers."""
-        return Complex(self.re * factor, self.im * factor)
-
-    def conjugate(self) -> Complex:
-        """The conjugate."""
-        return Complex(self.re, -self.im)
-
-    def left(self, matrix: Exact) -> Complex:
-        """matrix @ self for a real matrix."""
-        return Complex(matrix @ self.re, matrix @ self.im)
-
-    def outer(self, other: Complex) -> Complex:
-        """self otherᵀ."""
-        product = np.multiply.outer
-        real = product(self.re, other.re) - product(self.im, other.im)
-        return Complex(real, product(self.re, other.im) + product(self.im, other.re))
-
-    def dot(self, other: Complex) -> Complex:
-        """selfᵀ other, nothing conjugated."""
-        return Complex(self.re @ other.re - self.im @ other.im, self.re @ other.im + self.im @ other.re)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +201,7 @@ class _Mode:
         by_lam = (s * t).conjugate().times(-4)
         by_u = (conj * t * Complex(seen, seen * 0)) + (conj * s * Complex(spread, spread * 0))
         right = Complex(np.append(by_u.re, by_lam.re), np.append(by_u.im, by_lam.im))
-        solution = _solve(_bordered(self.outputs, lam, u)[0], right)
+        solution = solve_complex(_bordered(self.outputs, lam, u)[0], right)
         y, eta = Complex(solution.re[:n], solution.im[:n]), Complex(solution.re[n], solution.im[n])
         yu, uu = _symmetric_part(y.outer(u)), u.outer(u)
         seeds = [
@@ -278,17 +241,6 @@ def _bordered(outputs: Sequence[Exact], lam: Complex, u: Complex) -> tuple[Compl
     return Complex(*matrix), rest
 
 
-def _solve(matrix: Complex, right: Complex) -> Complex:
-    """matrix⁻¹ right of a complex symmetric matrix, real and imaginary parts side by side, rows and columns scaled."""
-    size = [max(sum(abs(x) for x in (*a, *b)), Decimal("1e-300")) for a, b in zip(matrix.re, matrix.im, strict=True)]
-    by = np.array([1 / x.sqrt() for x in size], dtype=object)
-    re, im = (by[:, None] * part * by for part in (matrix.re, matrix.im))
-    whole = np.block([[re, -im], [im, re]])
-    found = solve(whole, np.concatenate([right.re * by, right.im * by])[:, None])[:, 0]
-    k = len(by)
-    return Complex(found[:k] * by, found[k:] * by)
-
-
 def _newton(outputs: Sequence[Exact], pole: complex, vector: NDArray[np.complex128]) -> _Mode:
     """The pole and mode near those found in doubles.
 
@@ -301,7 +253,7 @@ def _newton(outputs: Sequence[Exact], pole: complex, vector: NDArray[np.complex1
     lam = Complex(lam.re[()], lam.im[()])
     for _ in range(NEWTON_STEPS):
         matrix, rest = _bordered(outputs, lam, u)
-        step = _solve(matrix, rest.times(-1))
+        step = solve_complex(matrix, rest.times(-1))
         u = u + Complex(step.re[:-1], step.im[:-1])
         lam = lam + Complex(step.re[-1], step.im[-1])
         before = relative

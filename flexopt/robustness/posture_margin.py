@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 from decimal import Decimal, getcontext
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, rounded
+from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, largest, rounded
 from flexopt.coprime import StateSpace, riccati
-from flexopt.coprime.decimals import null_space, solve, unit
+from flexopt.coprime.decimals import null_space, refined_mode, solve, unit
 from flexopt.coprime.extended import (
     HOPELESS,
     Equation,
@@ -41,6 +42,8 @@ GRADIENT_TOLERANCE = 1e-7
 DIGITS = (50, 100)
 # Pivots that are so small beside others are zeros that rounding has touched.
 RANK = Decimal(10) ** -30
+# How close doubles must be to that for it to be looked at in decimals.
+CLOSE = 1e-7
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,9 @@ def prepare_margin(margin: Margin) -> None:
     extended(margin.plant_at)
 
 
-def evaluate_margin(margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True) -> PostureMargin:
+def evaluate_margin(
+    margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True
+) -> PostureMargin:
     """ε_max, and its derivatives unless they are not wanted, at one posture."""
     sentence, hopeless = "", False
     for count in DIGITS:
@@ -229,16 +234,16 @@ def _evaluated(margin: Margin, base: Vector, posture: Vector, kr: float, *, grad
         if error.hopeless or any(e.certain for e in escapes):
             raise NotConverged(_named(plant, escapes) or str(error), hopeless=True) from None
         raise
-    largest = float(top.values[0])
-    if largest > HOPELESS:
+    top_value = float(top.values[0])
+    if top_value > HOPELESS:
         raise NotConverged(_named(plant, _escapes(plant)) or "ε_max is below 1e-12", hopeless=True)
     found = seeds(pair, top.values[0], top.vectors[:, 0], top.vectors[:, 0])
     by_input, moved = plant.evaluated.gradient(plant.to_physical(found))
-    epsilon = 1.0 / math.sqrt(1.0 + largest)
+    epsilon = 1.0 / math.sqrt(1.0 + top_value)
     proven = pair.eigenvalue_bound() + top.residual
-    if not epsilon_error(largest, proven) <= TOLD * epsilon:
-        raise NotConverged(f"the bound on its error is {epsilon_error(largest, proven):.1e}")
-    error = epsilon_error(largest, proven + moved)
+    if not epsilon_error(top_value, proven) <= TOLD * epsilon:
+        raise NotConverged(f"the bound on its error is {epsilon_error(top_value, proven):.1e}")
+    error = epsilon_error(top_value, proven + moved)
     second = 1.0 / math.sqrt(1.0 + float(top.values[1]))
     n_z, n_p = base.size + posture.size, _n_p(margin)
     unknown = np.full(n_z + n_p + 1, np.nan)
@@ -272,7 +277,7 @@ def _row(
     plant: _ScaledPlant, pair: ExactPair, top: TopPairs, found: Seeds, by_input: list[Exact], value: Decimal
 ) -> tuple[Vector, Vector]:
     """∂ε/∂[base, posture, p, kr] from the derivatives of λ, and bounds on their errors."""
-    factor = -(1 + value) ** Decimal("-1.5") / 2
+    factor = -((1 + value) ** Decimal("-1.5")) / 2
     by_kr = np.sum(found.B * plant.equation.B) / plant.kr
     row = rounded(np.concatenate([*by_input[:3], [by_kr]]) * factor)
     # The last summand: rounding of the decimals themselves, thousands of operations long.
@@ -302,23 +307,46 @@ def _scaled_system(plant: _ScaledPlant) -> Scaled:
 def _escapes(plant: _ScaledPlant) -> list[Escape]:
     """Modes that do not decay and escape, within rounding, the inputs or the outputs.
 
-    Certain are those at exactly 0: A with B beside it, or C below it, has lost rank, to thirty digits.
+    Certain are those at exactly 0 where A with B beside it, or C below it, has lost rank, and the simple ones of which
+    nothing arrives at B or C and whose real part is not negative, all to thirty digits.
     """
     e, scaled = plant.equation, _scaled_system(plant)
     found = [replace(escape, certain=False) for escape in escaping_modes(scaled)]
     n = len(e.F)
-    for kind, matrix in (("stabilizable", np.hstack([e.F, e.B])), ("detectable", np.hstack([e.F.T, e.C.T]))):
-        if len(null_space(matrix, RANK)[0]) < n:
+    for kind, A, B in (("stabilizable", e.F, e.B), ("detectable", e.F.T, e.C.T)):
+        if len(null_space(np.concatenate([A, B], axis=1), RANK)[0]) < n:
             found.insert(0, Escape(0j, 0.0, 0.0, kind, certain=True))
+        values, vectors = np.linalg.eig(rounded(A.T))
+        size = float(np.max(np.abs(values)))
+        for value, vector in zip(values, vectors.T, strict=True):
+            reached = np.linalg.norm(vector @ rounded(B)) <= CLOSE * np.linalg.norm(rounded(B))
+            if value.imag > 0 and value.real >= -CLOSE * size and reached:
+                found = _confirmed(A, B, complex(value), vector.astype(complex), kind) + found
     return found
 
 
+def _confirmed(A: Exact, B: Exact, value: complex, vector: NDArray[np.complex128], kind: str) -> list[Escape]:
+    """The mode, if in decimals, too, it does not decay and B does not reach it."""
+    try:
+        mode, left = refined_mode(A.T, value, vector)
+    except np.linalg.LinAlgError:
+        return []
+    arrives = left.left(B.T)
+    escapes = max(largest(arrives.re), largest(arrives.im)) <= float(RANK) * largest(B)
+    pole = complex(float(mode.re[0]), float(mode.im[0]))
+    if not (escapes and pole.real >= -float(RANK) * abs(pole) and abs(pole - value) <= CLOSE * abs(value)):
+        return []
+    return [
+        Escape(complex(0.0, pole.imag) if abs(pole.real) < abs(pole) * CLOSE else pole, 0.0, 0.0, kind, certain=True)
+    ]
+
+
 def _named(plant: _ScaledPlant, escapes: list[Escape]) -> str:
-    """The modes that escape as text; empty where there are none."""
+    """The modes that escape as text, those in doubt only where none is certain; empty where there are none."""
     scaled = _scaled_system(plant)
     modes = [
-        f"mode = {pole_text(scaled.pole(escape.mode), discrete=False)}: {REACH[escape.kind]}"
-        for escape in escapes
+        f"mode = {pole_text(scaled.pole(escape.mode), discrete=False)}: does not decay and {REACH[escape.kind]}"
+        for escape in [e for e in escapes if e.certain] or escapes
         if escape.mode.imag >= 0
     ]
     return "; ".join(dict.fromkeys(modes))
