@@ -126,17 +126,17 @@ class Complex:
         return Complex(self.re, -self.im)
 
     def left(self, matrix: Exact) -> Complex:
-        """matrix @ self for a real matrix."""
+        """A real matrix times self."""
         return Complex(matrix @ self.re, matrix @ self.im)
 
     def outer(self, other: Complex) -> Complex:
-        """self otherᵀ."""
+        """Outer product, self otherᵀ."""
         product = np.multiply.outer
         real = product(self.re, other.re) - product(self.im, other.im)
         return Complex(real, product(self.re, other.im) + product(self.im, other.re))
 
     def dot(self, other: Complex) -> Complex:
-        """selfᵀ other, nothing conjugated."""
+        """Product selfᵀ other, nothing conjugated."""
         return Complex(self.re @ other.re - self.im @ other.im, self.re @ other.im + self.im @ other.re)
 
 
@@ -152,7 +152,7 @@ def solve_complex(matrix: Complex, right: Complex) -> Complex:
 
 
 def refined_mode(A: Exact, value: complex, vector: NDArray[np.complex128]) -> tuple[Complex, Complex]:
-    """The simple eigenvalue of A and its vector, from approximate ones, by Newton's method; LinAlgError where it fails."""
+    """A simple eigenvalue of A and its vector, from approximate ones, by Newton's method; else LinAlgError."""
     n, zero = A.shape[0], A * 0
     fixed = Complex.of(np.conj(vector) / np.vdot(vector, vector).real)
     lam, x = Complex.of(np.array([value])), Complex.of(vector)

@@ -177,7 +177,7 @@ def refine(equation: Equation, X: Exact) -> Solution:
 def doubled(equation: Equation) -> tuple[Exact, Exact]:
     """X and Z by doubling in decimals, see `riccati.doubling`.
 
-    The iterates H_k and G_k grow towards X and Z in the order of symmetric matrices, so λmax(H_k G_k), which is at least
+    The iterates H_k and G_k grow towards X and Z in the order of symmetric matrices, so λmax(H_k G_k), at least
     trace(H_k G_k)/n, is a lower bound on λmax(XZ): once it passes 1e24, ε_max < 1e-12 is proven.
 
     Raises:

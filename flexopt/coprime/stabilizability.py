@@ -1,7 +1,7 @@
 """Which modes escape the inputs or the outputs: the Popov–Belevitch–Hautus test with tolerances.
 
-In: a scaled plant. Out: the modes that escape, up to what rounding leaves in doubt. A mode in doubt proves nothing: only
-where the Riccati equations confirm it does `raise_escapes` say that no controller stabilises the plant.
+In: a scaled plant. Out: the modes that escape, up to what rounding leaves in doubt. A mode in doubt proves nothing:
+only where the Riccati equations confirm it does `raise_escapes` say that no controller stabilises the plant.
 """
 
 from __future__ import annotations

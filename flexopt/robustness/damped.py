@@ -4,8 +4,8 @@ M, D and K are symmetric, so a mode u of (λ² M + λ D + K) u = 0, scaled to u�
 and the residue of P(s) at λ is ρ = (J u) b(u)ᵀ. A complex pair contributes (N1 s + N0)/(s² + 2 ζ ω s + ω²) with
 N1 = 2 Re ρ and N0 = −2 Re(ρ λ̄); without damping N0 = R_i and N1 = 0. The measure is λmin(N0 + N0ᵀ).
 
-Where poles come close, modes turn fast, and doubles lose the digits of ∂w and even its sign. So poles and modes found in
-doubles are refined in decimals, by Newton's method on the bordered system
+Where poles come close, modes turn fast, and doubles lose the digits of ∂w and even its sign. So poles and modes found
+in doubles are refined in decimals, by Newton's method on the bordered system
 
     [[Q, v], [vᵀ, uᵀMu]] [du; dλ] = −[Q u; (uᵀv − 1)/2],    Q = λ² M + λ D + K,    v = (2 λ M + D) u,
 
@@ -112,7 +112,8 @@ def _refined(graphs: _Graphs, base: Vector, posture: Vector, lowest_frequency: f
     modes = [_newton(evaluated.outputs, values[k], by * vectors[n:, k]) for k in upper]
     poles = np.array([mode.pole for mode in modes])
     n0, n1 = (
-        np.array([rounded(x) for x in each]).reshape(m, r, r) for each in zip(*(mode.numerators for mode in modes))
+        np.array([rounded(x) for x in each]).reshape(m, r, r)
+        for each in zip(*(mode.numerators for mode in modes), strict=True)
     )
     groups = _clusters(poles)
     _check_distinct(poles, values[upper])

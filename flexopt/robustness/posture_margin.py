@@ -1,8 +1,8 @@
 """ε_max of single postures and its gradient, as numbers with bounds on their errors.
 
 In: a `Margin`, a posture, the servo gain. Out: `PostureMargin`. The plant is evaluated in decimals from the machine's
-numbers, its Riccati equations are solved in doubles and refined in decimals (`flexopt.coprime.extended`), and so are the
-adjoint Lyapunov equations of the gradient, which is one reverse sweep through the plant's graph, in decimals as well.
+numbers; its Riccati equations are solved in doubles and refined in decimals (`flexopt.coprime.extended`), and so are
+the adjoint Lyapunov equations of the gradient, which is one reverse sweep through the plant's graph, in decimals as well.
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ class _Unseen:
     W: Exact
 
     @property
-    def Q(self) -> Exact:
-        """(n − k, n)."""
+    def onto_kept(self) -> Exact:
+        """Q (n − k, n)."""
         Q = np.full((len(self.kept), len(self.plant.F)), Decimal(0), dtype=object)
         Q[:, self.kept], Q[:, self.left_out] = unit(len(self.kept)), self.W
         return Q
@@ -143,12 +143,12 @@ class _Unseen:
     @property
     def reduced(self) -> Equation:
         """The plant without them."""
-        e, Q = self.plant, self.Q
+        e, Q = self.plant, self.onto_kept
         return Equation(Q @ e.F[:, self.kept], Q @ e.B, e.C[:, self.kept])
 
     def whole(self, F: Exact, B: Exact, C: Exact) -> tuple[Exact, Exact, Exact]:
         """Derivatives by the whole plant's A, B, C from those by the reduced one's."""
-        e, Q, n = self.plant, self.Q, len(self.plant.F)
+        e, Q, n = self.plant, self.onto_kept, len(self.plant.F)
         seen = np.concatenate([e.F, e.C])[:, self.kept]
         R = np.full((n, len(self.left_out)), Decimal(0), dtype=object)
         R[self.kept], R[self.left_out] = -self.W, unit(len(self.left_out))
@@ -181,7 +181,7 @@ class _ScaledPlant:
     def sizes(self, found: Seeds) -> list[Exact]:
         """Bounds on the terms that those derivatives are sums of; of what `unseen` adds, itself."""
         F, B, C = (np.abs(rounded(M)) for M in self.unseen.whole(found.F, found.B, found.C))
-        Q, kept, (f, b, c) = np.abs(rounded(self.unseen.Q)), self.unseen.kept, found.sizes
+        Q, kept, (f, b, c) = np.abs(rounded(self.unseen.onto_kept)), self.unseen.kept, found.sizes
         F[:, kept] += Q.T @ f
         C[:, kept] += c
         back, forth = np.abs(rounded(self.backward)).T, np.abs(rounded(self.forward)).T
@@ -336,9 +336,8 @@ def _confirmed(A: Exact, B: Exact, value: complex, vector: NDArray[np.complex128
     pole = complex(float(mode.re[0]), float(mode.im[0]))
     if not (escapes and pole.real >= -float(RANK) * abs(pole) and abs(pole - value) <= CLOSE * abs(value)):
         return []
-    return [
-        Escape(complex(0.0, pole.imag) if abs(pole.real) < abs(pole) * CLOSE else pole, 0.0, 0.0, kind, certain=True)
-    ]
+    pole = complex(0.0, pole.imag) if abs(pole.real) < abs(pole) * CLOSE else pole
+    return [Escape(pole, 0.0, 0.0, kind, certain=True)]
 
 
 def _named(plant: _ScaledPlant, escapes: list[Escape]) -> str:

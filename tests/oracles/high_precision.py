@@ -76,7 +76,7 @@ def _largest(matrix: arb_mat) -> float:
 
 
 def _blocks(rows: list[list[arb_mat]]) -> arb_mat:
-    return arb_mat([sum((m.tolist()[i] for m in row), []) for row in rows for i in range(row[0].nrows())])
+    return arb_mat([[x for m in row for x in m.tolist()[i]] for row in rows for i in range(row[0].nrows())])
 
 
 def _sign(matrix: arb_mat) -> arb_mat:

@@ -16,18 +16,20 @@ pytestmark = pytest.mark.filterwarnings("ignore:ε_max:flexopt.errors.FlexoptWar
 
 
 def close_poles(seed: int, apart: float):
-    """A machine, and a stiffness of y for which two of its frequencies meet within `apart` or so, relative."""
+    """A machine two of whose frequencies meet within `apart` or so, relative, by its vertical stiffness."""
     rng = np.random.default_rng(seed)
     data = draw_machine(NumpySource(rng), Structure(2, ("x", "y", "rotation"), ()), spread=10.0, joint_damping=False)
     posture = rng.uniform(-2, 2, 2)
+    measures = flexopt.build_measures(flexopt.machine_from_dict(data))
+    p = measures.plant.parameter_values.full().ravel()
+    k = measures.plant.parameter_names.index("base.stiffness.y")
 
     def closest(stiffness):
-        data["base"]["stiffness"]["y"] = stiffness
-        omega = flexopt.evaluate(flexopt.machine_from_dict(data), posture).frequencies_hz
+        p[k] = stiffness
+        omega = np.sqrt(measures.values(base=0, posture=posture, p=p)["omega_squared"].full().ravel())
         return np.min(np.diff(omega) / omega[1:])
 
-    start = data["base"]["stiffness"]["y"]
-    best = min(np.geomspace(start / 10, start * 10, 60), key=closest)
+    best = min(np.geomspace(p[k] / 10, p[k] * 10, 60), key=closest)
     for width in (0.2, 0.02, 0.002):
         best = min(best * (1 + width * np.linspace(-1, 1, 21)), key=closest)
     data["base"]["stiffness"]["y"] = best * (1 + apart)
@@ -35,7 +37,7 @@ def close_poles(seed: int, apart: float):
 
 
 @pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.2"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_gradients_near_a_meeting_of_frequencies(seed, control):
     machine, posture = close_poles(seed, 1e-9)
     base = np.zeros(1)
