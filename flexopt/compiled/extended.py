@@ -134,7 +134,7 @@ OPERATIONS: dict[int, tuple[Value, Partials]] = {
     ca.OP_ADD: (operator.add, lambda _a, _b, _v: (_ONE, _ONE)),
     ca.OP_SUB: (operator.sub, lambda _a, _b, _v: (_ONE, -_ONE)),
     ca.OP_MUL: (operator.mul, lambda a, b, _v: (b, a)),
-    ca.OP_DIV: (operator.truediv, lambda _a, b, v: (_ONE / b, -v / b)),
+    ca.OP_DIV: (lambda a, b: a / b, lambda _a, b, v: (_ONE / b, -v / b)),
     ca.OP_NEG: (lambda a, _b: -a, lambda _a, _b, _v: (-_ONE, _ZERO)),
     ca.OP_SQ: (lambda a, _b: a * a, lambda a, _b, _v: (a + a, _ZERO)),
     ca.OP_TWICE: (lambda a, _b: a + a, lambda _a, _b, _v: (_ONE + _ONE, _ZERO)),

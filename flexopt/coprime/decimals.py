@@ -142,8 +142,11 @@ class Complex:
 
 def solve_complex(matrix: Complex, right: Complex) -> Complex:
     """matrix⁻¹ right of a complex symmetric matrix, real and imaginary parts side by side, rows and columns scaled."""
-    size = [max(sum(abs(x) for x in (*a, *b)), Decimal("1e-300")) for a, b in zip(matrix.re, matrix.im, strict=True)]
-    by = np.array([1 / x.sqrt() for x in size], dtype=object)
+    sizes: list[Decimal] = [
+        max(sum((abs(x) for x in (*a, *b)), Decimal(0)), Decimal("1e-300"))
+        for a, b in zip(matrix.re, matrix.im, strict=True)
+    ]
+    by = np.array([1 / size.sqrt() for size in sizes], dtype=object)
     re, im = (by[:, None] * part * by for part in (matrix.re, matrix.im))
     whole = np.block([[re, -im], [im, re]])
     found = solve(whole, np.concatenate([right.re * by, right.im * by])[:, None])[:, 0]
@@ -154,8 +157,8 @@ def solve_complex(matrix: Complex, right: Complex) -> Complex:
 def refined_mode(A: Exact, value: complex, vector: NDArray[np.complex128]) -> tuple[Complex, Complex]:
     """A simple eigenvalue of A and its vector, from approximate ones, by Newton's method; else LinAlgError."""
     n, zero = A.shape[0], A * 0
-    fixed = Complex.of(np.conj(vector) / np.vdot(vector, vector).real)
-    lam, x = Complex.of(np.array([value])), Complex.of(vector)
+    fixed = Complex.of(np.asarray(np.conj(vector) / np.vdot(vector, vector).real, dtype=np.complex128))
+    lam, x = Complex.of(np.array([value], dtype=np.complex128)), Complex.of(vector)
     for _ in range(8):
         shifted = Complex(A - unit(n) * lam.re[0], zero - unit(n) * lam.im[0])
         bordered = [np.full((n + 1, n + 1), Decimal(0), dtype=object) for _ in range(2)]

@@ -146,8 +146,8 @@ def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: An
     With S = I + DᵀD, R = I + DDᵀ, Ã = A − B S⁻¹DᵀC, G = B S⁻¹Bᵀ and H = CᵀR⁻¹C, X and Z are the stabilizing solutions
     of ÃᵀX + XÃ − XGX + H = 0 and ÃZ + ZÃᵀ − ZHZ + G = 0, or in discrete time of X = ÃᵀX(I + GX)⁻¹Ã + H and
     Z = ÃZ(I + HZ)⁻¹Ãᵀ + G. Time and states are scaled first; doubling and Schur vectors are run independently. Where
-    the bound that follows from their residuals is above 1e-9 of ε_max, Newton's method with residuals in extended precision
-    goes on from them, or doubling in extended precision where neither led to a solution.
+    the bound that follows from their residuals is above 1e-9 of ε_max, Newton's method with residuals in extended
+    precision goes on from them, or doubling in extended precision where neither led to a solution.
 
     Args:
         A: (n, n); or a whole system (see `state_space`) when B and C are left out.

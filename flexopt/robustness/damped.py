@@ -109,7 +109,7 @@ def _refined(graphs: _Graphs, base: Vector, posture: Vector, lowest_frequency: f
             f"damping: {m - len(upper)} of {m} vibration modes are overdamped and have no complex pair of poles; "
             "lower the damping of the passive coordinates, or use the undamped measures"
         )
-    modes = [_newton(evaluated.outputs, values[k], by * vectors[n:, k]) for k in upper]
+    modes = [_newton(evaluated.outputs, complex(values[k]), by * vectors[n:, k]) for k in upper]
     poles = np.array([mode.pole for mode in modes])
     n0, n1 = (
         np.array([rounded(x) for x in each]).reshape(m, r, r)
@@ -232,7 +232,7 @@ def _bordered(outputs: Sequence[Exact], lam: Complex, u: Complex) -> tuple[Compl
     mu = u.left(mass)
     v = (lam * mu).times(2) + u.left(damping)
     corner, left = u.dot(mu), u.dot(v)
-    matrix = []
+    matrix: list[Exact] = []
     for block, edge, end in ((Q.re, v.re, corner.re), (Q.im, v.im, corner.im)):
         whole = np.full((n + 1, n + 1), Decimal(0), dtype=object)
         whole[:n, :n], whole[:n, n], whole[n, :n], whole[n, n] = block, edge, edge, end

@@ -2,7 +2,8 @@
 
 In: a `Margin`, a posture, the servo gain. Out: `PostureMargin`. The plant is evaluated in decimals from the machine's
 numbers; its Riccati equations are solved in doubles and refined in decimals (`flexopt.coprime.extended`), and so are
-the adjoint Lyapunov equations of the gradient, which is one reverse sweep through the plant's graph, in decimals as well.
+the adjoint Lyapunov equations of the gradient, which is one reverse sweep through the plant's graph, in decimals
+as well.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from flexopt.coprime.lyapunov import NotConverged
 from flexopt.coprime.margin import TOLD, epsilon_error
 from flexopt.coprime.scaling import Scaled, scale_for_riccati
 from flexopt.coprime.stabilizability import REACH, Escape, escaping_modes, pole_text
+from flexopt.coprime.system import Matrix
 from flexopt.model.arguments import Vector
 from flexopt.robustness.margin import Margin
 
@@ -212,7 +214,7 @@ def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _Scaled
     return _ScaledPlant(evaluated, unseen, unseen.reduced, T, back, speed, gain)
 
 
-def _starts(equation: Equation) -> Iterator[tuple[Vector, Vector]]:
+def _starts(equation: Equation) -> Iterator[tuple[Matrix, Matrix]]:
     """Approximate solutions in doubles, the quickest way first."""
     F, B, C = (rounded(M) for M in (equation.F, equation.B, equation.C))
     G, H = B @ B.T, C.T @ C
