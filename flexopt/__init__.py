@@ -3,63 +3,69 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from flexopt.coprime import RobustMargin as RobustMargin
-from flexopt.coprime import StateSpace as StateSpace
-from flexopt.coprime import gap as gap
-from flexopt.coprime import ncf_margin as ncf_margin
-from flexopt.coprime import nu_gap as nu_gap
-from flexopt.coprime import optimal_controller as optimal_controller
-from flexopt.coprime import robust_margin as robust_margin
 from flexopt.errors import ExportError as ExportError
 from flexopt.errors import FlexoptError as FlexoptError
 from flexopt.errors import FlexoptWarning as FlexoptWarning
+from flexopt.errors import ImplausibleMachine as ImplausibleMachine
 from flexopt.errors import InputError as InputError
+from flexopt.errors import MarginNotComputed as MarginNotComputed
 from flexopt.errors import ModelError as ModelError
 from flexopt.errors import NoSolutionFound as NoSolutionFound
 from flexopt.errors import NotStabilizable as NotStabilizable
 from flexopt.errors import SingularPosture as SingularPosture
 from flexopt.errors import UnreachableTarget as UnreachableTarget
-from flexopt.model import Experiment as Experiment
-from flexopt.model import Machine as Machine
-from flexopt.model import Problem as Problem
-from flexopt.model import Tree as Tree
-from flexopt.model import load as load
-from flexopt.model import load_experiment as load_experiment
-from flexopt.model import load_problem as load_problem
-from flexopt.model import machine_from_dict as machine_from_dict
-from flexopt.model import tree_from_dict as tree_from_dict
-from flexopt.plant import Hydraulics as Hydraulics
-from flexopt.plant import Plant as Plant
-from flexopt.plant import build_hydraulics as build_hydraulics
-from flexopt.plant import build_plant as build_plant
-from flexopt.plant import inverse_kinematics as inverse_kinematics
-from flexopt.robustness import Evaluation as Evaluation
-from flexopt.robustness import Measures as Measures
-from flexopt.robustness import build_measures as build_measures
-from flexopt.robustness import evaluate as evaluate
-from flexopt.robustness import evaluate_w as evaluate_w
-from flexopt.selection import BasePlan as BasePlan
-from flexopt.selection import BaseTrajectory as BaseTrajectory
-from flexopt.selection import Candidate as Candidate
-from flexopt.selection import Selection as Selection
-from flexopt.selection import SelectionProblem as SelectionProblem
-from flexopt.selection import Stand as Stand
-from flexopt.selection import build_selection as build_selection
-from flexopt.selection import nullspace_trajectory as nullspace_trajectory
-from flexopt.selection import plan_base as plan_base
-from flexopt.selection import select as select
-from flexopt.selection import select_stand as select_stand
-from flexopt.selection import solve_problem as solve_problem
-from flexopt.selection import solve_selection as solve_selection
+from flexopt.errors import WriteError as WriteError
+from flexopt.errors import WrongSlope as WrongSlope
 
 if TYPE_CHECKING:
+    from flexopt.coprime import RobustMargin as RobustMargin
+    from flexopt.coprime import StateSpace as StateSpace
+    from flexopt.coprime import gap as gap
+    from flexopt.coprime import ncf_margin as ncf_margin
+    from flexopt.coprime import nu_gap as nu_gap
+    from flexopt.coprime import optimal_controller as optimal_controller
+    from flexopt.coprime import robust_margin as robust_margin
     from flexopt.export import ExportReport as ExportReport
     from flexopt.export import Verification as Verification
     from flexopt.export import export_c as export_c
     from flexopt.export import verify_bundle as verify_bundle
     from flexopt.export.fmu import FmuReport as FmuReport
     from flexopt.export.fmu import export_fmu as export_fmu
+    from flexopt.model import Experiment as Experiment
+    from flexopt.model import Machine as Machine
+    from flexopt.model import Problem as Problem
+    from flexopt.model import Tree as Tree
+    from flexopt.model import load as load
+    from flexopt.model import load_experiment as load_experiment
+    from flexopt.model import load_problem as load_problem
+    from flexopt.model import machine_from_dict as machine_from_dict
+    from flexopt.model import tree_from_dict as tree_from_dict
     from flexopt.model.robots import load_robot as load_robot
+    from flexopt.plant import Hydraulics as Hydraulics
+    from flexopt.plant import Plant as Plant
+    from flexopt.plant import build_hydraulics as build_hydraulics
+    from flexopt.plant import build_plant as build_plant
+    from flexopt.plant import inverse_kinematics as inverse_kinematics
+    from flexopt.robustness import Check as Check
+    from flexopt.robustness import Evaluation as Evaluation
+    from flexopt.robustness import Measures as Measures
+    from flexopt.robustness import build_measures as build_measures
+    from flexopt.robustness import check as check
+    from flexopt.robustness import evaluate as evaluate
+    from flexopt.robustness import evaluate_w as evaluate_w
+    from flexopt.selection import BasePlan as BasePlan
+    from flexopt.selection import BaseTrajectory as BaseTrajectory
+    from flexopt.selection import Candidate as Candidate
+    from flexopt.selection import Selection as Selection
+    from flexopt.selection import SelectionProblem as SelectionProblem
+    from flexopt.selection import Stand as Stand
+    from flexopt.selection import build_selection as build_selection
+    from flexopt.selection import nullspace_trajectory as nullspace_trajectory
+    from flexopt.selection import plan_base as plan_base
+    from flexopt.selection import select as select
+    from flexopt.selection import select_stand as select_stand
+    from flexopt.selection import solve_problem as solve_problem
+    from flexopt.selection import solve_selection as solve_selection
     from flexopt.simulation import Actuator as Actuator
     from flexopt.simulation import Ensemble as Ensemble
     from flexopt.simulation import Path as Path
@@ -75,38 +81,162 @@ if TYPE_CHECKING:
     from flexopt.study import map_workspace as map_workspace
     from flexopt.study import report as report
 
-# What is imported when first asked for, and from where.
+__all__ = [
+    "Actuator",
+    "BasePlan",
+    "BaseTrajectory",
+    "Candidate",
+    "Check",
+    "Ensemble",
+    "Evaluation",
+    "Experiment",
+    "ExportError",
+    "ExportReport",
+    "FlexoptError",
+    "FlexoptWarning",
+    "FmuReport",
+    "Hydraulics",
+    "ImplausibleMachine",
+    "InputError",
+    "Machine",
+    "MarginNotComputed",
+    "Measures",
+    "ModelError",
+    "NoSolutionFound",
+    "NotStabilizable",
+    "Path",
+    "Plant",
+    "Problem",
+    "Report",
+    "RobustMargin",
+    "Selection",
+    "SelectionProblem",
+    "Sensor",
+    "SingularPosture",
+    "Stand",
+    "StateSpace",
+    "Trajectory",
+    "Tree",
+    "UnreachableTarget",
+    "Verification",
+    "WorkspaceMap",
+    "WriteError",
+    "WrongSlope",
+    "build_hydraulics",
+    "build_measures",
+    "build_plant",
+    "build_selection",
+    "check",
+    "evaluate",
+    "evaluate_w",
+    "export_c",
+    "export_fmu",
+    "gap",
+    "inverse_kinematics",
+    "load",
+    "load_experiment",
+    "load_problem",
+    "load_robot",
+    "machine_from_dict",
+    "map_workspace",
+    "ncf_margin",
+    "nu_gap",
+    "nullspace_trajectory",
+    "optimal_controller",
+    "plan_base",
+    "report",
+    "robust_margin",
+    "run_experiment",
+    "sampled_loop",
+    "select",
+    "select_stand",
+    "simulate",
+    "simulate_ensemble",
+    "solve_problem",
+    "solve_selection",
+    "stability_border",
+    "tree_from_dict",
+    "verify_bundle",
+]
+
+# What is imported when first asked for, from which module: an import that needs nothing else takes milliseconds.
 _LATER: dict[str, str] = {
     "Actuator": "simulation",
+    "BasePlan": "selection",
+    "BaseTrajectory": "selection",
+    "Candidate": "selection",
+    "Check": "robustness",
     "Ensemble": "simulation",
+    "Evaluation": "robustness",
+    "Experiment": "model",
     "ExportReport": "export",
     "FmuReport": "export.fmu",
+    "Hydraulics": "plant",
+    "Machine": "model",
+    "Measures": "robustness",
     "Path": "simulation",
+    "Plant": "plant",
+    "Problem": "model",
     "Report": "study",
+    "RobustMargin": "coprime",
+    "Selection": "selection",
+    "SelectionProblem": "selection",
     "Sensor": "simulation",
+    "Stand": "selection",
+    "StateSpace": "coprime",
     "Trajectory": "simulation",
+    "Tree": "model",
     "Verification": "export",
     "WorkspaceMap": "study",
+    "build_hydraulics": "plant",
+    "build_measures": "robustness",
+    "build_plant": "plant",
+    "build_selection": "selection",
+    "check": "robustness",
+    "evaluate": "robustness",
+    "evaluate_w": "robustness",
     "export_c": "export",
     "export_fmu": "export.fmu",
+    "gap": "coprime",
+    "inverse_kinematics": "plant",
+    "load": "model",
+    "load_experiment": "model",
+    "load_problem": "model",
     "load_robot": "model.robots",
+    "machine_from_dict": "model",
     "map_workspace": "study",
+    "ncf_margin": "coprime",
+    "nu_gap": "coprime",
+    "nullspace_trajectory": "selection",
+    "optimal_controller": "coprime",
+    "plan_base": "selection",
     "report": "study",
+    "robust_margin": "coprime",
     "run_experiment": "simulation",
     "sampled_loop": "simulation",
+    "select": "selection",
+    "select_stand": "selection",
     "simulate": "simulation",
     "simulate_ensemble": "simulation",
+    "solve_problem": "selection",
+    "solve_selection": "selection",
     "stability_border": "simulation",
+    "tree_from_dict": "model",
     "verify_bundle": "export",
 }
+_ROOMS = {module.partition(".")[0] for module in _LATER.values()}
 
 
 def __getattr__(name: str) -> object:
-    """What comes from the rooms that are imported when first asked for."""
+    """A public name, or a room, imported when it is first asked for."""
+    if name in _ROOMS:
+        return import_module(f"flexopt.{name}")
     if name not in _LATER:
         raise AttributeError(f"module 'flexopt' has no attribute {name!r}")
-    return getattr(import_module(f"flexopt.{_LATER[name]}"), name)
+    found = getattr(import_module(f"flexopt.{_LATER[name]}"), name)
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_LATER])
+    return sorted({*globals(), *__all__})

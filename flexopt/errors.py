@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+# Lines of one message; more of them help nobody. The error's `faults` are all of them.
+FAULTS_SHOWN = 100
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -123,12 +126,31 @@ class NoSolutionFound(FlexoptError):
         return super().to_dict() | {"violations": self.violations, "iterate": self.iterate}
 
 
+class WrongSlope(FlexoptError):
+    """The derivatives that a solver would climb by disagree with independent ones, so that nothing was solved."""
+
+
 class MarginNotComputed(NoSolutionFound):
     """ε_max could not be computed to 1e-6: that says nothing about whether a controller stabilises the plant."""
 
 
 class ExportError(FlexoptError):
     """A graph has no equivalent in C."""
+
+
+class WriteError(InputError, OSError):
+    """A file cannot be written: no room, no permission, no folder. What was there before is as it was.
+
+    Attributes:
+        path: of the file.
+        size: bytes that it would have.
+    """
+
+    def __init__(self, message: str, *, path: str, size: int, code: int | None = None) -> None:
+        super().__init__(message)
+        self.path = path
+        self.size = size
+        self.errno = code
 
 
 class FlexoptWarning(UserWarning):
@@ -139,11 +161,18 @@ class CompilerNotFound(FlexoptWarning):
     """No C compiler can be used, so CasADi's virtual machine serves: same results, more slowly."""
 
 
+class ImplausibleMachine(FlexoptWarning):
+    """A machine has numbers that are allowed but hardly meant, such as kN for N; `flexopt.check` tells them all."""
+
+
 def sentence_list(heading: str, faults: Sequence[Fault]) -> str:
-    """One message that lists every fault, a line each."""
+    """One message that lists every fault, a line each; of very many the first ones, and how many more there are."""
     if len(faults) == 1:
         return f"{heading}: {faults[0]}"
-    return f"{heading} ({len(faults)} faults):\n" + "\n".join(f"  - {fault}" for fault in faults)
+    lines = [f"  - {fault}" for fault in faults[:FAULTS_SHOWN]]
+    if len(faults) > FAULTS_SHOWN:
+        lines.append(f"  - and {len(faults) - FAULTS_SHOWN} more")
+    return f"{heading} ({len(faults)} faults):\n" + "\n".join(lines)
 
 
 def raise_if_any(error: type[FlexoptError], heading: str, faults: Sequence[Fault]) -> None:

@@ -1,9 +1,10 @@
 """A pair of dual Riccati equations, the largest eigenvalues of their solutions' product, and Lyapunov equations.
 
-Fixed numbers of steps and no branches, so that the Functions generate to C without malloc. Everything is built from
-two kernels, a product and an inverse, called again and again: in C their code stays in the instruction cache, where one
-doubling written out has 17,000 instructions and takes several times as long. For CasADi's virtual machine it is the
-other way round, so there one step is written out (`compact=False`).
+Fixed numbers of steps, so that the Functions generate to C without malloc; steps that would change nothing are left
+out, unless `fixed` asks for a course that no number decides. Everything is built from two kernels, a product and an
+inverse, called again and again: in C their code stays in the instruction cache, where one doubling written out has
+17,000 instructions and takes several times as long. For CasADi's virtual machine it is the other way round, so there
+one step is written out (`compact=False`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ Graph = TypeVar("Graph", ca.SX, ca.MX)
 # Doublings square the convergence factor; 22 of them reach 1e-13 where the slowest closed-loop pole lies 1e-5 from the
 # axis, relative to the scaled time.
 DOUBLINGS = 22
+# Where no element of A_k is larger, another doubling would change the results by its square, far below rounding.
+SETTLED = 1e-11
 # The power 2⁸ of X Z leaves of the third eigenvalue, at 0.9 of the first, 2e-12.
 SQUARINGS = 8
 GAMMA = 3.0
@@ -31,31 +34,28 @@ WRITTEN_OUT = 12
 
 
 @lru_cache(maxsize=8)
-def riccati_pair(size: int, doublings: int = DOUBLINGS, *, compact: bool = False) -> ca.Function:
+def riccati_pair(size: int, doublings: int = DOUBLINGS, *, compact: bool = False, fixed: bool = False) -> ca.Function:
     """(A, G, H) -> X, Z, rest: stabilising solutions of AᵀX + XA − XGX + H = 0 and AZ + ZAᵀ − ZHZ + G = 0.
 
     Structure-preserving doubling (Chu, Fan, Lin and Wang, 2004) from a Cayley transform with γ = 3, which suits
-    matrices scaled to order one. `rest` is the largest element of the last A_k, zero where the iteration has converged.
+    matrices scaled to order one. `rest` is the largest element of the last A_k, at most `SETTLED` where the iteration
+    has converged.
     """
     step = _doubling(size) if compact else _doubling(size).expand()
     a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
-    state = _cayley(size).call([a, g, h])
-    for _ in range(doublings):
-        state = step.call(state)
+    state = _repeated(step, _cayley(size).call([a, g, h]), doublings, fixed=fixed)
     rest = ca.norm_inf(ca.vec(state[0]))
     return ca.Function("riccati_pair", [a, g, h], [state[2], state[1], rest], ["A", "G", "H"], ["X", "Z", "rest"])
 
 
 @lru_cache(maxsize=8)
-def lyapunov(size: int, *, compact: bool = False) -> ca.Function:
+def lyapunov(size: int, *, compact: bool = False, fixed: bool = False) -> ca.Function:
     """(A, Q) -> P of A P + P Aᵀ = −Q for a stable A and symmetric Q, by Smith's doubling from the same transform."""
     step, product = _smith(size) if compact else _smith(size).expand(), _product(size)
     a, q = ca.MX.sym("A", size, size), ca.MX.sym("Q", size, size)
     resolvent = _inverse(size)(GAMMA * ca.MX.eye(size) - a)
     start = _symmetric(2 * GAMMA * product(product(resolvent, q), resolvent.T))
-    state = [product(GAMMA * ca.MX.eye(size) + a, resolvent), start]
-    for _ in range(DOUBLINGS):
-        state = step.call(state)
+    state = _repeated(step, [product(GAMMA * ca.MX.eye(size) + a, resolvent), start], DOUBLINGS, fixed=fixed)
     return ca.Function("lyapunov", [a, q], [state[1]], ["A", "Q"], ["P"])
 
 
@@ -161,6 +161,21 @@ def _doubling(size: int) -> ca.Function:
     next_g = _symmetric(g + times(times(a, times(v, g)), a.T))
     next_h = _symmetric(h + times(a.T, times(h, va)))
     return ca.Function("doubling", [a, g, h], [times(a, va), next_g, next_h])
+
+
+def _repeated(step: ca.Function, state: list[ca.MX], times: int, *, fixed: bool) -> list[ca.MX]:
+    """`step` of the state, whose first part is A_k, so many times, or until A_k has settled."""
+    if fixed:
+        for _ in range(times):
+            state = step.call(state)
+        return state
+    symbols = [ca.SX.sym(f"s{k}", *step.size_in(k)) for k in range(step.n_in())]
+    settled = ca.Function("settled", symbols[:1], [ca.norm_inf(ca.vec(symbols[0])) <= SETTLED])
+    as_it_is = ca.Function("as_it_is", symbols, symbols)
+    unless_settled = ca.Function.if_else(f"{step.name()}_unless_settled", as_it_is, step)
+    for _ in range(times):
+        state = unless_settled.call([*settled.call(state[:1]), *state])
+    return state
 
 
 def _cayley(size: int) -> ca.Function:

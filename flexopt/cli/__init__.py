@@ -1,4 +1,4 @@
-"""The command line: `flexopt evaluate | select | simulate | map | report | reproduce | export | verify | doctor`.
+"""The command `flexopt`: evaluate, select, simulate, map, report, reproduce, export, verify, check, doctor.
 
 In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
 go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
@@ -8,38 +8,45 @@ from __future__ import annotations
 
 import io
 import sys
+from importlib import import_module
 
 import click
 
-from flexopt.cli.analysis import evaluate_command, select_command
-from flexopt.cli.bundles import export_command, verify_command
-from flexopt.cli.common import FAILED, print_json
-from flexopt.cli.simulation import simulate_command
-from flexopt.cli.studies import doctor_command, map_command, report_command, reproduce_command
+from flexopt.cli.common import BAD_INPUT, FAILED, print_json
 from flexopt.errors import FlexoptError, InputError
 from flexopt.model.documents import json_ready, package_version
 
-BAD_INPUT = 2
+# Commands and their modules, imported when they are asked for: what one needs takes longest.
+_COMMANDS = {
+    "evaluate": "analysis",
+    "select": "analysis",
+    "simulate": "simulation",
+    "map": "studies",
+    "report": "studies",
+    "reproduce": "studies",
+    "export": "bundles",
+    "verify": "bundles",
+    "check": "checking",
+    "doctor": "studies",
+}
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class _Commands(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - as click has it
+        """By name."""
+        return sorted(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as click has it
+        """From its module."""
+        if cmd_name not in _COMMANDS:
+            return None
+        return getattr(import_module(f"flexopt.cli.{_COMMANDS[cmd_name]}"), f"{cmd_name}_command")
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_version("flexopt"), prog_name="flexopt")
 def cli() -> None:
     """Configurations of a machine on a compliant base in which end-point feedback does not excite the base."""
-
-
-for command in (
-    evaluate_command,
-    select_command,
-    simulate_command,
-    map_command,
-    report_command,
-    reproduce_command,
-    export_command,
-    verify_command,
-    doctor_command,
-):
-    cli.add_command(command)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,9 +25,10 @@ from flexopt.cli.common import (
     placement,
     print_json,
     progress_bar,
+    read,
     warnings_to_stderr,
     whole,
-    write_file,
+    write_output,
 )
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine, Machine, Problem, load, load_any
@@ -36,7 +36,10 @@ from flexopt.model.arguments import Arguments
 from flexopt.model.problem import ELBOWS
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import evaluate
-from flexopt.selection import BasePlan, Selection, Stand, plan_base, select, select_stand
+from flexopt.writing import write_file
+
+if TYPE_CHECKING:
+    from flexopt.selection import BasePlan, Selection, Stand
 
 
 @click.command("evaluate", short_help="Frequencies, measures w_i and gradients in one posture.")
@@ -52,8 +55,7 @@ from flexopt.selection import BasePlan, Selection, Stand, plan_base, select, sel
 @JSON
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
-    with warnings_to_stderr(True):
-        loaded = load(machine)
+    loaded = read(load, machine)
     base = placement(options["base"])
     control = options["control"] or "inverse"
     gravity = bool(options["gravity"])
@@ -114,6 +116,7 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
     help="What to maximise (w1 by default); several in order: w1,epsilon_max.",
 )
 @option("--weights", metavar="A1,A2,…", help="Weights α of the objective V = Σ αi wi, and β of ε_max after them.")
+@option("--slack", metavar="SHARE", help="What an objective may give up for the next in order (1e-5 by default).")
 @option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (10 by default).")
 @option("--starts", metavar="N", help="Starts at most (32 by default; in the plane every peak of the scan).")
 @option("--seed", metavar="N", help="Seed of the starts.")
@@ -134,22 +137,24 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
     with option_names(options), warnings_to_stderr(as_json), progress_bar() as progress:
         result = _solver(settings)(**settings, progress=progress)
     if plot is not None:
-        write_file("--plot", plot, lambda: result.plot(plot))
+        write_output("--plot", plot, lambda: result.plot(plot))
     if out is not None:
         text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
-        write_file("--out", out, lambda: Path(out).write_text(text, encoding="utf-8"))
+        write_output("--out", out, lambda: write_file(out, text))
     if as_json:
         print_json(result.to_dict())
     else:
+        from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
+
         click.echo(_selection_text(result) if isinstance(result, Selection) else repr(result))
 
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given."""
-    loaded = load_any(machine)
+    loaded = read(load_any, machine)
     settings: dict[str, Any] = loaded.select_arguments() if isinstance(loaded, Problem) else {"machine": loaded}
     if isinstance(loaded, Problem) and loaded.target.kind != "end_point":
-        single = [name for name in ("end_point", "elbow", "gain") if options[name] is not None]
+        single = [name for name in ("end_point", "elbow", "gain", "slack") if options[name] is not None]
         sentence = f"goes with a single target; {loaded.name} has target.{loaded.target.kind}"
         faults = [Fault(f"--{name.replace('_', '-')}", sentence, options[name]) for name in single]
         raise_if_any(InputError, "select", faults)
@@ -164,6 +169,7 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]
         "objective": options["objective"],
         "weights": numbers(options["weights"]),
         "singularity_margin_deg": None if margin is None else number(margin),
+        "slack": None if options["slack"] is None else number(options["slack"]),
         "starts": whole(options["starts"]),
         "seed": whole(options["seed"]),
         "workers": whole(options["workers"]),
@@ -182,6 +188,8 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]
 
 
 def _solver(settings: dict[str, Any]) -> Callable[..., Selection | Stand | BasePlan]:
+    from flexopt.selection import plan_base, select, select_stand  # noqa: PLC0415  (`evaluate` does not need it)
+
     return select_stand if "targets" in settings else plan_base if "path" in settings else select
 
 

@@ -18,6 +18,7 @@ from flexopt.cli.common import (
     option_names,
     print_json,
     progress_bar,
+    read,
     warnings_to_stderr,
     whole,
 )
@@ -27,7 +28,19 @@ from flexopt.model import load
 from flexopt.model.arguments import Arguments
 
 
-@click.command("export", short_help="C for the machine's controller, or an FMU of its loop.")
+class _WithParts(click.Command):
+    """Its help names the parts of a bundle."""
+
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Fill in the parts where they are asked for: they stand on everything that is exported."""
+        from flexopt.export import PARTS  # noqa: PLC0415  (only this help needs it)
+
+        named = ", ".join(f"{name} ({part.title})" for name, part in PARTS.items())
+        self.help = (self.help or "").replace("{parts}", named)
+        super().format_help_text(ctx, formatter)
+
+
+@click.command("export", cls=_WithParts, short_help="C for the machine's controller, or an FMU of its loop.")
 @click.argument("machine")
 @option("--out", metavar="DIR", help="Folder to write; one that exists is replaced if it is an unchanged bundle.")
 @option("--parts", metavar="A,B,…", help="Some of those named above; by default all that the machine allows.")
@@ -36,6 +49,10 @@ from flexopt.model.arguments import Arguments
 @GAIN
 @option("--baked", is_flag=True, help="The machine's parameters as constants.")
 @option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (1 by default).")
+@option(
+    "--limit-allowance-deg", metavar="DEG", help="How far beyond its limits a hinge may be measured (5 by default)."
+)
+@option("--limit-allowance-m", metavar="M", help="The same of a slide (0.05 by default).")
 @option("--prefix", metavar="NAME", help="Of every C name (from the machine's name by default).")
 @option("--overwrite", is_flag=True, help="Replace a bundle of which files were changed by hand, too.")
 @fmu_options
@@ -43,9 +60,7 @@ from flexopt.model.arguments import Arguments
 def export_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
     """C for the controller of MACHINE (a name or a file): a folder that compiles and explains itself.
 
-    Parts: kinematics (end-point, Jacobians), controller (control step), measures (w_i, V, gradient), nullspace (step of
-    base and joints), margin (ε_max), optimiser (placement and posture), simulator (one step of the machine, for
-    hardware in the loop). With --fmu, an FMU of the closed loop instead.
+    Parts: {parts}. With --fmu, an FMU of the closed loop instead.
     """
     _check_kind(options | {"out": out})
     if options["fmu"] is not None:
@@ -53,17 +68,17 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
         return
     from flexopt.export import export_c  # noqa: PLC0415  (only this command needs it)
 
-    loaded = Arguments("export").machine(load(machine))
+    loaded = Arguments("export").machine(read(load, machine))
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)
-    margin = options["singularity_margin_deg"]
+    numbers = {name: options[name] for name in ("singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m")}
     given: dict[str, Any] = {
         "parts": None if options["parts"] is None else [part.strip() for part in options["parts"].split(",")],
         "real": options["real"],
         "control": options["control"],
         "gain": None if options["gain"] is None else number(options["gain"]),
-        "singularity_margin_deg": None if margin is None else number(margin),
+        **{name: None if value is None else number(value) for name, value in numbers.items()},
         "prefix": options["prefix"],
     }
     settings = {name: value for name, value in given.items() if value is not None}
@@ -77,7 +92,8 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
 
 def _check_kind(options: dict[str, Any]) -> None:
     """No option of the bundle with --fmu, none of the FMU without it."""
-    of_bundle = ("out", "parts", "real", "baked", "singularity_margin_deg", "prefix", "overwrite")
+    of_bundle = ("out", "parts", "real", "baked", "singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m",
+                 "prefix", "overwrite")  # fmt: skip
     fmu = options["fmu"] is not None
     other = of_bundle if fmu else set(options) - {*of_bundle, "fmu", "control", "gain"}
     sentence = "does not go with --fmu" if fmu else "goes with --fmu only"

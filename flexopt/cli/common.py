@@ -8,17 +8,18 @@ import warnings
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import click
 
-from flexopt.errors import Fault, FlexoptWarning, InputError, raise_if_any
+from flexopt.errors import Fault, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
 from flexopt.model.problem import CONTROLS, DAMPED, ELBOWS
 
-FAILED = 3
+BAD_INPUT, FAILED = 2, 3
 FILE_NAME_MAX = 255
 PICTURES = (".png", ".svg", ".pdf")
 
+T = TypeVar("T")
 Decorator = Callable[[Callable[..., None]], Callable[..., None]]
 
 
@@ -67,15 +68,30 @@ def option_names(options: dict[str, Any]) -> Generator[None]:
 
 @contextmanager
 def warnings_to_stderr(as_json: bool) -> Generator[None]:
-    """Flexopt's warnings as lines on standard error; in text they are part of the result itself."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", FlexoptWarning)
-        yield
-    for warning in caught:
-        if not issubclass(warning.category, FlexoptWarning):
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-        elif as_json:
-            click.echo(f"flexopt: warning: {warning.message}", err=True)
+    """Flexopt's warnings as lines on standard error; in text they are part of the result itself.
+
+    That a machine is not plausible is part of no result.
+    """
+    caught: list[warnings.WarningMessage] = []
+    told: set[str] = set()
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", FlexoptWarning)
+            yield
+    finally:
+        for warning in caught:
+            sentence = str(warning.message)
+            if not issubclass(warning.category, FlexoptWarning):
+                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+            elif (as_json or issubclass(warning.category, ImplausibleMachine)) and sentence not in told:
+                told.add(sentence)
+                click.echo(f"flexopt: warning: {sentence}", err=True)
+
+
+def read(load: Callable[[str], T], name: str) -> T:
+    """What `load` reads from a name or file, its warnings as lines on standard error."""
+    with warnings_to_stderr(True):
+        return load(name)
 
 
 @contextmanager
@@ -114,12 +130,12 @@ def check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> No
         raise InputError(f"{option} = {path!r}: there is no folder {str(target.parent)!r} to write a file into")
 
 
-def write_file(option: str, path: str, write: Callable[[], object]) -> None:
+def write_output(option: str, path: str, write: Callable[[], object]) -> None:
     """Run `write`; what the system refuses is bad input of the option."""
     try:
         write()
-    except OSError as error:
-        raise InputError(f"{option} = {path!r}: cannot be written ({error.strerror})") from None
+    except WriteError as error:
+        raise WriteError(f"{option} = {path!r}: {error}", path=error.path, size=error.size, code=error.errno) from error
 
 
 def numbers(text: str | None) -> list[Any] | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from flexopt.cli.common import BASE, ELBOW, END_POINT, option, option_names, print_json, warnings_to_stderr
+from flexopt.cli.common import BASE, ELBOW, END_POINT, option, option_names, print_json, read, warnings_to_stderr
 from flexopt.cli.simulation import simulate_arguments
 from flexopt.errors import InputError
 from flexopt.model import load
@@ -49,7 +49,7 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     """Write the FMU that `options` (with `control` and `gain`) ask for, and say what was written."""
     from flexopt.export.fmu import export_fmu  # noqa: PLC0415  (only this command needs it)
 
-    loaded, given = load(machine), simulate_arguments(options | {"seed": None})
+    loaded, given = read(load, machine), simulate_arguments(options | {"seed": None})
     if "posture" not in given and "end_point" not in given:
         raise InputError("export: an FMU needs --posture or --end-point")
     named = {"version": options["fmi"], "kind": options["kind"]}

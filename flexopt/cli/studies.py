@@ -25,9 +25,10 @@ from flexopt.cli.common import (
     placement,
     print_json,
     progress_bar,
+    read,
     warnings_to_stderr,
     whole,
-    write_file,
+    write_output,
 )
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import Problem, load, load_any, load_experiment
@@ -73,7 +74,7 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
 
     check_output("--plot", plot, PICTURES)
     check_output("--out", out, (".nc",))
-    loaded = load(machine)
+    loaded = read(load, machine)
     points = numbers(options["points"])
     given: dict[str, Any] = {
         "points": points and [int(n) if isinstance(n, float) and n.is_integer() else n for n in points],
@@ -94,9 +95,9 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
     with option_names(options), warnings_to_stderr(as_json), progress_bar("postures") as progress:
         result = map_workspace(loaded, gravity=bool(options["gravity"]), progress=progress, **settings)
     if out is not None:
-        write_file("--out", out, lambda: result.to_netcdf(out))
+        write_output("--out", out, lambda: result.to_netcdf(out))
     if plot is not None:
-        write_file("--plot", plot, lambda: result.plot(plot))
+        write_output("--plot", plot, lambda: result.plot(plot))
     if as_json:
         print_json(result.to_dict())
     else:
@@ -121,7 +122,7 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
     check_folder("--out", folder)
     with warnings_to_stderr(as_json), progress_bar("stages") as progress:
         result = reproduce(progress=progress)
-    write_file("--out", folder, lambda: result.write(folder))
+    write_output("--out", folder, lambda: result.write(folder))
     if as_json:
         print_json(result.to_dict())
     else:
@@ -157,13 +158,13 @@ def report_command(as_json: bool, problem: str, out: str | None, **options: Any)
     single = {name: number(options[name]) for name in ("duration", "rate") if options[name] is not None}
     lists = {name: numbers(options[name]) for name in ("kp", "kv", "offset") if options[name] is not None}
     words = {} if options["integrator"] is None else {"integrator": options["integrator"]}
-    experiment = None if options["experiment"] is None else load_experiment(options["experiment"])
+    experiment = None if options["experiment"] is None else read(load_experiment, options["experiment"])
     with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
         asked = _problem(problem, options)
         points = whole(options["points"])
         simulation = single | lists | words
         result = report(asked, experiment=experiment, simulation=simulation, points=points, progress=progress)
-    write_file("--out", folder, lambda: result.write(folder))
+    write_output("--out", folder, lambda: result.write(folder))
     if as_json:
         print_json(result.to_dict())
     else:
@@ -172,7 +173,7 @@ def report_command(as_json: bool, problem: str, out: str | None, **options: Any)
 
 def _problem(name: str, options: dict[str, Any]) -> Problem | SelectionProblem:
     """A problem file's problem, or that of a machine with a target."""
-    loaded = load_any(name)
+    loaded = read(load_any, name)
     own = ("end_point", "posture", "base", "control", "objective")
     if isinstance(loaded, Problem):
         faults = [

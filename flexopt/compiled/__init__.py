@@ -1,9 +1,9 @@
 """Function in, faster Function out: compile, cache, load. Knows nothing of machines.
 
 In: CasADi Functions. Out: their compiled twins (`accelerate`), with derivatives, for solvers and single calls; their
-evaluation at many points (`batch`) or over many steps (`recurrence`) in one call. Without a compiler all give the same
-results, more slowly, and one `CompilerNotFound` warning for each process. Libraries are kept in `cache_folder()`,
-shared by processes, and may be deleted at any time.
+evaluation at many points (`batch`; `Economical`: compiled once that pays) or over many steps (`recurrence`) in one
+call. Without a compiler all give the same results, more slowly, and one `CompilerNotFound` warning for each process.
+Libraries are kept in `cache_folder()`, shared by processes, and may be deleted at any time.
 """
 
 from flexopt.compiled.accelerated import accelerate as accelerate
@@ -11,6 +11,7 @@ from flexopt.compiled.batched import Batch as Batch
 from flexopt.compiled.batched import batch as batch
 from flexopt.compiled.compilers import Compiler as Compiler
 from flexopt.compiled.compilers import find_compiler as find_compiler
+from flexopt.compiled.economical import Economical as Economical
 from flexopt.compiled.recurrence import Records as Records
 from flexopt.compiled.recurrence import Recurrence as Recurrence
 from flexopt.compiled.recurrence import recurrence as recurrence

@@ -7,14 +7,10 @@ library; or the Function itself where that cannot be.
 from __future__ import annotations
 
 import re
-from functools import cache
-from importlib.resources import files
-from pathlib import Path
 
 import casadi as ca
 
-from flexopt.compiled.compilers import CompilationFailed, Compiler, find_compiler, library_suffix, tell_failure
-from flexopt.compiled.storage import digest, find, recall, remember, store
+from flexopt.compiled.libraries import opened
 
 _PREFIX = "flexopt_"
 _EXPORT = """#if defined(_WIN32)
@@ -36,61 +32,20 @@ def accelerate(function: ca.Function, *, order: int = 2) -> ca.Function:
     Returns `function` itself when there is no compiler (told once for each process), when its code does not compile,
     and when it calls what is not part of it: a Callback, another library.
     """
-    compiler = find_compiler()
-    if compiler is None or function.is_a("External"):
+    if function.is_a("External"):
         return function
-    try:
-        key = function_key(function, compiler, f"accelerate {order}")
-    except RuntimeError:  # a Callback cannot be serialised
-        return function
-    library = _library(function, order, compiler, key)
-    if library is None:
-        return function
-    try:
-        return ca.external(_PREFIX + function.name(), str(library))
-    except RuntimeError as error:
-        tell_failure(f"{library} could not be loaded ({error})")
-        return function
-
-
-def function_key(function: ca.Function, compiler: Compiler, purpose: str) -> str:
-    """Digest of all that a library depends on: graph, purpose, compiler, processor, CasADi, and this room."""
-    return digest(function.serialize(), purpose, compiler.identity, *compiler.target, ca.CasadiMeta.version(), _room())
+    name = _PREFIX + function.name()
+    twin = opened(
+        [function], f"accelerate {order}", lambda: _source(function, order), level_for, "c",
+        lambda path: ca.external(name, str(path)),
+    )  # fmt: skip
+    return function if twin is None else twin
 
 
 def level_for(source: str, levels: tuple[tuple[int, tuple[str, ...]], ...] = _LEVELS) -> tuple[str, ...] | None:
     """How hard to optimise, so that compilation takes seconds; None where it would take too long."""
     lines = source.count("\n")
     return next((level for most, level in levels if lines <= most), None)
-
-
-@cache
-def _room() -> str:
-    """Digest of this room's own text."""
-    here = files("flexopt.compiled")
-    names = sorted(entry.name for entry in here.iterdir() if entry.name.endswith((".py", ".hpp")))
-    return digest(*(here.joinpath(name).read_bytes() for name in names))
-
-
-def _library(function: ca.Function, order: int, compiler: Compiler, key: str) -> Path | None:
-    found = find(key, library_suffix())
-    if found is not None or recall(key) is not None:
-        return found
-    try:
-        source = _source(function, order)
-    except RuntimeError:  # CasADi cannot generate or differentiate it
-        return None
-    level = level_for(source)
-    if level is None:
-        return None
-    try:
-        return store(key, library_suffix(), lambda path: compiler.build(source, path, language="c", level=level))
-    except CompilationFailed as failure:
-        if failure.by_source:
-            remember(key, "CasADi does not generate this Function")
-        else:
-            tell_failure(f"{function.name()} could not be compiled ({failure})")
-        return None
 
 
 def _source(function: ca.Function, order: int) -> str:

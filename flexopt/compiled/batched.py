@@ -18,11 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexopt.compiled.interpreted import Array, Interpreted
 from flexopt.compiled.lanes import kernel_source
-from flexopt.compiled.libraries import load
+from flexopt.compiled.libraries import begin, load
 from flexopt.errors import Fault, InputError, raise_if_any
 
 # A multiple of every processor's number of lanes, so that threads never share a group of points.
 _GROUP = 64
+# Tells the library from others of the same Function.
+PURPOSE = "batch"
 
 
 def batch(function: ca.Function) -> Batch:
@@ -38,9 +40,9 @@ class Batch:
         compiled: whether compiled code evaluates it; else CasADi's virtual machine, with the same results to rounding.
     """
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(self, function: ca.Function, library: Callable[[], ctypes.CDLL | None] | None = None) -> None:
         self.function = function
-        self._kernel = _kernel(function)
+        self._kernel = _kernel(load_batch(function) if library is None else library())
         self._interpreted = Interpreted(function)
         self._in = [_Layout(function.sparsity_in(k)) for k in range(function.n_in())]
         self._out = [_Layout(function.sparsity_out(k)) for k in range(function.n_out())]
@@ -156,9 +158,18 @@ def _run(
         raise MemoryError("no memory for the working space of a compiled Function")
 
 
-def _kernel(function: ca.Function) -> Callable[..., int] | None:
-    """The compiled loop over points, or None where it cannot be."""
-    library = load([function], "batch", lambda: kernel_source(function))
+def load_batch(function: ca.Function) -> ctypes.CDLL | None:
+    """The library that evaluates a Function at many points, or None where it cannot be."""
+    return load([function], PURPOSE, lambda: kernel_source(function))
+
+
+def begin_batch(function: ca.Function) -> Callable[[], ctypes.CDLL | None]:
+    """`load_batch` in the background: call the result to wait for it."""
+    return begin([function], PURPOSE, lambda: kernel_source(function))
+
+
+def _kernel(library: ctypes.CDLL | None) -> Callable[..., int] | None:
+    """The compiled loop over points."""
     if library is None:
         return None
     kernel = library.flexopt_kernel

@@ -2,10 +2,11 @@
 //
 // In: nothing, not even the standard headers (functions of the C library are reached as compiler builtins). Out:
 // `lane`, its operators, and the functions of <math.h> that CasADi writes. A lane does not convert to bool or to an
-// integer: generated code that decides by a number does not compile, and is left to CasADi's virtual machine.
-// Comparisons give 1.0 or 0.0, as in C.
+// integer: generated code that decides by a number does not compile, and is left to CasADi's virtual machine, except
+// calls that a number chooses, which are made for each choice. Comparisons give 1.0 or 0.0, as in C.
 
-#if defined(__AVX512F__)
+// NARROW, set before this text: half of what AVX-512 holds, with which a point alone is done sooner.
+#if defined(__AVX512F__) && !defined(NARROW)
 #define LANES 8
 #elif defined(__AVX__)
 #define LANES 4
@@ -85,17 +86,38 @@ INLINE lane sqrt(lane x) {
 #elif defined(__clang__)  // before version 16; it joins the points itself
   for (int k = 0; k < LANES; ++k) x.v[k] = __builtin_sqrt(x.v[k]);
   return x;
-#elif defined(__AVX512F__)
+#elif defined(__AVX512F__) && LANES == 8
   return (vec)__builtin_ia32_sqrtpd512_mask(x.v, x.v, -1, 4);
-#elif defined(__AVX__)
+#elif defined(__AVX__) && LANES == 4
   return (vec)__builtin_ia32_sqrtpd256(x.v);
-#elif defined(__SSE2__)
+#elif defined(__SSE2__) && LANES == 2
   return (vec)__builtin_ia32_sqrtpd(x.v);
 #else
   for (int k = 0; k < LANES; ++k) x.v[k] = __builtin_sqrt(x.v[k]);
   return x;
 #endif
 }
+
+// x y + z, rounded once where the processor can; elsewhere a product and a sum.
+#if defined(__ARM_FEATURE_FMA) && defined(__ARM_NEON) && LANES == 2
+#include <arm_neon.h>
+INLINE vec fma(vec x, vec y, vec z) { return (vec)vfmaq_f64((float64x2_t)z, (float64x2_t)x, (float64x2_t)y); }
+#elif defined(__FMA__) && LANES == 8
+INLINE vec fma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd512_mask(x, y, z, -1, 4); }
+#elif defined(__FMA__) && LANES == 4
+INLINE vec fma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd256(x, y, z); }
+#elif defined(__FMA__) && LANES == 2
+INLINE vec fma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd(x, y, z); }
+#else
+INLINE vec fma(vec x, vec y, vec z) { return x * y + z; }
+#endif
+#if defined(__FMA__) && LANES == 8 && !defined(__clang__)  // gcc does not join the change of sign to these itself
+INLINE vec fms(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmsubpd512_mask(x, y, z, -1, 4); }
+INLINE vec fnma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfnmaddpd512_mask(x, y, z, -1, 4); }
+#else
+INLINE vec fms(vec x, vec y, vec z) { return fma(x, y, -z); }
+INLINE vec fnma(vec x, vec y, vec z) { return fma(-x, y, z); }
+#endif
 
 // Below 2^52 the sum with 2^52 has no fraction bits left; above, every double is whole already.
 INLINE vec whole(vec x) {
@@ -126,3 +148,24 @@ INLINE lane ceil(lane x) {
 BY_POINT_1(sinh) BY_POINT_1(cosh) BY_POINT_1(tanh) BY_POINT_1(asinh) BY_POINT_1(acosh) BY_POINT_1(atanh)
 BY_POINT_1(erf) BY_POINT_1(expm1) BY_POINT_1(log1p)
 BY_POINT_2(pow) BY_POINT_2(fmod) BY_POINT_2(remainder) BY_POINT_2(hypot)
+
+// Calls that a number chooses: whether all points choose alike, what the first one chooses, and every choice in turn.
+INLINE bool unanimous(lane x) { return !any(x.v != splat(x.v[0])); }
+INLINE long long first_choice(lane x) { return static_cast<long long>(x.v[0]); }
+
+typedef int branch(const lane **arg, lane **res, long long *iw, lane *w, long long chosen);
+
+static __attribute__((noinline)) int each_choice(branch *call, const lane **arg, lane **res, lane **apart,
+                                                 const long long *sizes, int outputs, long long *iw, lane *w) {
+  mask choice, left;
+  for (int k = 0; k < LANES; ++k) choice[k] = static_cast<long long>(arg[0]->v[k]), left[k] = -1;
+  for (int k = 0; k < LANES; ++k) {
+    if (!left[k]) continue;
+    mask mine = choice == choice[k];
+    if (call(arg, apart, iw, w, choice[k])) return 1;
+    for (int i = 0; i < outputs; ++i)
+      for (long long n = 0; res[i] && n < sizes[i]; ++n) res[i][n] = pick(mine, apart[i][n].v, res[i][n].v);
+    left &= ~mine;
+  }
+  return 0;
+}

@@ -15,6 +15,7 @@ from importlib.resources import files
 
 import casadi as ca
 
+from flexopt.compiled.fused import fused, straight
 from flexopt.compiled.pieces import LONG, in_pieces
 
 # Helpers of the generated code that `lane.hpp` has under another name.
@@ -25,6 +26,9 @@ _OWN = {
 _VALUE = r"\(\*\w+(?:\+\+)?\)|\*\w+|\w+(?:\[\w+\])?"
 _CHOICE = re.compile(rf"\(({_VALUE})\?({_VALUE}):0\)")
 _NAME = re.compile(r"\bcasadi_\w+")
+# A call that is chosen by a number, and the outputs of the function that makes it, by the comment before it.
+_CHOSEN = "arg[0] ? casadi_to_int(*arg[0]) : 0"
+_OUTPUT = re.compile(r"o\d+(?:\[(\d+)(?:x(\d+))?(?:,(\d+)nz)?\])?")
 
 # Lines of the longest generated function and how hard to optimise them. Of lanes, which are structures, gcc's scalar
 # replacement of aggregates takes a time that grows with the square of the length; without it the code is 15 % slower.
@@ -35,6 +39,13 @@ LINES_MAX = 200_000
 # CasADi writes a graph depth first. Scheduling it before registers are assigned, which gcc leaves out on x86, makes the
 # code 5 to 15 % faster and changes no result.
 _SCHEDULED = '#pragma GCC optimize("schedule-insns", "sched-pressure")'
+
+# Nothing is fused but what `fused` writes, so that kernels of both widths give the same bits.
+_NOT_FUSED = """#if defined(__clang__)
+#pragma clang fp contract(off)
+#else
+#pragma GCC optimize("fp-contract=off")
+#endif"""
 
 _EXPORT = """
 #if defined(_WIN32)
@@ -81,22 +92,33 @@ extern "C" EXPORT int flexopt_kernel(const double *const *rows, const unsigned c
 """
 
 
+# A chosen call for points that choose differently: their results are put together from one call for each choice.
+_BY_LANE = """static int @NAME@(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
+  if (!arg[0] || unanimous(*arg[0])) return @NAME@_one(arg, res, iw, w, arg[0] ? first_choice(*arg[0]) : 0);
+  casadi_real other[@SIZE@ + 1], *apart[@SZ_RES@ + 1], *next = other;
+  const casadi_int sizes[@N@ + 1] = { @SIZES@ }, *size = sizes;
+  for (int i = 0; i < @N@; next += *size++) apart[i++] = next;
+  return each_choice(@NAME@_one, arg, res, apart, sizes, @N@, iw, w);
+}"""
+
+
 def kernel_source(function: ca.Function) -> str:
     """The translation unit; whether it compiles decides whether the Function can be batched."""
     body, name = _generated(function)
     return "\n".join([_head(), body, _kernel(function, name)])
 
 
-def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int]) -> str:
+def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], *, narrow: bool) -> str:
     """The translation unit of a recurrence.
 
     Args:
         functions: `step` and, if there is a fast step, `fast` and `refresh`; their inputs and outputs dense columns.
         sizes: the numbers of rows, by their names in `recurrence.hpp`.
+        narrow: whether it is meant for so few members that half of the widest vectors hold them; same bits.
     """
     work = max(function.sz_w() for function in functions.values())
     constants = dict(sizes) | {"WORK": work}
-    lines = [_head(), f"#define FAST {int('fast' in functions)}"]
+    lines = [_NOT_FUSED, *(["#define NARROW"] if narrow else []), _head(), f"#define FAST {int('fast' in functions)}"]
     lines.append("enum { " + ", ".join(f"{name} = {value}" for name, value in constants.items()) + " };")
     lines += [_call(name, function) for name, function in functions.items()]
     return "\n".join([*lines, _resource("recurrence.hpp")])
@@ -138,12 +160,46 @@ def _generated(function: ca.Function) -> tuple[str, str]:
     """The definitions that the Function's evaluation reaches, and the name of that evaluation."""
     generator = ca.CodeGenerator("flexopt_generated", {"with_export": False, "include_math": False})
     generator.add(function)
-    pieces = definitions(_CHOICE.sub(r"select(\1,\2,0)", generator.dump()))
+    text = by_lane(generator.dump(), function.sz_res())
+    pieces = definitions(_CHOICE.sub(r"select(\1,\2,0)", text))
     exported = pieces[function.name()]
     match = re.search(r"return (casadi_\w+)\(", exported)
     assert match is not None, exported
     reached = reached_from(pieces, match[1], _OWN)
-    return "\n".join(in_pieces(text) for name, text in pieces.items() if name in reached), match[1]
+    return "\n".join(_written(text) for name, text in pieces.items() if name in reached), match[1]
+
+
+def _written(text: str) -> str:
+    """A function as it is compiled."""
+    function = straight(text)
+    return text if function is None else in_pieces(fused(function))
+
+
+def by_lane(text: str, sz_res: int) -> str:
+    """The text with every call that a number chooses (`Function.if_else`, `conditional`) chosen for each point alone.
+
+    Where all points agree, as is the rule, one call serves them; else there is one for each choice, and every point
+    takes its own results: they are the same in any company.
+    """
+    blocks = text.split("\n/* ")
+    for k, block in enumerate(blocks):
+        if _CHOSEN not in block:
+            continue
+        signature, _, body = block.partition("\n")
+        name = re.search(r"static int (\w+)\(", body)
+        assert name is not None, block
+        of_one = body.replace(name[1], f"{name[1]}_one", 1).replace("int mem)", "casadi_int chosen)", 1)
+        sizes = [_entries(match) for match in _OUTPUT.finditer(signature.partition("->")[2])]
+        values = {"NAME": name[1], "SIZE": sum(sizes), "SZ_RES": sz_res, "N": len(sizes)}
+        values |= {"SIZES": ", ".join(map(str, sizes))}
+        wrapped = re.sub(r"@(\w+)@", lambda found, values=values: str(values[found[1]]), _BY_LANE)
+        blocks[k] = "\n".join([signature, of_one.replace(_CHOSEN, "chosen").rstrip("\n"), wrapped, ""])
+    return "\n/* ".join(blocks)
+
+
+def _entries(output: re.Match[str]) -> int:
+    rows, columns, nonzeros = (int(number) if number else None for number in output.groups())
+    return nonzeros if nonzeros is not None else (1 if rows is None else rows) * (1 if columns is None else columns)
 
 
 def level(source: str) -> tuple[str, ...] | None:

@@ -26,6 +26,8 @@ from flexopt.compiled.members import checked_arguments, checked_functions, densi
 
 # A multiple of every processor's number of lanes, so that threads never share a group of members.
 _GROUP = 8
+# Up to so many members run in vectors of half the width at most, in which a step is done sooner.
+_FEW = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,12 @@ class Records:
 
 
 def recurrence(
-    step: ca.Function, *, fast: ca.Function | None = None, refresh: ca.Function | None = None, every: int = 100
+    step: ca.Function,
+    *,
+    fast: ca.Function | None = None,
+    refresh: ca.Function | None = None,
+    every: int = 100,
+    many: bool = False,
 ) -> Recurrence:
     """The recurrence x_{k+1}, monitor = step(x_k, e_k, c), compiled if that can be, and kept for the next process.
 
@@ -58,11 +65,13 @@ def recurrence(
             with the fast step while its `turn` is NaN.
         refresh: x, c -> d: exact d of a state; needed with `fast`, at the start and every `every` steps.
         every: number of steps between two refreshes.
+        many: whether the first call is for many members, rather than one to four; code for the other is compiled when
+            it is first called, and gives the same bits.
 
     Raises:
         InputError: shapes that do not belong together; `fast` without `refresh` or the reverse; `every` below 1.
     """
-    return Recurrence(step, fast=fast, refresh=refresh, every=every)
+    return Recurrence(step, fast=fast, refresh=refresh, every=every, many=many)
 
 
 class Recurrence:
@@ -80,6 +89,7 @@ class Recurrence:
         fast: ca.Function | None = None,
         refresh: ca.Function | None = None,
         every: int = 100,
+        many: bool = False,
     ) -> None:
         given = {"step": step, "fast": fast, "refresh": refresh}
         functions = {name: function for name, function in given.items() if function is not None}
@@ -87,13 +97,14 @@ class Recurrence:
         self._sizes = checked_functions(functions, every)
         self._every = int(every)
         dense = {name: densified(function) for name, function in functions.items()}
-        self._kernel = _kernel(dense, self._sizes)
+        self._functions = dense
+        self._kernels = {not many: _kernel(dense, self._sizes, narrow=not many)}
         self._interpreted = Accumulated(dense["step"])
 
     @property
     def compiled(self) -> bool:
         """Whether compiled code runs the recurrence."""
-        return self._kernel is not None
+        return all(kernel is not None for kernel in self._kernels.values())
 
     def __repr__(self) -> str:
         return f"Recurrence({self.step}, {'compiled' if self.compiled else 'CasADi virtual machine'})"
@@ -138,11 +149,19 @@ class Recurrence:
         )  # fmt: skip
         if not n_members:
             return records
-        if self._kernel is None:
+        kernel = self._kernel_for(n_members)
+        if kernel is None:
             self._interpret(arguments, records, steps, stride)
         else:
-            _run(self._kernel, _job(arguments, records, steps, stride, self._every), n_members, threads)
+            _run(kernel, _job(arguments, records, steps, stride, self._every), n_members, threads)
         return records
+
+    def _kernel_for(self, n_members: int) -> Callable[..., int] | None:
+        """The loop for so many members, compiled when it is first needed; members give the same bits in each."""
+        narrow = n_members <= _FEW
+        if self.compiled and narrow not in self._kernels:
+            self._kernels[narrow] = _kernel(self._functions, self._sizes, narrow=narrow)
+        return self._kernels[narrow] if self.compiled else None
 
     def _interpret(self, arguments: Sequence[Array], records: Records, steps: int, stride: int) -> None:
         """All members through the virtual machine, one after the other."""
@@ -213,10 +232,13 @@ def _run(kernel: Callable[..., int], job: tuple[_Job, list[Array]], n: int, thre
         raise MemoryError("no memory for the working space of a compiled recurrence")
 
 
-def _kernel(functions: Mapping[str, ca.Function], sizes: Mapping[str, int]) -> Callable[..., int] | None:
+def _kernel(
+    functions: Mapping[str, ca.Function], sizes: Mapping[str, int], *, narrow: bool
+) -> Callable[..., int] | None:
     """The compiled loop over the steps, or None where it cannot be."""
     rows = {"N": sizes["x"], "N_E": sizes["e"], "N_C": sizes["c"], "N_D": sizes["d"], "N_M": sizes["monitor"]}
-    library = load(list(functions.values()), "recurrence", lambda: recurrence_source(functions, rows))
+    purpose = "recurrence of few" if narrow else "recurrence"
+    library = load(list(functions.values()), purpose, lambda: recurrence_source(functions, rows, narrow=narrow))
     if library is None:
         return None
     kernel = library.flexopt_recurrence

@@ -1,8 +1,10 @@
-"""Compiled libraries on disk, shared by processes.
+"""Compiled libraries on disk, shared by the processes of one user.
 
-In: keys (digests of all that a library depends on) and freshly built files. Out: paths of complete libraries. The name
-of a library ends with the digest of its content, which is checked before it is loaded: a damaged file is as good as
-none. Files appear by renaming, so nobody sees half of one; the folder may be deleted at any time.
+In: keys (digests of all that a library depends on) and freshly built files. Out: paths of complete libraries. A library
+runs as soon as it is loaded, so the folder and what is read from it must belong to this user and be writable by nobody
+else; where that is not so a folder of this process alone serves. The name of a library ends with the digest of its
+content, which is checked before it is loaded: a damaged file is as good as none. Files appear whole, those that have
+lain unused longest go when the folder grows beyond `FLEXOPT_CACHE_MB`, and the folder may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -13,13 +15,26 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
+import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Generator
 from functools import cache
 from pathlib import Path
 
-_STALE_SECONDS = 86400.0
+from flexopt.compiled.locks import lock
+from flexopt.errors import FlexoptWarning
+from flexopt.writing import fresh_folder, write_file
+
+MEGABYTES = 512.0
+# Pruning leaves this share of the limit, and nothing that was used in the last seconds.
+_LEFT, _RECENT = 0.8, 60.0
+_FORGOTTEN = 86400.0
+# Longer than any compilation may take: the process that has a key's lock may be stopped.
+_PATIENCE = 180.0
+_IN_USE = ".lock"
 
 
 def digest(*parts: str | bytes) -> str:
@@ -43,87 +58,226 @@ def cache_folder() -> Path:
 
 
 def find(key: str, suffix: str) -> Path | None:
-    """The library stored under `key`, if it is whole."""
+    """The library stored under `key`, if it is whole and nobody else can have written it."""
     for folder in _folders():
         with contextlib.suppress(OSError):
-            for path in (folder / key[:2]).glob(f"{key}-*{suffix}"):
-                if path.name == _name(key, path, suffix):
+            # What is not this user's stays where it is: it is neither loaded nor touched.
+            for path in sorted(folder.glob(f"{key}-*{suffix}")):
+                data = _read(path)
+                if data is None:
+                    continue
+                if path.name == f"{key}-{digest(data)}{suffix}":
+                    _touch(path)
                     return path
                 path.unlink(missing_ok=True)
     return None
 
 
 def store(key: str, suffix: str, build: Callable[[Path], None]) -> Path:
-    """Let `build` write a library and keep it under `key`; what `build` raises passes through."""
-    with tempfile.TemporaryDirectory(prefix="flexopt-", ignore_cleanup_errors=True) as folder:
-        fresh = Path(folder) / f"library{suffix}"
+    """Let `build` write a library and keep it under `key`; what `build` raises passes through.
+
+    Raises:
+        OSError: there is no room for it anywhere.
+    """
+    with scratch() as folder:
+        fresh = folder / f"library{suffix}"
         build(fresh)
-        name, data = _name(key, fresh, suffix), fresh.read_bytes()
-    return _write(Path(key[:2]) / name, data)
+        data = fresh.read_bytes()
+    path = _write(f"{key}-{digest(data)}{suffix}", data)
+    _prune(path.parent)
+    return path
 
 
 def remember(key: str, text: str) -> None:
-    """Keep a short text under `key`."""
-    _write(Path(f"{key}.txt"), f"{digest(text)} {text}".encode())
+    """Keep a short text under `key`, if there is room."""
+    with contextlib.suppress(OSError):
+        _write(f"{key}.txt", f"{digest(text)} {text}".encode())
 
 
 def recall(key: str) -> str | None:
-    """The text kept under `key`, if it is whole."""
+    """The text kept under `key`, if it is whole and nobody else can have written it."""
     for folder in _folders():
         with contextlib.suppress(OSError, ValueError):
-            check, _, text = (folder / f"{key}.txt").read_text(encoding="utf-8").partition(" ")
+            path = folder / f"{key}.txt"
+            check, _, text = (_read(path) or b"").decode().partition(" ")
             if check == digest(text):
+                _touch(path)
                 return text
     return None
 
 
-def _name(key: str, path: Path, suffix: str) -> str:
-    return f"{key}-{digest(path.read_bytes())}{suffix}"
+@contextlib.contextmanager
+def alone(key: str) -> Generator[None]:
+    """One process of this user at a time for each key; the others wait. A process that is killed holds nobody up."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            stack.enter_context(lock(_made(_root()) / f".lock-{key}", seconds=_PATIENCE, remove=True))
+        yield
 
 
-def _folders() -> Iterator[Path]:
-    yield cache_folder()
-    if _temporary.cache_info().currsize:
-        yield _temporary()
+@contextlib.contextmanager
+def in_use() -> Generator[None]:
+    """Nothing is pruned meanwhile: around checking that a library is there, and loading it."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            stack.enter_context(lock(_root() / _IN_USE, shared=True, seconds=2.0))
+        yield
+
+
+@contextlib.contextmanager
+def scratch() -> Generator[Path]:
+    """A folder for the files of one compilation: in the cache, else where temporary files go.
+
+    Raises:
+        OSError: neither can be written.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            folder = stack.enter_context(fresh_folder(_made(_root()), private=True))
+        except OSError:
+            made = tempfile.TemporaryDirectory(prefix="flexopt-", ignore_cleanup_errors=True)
+            folder = Path(stack.enter_context(made))
+        yield folder
+
+
+def _folders() -> list[Path]:
+    """Where libraries may be."""
+    try:
+        found = [_root()]
+    except OSError:  # no folder at all
+        return []
+    return [*found, *([_temporary()] if _temporary.cache_info().currsize and _temporary() not in found else [])]
+
+
+def _root() -> Path:
+    """The cache folder, or where others may have written into it a private one, told once."""
+    root = cache_folder()
+    reason = _mistrust(root)
+    if not reason:
+        return root
+    _tell(f"the compile cache {str(root)!r} is not used: {reason}; a folder of this process alone takes its place. "
+          "FLEXOPT_CACHE names another one")  # fmt: skip
+    return _temporary()
+
+
+def _mistrust(root: Path) -> str:
+    """Empty if nobody but this user (and root) can have put something into the folder; else the reason."""
+    if sys.platform == "win32":  # the folder lies among this user's own
+        return ""
+    try:
+        real = Path(os.path.realpath(root))
+        for folder in (real, *real.parents):
+            try:
+                status = folder.stat()
+            except (FileNotFoundError, NotADirectoryError):
+                continue
+            if folder == real and status.st_uid != os.geteuid():
+                return "it belongs to another user"
+            if folder == real and status.st_mode & 0o022:
+                return "others may write into it"
+            if status.st_uid not in (0, os.geteuid()):
+                return f"{str(folder)!r} above it belongs to another user"
+            if status.st_mode & 0o022 and not status.st_mode & stat.S_ISVTX and not _is_own_group(status):
+                return f"others may write into {str(folder)!r} above it"
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def _is_own_group(status: os.stat_result) -> bool:
+    """Whether a folder's group may write into it, others may not, and the group is of its owner alone."""
+    if sys.platform == "win32" or status.st_mode & 0o002:
+        return False
+    import grp  # noqa: PLC0415  (not on Windows)
+    import pwd  # noqa: PLC0415
+
+    try:
+        group, owner = grp.getgrgid(status.st_gid), pwd.getpwuid(status.st_uid)
+    except KeyError:
+        return False
+    return group.gr_name == owner.pw_name and not set(group.gr_mem) - {owner.pw_name}
+
+
+def _read(path: Path) -> bytes | None:
+    """What a file holds; None unless it is a file of this user's, into which nobody else may write."""
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(handle, "rb") as file:
+        status = os.fstat(handle)
+        ours = sys.platform == "win32" or (status.st_uid == os.geteuid() and not status.st_mode & 0o022)
+        return file.read() if ours and stat.S_ISREG(status.st_mode) else None
+
+
+def _touch(path: Path) -> None:
+    """Note that the file was used."""
+    with contextlib.suppress(OSError):
+        if time.time() - path.stat().st_mtime > _RECENT / 2:
+            os.utime(path)
 
 
 @cache
 def _temporary() -> Path:
-    """A folder of this process alone, for a cache that cannot be written."""
+    """A folder of this process alone, for a cache that cannot be written or trusted."""
     folder = Path(tempfile.mkdtemp(prefix="flexopt-cache-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
 
-def _write(relative: Path, data: bytes) -> Path:
-    try:
-        return _write_in(cache_folder(), relative, data)
-    except OSError:
-        return _write_in(_temporary(), relative, data)
-
-
-def _write_in(root: Path, relative: Path, data: bytes) -> Path:
-    """Write a file under another name and rename it; one written by somebody else meanwhile is as good."""
-    final = root / relative
+def _made(root: Path) -> Path:
     root.mkdir(parents=True, exist_ok=True, mode=0o700)
-    final.parent.mkdir(exist_ok=True)
-    _sweep(final.parent)
-    handle, name = tempfile.mkstemp(prefix=".new-", dir=final.parent)
+    return root
+
+
+def _write(name: str, data: bytes) -> Path:
+    root = _root()
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        Path(name).replace(final)
+        return _write_in(root, name, data)
     except OSError:
-        Path(name).unlink(missing_ok=True)
+        return _write_in(_temporary(), name, data)
+
+
+def _write_in(root: Path, name: str, data: bytes) -> Path:
+    """Write a file; one written by somebody else meanwhile is as good."""
+    final = _made(root) / name
+    try:
+        write_file(final, data, private=True)
+    except OSError:
         # Windows does not replace a library that is loaded.
-        if not (final.exists() and final.read_bytes() == data):
-            raise
+        with contextlib.suppress(OSError):
+            if _read(final) == data:
+                return final
+        raise
     return final
 
 
-def _sweep(folder: Path) -> None:
-    """Remove what processes that were killed left behind."""
+def _prune(root: Path) -> None:
+    """Remove what has lain unused longest where the folder has grown beyond its bound."""
+    most = 1e6 * _megabytes()
     with contextlib.suppress(OSError):
-        for path in folder.glob(".new-*"):
-            if time.time() - path.stat().st_mtime > _STALE_SECONDS:
-                path.unlink(missing_ok=True)
+        for path in root.glob(".lock-*"):  # of processes that were killed
+            if time.time() - path.stat().st_mtime > _FORGOTTEN:
+                path.unlink()
+        paths = [path for path in root.rglob("*") if not any(p.startswith(".") for p in path.relative_to(root).parts)]
+        found = [(path.stat(), path) for path in paths if path.is_file()]
+        size = sum(status.st_size for status, _ in found)
+        if size <= most:
+            return
+        with lock(root / _IN_USE, seconds=0.0):
+            for status, path in sorted(found, key=lambda pair: pair[0].st_mtime):
+                used = max(status.st_mtime, path.stat().st_mtime)
+                if size <= _LEFT * most:
+                    return
+                if time.time() - used > _RECENT:
+                    path.unlink()
+                    size -= status.st_size
+
+
+def _megabytes() -> float:
+    try:
+        return max(0.0, float(os.environ.get("FLEXOPT_CACHE_MB", MEGABYTES)))
+    except ValueError:
+        return MEGABYTES
+
+
+@cache
+def _tell(message: str) -> None:
+    warnings.warn(message, FlexoptWarning, stacklevel=2)

@@ -18,8 +18,9 @@ from flexopt.coprime.guard import guarded
 from flexopt.coprime.margin import Pair, solve_pairs
 from flexopt.coprime.scaling import scale_for_riccati
 from flexopt.coprime.symbols import rotation, to_continuous, to_discrete, turn_controller, turn_plant
-from flexopt.coprime.system import Matrix, StateSpace, from_arguments
+from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
 from flexopt.errors import FlexoptError, NoSolutionFound
+from flexopt.model.boundary import public
 
 ATTAINED = 1e-6
 CLOSE = 1e-10  # no other way is tried below this
@@ -28,6 +29,7 @@ EQUAL = (1e-8, 1e-12, 1e-5)  # how close two ν count as one
 TURNS = (0.0, 0.4, -0.7)  # rotations of the graph, rad, tried in turn
 
 
+@public(**PLANT)
 @guarded
 def optimal_controller(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: Any = 0.0) -> StateSpace:
     """K with b_{P,K} = ε_max, for u = −K y.

@@ -5,19 +5,19 @@ In: plant P, controller K and the sign of the feedback. Out: the closed-loop rea
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from flexopt.coprime.guard import guarded
 from flexopt.coprime.norms import hinf_peak
-from flexopt.coprime.system import StateSpace, system_pair
-from flexopt.errors import Fault
-from flexopt.model.arguments import shown
+from flexopt.coprime.system import PAIR, StateSpace, system_pair
+from flexopt.model.boundary import public, words
 
 ILL_POSED = 1e-13
 
 
+@public(P=PAIR["P1"], K=PAIR["P2"], sign=words(-1, 1))
 @guarded
 def ncf_margin(P: Any, K: Any, sign: int = -1) -> float:
     """b_{P,K} = ‖[K; I](I + PK)⁻¹[I P]‖∞⁻¹ for u = −K y (sign = −1; sign = +1: u = K y), between 0 and ε_max.
@@ -52,10 +52,7 @@ def closed_loop(P: Any, K: Any, sign: int = -1) -> StateSpace | None:
         InputError: as `ncf_margin`.
     """
     call = "ncf_margin"
-    faults: list[Fault] = []
-    if isinstance(sign, bool) or not isinstance(cast(Any, sign), int) or sign not in {-1, 1}:
-        faults.append(Fault("sign", "must be -1 or 1", shown(sign)))
-    plant, controller = system_pair((P, K), ("P", "K"), call, feedback=True, faults=faults)
+    plant, controller = system_pair((P, K), ("P", "K"), call, feedback=True)
     Bk, Dk = controller.B, -sign * controller.D
     Ck = -sign * controller.C
     A, B, C, D = plant.A, plant.B, plant.C, plant.D

@@ -16,13 +16,15 @@ from flexopt.coprime.guard import guarded
 from flexopt.coprime.norms import axis_peak
 from flexopt.coprime.scaling import Scaled, balance, hamiltonian, riccati_matrices, scale_for_norm, typical
 from flexopt.coprime.symbols import Symbols, graph_symbols, inverse_root
-from flexopt.coprime.system import Matrix, StateSpace, system_pair
+from flexopt.coprime.system import PAIR, Matrix, StateSpace, system_pair
+from flexopt.model.boundary import public
 
 RESOLUTION = 1e-10
 NEAR = 1e-9
 UNSOLVED = 1e-6
 
 
+@public(**PAIR)
 @guarded
 def gap(P1: Any, P2: Any) -> float:
     """δ_g(P1, P2) = max of the two directed gaps inf_{Q ∈ H∞} ‖G1 − G2 Q‖∞, to 1e-8.
@@ -52,6 +54,7 @@ def gap(P1: Any, P2: Any) -> float:
     return forward if forward >= bounds[1] else max(forward, _directed_gap(two, one, bounds))
 
 
+@public(**PAIR)
 @guarded
 def nu_gap(P1: Any, P2: Any) -> float:
     """δ_ν(P1, P2) = ‖G̃2 G1‖∞ if det(G2*G1) has no zero on the axis and winding number 0, else 1.

@@ -6,6 +6,7 @@ In: a public function. Out: the same function, whose numerical breakdowns become
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextvars import ContextVar
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -15,6 +16,8 @@ from flexopt.errors import NoSolutionFound
 
 P = ParamSpec("P")
 T = TypeVar("T")
+# Whether a guarded function runs, whose intermediate systems are its own to check.
+INSIDE: ContextVar[bool] = ContextVar("INSIDE", default=False)
 
 
 def guarded(function: Callable[P, T]) -> Callable[P, T]:
@@ -22,6 +25,7 @@ def guarded(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def inner(*args: P.args, **kwargs: P.kwargs) -> T:
+        outside = INSIDE.set(True)
         try:
             with np.errstate(all="ignore"):
                 return function(*args, **kwargs)
@@ -32,5 +36,7 @@ def guarded(function: Callable[P, T]) -> Callable[P, T]:
                 violations={},
                 iterate={},
             ) from None
+        finally:
+            INSIDE.reset(outside)
 
     return inner

@@ -28,8 +28,9 @@ from flexopt.coprime.extended import (
 from flexopt.coprime.guard import guarded
 from flexopt.coprime.scaling import Scaled, riccati_matrices, scale_for_riccati
 from flexopt.coprime.stabilizability import Escape, escaping_modes, growth, raise_escapes
-from flexopt.coprime.system import Matrix, StateSpace, from_arguments
+from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
 from flexopt.errors import MarginNotComputed
+from flexopt.model.boundary import public
 from flexopt.model.documents import json_ready
 
 RESIDUAL_MAX = 1e-6
@@ -139,6 +140,7 @@ def epsilon_error(largest: float, bound: float) -> float:
     return 0.5 * bound * (1.0 + low) ** -1.5 + 4 * EPS / math.sqrt(1.0 + largest)
 
 
+@public(**PLANT)
 @guarded
 def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: Any = 0.0) -> RobustMargin:
     """The optimal normalized-coprime-factor margin ε_max = sup_K b_{P,K} = (1 + λmax(XZ))^(−1/2).

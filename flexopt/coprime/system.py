@@ -6,7 +6,6 @@ In: a `StateSpace`, another library's system object, a tuple of matrices, or a g
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, cast
@@ -14,11 +13,16 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.coprime.guard import INSIDE
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.arguments import shown
+from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import Check, anything, array_of, public
 from flexopt.model.documents import json_ready
+from flexopt.model.plain import plain, shown
+from flexopt.model.quantities import check_number
 
 Matrix = NDArray[np.floating[Any]]
+PERIOD_MAX = 1e100
 ENTRY_MAX = 1e100  # squares and products of four entries stay finite
 
 
@@ -32,6 +36,9 @@ class StateSpace:
         C: (p, n).
         D: (p, m).
         dt: sampling period, s; 0 for continuous time.
+
+    Raises:
+        InputError: entries that are not real, not finite, beyond 1e100, or of wrong shapes (all faults in one message).
     """
 
     A: Matrix
@@ -39,6 +46,12 @@ class StateSpace:
     C: Matrix
     D: Matrix
     dt: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not INSIDE.get():
+            parts = _checked_parts(self.A, self.B, self.C, self.D, self.dt, call="StateSpace", prefix="")
+            for name, part in zip(("A", "B", "C", "D", "dt"), parts, strict=True):
+                object.__setattr__(self, name, part)
 
     @property
     def n_states(self) -> int:
@@ -64,6 +77,7 @@ class StateSpace:
         """Eigenvalues of A (n,), rad/s (dimensionless in discrete time)."""
         return np.asarray(np.linalg.eigvals(self.A), dtype=complex) if self.n_states else np.zeros(0, complex)
 
+    @public(points=array_of((), ("k",), kinds="iufc"))
     def at(self, points: Any) -> NDArray[np.complex128]:
         """C (s I − A)⁻¹ B + D at complex `points` (k,) that are no poles; (k, p, m)."""
         s = np.atleast_1d(np.asarray(points, dtype=complex))
@@ -96,7 +110,15 @@ def state_space(system: Any, *, call: str = "state_space", field: str = "system"
         InputError: not one of these, or entries that are not real, not finite, beyond 1e100, or of wrong shapes (all
             faults in one message).
     """
-    A, B, C, D, dt = _parts(system, call, field)
+    if isinstance(system, StateSpace):
+        return system
+    try:
+        A, B, C, D, dt = _parts(system, call, field)
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001, RUF100  # a foreign object's own methods raise whatever they like
+        sentence = f"cannot be read ({type(error).__name__}); pass (A, B, C, D)"
+        raise InputError(f"{call}: {field}: {sentence}", [Fault(field, sentence)], call) from None
     return build_system(A, B, C, D, dt, call=call, prefix=f"{field}.")
 
 
@@ -115,6 +137,23 @@ def from_arguments(A: Any, B: Any, C: Any, D: Any, dt: Any, call: str) -> StateS
 
 def build_system(A: Any, B: Any, C: Any, D: Any, dt: Any, *, call: str, prefix: str) -> StateSpace:
     """Check the matrices of one system; every fault goes into one `InputError`."""
+    a, b, c, d, period = _checked_parts(A, B, C, D, dt, call=call, prefix=prefix)
+    return _made(a, b, c, d, period)
+
+
+def _made(A: Matrix, B: Matrix, C: Matrix, D: Matrix, dt: float) -> StateSpace:
+    """A system of matrices that are checked."""
+    outside = INSIDE.set(True)
+    try:
+        return StateSpace(A, B, C, D, dt)
+    finally:
+        INSIDE.reset(outside)
+
+
+def _checked_parts(
+    A: Any, B: Any, C: Any, D: Any, dt: Any, *, call: str, prefix: str
+) -> tuple[Matrix, Matrix, Matrix, Matrix, float]:
+    """A, B, C, D and dt as they are kept."""
     faults: list[Fault] = []
     given = {name: value for name, value in zip("ABCD", (A, B, C, D), strict=True) if name != "D" or value is not None}
     arrays: dict[str, Matrix | None] = {}
@@ -144,17 +183,29 @@ def build_system(A: Any, B: Any, C: Any, D: Any, dt: Any, *, call: str, prefix: 
         if d.shape != (p, m):
             faults.append(Fault(prefix + "D", f"must have shape ({p}, {m}) (outputs, inputs), not {_shape(d)}"))
     raise_if_any(InputError, call, faults)
-    return StateSpace(a, b, c, cast(Matrix, d), period)
+    kept = a, b, c, cast(Matrix, d)
+    for matrix in kept:
+        matrix.setflags(write=False)
+    return *kept, period
+
+
+def _system(arguments: Arguments, field: str, value: Any) -> StateSpace | None:
+    return arguments.collect("", lambda: state_space(value, call=arguments.call, field=field))
+
+
+# The arguments of a call that takes one plant, which `from_arguments` reads together, and of one that takes two.
+PLANT: dict[str, Check] = dict.fromkeys(("A", "B", "C", "D", "dt"), anything)
+PAIR: dict[str, Check] = {"P1": _system, "P2": _system}
 
 
 def system_pair(
-    values: tuple[Any, Any], fields: tuple[str, str], call: str, *, feedback: bool, faults: Sequence[Fault] = ()
+    values: tuple[Any, Any], fields: tuple[str, str], call: str, *, feedback: bool
 ) -> tuple[StateSpace, StateSpace]:
     """Two checked systems that go together: the same time axis, and sizes that fit (as feedback, or side by side).
 
-    A pure gain takes the other's sampling period. The faults of both, and `faults`, end in one `InputError`.
+    A pure gain takes the other's sampling period. The faults of both end in one `InputError`.
     """
-    noted, systems = list(faults), list[StateSpace]()
+    noted, systems = list[Fault](), list[StateSpace]()
     for value, field in zip(values, fields, strict=True):
         try:
             systems.append(state_space(value, call=call, field=field))
@@ -163,9 +214,9 @@ def system_pair(
     raise_if_any(InputError, call, noted)
     first, second = systems
     if first.n_states == 0:
-        first = StateSpace(first.A, first.B, first.C, first.D, second.dt)
+        first = _made(first.A, first.B, first.C, first.D, second.dt)
     if second.n_states == 0:
-        second = StateSpace(second.A, second.B, second.C, second.D, first.dt)
+        second = _made(second.A, second.B, second.C, second.D, first.dt)
     if not math.isclose(first.dt, second.dt, rel_tol=1e-9):
         noted.append(Fault("dt", f"the systems have different sampling periods, {first.dt:g} and {second.dt:g} s"))
     wanted = first.D.shape[::-1] if feedback else first.D.shape
@@ -214,12 +265,21 @@ def _realised(system: Any, call: str, field: str) -> Any:
 
 def _matrix(field: str, value: Any, faults: list[Fault]) -> Matrix | None:
     """A real, finite array of at most two dimensions, or None after noting the fault."""
+    sentence, raw = "", cast(NDArray[Any], np.zeros(0))
     try:
-        raw: NDArray[Any] = np.asarray(value)
-    except ValueError:
-        faults.append(Fault(field, "must be a matrix: its rows have different lengths", shown(value)))
+        given = plain(value) if isinstance(value, list | tuple) else value
+    except ValueError as error:
+        faults.append(Fault(field, str(error), shown(value)))
         return None
-    sentence = ""
+    try:
+        raw = np.asarray(given)
+    except ValueError:
+        sentence = "must be a matrix: its rows have different lengths"
+    except Exception as error:  # noqa: BLE001, RUF100  # a foreign object's own conversion raises whatever it likes
+        sentence = f"must be a matrix; it cannot be read ({type(error).__name__})"
+    if sentence:
+        faults.append(Fault(field, sentence, shown(value)))
+        return None
     if value is None:
         sentence = "is missing"
     elif np.ma.isMaskedArray(value):
@@ -244,11 +304,12 @@ def _period(field: str, value: Any, faults: list[Fault]) -> float:
         return 0.0
     if value is True:
         return 1.0
-    plain: Any = cast(Any, value).item() if isinstance(value, np.generic) else value
-    if isinstance(plain, int | float) and not isinstance(plain, bool) and math.isfinite(plain) and plain >= 0:
-        return float(plain)
-    faults.append(Fault(field, "must be 0 (continuous) or a sampling period in s", shown(value)))
-    return 0.0
+    try:
+        return check_number(value, "s", low=0.0, high=PERIOD_MAX)
+    except ValueError:
+        sentence = f"must be 0 (continuous) or a sampling period of at most {PERIOD_MAX:g} s"
+        faults.append(Fault(field, sentence, shown(value)))
+        return 0.0
 
 
 def _vectors(b: Matrix, c: Matrix, n: int, d: Matrix | None) -> tuple[Matrix, Matrix]:

@@ -8,34 +8,38 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import shutil
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 from flexopt.errors import ExportError, Fault, InputError, raise_if_any
-from flexopt.export.context import build_context
-from flexopt.export.extras import TOLERANCES, Extras
+from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
+from flexopt.export.extras import Extras
 from flexopt.export.kernels import Real, Unsupported
 from flexopt.export.naming import identifier
-from flexopt.export.operations import Field
+from flexopt.export.operations import TOLERANCES, Field
 from flexopt.export.parts import PARTS
-from flexopt.export.sources import STATUSES, Library
+from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
 from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import by, number, public, words
 from flexopt.model.documents import json_ready, package_version, provenance
-from flexopt.model.problem import Control, check_gain, check_margin_deg
+from flexopt.model.plain import shown
+from flexopt.model.problem import Control
+from flexopt.writing import replace_folder
 
 FORMAT = "flexopt C bundle"
 MANIFEST = "manifest.json"
 VERIFICATION = "verification"
 REALS: tuple[Real, ...] = ("double", "float")
 SINGULARITY_MARGIN_DEG = 1.0
+# Below this share of accepted inputs an export says so.
+FULL = 0.995
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 # What `make` and CMake leave behind when the README is followed.
 _PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
+_REPORTS = (f"{VERIFICATION}/report.html", f"{VERIFICATION}/report.json")
 
 
 @dataclass(frozen=True)
@@ -76,10 +80,54 @@ class ExportReport:
     def __repr__(self) -> str:
         lines = [f"C for {self.manifest['machine']['name']} ({self.manifest['options']['real']}) in {self.folder}"]
         lines += [f"  {part}: {', '.join(names)}" for part, names in self.parts.items()]
+        lines += [
+            f"  {o['c_name']} accepts {100 * o['acceptance']:.0f} % of random postures inside the limits, not the rest"
+            for part in self.manifest["parts"].values()
+            for o in part["operations"]
+            if o["acceptance"] < FULL
+        ]
         lines += [f"  without {part}: {sentence}" for part, sentence in self.left_out.items()]
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
 
+def _check_parts(value: Any) -> tuple[str, ...]:
+    given = cast(list[Any], list(value) if isinstance(value, list | tuple) else [value])
+    valid = ", ".join(PARTS)
+    unknown = [shown(part) for part in given if not isinstance(part, str) or part not in PARTS]
+    if unknown or not given:
+        named = f", not {', '.join(unknown[:3])}" if unknown else ""
+        raise ValueError(f"must be some of {valid}{named}")
+    if all(PARTS[part].foreign for part in given):
+        given = ["kinematics", *given]
+    return tuple(part for part in PARTS if part in given)
+
+
+def _check_prefix(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", value):
+        raise ValueError("must be a C name in lower case: a letter, then up to 30 letters, digits or underscores")
+    return value
+
+
+def _allowed(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """Parts that were asked for by name must be possible."""
+    for part, sentence in _left_out(arguments.of, given["parts"] or ()).items():
+        arguments.note("parts", f"{sentence}; {given['machine'].name} does not allow it", part)
+
+
+def _left_out(machine: AnyMachine | None, parts: Sequence[str]) -> dict[str, str]:
+    """Parts that the machine does not allow, and why."""
+    refused = {part: PARTS[part].refusal(machine) for part in parts} if machine is not None else {}
+    return {part: sentence for part, sentence in refused.items() if sentence}
+
+
+@public(
+    parts=by(_check_parts),
+    real=words(*REALS),
+    limit_allowance_deg=number("degrees", low=0.0, high=45.0),
+    limit_allowance_m=number("m", low=0.0, high=10.0),
+    prefix=by(_check_prefix),
+    together=_allowed,
+)
 def export_c(
     machine: AnyMachine,
     folder: str | Path,
@@ -90,20 +138,21 @@ def export_c(
     gain: float = 5e5,
     baked: bool = False,
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
+    limit_allowance_deg: float = LIMIT_ALLOWANCE_DEG,
+    limit_allowance_m: float = LIMIT_ALLOWANCE_M,
     prefix: str | None = None,
     overwrite: bool = False,
 ) -> ExportReport:
     """C for the controller of a machine: a folder with one file for each part.
 
-    Parts: kinematics, control step, lever map, measures w_i, nullspace step, ε_max, the posture optimiser, the
-    machine's own step.
-
-    The generated code is that of the CasADi Functions which `evaluate` and `select` use, wrapped in functions that
-    check their inputs. Every number of the machine is a run-time parameter unless `baked`.
+    Its parts are those of `flexopt.export.PARTS`, with their titles. The generated code is that of the CasADi Functions
+    which `evaluate` and `select` use, wrapped in functions that check their inputs. Every number of the machine is a
+    run-time parameter unless `baked`.
 
     Args:
         machine: from `flexopt.load`.
-        folder: where to write; made if missing. One that exists is replaced if it is an unchanged bundle.
+        folder: where to write; made if missing. One that exists is replaced, all files in one step where the system
+            can do that, if it is an unchanged bundle; what else is in its `build/` stays.
         parts: names from `flexopt.export.PARTS`; by default all that the machine allows. The optimiser brings the
             kinematics.
         real: `"double"`, or `"float"` for single precision throughout.
@@ -112,34 +161,20 @@ def export_c(
         gain: servo gain k_r about which ε_max is tested; the C function takes it as an input.
         baked: whether the machine's parameters become constants: smaller and faster.
         singularity_margin_deg: how far the arm must be from singular postures, degrees.
+        limit_allowance_deg, limit_allowance_m: how far measured hinges and slides may lie beyond their limits, degrees
+            and m: outputs then come with the warning `BEYOND_LIMIT`, and farther out the call is refused. The defaults
+            are above what sensors are calibrated to and end stops give, and below what a broken sensor shows.
         prefix: of every C name; from the machine's name by default.
         overwrite: replace a bundle of which files were changed by hand, too.
 
     Raises:
         InputError: an argument is not usable, or the folder holds something else.
+        WriteError: the folder cannot be written; what was there is as it was.
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
     """
-    arguments = Arguments("export_c")
-    machine = arguments.machine(machine)
-    wanted = _checked_parts(arguments, parts)
-    real = arguments.choice("real", real, REALS)
-    control = arguments.control(control)
-    gain = arguments.checked("gain", gain, check_gain, 5e5)
-    baked = arguments.flag("baked", baked)
-    margin = arguments.checked(
-        "singularity_margin_deg", singularity_margin_deg, check_margin_deg, SINGULARITY_MARGIN_DEG
-    )
-    overwrite = arguments.flag("overwrite", overwrite)
-    prefix = arguments.checked("prefix", identifier(machine.name) if prefix is None else prefix, _check_prefix, "x")
-    refused = {part: PARTS[part].refusal(machine) for part in wanted} if not arguments.faults else {}
-    left_out = {part: sentence for part, sentence in refused.items() if sentence}
-    if parts is not None:
-        arguments.faults += [
-            Fault("parts", f"{sentence}; {machine.name} does not allow it", repr(part))
-            for part, sentence in left_out.items()
-        ]
-    arguments.done()
-    wanted = tuple(part for part in wanted if part not in left_out)
+    prefix = identifier(machine.name) if prefix is None else prefix
+    left_out = {} if parts is not None else _left_out(machine, tuple(PARTS))
+    wanted = tuple(part for part in (PARTS if parts is None else parts) if part not in left_out)
     target = Path(folder)
     check_replaceable(target, overwrite)
     texts, manifest = render_bundle(
@@ -149,10 +184,12 @@ def export_c(
         control=control,
         gain=gain,
         baked=baked,
-        singularity_margin_deg=margin,
+        singularity_margin_deg=singularity_margin_deg,
+        limit_allowance_deg=limit_allowance_deg,
+        limit_allowance_m=limit_allowance_m,
         prefix=prefix,
     )
-    _write(target, texts)
+    replace_folder(target, texts, _kept(target))
     return ExportReport(
         folder=target,
         prefix=prefix,
@@ -177,6 +214,8 @@ def build_library(
     baked: bool,
     singularity_margin_deg: float,
     prefix: str,
+    limit_allowance_deg: float = LIMIT_ALLOWANCE_DEG,
+    limit_allowance_m: float = LIMIT_ALLOWANCE_M,
 ) -> Library:
     """The C library of checked options."""
     context = build_context(
@@ -186,6 +225,8 @@ def build_library(
         single=real == "float",
         baked=baked,
         singularity_margin_deg=singularity_margin_deg,
+        limit_allowance_deg=limit_allowance_deg,
+        limit_allowance_m=limit_allowance_m,
     )
     try:
         operations = {part: PARTS[part].build(context) for part in PARTS if part in parts}
@@ -253,7 +294,11 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
 
     def described(f: Field, *, is_input: bool) -> dict[str, Any]:
         about: dict[str, Any] = {"name": f.name, "shape": list(f.shape), "unit": f.unit, "text": f.text}
-        return about | ({"low": list(f.low), "high": list(f.high)} if is_input else {"scale": f.scale})
+        if not is_input:
+            return about | {"scale": f.scale}
+        about |= {"low": list(f.low), "high": list(f.high)}
+        about |= {} if f.design is None else {"limits": [list(side) for side in f.design]}
+        return about | ({"turning": list(f.turning)} if any(f.turning) else {})
 
     parts = {
         part: {
@@ -268,6 +313,7 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
                     "outputs": [described(f, is_input=False) for f in o.outputs],
                     "guards": [vars(g) for g in o.guards],
                     "workspace_reals": library.workspace(o),
+                    "acceptance": library.acceptance[o.name],
                 }
                 for o in group
             ],
@@ -292,6 +338,8 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         "tolerance": TOLERANCES[library.real],
         "sizes": library.sizes,
         "statuses": {name: k for k, name in enumerate(STATUSES)},
+        "statuses_with_output": list(WITH_OUTPUT),
+        "limit_allowance": library.context.limit_allowance,
         "parts": parts,
         "left_out": {part: said for part in PARTS if (said := PARTS[part].refusal(machine))},
         "parameters": [dict(zip(("name", "unit", "value", "low", "high"), row, strict=True)) for row in listed],
@@ -323,50 +371,18 @@ def check_replaceable(folder: Path, overwrite: bool) -> None:
     raise_if_any(InputError, "export_c", [Fault("folder", sentence, repr(str(folder)))] if sentence else [])
 
 
+def _kept(folder: Path) -> Callable[[str], bool]:
+    """Which files of an older bundle stay when another takes its place: all but its own and what `make` made of them.
+
+    `build/` may hold a user's own files. A report on the older code says nothing of the newer one.
+    """
+    gone = set(_REPORTS) | {"selftest", "selftest.exe", "example", "example.exe"}
+    if (folder / MANIFEST).is_file():
+        manifest = read_manifest(folder)
+        gone |= {str(Path(name).with_suffix(".o").as_posix()) for name in manifest["files"] if name.endswith(".c")}
+        gone.add(f"lib{manifest['options']['prefix']}_control.a")
+    return lambda name: _PRODUCTS.fullmatch(name) is not None and name not in gone
+
+
 def _some(names: list[str]) -> str:
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-
-
-def _write(folder: Path, texts: dict[str, str]) -> None:
-    """Write beside the folder and swap, so that nobody sees half a bundle."""
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    except OSError as error:
-        sentence = f"cannot be written ({error.strerror})"
-        raise InputError(f"export_c: folder = {str(folder)!r}: {sentence}") from None
-    try:
-        for name, text in texts.items():
-            path = fresh / "new" / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(text.encode())
-        if folder.exists():
-            folder.rename(fresh / "old")
-        (fresh / "new").rename(folder)
-    except OSError as error:
-        if (fresh / "old").exists() and not folder.exists():
-            (fresh / "old").rename(folder)
-        raise InputError(f"export_c: folder = {str(folder)!r}: cannot be written ({error.strerror})") from None
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
-
-
-def _checked_parts(arguments: Arguments, parts: Any) -> tuple[str, ...]:
-    if parts is None:
-        return tuple(PARTS)
-    given = cast(Sequence[Any], [parts] if not isinstance(parts, list | tuple) else parts)
-    valid = ", ".join(PARTS)
-    for part in given:
-        if not isinstance(part, str) or part not in PARTS:
-            arguments.faults.append(Fault("parts", f"must be some of {valid}", repr(part)))
-    if not given:
-        arguments.faults.append(Fault("parts", f"must be at least one of {valid}", "[]"))
-    if given and all(isinstance(part, str) and part in PARTS and PARTS[part].foreign for part in given):
-        given = ["kinematics", *given]
-    return tuple(part for part in PARTS if part in given)
-
-
-def _check_prefix(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", value):
-        raise ValueError("must be a C name in lower case: a letter, then up to 30 letters, digits or underscores")
-    return value

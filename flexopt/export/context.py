@@ -6,7 +6,7 @@ In: a machine and the options of an export. Out: a `Context`, which turns graphs
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,12 +17,18 @@ from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes
 from flexopt.export.parameters import machine_parameters
 from flexopt.model import AnyMachine
 from flexopt.model.problem import Control
-from flexopt.model.quantities import coordinate_max
+from flexopt.model.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.plant import Plant, build_plant
 from flexopt.robustness.measures import Measures, build_measures
 
 # In single precision modes lose too many digits nearer than this to singular postures.
 SINGLE_SINE = math.sin(math.radians(10.0))
+
+# How far measured joints may lie beyond the machine's limits, degrees and m: above what sensors are calibrated to, end
+# stops give and a loop overshoots, below what a sensor that lost its count or its wire shows.
+LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M = 5.0, 0.05
+# How far angles that turn freely may have been counted on, rad: single precision still tells 6e-5 rad there.
+TURNED_MAX = {False: 1e6, True: 1e3}
 
 # Samples of a joint or a placement coordinate without limits: a turn, or as far each way, m.
 NEAR = {"rad": math.pi, "m": 2.0}
@@ -39,6 +45,7 @@ class Context:
         single: whether the C code computes in single precision.
         baked: whether the machine's parameters become constants.
         singularity_margin: square root of the smallest `Plant.singularity_sine_squared`.
+        limit_allowance: unit -> how far measured joints may lie beyond their limits, rad and m.
     """
 
     plant: Plant
@@ -47,6 +54,7 @@ class Context:
     single: bool
     baked: bool
     singularity_margin: float
+    limit_allowance: Mapping[str, float]
 
     @property
     def machine(self) -> AnyMachine:
@@ -92,44 +100,65 @@ class Context:
 
     @cached_property
     def joint_angles(self) -> Field:
-        """The actuated joints as an input."""
-        units = self.machine.joint_units
-        pairs = [
-            (max(low, -coordinate_max(unit)), min(high, coordinate_max(unit)))
-            for unit, (low, high) in zip(units, self.machine.limits, strict=True)
+        """The actuated joints as an input: measurements."""
+        units, limits = self.machine.joint_units, self.machine.limits
+        most = [self.counted_max(unit) for unit in units]
+        design = _transposed(
+            [self._stored(max(low, -far), min(high, far)) for far, (low, high) in zip(most, limits, strict=True)]
+        )
+        wide = [
+            self._stored(max(low - self.limit_allowance[unit], -far), min(high + self.limit_allowance[unit], far))
+            for unit, far, (low, high) in zip(units, most, limits, strict=True)
         ]
-        low, high = zip(*pairs, strict=True)
-        near = _transposed([_near(unit, *pair) for unit, pair in zip(units, pairs, strict=True)])
+        low, high = _transposed(wide)
+        near = _transposed([_near(unit, *pair) for unit, *pair in zip(units, *design, strict=True)])
+        turning = tuple(unit == "rad" and not np.isfinite(pair).any() for unit, pair in zip(units, limits, strict=True))
         text = "actuated joints, each relative to the body before it"
-        return self.sizes.field("joint_angles", "JOINTS", unit_list(units), text, low=low, high=high, sample=near)
+        return self.sizes.field("joint_angles", "JOINTS", unit_list(units), text, low=low, high=high, sample=near,
+                                design=design, turning=turning)  # fmt: skip
+
+    def counted_max(self, unit: str) -> float:
+        """How far a coordinate in m or rad may be from zero where angles count on from turn to turn."""
+        return TURNED_MAX[self.single] if unit == "rad" else COORDINATE_MAX
+
+    def _stored(self, *values: float) -> tuple[float, ...]:
+        """Numbers as the bundle's precision holds them."""
+        return tuple(float(np.float32(value)) if self.single else float(value) for value in values)
 
     @cached_property
     def placement(self) -> Field:
         """Where the base stands, as an input; only for machines that can be placed."""
         units = self.machine.base_units
-        limit = tuple(coordinate_max(unit) for unit in units)
+        limit = tuple(self.counted_max(unit) for unit in units)
         near = _transposed([_near(unit, -high, high) for unit, high in zip(units, limit, strict=True)])
+        turning = tuple(unit == "rad" for unit in units)
         text = "where the base stands, inertial frame"
-        return self.sizes.field(
-            "placement", "PLACEMENT", unit_list(units), text, low=tuple(-x for x in limit), high=limit, sample=near
-        )
+        return self.sizes.field("placement", "PLACEMENT", unit_list(units), text, low=tuple(-x for x in limit),
+                                high=limit, sample=near, turning=turning)  # fmt: skip
 
-    def coordinates(self, away: float, *, inside_limits: bool) -> Field:
-        """All coordinates q as an input; samples of the passive ones lie up to `away` (m or rad) from rest."""
+    def coordinates(self, away: float, *, measured: bool) -> Field:
+        """All coordinates q as an input; samples of the passive ones lie up to `away` (m or rad) from rest.
+
+        Measured joints have their limits; those of a simulation go where it takes them, and count on.
+        """
         plant, joints = self.plant, self.joint_angles
         assert joints.sample is not None
         m, units = plant.n_passive, plant.graph.coordinate_units
         middle = np.mean(joints.sample, axis=0)
         rest = plant.rest.call([ca.DM.zeros(plant.n_base, 1), ca.DM(middle), plant.parameter_values])[0]
         passive = [float(x) for x in rest.full().ravel()[:m]]
-        high = tuple(coordinate_max(unit) for unit in units)
-        low = tuple(-x for x in high)
-        if inside_limits:
+        high = (*(coordinate_max(unit) for unit in units[:m]), *(self.counted_max(unit) for unit in units[m:]))
+        low, design, turning = tuple(-x for x in high), None, ()
+        if measured:
+            assert joints.design is not None
             low, high = (*low[:m], *joints.low), (*high[:m], *joints.high)
+            design = ((*low[:m], *joints.design[0]), (*high[:m], *joints.design[1]))
+            turning = (*(False for _ in range(m)), *joints.turning)
         near = tuple((*(x + side * away for x in passive), *joints.sample[side > 0]) for side in (-1, 1))
         text = "q = [passive; actuated]: displacements in m, relative angles in rad"
         sample = (near[0], near[1])
-        return self.sizes.field("coordinates", "COORDINATES", unit_list(units), text, low=low, high=high, sample=sample)
+        return self.sizes.field("coordinates", "COORDINATES", unit_list(units), text, low=low, high=high, sample=sample,
+                                design=design, turning=turning)  # fmt: skip
 
     @cached_property
     def arm_length(self) -> float:
@@ -188,11 +217,20 @@ class Context:
 
 
 def build_context(
-    machine: AnyMachine, *, control: Control, gain: float, single: bool, baked: bool, singularity_margin_deg: float
+    machine: AnyMachine,
+    *,
+    control: Control,
+    gain: float,
+    single: bool,
+    baked: bool,
+    singularity_margin_deg: float,
+    limit_allowance_deg: float = LIMIT_ALLOWANCE_DEG,
+    limit_allowance_m: float = LIMIT_ALLOWANCE_M,
 ) -> Context:
     """What the parts of this machine are built from."""
     sine = math.sin(math.radians(singularity_margin_deg))
-    return Context(build_plant(machine), control, gain, single, baked, sine)
+    allowance = {"rad": math.radians(limit_allowance_deg), "m": limit_allowance_m}
+    return Context(build_plant(machine), control, gain, single, baked, sine, allowance)
 
 
 def sine_squared(at: Context) -> ca.SX:
@@ -209,7 +247,7 @@ def _near(unit: str, low: float, high: float) -> tuple[float, float]:
     return (low, min(high, low + near)) if low > 0 else (max(low, high - near), high)
 
 
-def _transposed(pairs: list[tuple[float, float]]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _transposed(pairs: Sequence[tuple[float, ...]]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple(low for low, _ in pairs), tuple(high for _, high in pairs)
 
 

@@ -13,18 +13,24 @@ from flexopt.model.problem import CONTROLS, Control, control_damping, control_me
 from flexopt.model.quantities import COORDINATE_MAX
 from flexopt.plant import Plant
 from flexopt.plant.control import task_to_joints
-from flexopt.simulation.feedback import joint_torque
+from flexopt.simulation.feedback import joint_torque, nullspace_torque
 
 RATE_MAX = 1e4
 GAIN_MAX = 1e12
 
 
+def damps_self_motion(plant: Plant, control: Control) -> bool:
+    """Whether the law has a damper on the arm's self-motion: the inverse of an arm with more joints than task rows."""
+    return control == "inverse" and plant.n_actuated > plant.n_task
+
+
 def task_space_torque(plant: Plant, control: Control) -> ca.Function:
     """τ_a = Jvᵀ f (transpose), Jv⁺ f (inverse) or J⁺_λ f (damped), f = Kp (r_target − r) + Kv (ṙ_target − ṙ).
 
-    Jv at the measured joints, passive coordinates at rest: the controller knows the arm on rigid ground alone. Inputs
-    base, posture, r, r_rate, target, target_rate (n_task,), kp, kv, p; outputs torque (n,) and torque_size, an upper
-    bound of its terms.
+    Jv at the measured joints, passive coordinates at rest: the controller knows the arm on rigid ground alone. Where
+    the law `damps_self_motion`, −d (I − Jv⁺ Jv) q̇_a is added. Inputs base, posture, r, r_rate, target, target_rate
+    (n_task,), kp, kv, then rates (n,) and damping d where they are needed, p; outputs torque (n,) and torque_size, an
+    upper bound of its terms.
     """
     g, r = plant.graph, plant.n_task
     point, rate, target, target_rate = (ca.SX.sym(n, r) for n in ("r", "r_rate", "target", "target_rate"))
@@ -35,8 +41,13 @@ def task_space_torque(plant: Plant, control: Control) -> ca.Function:
     torque = joint_torque(jv, force, control)
     spread = task_to_joints(jv, control, ca.SX.eye(r))
     size = ca.norm_fro(spread) * (kp * ca.norm_2(error) + kv * ca.norm_2(error_rate))
-    inputs = [g.base, g.posture, point, rate, target, target_rate, kp, kv, g.p]
-    names = ["base", "posture", "r", "r_rate", "target", "target_rate", "kp", "kv", "p"]
+    inputs = [g.base, g.posture, point, rate, target, target_rate, kp, kv]
+    names = ["base", "posture", "r", "r_rate", "target", "target_rate", "kp", "kv"]
+    if damps_self_motion(plant, control):
+        rates, damping = ca.SX.sym("rates", plant.n_actuated), ca.SX.sym("damping")
+        torque, size = torque + nullspace_torque(jv, rates, damping), size + damping * ca.norm_2(rates)
+        inputs, names = [*inputs, rates, damping], [*names, "rates", "damping"]
+    inputs, names = [*inputs, g.p], [*names, "p"]
     return ca.Function(f"torque_{control_method(control)}", inputs, [torque, size], names, ["torque", "torque_size"])
 
 
@@ -47,7 +58,7 @@ def kinematics(at: Context) -> tuple[Operation, ...]:
     end_point, jacobian, rigid = (f(*arguments) for f in (plant.end_point, plant.jacobian, plant.rigid_jacobian))
     skeleton = plant.skeleton(*arguments)
     size = ca.norm_2(skeleton[:, 0]) + sum(ca.norm_2(s) for s in ca.horzsplit(ca.diff(skeleton, 1, 1)))
-    inputs = [(at.coordinates(0.1, inside_limits=True), g.q)]
+    inputs = [(at.coordinates(0.1, measured=True), g.q)]
     if ca.depends_on(ca.veccat(end_point, jacobian), g.base):
         inputs.append((at.placement, g.base))
     by_coordinate, by_joint = (unit_list(units, "m/{}") for units in (g.coordinate_units, at.machine.joint_units))
@@ -71,7 +82,8 @@ def controller(at: Context) -> tuple[Operation, ...]:
 def _torque(at: Context, control: Control) -> Operation:
     plant, g, field = at.plant, at.plant.graph, at.sizes.field
     law = task_space_torque(plant, control)
-    names = ("r", "r_rate", "target", "target_rate", "kp", "kv")
+    damped_freely = damps_self_motion(plant, control)
+    names = ("r", "r_rate", "target", "target_rate", "kp", "kv", *(("rates", "damping") if damped_freely else ()))
     symbol = {name: ca.SX.sym(name, law.size1_in(name)) for name in names}
     result = law(base=at.base, posture=g.posture, p=g.p, **symbol)
     torque, size = result["torque"], result["torque_size"]
@@ -95,6 +107,16 @@ def _torque(at: Context, control: Control) -> Operation:
         (kp, symbol["kp"]),
         (kv, symbol["kv"]),
     ]
+    if damped_freely:
+        of_joints = unit_list(at.machine.joint_units, "{}/s")
+        units = ["N m s/rad" if unit == "rad" else "N s/m" for unit in at.machine.joint_units]
+        inputs += [
+            (field("joint_rates", "JOINTS", of_joints, "rates of the actuated joints, measured", low=-RATE_MAX,
+                   high=RATE_MAX, sample=(-0.5, 0.5)), symbol["rates"]),
+            (field("nullspace_damping", "", unit_list(units), "d, a damper on the self-motion, which the end-point "
+                   "does not show and nothing else holds; 0 for none", high=GAIN_MAX, sample=(0.0, 1e4)),
+             symbol["damping"]),
+        ]  # fmt: skip
     damping, method = control_damping(control), control_method(control)
     matrix = {"transpose": "Jv^T", "inverse": "Jv^+"}.get(method, "Jv^T (Jv Jv^T + lambda^2 I)^-1")
     scale = f"|{matrix}| times (Kp |error| + Kv |error rate|)"
@@ -106,6 +128,9 @@ def _torque(at: Context, control: Control) -> Operation:
     )
     if control == "inverse":
         text += " f is in N m^2: Jv^+ is in rad/m (Moore-Penrose where the arm is redundant)."
+    if damped_freely:
+        text += " A damper on the self-motion is added: -nullspace_damping (I - Jv^+ Jv) joint_rates."
+        scale += " + nullspace_damping times |joint_rates|"
     if damping is not None:
         text += f" f is in N m^2, and lambda = {damping:g} in the unit of Jv's entries. No posture is refused."
     return at.operation(f"torque_{method}", text, inputs, [(output, torque, size)], guards)

@@ -6,24 +6,28 @@ evaluated in CasADi's virtual machine.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
-from flexopt.export.closing import DURATION_S, RATE_HZ, Start, settling_start
+from flexopt.export.closing import DURATION_S, RATE_HZ, settling_start
+from flexopt.export.control import damps_self_motion
 from flexopt.export.naming import listed, number, template, text_of
-from flexopt.export.operations import Array, Field, Operation, Samples
+from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Array, Field, Operation, Samples
 from flexopt.export.parts import PARTS
-from flexopt.export.sources import STATUSES, Library
+from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.model.documents import package_version
 
-# Largest error allowed, as a share of each output's scale.
-TOLERANCES = {"double": 1e-12, "float": 1e-4}
 VECTOR_COUNT = 12
 VECTOR_SEED = 1
-# rad/s of the example's closed loop, and how far its target lies from where it starts, as a share of the arm's length.
-BANDWIDTH, STEP = 3.0, 0.02
+ACCEPTANCE = (
+    f"The last column of the functions says how many of {ACCEPTANCE_COUNT} random inputs, evenly inside the machine's "
+    "limits, pass the function's\nown tests (singular postures, accuracy), by the same numbers.\n"
+)
+# rad/s of the closed loop of the ROS 2 node's default gains.
+BANDWIDTH = 3.0
 
 
 class Extras:
@@ -101,14 +105,15 @@ class Extras:
         tables: list[str] = []
         for operation in self.library.all_operations:
             samples = operation.draw(self.library.context.parameters, VECTOR_COUNT, VECTOR_SEED)
-            values = np.hstack([samples.inputs, samples.outputs, allowed(samples, real)])
+            values = np.hstack([samples.inputs, samples.beyond[:, None], samples.outputs, allowed(samples, real)])
             tables.append(
                 f"static const {self.prefix}_real {operation.name}_vectors[{values.size}] = "
                 f"{listed(values.ravel().tolist(), real, '')};\n"
             )
         pointers = ", ".join(f"{name}_vectors" for name in names)
         return (
-            "/* Rows of inputs, parameters, outputs computed in Python, and the errors allowed, for each function. */\n"
+            "/* Rows of inputs, parameters, 1 where a joint lies beyond its limit, outputs computed in Python, and the "
+            "errors\n * allowed, for each function. */\n"
             f"#ifndef {self.upper}_VECTORS_H\n#define {self.upper}_VECTORS_H\n\n"
             f'#include "{self.prefix}_control.h"\n\n'
             f"enum {{ VECTOR_COUNT = {VECTOR_COUNT} }};\n\n" + "\n".join(tables) + "\n"
@@ -152,7 +157,7 @@ class Extras:
     def _accepted(self, operation: Operation) -> Samples:
         parameters = self.library.context.parameters
         own = replace(parameters, spread=(0.0,) * len(parameters.spread))
-        return operation.draw(own, 1, VECTOR_SEED)
+        return operation.draw(own, 1, VECTOR_SEED, displaced=False)
 
     def _parameters_declaration(self) -> str:
         if self.library.baked:
@@ -164,39 +169,33 @@ class Extras:
     def _example(self) -> str:
         if not {"kinematics", "controller"} <= set(self.library.operations):
             return self._example_calls()
-        settling = settling_start(self.library.context) if "simulator" in self.library.operations else None
-        if settling is not None:
-            return self._example_machine(settling)
-        posture, inertia, length = self._start()
-        context, real = self.library.context, self.library.real
-        rest = context.plant.rest.call([np.zeros(context.plant.n_base), posture, context.plant.parameter_values])[0]
-        kinematics = self.library.operations["kinematics"][0]
-        members = [f"{{{', '.join(number(v, real) for v in rest.full().ravel())}}}"]
-        members += ["{0}" for field in kinematics.inputs[1:] if field.dimensions]
+        operations = {o.name: o for o in self.library.all_operations}
+        start = settling_start(self.library.context, operations)
+        if start is None and "machine_step" in operations:
+            del operations["machine_step"]
+            start = settling_start(self.library.context, operations)
+        if start is None:
+            return self._example_calls()
+        real, of_machine = self.library.real, "machine_step" in operations
+        set_damping = set_rates = ""
+        if start.nullspace_damping:
+            d, joints = number(start.nullspace_damping, real), f"{self.upper}_COORDINATES - {self.upper}_JOINTS"
+            set_damping = f"  controller.nullspace_damping = {d}; /* of the arm's self-motion */\n"
+            measured = f"machine.rates[{joints} + j]" if of_machine else "rate[j]"
+            set_rates = f"      controller.joint_rates[j] = {measured};\n"
         return self._template(
-            "example_loop.c",
-            inertia=f"(({self.prefix}_real){number(inertia, real)})",
-            start=listed(posture.tolist(), real),
-            distance=number(STEP * length, real),
-            rest_initialiser=", ".join(members),
-            parameters_declaration=self._parameters_declaration(),
-            foreign_includes=self._foreign_includes(),
-            foreign_calls=self._foreign_calls(),
-            **{"pass": "" if self.library.baked else "&parameters, "},
-        )
-
-    def _example_machine(self, settling: Start) -> str:
-        real = self.library.real
-        return self._template(
-            "example_machine.c",
+            "example_machine.c" if of_machine else "example_loop.c",
+            set_damping=set_damping,
+            set_rates=set_rates,
             rate=RATE_HZ,
             duration=DURATION_S,
-            substeps=settling.substeps,
-            start=listed([*settling.rest, *settling.posture], real),
-            kp=number(settling.kp, real),
-            kv=number(settling.kv, real),
-            distance=number(float(f"{settling.distance:.6g}"), real),
-            settled=f"{settling.settled:.4g}",
+            substeps=start.substeps,
+            inertia=f"(({self.prefix}_real){number(start.inertia, real)})",
+            start=listed([*start.rest, *start.posture], real),
+            kp=number(start.kp, real),
+            kv=number(start.kv, real),
+            distance=number(float(f"{start.distance:.6g}"), real),
+            settled=f"{start.settled:.4g}",
             foreign_includes=self._foreign_includes(),
             foreign_calls=self._foreign_calls(),
             parameters_declaration=self._parameters_declaration(),
@@ -218,7 +217,7 @@ class Extras:
                 *declared,
                 f"status = {name}(&in, {passed}&out, workspace, {self.upper}_WORKSPACE);",
                 f'printf("{operation.name}: %s", {self.prefix}_status_text(status));',
-                f"if (status == {self.upper}_OK) {{",
+                f"if ({self.prefix}_has_output(status)) {{",
                 f'  printf("; {first.name} %.9g ...", (double){value});',
                 "} else {",
                 "  ++failures;",
@@ -237,8 +236,9 @@ class Extras:
         return "".join(f'#include "{self.prefix}_{part}.h"\n' for part in self.library.foreign)
 
     def _ros2_node(self) -> str:
-        posture, inertia, _ = self._start()
+        posture, inertia = self._start()
         baked, context = self.library.baked, self.library.context
+        damped, real = damps_self_motion(context.plant, "inverse"), f"{self.prefix}_real"
         set_placement = declare_placement = ""
         if context.placement_matters:
             set_placement = (
@@ -257,6 +257,17 @@ class Extras:
             set_placement=set_placement,
             declare_placement=declare_placement,
             joint_names=", ".join(f'"{text_of(j)}"' for j in self.library.context.machine.joints),
+            set_rate=f"  void set_rate(std::size_t joint, double rate) {{ input_.joint_rates[joint] = "
+            f"static_cast<{self.prefix}_real>(rate); }}\n"
+            if damped
+            else "",
+            set_damping="    // Of the self-motion.\n"
+            f"    input_.nullspace_damping = static_cast<{real}>(derivative_gain);\n"
+            if damped
+            else "",
+            pass_rate="      if (index < m.velocity.size()) controller_.set_rate(j, m.velocity[index]);\n"
+            if damped
+            else "",
             load_parameters="" if baked else f"    {self.prefix}_default_parameters(&parameters_);\n",
             parameters_member="" if baked else f"  {self.prefix}_parameters parameters_{{}};\n",
             pass_member="" if baked else "&parameters_, ",
@@ -265,8 +276,8 @@ class Extras:
             start_list=", ".join(repr(float(v)) for v in posture),
         )
 
-    def _start(self) -> tuple[Array, float, float]:
-        """A posture far from singular ones, the mean inertia of its joints, and the arm's length."""
+    def _start(self) -> tuple[Array, float]:
+        """A posture far from singular ones, and the mean inertia of its joints."""
         context = self.library.context
         plant, p, base = context.plant, context.plant.parameter_values, ca.DM.zeros(context.plant.n_base, 1)
         postures = context.joint_angles.draw(np.random.default_rng(VECTOR_SEED), 64)
@@ -275,7 +286,7 @@ class Extras:
         rest = plant.rest.call([base, ca.DM(posture), p])[0]
         mass = plant.mass.call([rest, base, p])[0].full()
         inertia = float(np.trace(mass[plant.n_passive :, plant.n_passive :])) / plant.n_actuated
-        return posture, float(f"{inertia:.4g}"), context.arm_length
+        return posture, float(f"{inertia:.4g}")
 
     # The README.
 
@@ -283,12 +294,13 @@ class Extras:
         library = self.library
         machine, baked = library.context.machine, library.baked
         operations = [
-            f"| `{self.prefix}_{o.name}` | `src/{self.prefix}_{part}.c` | {_cell(o.text)} | {library.workspace(o)} |"
+            f"| `{self.prefix}_{o.name}` | `src/{self.prefix}_{part}.c` | {_cell(o.text)} | {library.workspace(o)} "
+            f"| {100 * library.acceptance[o.name]:.0f} % |"
             for part, group in library.operations.items()
             for o in group
         ]
         operations += [
-            f"| `{name}` | `src/{self.prefix}_{part}.c` | {PARTS[part].title}, see below | of its own |"
+            f"| `{name}` | `src/{self.prefix}_{part}.c` | {PARTS[part].title}, see below | of its own | |"
             for part, foreign in library.foreign.items()
             for name in foreign.functions
         ]
@@ -300,7 +312,7 @@ class Extras:
             *self._accepted_call(first),
             f"{self.prefix}_status status =",
             f"    {self.prefix}_{first.name}(&in, {passed}&out, workspace, {self.upper}_WORKSPACE);",
-            f"if (status != {self.upper}_OK) puts({self.prefix}_status_text(status));",
+            f"if (!{self.prefix}_has_output(status)) puts({self.prefix}_status_text(status));",
         ]
         return self._template(
             "README.md",
@@ -322,7 +334,14 @@ class Extras:
             foreign="".join(foreign.readme() for foreign in library.foreign.values()),
             bounded_words="the number of steps does not depend on the numbers"
             + ("; that of the optimiser does, up to its budget" if library.foreign else ""),
-            statuses="\n".join(f"| `{self.upper}_{name}` | {text} |" for name, text in STATUSES.items()),
+            statuses="\n".join(
+                f"| `{self.upper}_{name}` | {text} | {'new' if name in WITH_OUTPUT else 'as it was'} |"
+                for name, text in STATUSES.items()
+            ),
+            allowance_deg=f"{math.degrees(library.context.limit_allowance['rad']):g}",
+            allowance_m=f"{library.context.limit_allowance['m']:g}",
+            counted_max=f"{library.context.counted_max('rad'):g}",
+            acceptance="\n" + ACCEPTANCE if any(o.guards for o in library.all_operations) else "",
             ros_words=", and `ros2_node.cpp`, a ROS 2 node (compiles without ROS 2, too)"
             if "controller" in library.operations
             else "",

@@ -12,19 +12,20 @@ from flexopt.algebra.riccati import riccati_pair, top_eigenpairs
 from flexopt.export.context import Context, unit_list
 from flexopt.export.control import GAIN_MAX
 from flexopt.export.modal_kernels import ModalKernels
-from flexopt.export.operations import Field, Guard, Operation
+from flexopt.export.operations import TOLERANCES, Field, Guard, Operation
 from flexopt.robustness.margin import Margin, build_margin
 
 WEIGHT_MAX = 1e6
 SERVO_GAIN_RANGE = (1e-6, 1e15)
-# In single precision the w_i lose too many digits where a mode is hardly reached or seen; within this bound, and that
-# of `Context.regular`, errors stay below 1e-4 of |a_i||b_i|.
-SINGLE_SIGNIFICANCE = 4e-3
+# The joints are free to move in a mode, and the arm's inertia holds the end-point still: a_i is a small difference of
+# large terms, and its error, like that which the last digit of an angle makes, is a share of these terms, not of a_i.
+# That of w_i is an output. Below this |a_i||b_i| relative to its terms it would be a hundredth of |a_i||b_i| or more.
+SINGLE_SIGNIFICANCE = 1.6e-4
 # Modes whose frequencies are closer than this, relative, keep too few digits in single precision.
 SINGLE_GAP = 1e-2
-# Where the end-point is close to a node of a mode, a_i is a small difference of large terms: their rounding counts by
-# this share. Errors of modes are divided by the gap of their frequencies; clusters of equal ones are computed as such.
-TERMS_SHARE, GAP_MIN = 1e-3, 1e-6
+# The rounding of the terms counts by this share, in double and in single precision. Errors of modes are divided by the
+# gap of their frequencies; clusters of equal ones are computed as such.
+TERMS_SHARE, GAP_MIN = {False: 1e-3, True: 1.6e-2}, 1e-6
 # ε_max in single and double precision: the most that the doublings may leave, and the largest X_ii Z_ii, which
 # multiplies rounding errors.
 LEFT_OVER = {True: 1e-3, False: 1e-6}
@@ -41,16 +42,20 @@ def measures(at: Context) -> tuple[Operation, ...]:
         (field("angular_frequency", "MODES", "rad/s", "undamped, ascending", scale="itself"), frequency, frequency),
         (field("w", "MODES", "m/(N s^2)" if at.control == "transpose" else "1/(kg m^2)", "w_i = lambda_min(R_i + "
                "R_i^T) = a.b - |a||b|, at most 0", scale=about.meaning), graph.w, size),
+        (field("w_error", "MODES", "as w", "largest error of w_i by rounding", scale="itself over gap_i"), about.error,
+         about.error_size),
         (field("w_size", "MODES", "as w", "|a_i||b_i|, the size of R_i = a_i b_i^T", scale="as of w_i"),
          graph.size, size),
         (field("value", "", "as w", "V = sum of weights_i w_i", scale="sum of weights_i times the scale of w_i"),
          ca.dot(alpha, graph.w), ca.dot(alpha, size)),
         (field("gradient", "CHOICE", f"V per {choice}", "dV/dz, z = [placement; joint_angles]",
-               scale="sum of weights_i (scale of w_i + |dw_i/dz|/gap_i)"), about.gradient, about.gradient_size),
+               scale=f"sum of weights_i (scale of w_i + |dw_i/dz|/gap_i, times {about.share:g} of w_i's terms over "
+               "w_size_i where that is more than 1)"), about.gradient, about.gradient_size),
     ]  # fmt: skip
     text = (
         f"Measures of a posture under Jacobian {at.control} control, passive coordinates at rest: w_i of every mode, "
-        "their weighted sum V, and its exact gradient."
+        "their weighted sum V, and its exact gradient. Where the end-point hardly moves in a mode its w_i is a "
+        "difference of larger numbers: w_error says how large its rounding error may be."
     )
     return (about.operation("measures", text, [], outputs, []),)
 
@@ -131,7 +136,7 @@ def _margin_with_condition(margin: Margin) -> ca.Function:
     symbols = [ca.MX.sym("base", g.base.shape[0]), ca.MX.sym("posture", g.posture.shape[0]),
                ca.MX.sym("p", g.p.shape[0]), ca.MX.sym("kr")]  # fmt: skip
     plant_a, *others = margin.scaled_plant.call([*symbols, *margin.hold.call(symbols)])
-    solution = riccati_pair(n, margin.doublings, compact=True).call([plant_a, *weights.call(others)])
+    solution = riccati_pair(n, margin.doublings, compact=True, fixed=True).call([plant_a, *weights.call(others)])
     values = top_eigenpairs(n, margin.plant.n_task).call(solution[:2])[0]
     outputs = [1 / ca.sqrt(1 + values), solution[2], *condition.call(solution[:2])]
     return ca.Function("margin", symbols, outputs)
@@ -145,16 +150,15 @@ def _choice_units(at: Context) -> tuple[str, ...]:
 class _Weighted:
     """V = Σ α_i w_i at a posture: the inputs that its operations share, and graphs of V's gradient and its size."""
 
-    meaning = (
-        f"|a_i||b_i|, or {TERMS_SHARE:g} of the terms it is summed from where that is more; over gap_i, the distance "
-        "of omega_i^2 from the next one relative to their mean, where that is below 1"
-    )
-
     def __init__(self, at: Context) -> None:
         plant = at.plant
         weights = at.sizes.field("weights", "MODES", "", "alpha_i of V, one for each mode", high=WEIGHT_MAX,
                                  sample=(0.0, 1.0))  # fmt: skip
-        self.at, self.kernels = at, ModalKernels(at)
+        self.at, self.kernels, self.share = at, ModalKernels(at), TERMS_SHARE[at.single]
+        self.meaning = (
+            f"|a_i||b_i|, or {self.share:g} of the terms it is summed from where that is more; over gap_i, the "
+            "distance of omega_i^2 from the next one relative to their mean, where that is below 1"
+        )
         self.alpha, posture = ca.MX.sym("weights", plant.n_passive), ca.MX.sym("posture", plant.n_actuated)
         self.inputs = [(at.joint_angles, posture), (weights, self.alpha)]
         base = ca.MX.sym("base", plant.n_base)
@@ -164,8 +168,13 @@ class _Weighted:
         self.graph = self.kernels.graph(self.machine_inputs, self.alpha)
         self.gradient = self.graph.gradient
         gap = ca.fmax(self.graph.gap, GAP_MIN)
-        self.size = ca.fmax(self.graph.size, TERMS_SHARE * self.graph.terms) / gap
-        self.gradient_size = ca.dot(self.alpha, self.size + self.graph.gradient_sizes() / gap)
+        terms = self.share * self.graph.terms
+        self.size = ca.fmax(self.graph.size, terms) / gap
+        self.error = TOLERANCES["float" if at.single else "double"] * self.size
+        self.error_size = self.error / gap
+        # |a_i| has a kink where a_i vanishes, so that there the rounding of a_i turns its gradient.
+        slopes = self.graph.gradient_sizes() * ca.fmax(1, terms / self.graph.size) / gap
+        self.gradient_size = ca.dot(self.alpha, self.size + slopes)
 
     def operation(
         self,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
@@ -19,8 +19,16 @@ from flexopt.errors import ExportError
 
 Array = NDArray[np.float64]
 Status = Literal["SINGULAR_POSTURE", "NOT_ACCURATE"]
+# Largest error of an output by rounding, as a share of its scale.
+TOLERANCES = {"double": 1e-12, "float": 1e-4}
 # A sample is drawn again where a guard refuses it; so often at most.
 DRAWS_MAX = 100
+# 2π in two parts, of which the first has so few digits that its multiples are exact in either precision.
+TURN = (6.28125, 2 * math.pi - 6.28125)
+# Share of the numbers in test inputs that lie beyond the machine's limits, or whole turns away.
+DISPLACED, TURNS = 0.1, 3
+# Random inputs by which it is told how many of them a function takes.
+ACCEPTANCE_COUNT, ACCEPTANCE_SEED = 1000, 7
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,8 @@ class Field:
         low, high: allowed range of each element; unused for outputs.
         sample: range from which test inputs are drawn; `low` and `high` where None.
         logarithmic: whether the logarithm is drawn evenly.
+        design: the machine's own limits where measurements may lie beyond them, inside `low` and `high`.
+        turning: for each element whether it is an angle that whole turns leave as it is; none where empty.
         scale: outputs: in words, the size by which errors are judged.
     """
 
@@ -48,6 +58,8 @@ class Field:
     high: tuple[float, ...] = ()
     sample: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     logarithmic: bool = False
+    design: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    turning: tuple[bool, ...] = ()
     scale: str = ""
 
     @property
@@ -61,6 +73,31 @@ class Field:
         if self.logarithmic:
             return np.exp(rng.uniform(np.log(low), np.log(high), (count, self.length)))
         return rng.uniform(low, high, (count, self.length))
+
+    def displaced(self, rng: np.random.Generator, values: Array) -> Array:
+        """The same, some of them beyond the machine's limits and some whole turns away, as far as that is allowed."""
+        if self.design is not None:
+            share, upper = rng.uniform(0, 1, values.shape), rng.random(values.shape) < 0.5
+            (low, high), shape = (np.asarray(side) for side in self.design), values.shape
+            room = np.where(upper, self.high - high, low - np.asarray(self.low))
+            beyond = np.where(upper, high + share * room, low - share * room)
+            values = np.where((rng.random(shape) < DISPLACED) & (room > 0), beyond, values)
+        if any(self.turning):
+            turns = rng.integers(-TURNS, TURNS + 1, values.shape) * (rng.random(values.shape) < DISPLACED)
+            values = values + 2 * math.pi * turns * np.asarray(self.turning)
+        return values
+
+    def within(self, values: Array, *, design: bool = False, room: float = 0.0) -> NDArray[np.bool_]:
+        """Whether all numbers of each row lie in their ranges, or in the machine's own, `room` kept from the ends."""
+        low, high = self.design if design and self.design is not None else (self.low, self.high)
+        return np.asarray(((values >= np.add(low, room)) & (values <= np.subtract(high, room))).all(axis=1))
+
+    def unwound(self, values: Array) -> Array:
+        """Angles that turn freely, reduced to ±π as the C code does."""
+        if not any(self.turning):
+            return values
+        turns = np.floor(values / (2 * math.pi) + 0.5)
+        return np.where(self.turning, (values - turns * TURN[0]) - turns * TURN[1], values)
 
 
 @dataclass(frozen=True)
@@ -106,13 +143,29 @@ class Operation:
         """Whether the machine's parameters are constants."""
         return self.kernel.n_in() == len(self.inputs)
 
-    def draw(self, parameters: Parameters, count: int, seed: int) -> Samples:
+    def random_rows(
+        self, parameters: Parameters, rng: np.random.Generator, count: int, *, displaced: bool = False
+    ) -> Array:
+        """Random inputs, with parameters where they are inputs, as the C code will see them."""
+        columns = [field.draw(rng, count) for field in self.inputs]
+        if displaced:
+            columns = [field.displaced(rng, part) for field, part in zip(self.inputs, columns, strict=True)]
+        columns += [] if self.baked else [parameters.draw(rng, count)]
+        return parameters.rounded(np.hstack(columns))
+
+    def acceptance(self, parameters: Parameters) -> float:
+        """Share of random inputs, inside the machine's limits, with its own parameters, that the guards let through."""
+        own, rng = replace(parameters, spread=(0.0,) * len(parameters.spread)), np.random.default_rng(ACCEPTANCE_SEED)
+        return float(np.mean(self.reference(self.random_rows(own, rng, ACCEPTANCE_COUNT)).accepted))
+
+    def draw(self, parameters: Parameters, count: int, seed: int, *, displaced: bool = True) -> Samples:
         """Random inputs that no guard refuses, and what the kernel makes of them in CasADi's virtual machine.
 
         Args:
             parameters: the machine's, of which every sample gets its own.
             count: how many.
             seed: the same one gives the same samples.
+            displaced: whether some measurements lie beyond the machine's limits, and some whole turns away.
 
         Raises:
             ExportError: the guards refuse almost all inputs.
@@ -122,9 +175,7 @@ class Operation:
         for _ in range(DRAWS_MAX):
             if sum(len(part) for part in kept) >= count:
                 break
-            columns = [field.draw(rng, count) for field in self.inputs]
-            columns += [] if self.baked else [parameters.draw(rng, count)]
-            rows = parameters.rounded(np.hstack(columns))
+            rows = self.random_rows(parameters, rng, count, displaced=displaced)
             kept.append(rows[self.reference(rows).accepted])
         rows = np.vstack(kept)[:count]
         if len(rows) < count:
@@ -139,9 +190,12 @@ class Operation:
         """The kernel at given inputs (count, inputs and parameters), by CasADi's virtual machine in double."""
         if not len(rows):
             empty = np.zeros((0, sum(field.length for field in self.outputs)))
-            return Samples(rows, empty, empty, np.zeros(0, bool))
-        edges = np.cumsum([self.kernel.nnz_in(k) for k in range(self.kernel.n_in())])[:-1]
-        arguments = [ca.DM(part.T) for part in np.split(rows, edges, axis=1)]
+            return Samples(rows, empty, empty, np.zeros(0, bool), np.zeros(0, bool))
+        parts = self.split(rows)
+        own = zip(self.inputs, parts, strict=False)
+        beyond = ~np.all([field.within(part, design=True) for field, part in own], axis=0)
+        arguments = [ca.DM(field.unwound(part).T) for field, part in zip(self.inputs, parts, strict=False)]
+        arguments += [ca.DM(part.T) for part in parts[len(self.inputs) :]]
         results = _mapped(self.kernel, arguments, len(rows))
         sizes = _mapped(self.scales, arguments, len(rows))
         n = len(self.outputs)
@@ -150,7 +204,20 @@ class Operation:
         accepted = np.asarray(np.isfinite(outputs).all(axis=1))
         for guard, value in zip(self.guards, results[n:], strict=True):
             accepted = accepted & guard.passes(value[:, 0])
-        return Samples(rows, outputs, np.hstack(scales), accepted)
+        return Samples(rows, outputs, np.hstack(scales), accepted, beyond)
+
+    def split(self, rows: Array) -> list[Array]:
+        """Columns of each input, and of the parameters where they are inputs."""
+        edges = np.cumsum([self.kernel.nnz_in(k) for k in range(self.kernel.n_in())])[:-1]
+        return np.split(rows, edges, axis=1)
+
+    def takes(self, rows: Array, *, room: float) -> NDArray[np.bool_]:
+        """Whether the C function takes each row without a remark, measurements `room` inside the machine's limits."""
+        inside = [
+            field.within(part, design=True, room=room if field.design is not None else 0.0)
+            for field, part in zip(self.inputs, self.split(rows), strict=False)
+        ]
+        return self.reference(rows).accepted & np.all(inside, axis=0)
 
 
 @dataclass(frozen=True)
@@ -162,12 +229,14 @@ class Samples:
         outputs: (count, n_out), Python's.
         scales: sizes of the outputs, (count, n_out).
         accepted: whether every guard lets the results through.
+        beyond: whether a measurement lies beyond the machine's limits.
     """
 
     inputs: Array
     outputs: Array
     scales: Array
     accepted: NDArray[np.bool_]
+    beyond: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -232,6 +301,8 @@ class Sizes:
         high: float | tuple[float, ...] = 0.0,
         sample: tuple[float | tuple[float, ...], float | tuple[float, ...]] | None = None,
         logarithmic: bool = False,
+        design: tuple[tuple[float, ...], tuple[float, ...]] | None = None,
+        turning: tuple[bool, ...] = (),
         scale: str = "",
     ) -> Field:
         """A field whose dimensions are given by name, `"TASK JOINTS"`; numbers stand for all elements."""
@@ -243,4 +314,6 @@ class Sizes:
             return value if isinstance(value, tuple) else (value,) * length
 
         drawn = None if sample is None else (spread(sample[0]), spread(sample[1]))
-        return Field(name, names, shape, unit, text, spread(low), spread(high), drawn, logarithmic, scale)
+        return Field(
+            name, names, shape, unit, text, spread(low), spread(high), drawn, logarithmic, design, turning, scale
+        )

@@ -28,7 +28,7 @@ from flexopt.model.arguments import Arguments
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_margin_deg, check_weights
 from flexopt.model.quantities import COORDINATE_MAX
 from flexopt.plant.inverse_kinematics import low_discrepancy
-from flexopt.plant.reach import outer_reach
+from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures
 
 # Own starts kept, and placements (or points of the redundancy) looked at for them, each elbow; where postures have no
@@ -48,7 +48,12 @@ ROUGH = {"double": 1e-4, "float": 1e-2}
 MARGIN_EDGE = {"double": 1e-10, "float": 1e-4}
 # Instructions of an emulated Cortex-M7 (benchmarks/optimiser.py): an operation of a unit of the budget, what a unit
 # takes besides, what a call may take.
-PER_OPERATION, PER_UNIT, INSTRUCTIONS = 2.35, 4200, 4_900_000
+PER_OPERATION, PER_UNIT, INSTRUCTIONS = {"double": 2.35, "float": 2.1}, 4200, 4_900_000
+# Rounding of positions relative to the reach, in units of the precision; how far off its target an answer may be.
+EDGE, TARGET_TOLERANCES = 32, {"double": 128, "float": 8}
+# In double precision Newton's method ends at rounding by itself; in single precision its last step but one is close
+# enough to end a climb's step, and one or two more bring what an answer needs.
+SETTLING = {"double": 0, "float": 2}
 # Step of differences of slopes, in scaled variables: the root of a slope's rounding error.
 PROBES = {"double": 1e-6, "float": 1e-2}
 
@@ -147,13 +152,13 @@ def build_optimiser(
         weights = alpha
     kernels = build_optimiser_kernels(at, measures, weights=weights)
     text = kernel_text(kernels.functions, real, real_type or real)
-    budget = budget or default_budget(kernels)
+    budget = budget or default_budget(kernels, real)
     values = _values(at, measures, kernels, text.kernels, weights is None, real, margin, budget)
     values |= {"p": f"{prefix}_optimiser", "P": f"{prefix}_optimiser".upper(), "real": real_type or real}
     header = _filled(_template("optimiser.h"), values, real)
     values |= {
         "DERIVATIVES": _template("optimiser_exact.c" if kernels.exact_second else "optimiser_differences.c"),
-        "SAMPLING": _template("optimiser_closed_form.c" if kernels.closed_form else "optimiser_sampled.c"),
+        "SAMPLING": _template("optimiser_sampled.c" if kernels.posture is None else "optimiser_closed_form.c"),
     }
     body = _calls(_filled(_template("optimiser.c"), values, real), text.kernels)
     enumerated = header[header.index("typedef enum") : header.index(f"}} {values['p']}_status")]
@@ -185,9 +190,9 @@ def optimiser_refusal(machine: AnyMachine) -> str:
     return ""
 
 
-def default_budget(kernels: OptimiserKernels) -> int:
+def default_budget(kernels: OptimiserKernels, real: Real) -> int:
     """Evaluations of V that cost less than five million instructions of an emulated Cortex-M7."""
-    return BUDGET if kernels.exact_second else int(INSTRUCTIONS / (PER_OPERATION * kernels.unit + PER_UNIT))
+    return BUDGET if kernels.exact_second else int(INSTRUCTIONS / (PER_OPERATION[real] * kernels.unit + PER_UNIT))
 
 
 def _check_budget(value: Any) -> int:
@@ -249,11 +254,11 @@ def _values(
         **_eigenvectors(kernels, plant.n_passive),
         "HESSIAN": "exact Hessian" if kernels.exact_second else "Hessian by differences of exact slopes",
         "COST_SLOPE": str(kernels.model_cost if kernels.exact_second else kernels.slope_cost),
-        "BASE_IDLE": str(int(not kernels.closed_form and all(idle))),
+        "BASE_IDLE": str(int(kernels.posture is None and all(idle))),
         "ROUGH": number(ROUGH[real], real),
         "MARGIN_EDGE": number(MARGIN_EDGE[real], real) if plant.n_task > 3 else "EDGE",
         "PROJECTIONS": str(kernels.projections),
-        "ROUNDS": "1" if kernels.closed_form else str(ROUNDS),
+        "ROUNDS": str(ROUNDS) if kernels.posture is None else "1",
         "SPARE": ", ".join(map(str, [*_spare(measures, idle), *[0] * plant.n_actuated])),
         "PROBE": number(PROBES[real], real),
         "ANGLES": ", ".join(str(int(unit == "rad")) for unit in units),
@@ -277,6 +282,11 @@ def _values(
         "TOLERANCE": number(tolerance, real),
         "STATIONARY_ENOUGH": number(enough, real),
         "TIE": number(tie, real),
+        "SETTLING": str(SETTLING[real]),
+        "TARGET_TOLERANCE": number(TARGET_TOLERANCES[real] * EPSILON[real], real),
+        "MARGIN_TOLERANCE": number(4 * (MARGIN_EDGE[real] if plant.n_task > 3 else EDGE * EPSILON[real]), real),
+        "EDGE": f"{EDGE}.0",
+        "FIXED_ROWS": ", ".join(map(str, _fixed_rows(measures))),
     }  # fmt: skip
 
 
@@ -306,6 +316,16 @@ def _spare(measures: Measures, idle: Sequence[bool]) -> list[int]:
     return [int(i not in kept) for i in range(plant.n_base)]
 
 
+def _fixed_rows(measures: Measures) -> list[int]:
+    """1 for each row of the task in which no placement moves the arm and no slide or deflection lengthens it."""
+    plant, machine = measures.plant, measures.plant.machine
+    if measures.gravity or (not plant.closed_form and path_to_end_point(machine)[1]):
+        return [0] * plant.n_task
+    turns = "rad" in machine.base_units
+    moved = {*machine.base_coordinates, *("x", "y") * turns}
+    return [int(row in ("x", "y", "z") and row not in moved) for row in machine.task_rows]
+
+
 def _eigenvectors(kernels: OptimiserKernels, modes: int) -> dict[str, str]:
     """How the eigenvectors of one point are handed to the next one, where iterations start from them."""
     if kernels.exact_second:
@@ -324,22 +344,18 @@ def _eigenvectors(kernels: OptimiserKernels, modes: int) -> dict[str, str]:
 def _sampling(measures: Measures, kernels: OptimiserKernels, real: Real) -> dict[str, str]:
     """How the redundancy is sampled: in closed form placements and `units`, else all variables in their ranges."""
     plant, machine = measures.plant, measures.plant.machine
-    if kernels.closed_form:
+    if kernels.posture is not None:
         units = plant.n_actuated - 2
         of_kind = {"STEP_MAX": number(0.5, real), "PROJECTION_STEPS": "15"}
         of_kind |= {"UNITS": str(units), "SAMPLES": str(SURFACE_SAMPLES if units else CURVE_SAMPLES)}
         dimensions = units + 1
     else:
-        center, radius = outer_reach(plant)
-        along = dict(zip("xyz", center, strict=False))
         rows = [machine.task_rows.index(c) if c in machine.task_rows else -1 for c in machine.base_coordinates]
         # Longer steps and fewer of them, as each costs many times more.
         of_kind = {
             "STEP_MAX": number(0.8, real),
             "PROJECTION_STEPS": "8",
             "SAMPLES": str(SAMPLES),
-            "REACH": number(radius, real),
-            "FIRST_JOINT": ", ".join(number(float(along.get(row, 0.0)), real) for row in machine.task_rows),
             "ROWS_OF": ", ".join(map(str, [*rows, *[-1] * plant.n_actuated])),
         }
         dimensions = plant.n_base + plant.n_actuated

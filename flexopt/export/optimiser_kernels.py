@@ -15,6 +15,7 @@ import casadi as ca
 
 from flexopt.export.context import Context
 from flexopt.export.modal_kernels import HeldModes, ModalKernels
+from flexopt.plant.reach import path_to_end_point, slide_reach
 from flexopt.robustness.measures import Measures
 
 
@@ -29,8 +30,9 @@ class OptimiserKernels:
         distance, margin: (base, posture, p) -> sin² of the distance from singular postures; its gradient (n_z,).
         derivatives: `model`: (base, posture, p, held, weights) -> ∂V/∂z (n_z,), ∂²V/∂z² (n_z, n_z), the Hessians of
             r's rows side by side (n_z, n_task n_z), that of sin² (n_z, n_z); or `slope`: the same inputs -> ∂V/∂z.
-        closed_form: `posture`, as `Plant.posture_at`, and `reach`: (p) -> the first actuated joint with the base at 0
-            (n_task,), and the arm's length, m; none where postures have no closed form.
+        reach: (p) -> the first actuated joint with the base at 0 (n_task,), 0 in rows of no place, and how far the arm
+            reaches, m.
+        posture: as `Plant.posture_at`; None where postures have no closed form.
     """
 
     hold: ca.Function
@@ -39,12 +41,15 @@ class OptimiserKernels:
     distance: ca.Function
     margin: ca.Function
     derivatives: ca.Function
-    closed_form: tuple[ca.Function, ...]
+    reach: ca.Function
+    posture: ca.Function | None
 
     @property
     def functions(self) -> tuple[ca.Function, ...]:
         """All of them."""
-        return (self.hold, self.value, self.position, self.distance, self.margin, self.derivatives, *self.closed_form)
+        closed_form = () if self.posture is None else (self.posture,)
+        first = (self.hold, self.value, self.position, self.distance, self.margin, self.derivatives)
+        return (*first, self.reach, *closed_form)
 
     @property
     def exact_second(self) -> bool:
@@ -114,8 +119,12 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
     distance = function("distance", inputs, {"sine_squared": sine})
     margin = function("margin", inputs, {"sine_squared_z": ca.gradient(sine, z)})
     if not plant.closed_form:
+        first_joint, length = path_to_end_point(plant.machine)[0].call([g.p])
+        along = dict(zip("xyz", ca.vertsplit(first_joint), strict=True))
+        rows = ca.vertcat(*(along.get(row, ca.SX(0)) for row in plant.machine.task_rows))
+        reach = function("reach", {"p": g.p}, {"first_joint": rows, "length": length + slide_reach(plant)})
         return OptimiserKernels(
-            **_called(at, weights), position=position, distance=distance, margin=margin, closed_form=()
+            **_called(at, weights), position=position, distance=distance, margin=margin, reach=reach, posture=None
         )
     graph = measures.graph
     factors = ca.sqrt(ca.sum1(graph.a**2) * ca.sum1(graph.b**2)).T
@@ -136,10 +145,8 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
         position=position,
         distance=distance,
         margin=margin,
-        closed_form=(
-            function("posture", target, to_posture),
-            function("reach", {"p": g.p}, {"first_joint": at_origin[:-1], "length": at_origin[-1]}),
-        ),
+        reach=function("reach", {"p": g.p}, {"first_joint": at_origin[:-1], "length": at_origin[-1]}),
+        posture=function("posture", target, to_posture),
     )
 
 

@@ -28,7 +28,7 @@ def simulator(at: Context) -> tuple[Operation, ...]:
     units = g.coordinate_units
     placed = [(at.placement, g.base)] if plant.n_base else []
     inputs = [
-        (at.coordinates(0.02, inside_limits=False), g.q),
+        (at.coordinates(0.02, measured=False), g.q),
         (field("rates", "COORDINATES", unit_list(units, "{}/s"), "rates v = dq/dt", low=-RATE_MAX, high=RATE_MAX,
                sample=(-0.3, 0.3)), v),
         (field("torque", "JOINTS", torque_unit(at), "of the actuated joints, held during the step", low=-TORQUE_MAX,

@@ -6,6 +6,7 @@ generated kernels.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,20 +16,24 @@ from flexopt.export.context import Context
 from flexopt.export.foreign import Foreign
 from flexopt.export.kernels import Kernel, KernelText, Real, kernel_text
 from flexopt.export.naming import comment, constants, listed, number, template, text_of
-from flexopt.export.operations import Field, Guard, Operation
+from flexopt.export.operations import TURN, Field, Guard, Operation
 from flexopt.export.parts import PARTS
 from flexopt.model.documents import package_version
 
 STATUSES = {
     "OK": "success: every output is written and finite",
     "NULL_POINTER": "a pointer is NULL",
-    "BAD_WORKSPACE": "the workspace is misaligned or too short",
+    "BAD_WORKSPACE": "the workspace is misaligned, too short, or overlaps another argument",
     "NOT_FINITE": "an input or a parameter is NaN or infinite",
     "OUT_OF_RANGE": "an input or a parameter is outside its range",
     "SINGULAR_POSTURE": "the arm is too close to a posture where its Jacobian loses rank",
-    "NOT_ACCURATE": "the result would not be accurate: an iteration has not accurate, or digits cancel",
+    "NOT_ACCURATE": "the result would not be accurate: an iteration has not converged, or digits cancel",
     "NUMERICAL_FAILURE": "a result is not finite",
+    "BEYOND_LIMIT": "a warning: every output is written and finite, but a measured joint lies beyond its limit, by no "
+    "more than is allowed",
 }
+# Those after which the outputs are new; the others leave them as they were.
+WITH_OUTPUT = ("OK", "BEYOND_LIMIT")
 SIZE_TEXTS = {
     "TASK": "rows of the end-point task",
     "COORDINATES": "all coordinates q, passive first",
@@ -111,6 +116,11 @@ class Library:
     def _n_results(operation: Operation) -> int:
         return sum(field.length for field in operation.outputs)
 
+    @cached_property
+    def acceptance(self) -> dict[str, float]:
+        """Share of random inputs that each operation's own tests let through."""
+        return {o.name: o.acceptance(self.context.parameters) for o in self.all_operations}
+
     def kernel_digest_text(self) -> str:
         """What decides the bundle's content, to be hashed: kernels, documentation, ranges."""
         parts = [text.text for text in self._kernel_texts.values()]
@@ -121,7 +131,7 @@ class Library:
         """Path -> text of the library's files."""
         texts = {
             f"include/{self.prefix}_control.h": self.header(bundle_hash),
-            f"src/{self.prefix}_internal.h": self._template("internal.h", REAL_MAX=self._real_max),
+            f"src/{self.prefix}_internal.h": self._template("internal.h", **self._constants),
             f"src/{self.prefix}_common.c": self._common(),
         }
         texts |= {f"src/{self.prefix}_{part}.c": self._part(part) for part in self.operations}
@@ -130,8 +140,12 @@ class Library:
         return texts
 
     @property
-    def _real_max(self) -> str:
-        return "DBL_MAX" if self.real == "double" else "FLT_MAX"
+    def _constants(self) -> dict[str, str]:
+        """What the checks need in the bundle's precision."""
+        values = {"TURN": 2 * math.pi, "TURN_HIGH": TURN[0], "TURN_LOW": TURN[1], "HALF": 0.5}
+        numbers = {name: number(value, self.real) for name, value in values.items()}
+        largest, floor = ("DBL_MAX", "floor") if self.real == "double" else ("FLT_MAX", "floorf")
+        return numbers | {"REAL_MAX": largest, "FLOOR": floor}
 
     def _template(self, file: str, /, **values: object) -> str:
         return template(file, prefix=self.prefix, PREFIX=self.upper, **values)
@@ -142,6 +156,7 @@ class Library:
         """The public header."""
         machine = self.context.machine
         sizes = [f"  {self.upper}_{name} = {value}, {comment(SIZE_TEXTS[name])}" for name, value in self.sizes.items()]
+        allowance = self.context.limit_allowance
         statuses = [f"  {self.upper}_{name} = {k}, {comment(text)}" for k, (name, text) in enumerate(STATUSES.items())]
         return self._template(
             "header.h",
@@ -153,6 +168,9 @@ class Library:
             real="double" if self.real == "double" else "float",
             part_macros="\n".join(f"#define {self.upper}_HAS_{part.upper()} 1" for part in self.parts),
             sizes=_without_last_comma(sizes),
+            allowance_rad=number(allowance["rad"], self.real),
+            allowance_m=number(allowance["m"], self.real),
+            counted_max=f"{self.context.counted_max('rad'):g}",
             statuses=_without_last_comma(statuses),
             enums=self._enums(),
             parameters=self._parameters(),
@@ -276,9 +294,16 @@ class Library:
     def _definition(self, operation: Operation, kernel: Kernel) -> str:
         tables, checks = self._input_checks(operation)
         results = self._n_results(operation)
-        pointers = [f"    arg[{k}] = {_address('in', field)};" for k, field in enumerate(operation.inputs)]
+        checks = [*self._overlaps(operation), *checks]
+        turned = [self._turned(field) for field in operation.inputs if any(field.turning)]
+        pointers = [
+            f"    arg[{k}] = {f'turned_{field.name}' if any(field.turning) else _address('in', field)};"
+            for k, field in enumerate(operation.inputs)
+        ]
         if not self.baked:
             pointers.append(f"    arg[{len(operation.inputs)}] = parameters->value;")
+        design = [self._design(field) for field in operation.inputs if _has_margin(field)]
+        remark = f"{self.upper}_OK" if not design else "remark"
         offset = 0
         for k, length in enumerate([*(f.length for f in operation.outputs), *(1 for _ in operation.guards)]):
             pointers.append(f"    res[{k}] = &workspace[{offset}];")
@@ -288,6 +313,8 @@ class Library:
         scratch = [f"  const {self.prefix}_real *arg[{kernel.sz_arg}];", f"  {self.prefix}_real *res[{kernel.sz_res}];"]
         if "iw" in kernel.parameters:
             scratch.append(f"  int iw[{kernel.sz_iw}];")
+        tables += [line for lines, _ in (*turned, *design) for line in lines]
+        scratch += [f"  {self.prefix}_status remark = {self.upper}_OK;"] if design else []
         given = "(in != NULL) && (out != NULL)" + ("" if self.baked else " && (parameters != NULL)")
         return self._template(
             "operation.c",
@@ -297,7 +324,8 @@ class Library:
             tables="".join(line + "\n" for line in [*tables, *scratch]),
             given=given,
             checks="\n".join(self._unless_failed(check) for check in checks),
-            pointers="\n".join(pointers),
+            pointers="\n".join([*(line for _, line in (*turned, *design)), *pointers]),
+            remark=remark,
             call=call,
             guards="\n".join(self._guard(guard, results + k) for k, guard in enumerate(operation.guards)),
             results=results,
@@ -326,6 +354,38 @@ class Library:
                 value = f"parameters->value[{self.parameter_constants[index]}]"
                 checks.append(f"{self.prefix}_check_number({value}, {low}, {high})")
         return tables, checks
+
+    def _overlaps(self, operation: Operation) -> list[str]:
+        """Expressions that refuse a workspace that lies over another argument."""
+        given = [
+            (_first("in", operation.inputs[0]), "sizeof(*in)"),
+            (_first("out", operation.outputs[0]), "sizeof(*out)"),
+        ]
+        given += [] if self.baked else [("parameters->value", "sizeof(*parameters)")]
+        needed = f"{self.upper}_{operation.name.upper()}_WORKSPACE"
+        return [f"{self.prefix}_check_apart(workspace, {needed}, {address}, {size})" for address, size in given]
+
+    def _turned(self, field: Field) -> tuple[list[str], str]:
+        """Declarations and a call that take whole turns off angles that turn freely."""
+        length = field.length
+        tables = [
+            f"  static const int {field.name}_turns[{length}] = {{{', '.join(str(int(t)) for t in field.turning)}}};",
+            f"  {self.prefix}_real turned_{field.name}[{length}];",
+        ]
+        name = field.name
+        return tables, f"    {self.prefix}_unwind(in->{name}, {length}U, {name}_turns, turned_{name});"
+
+    def _design(self, field: Field) -> tuple[list[str], str]:
+        """Tables and a call that tell whether a measurement lies beyond the machine's own limits."""
+        assert field.design is not None
+        name = field.name
+        tables = [
+            f"  static const {self.prefix}_real {name}_{end}[{field.length}] = {listed(values, self.real)};"
+            for end, values in zip(("least", "most"), field.design, strict=True)
+        ]
+        call = f"{self.prefix}_check_each(in->{name}, {field.length}U, {name}_least, {name}_most)"
+        condition = f"    if ({call} != {self.upper}_OK) {{\n      remark = {self.upper}_BEYOND_LIMIT;\n    }}"
+        return tables, condition
 
     def _range_tables(self, name: str, low: tuple[float, ...], high: tuple[float, ...]) -> list[str]:
         return [
@@ -389,6 +449,16 @@ def _condition_text(guard: Guard, value: str, real: Real) -> str:
 
 def _address(structure: str, field: Field) -> str:
     return f"{structure}->{field.name}" if field.dimensions else f"&{structure}->{field.name}"
+
+
+def _first(structure: str, field: Field) -> str:
+    """Address of the first real of a structure."""
+    return f"&{structure}->{field.name}" + "[0]" * len(field.dimensions)
+
+
+def _has_margin(field: Field) -> bool:
+    """Whether measurements may lie beyond the machine's limits."""
+    return field.design is not None and field.design != (field.low, field.high)
 
 
 def _without_last_comma(lines: list[str]) -> str:

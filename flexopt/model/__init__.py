@@ -13,6 +13,7 @@ from flexopt.model.problem import SelectionOptions as SelectionOptions
 from flexopt.model.reading import load as load
 from flexopt.model.reading import load_any as load_any
 from flexopt.model.reading import load_experiment as load_experiment
+from flexopt.model.reading import load_file as load_file
 from flexopt.model.reading import load_problem as load_problem
 from flexopt.model.reading import load_simulated as load_simulated
 from flexopt.model.reading import machine_from_dict as machine_from_dict

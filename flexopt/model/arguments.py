@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model.machine import AnyMachine, Machine
+from flexopt.model.plain import plain, shown
 from flexopt.model.problem import Control, check_control, check_placement, check_task
 from flexopt.model.quantities import check_number, coordinate_max
 
 Vector = NDArray[np.float64]
 T = TypeVar("T")
+_UNREAD: Any = object()
 
 
 class Arguments:
@@ -22,26 +25,57 @@ class Arguments:
 
     Each method returns the checked value, or a harmless stand-in after noting the fault; `done` raises `InputError`
     with every fault noted.
+
+    Attributes:
+        call: what is called.
+        of: the machine that it is about, where one is known.
+        error: what is raised.
+        sizes: what the letters in shapes of arrays stand for.
+        faults: noted so far.
     """
 
-    def __init__(self, call: str) -> None:
-        self.call = call
+    def __init__(self, call: str, of: AnyMachine | None = None, error: type[InputError] = InputError) -> None:
+        self.call, self.of, self.error = call, of, error
+        self.sizes: Mapping[str, int] = {}
         self.faults: list[Fault] = []
+
+    def note(self, field: str, sentence: str, value: Any) -> None:
+        """One fault more."""
+        self.faults.append(Fault(field, sentence, shown(value)))
+
+    def collect(self, field: str, read: Callable[[], T]) -> T | None:
+        """What `read` makes of an argument, or None after noting the faults of the `InputError` that it raises."""
+        try:
+            return read()
+        except InputError as error:
+            prefix = f"{field}." if field else ""
+            self.faults += [Fault(f"{prefix}{f.field}", f.sentence, f.value) for f in error.faults]
+            self.faults += [] if error.faults else [Fault(field or "arguments", str(error))]
+            return None
+
+    def faulty(self, field: str) -> bool:
+        """Whether a fault of that argument is noted."""
+        parts = tuple(f"{field}{end}" for end in ". [")
+        return any(fault.field == field or fault.field.startswith(parts) for fault in self.faults)
 
     def checked(self, field: str, value: Any, check: Callable[[Any], T], stand_in: T) -> T:
         """`check(value)`, whose `ValueError` carries the sentence."""
         try:
-            return check(_plain(value))
+            return check(plain(value))
         except ValueError as error:
-            self.faults.append(Fault(field, str(error), shown(value)))
+            self.note(field, str(error), value)
             return stand_in
 
     def choice(self, field: str, value: Any, valid: Sequence[T]) -> T:
         """One of a few words."""
-        if not any(value is v or (type(value) is type(v) and value == v) for v in valid):
-            self.faults.append(Fault(field, "must be " + " or ".join(map(str, valid)), shown(value)))
-            return valid[0]
-        return cast(T, value)
+
+        def check(given: Any) -> T:
+            for word in valid:
+                if given is word or (type(given) is type(word) and given == word):
+                    return word
+            raise ValueError("must be " + " or ".join(map(str, valid)))
+
+        return self.checked(field, value, check, valid[0])
 
     def flag(self, field: str, value: Any) -> bool:
         """True or False."""
@@ -50,14 +84,15 @@ class Arguments:
     def posture(self, machine: AnyMachine, value: Any, field: str = "posture") -> Vector:
         """Actuated joints (n,), rad or m, finite and inside their limits."""
         names, units = machine.joints, machine.joint_units
-        plain = _plain(value)
-        parts = list(cast(Sequence[Any], plain)) if isinstance(plain, list | tuple) else [plain]
+        parts = self._parts(field, value)
+        if parts is None:
+            return np.zeros(len(names))
         if len(parts) != len(names):
             angles = all(unit == "rad" for unit in units)
             what = "angles in rad" if angles else "numbers"
             listed = ", ".join(names if angles else (f"{n} in {u}" for n, u in zip(names, units, strict=True)))
             wanted = f"needs {len(names)} {what}, one for each actuated joint ({listed}), not {len(parts)}"
-            self.faults.append(Fault(field, wanted, shown(value)))
+            self.note(field, wanted, value)
             return np.zeros(len(names))
         checked: list[float] = []
         for name, unit, part, limits in zip(names, units, parts, machine.limits, strict=True):
@@ -72,19 +107,23 @@ class Arguments:
                 )
             )
             for fault in self.faults[known:]:
-                longer = f"{fault.sentence}{machine.beyond_stroke(name, _plain(part))}"
-                self.faults[known] = Fault(fault.field, longer, fault.value)
+                # Of what is no number there is no more to say.
+                with contextlib.suppress(InputError):
+                    longer = f"{fault.sentence}{machine.beyond_stroke(name, part)}"
+                    self.faults[known] = Fault(fault.field, longer, fault.value)
         return np.array(checked)
 
     def displacement(self, machine: AnyMachine, value: Any, field: str) -> Vector:
         """Differences of the actuated joints (n,), rad or m."""
         names, units = machine.joints, machine.joint_units
         what = "angles in rad" if set(units) == {"rad"} else "numbers in " + ", ".join(units)
-        if not isinstance(value, list | tuple) or len(cast(Sequence[Any], value)) != len(names):
-            wanted = f"needs {len(names)} {what}, one for each actuated joint ({', '.join(names)})"
-            self.faults.append(Fault(field, wanted, shown(value)))
+        given = self._parts(field, value)
+        if given is None:
             return np.zeros(len(names))
-        parts = zip(names, units, cast(Sequence[Any], value), strict=True)
+        if len(given) != len(names):
+            self.note(field, f"needs {len(names)} {what}, one for each actuated joint ({', '.join(names)})", value)
+            return np.zeros(len(names))
+        parts = zip(names, units, given, strict=True)
         return np.array(
             [
                 self.checked(
@@ -96,6 +135,13 @@ class Arguments:
                 for name, unit, part in parts
             ]
         )
+
+    def _parts(self, field: str, value: Any) -> list[Any] | None:
+        """The entries of a list, or a value alone; None after noting that it cannot be read."""
+        read = self.checked(field, value, lambda v: v, _UNREAD)
+        if read is _UNREAD:
+            return None
+        return list(cast(Sequence[Any], read)) if isinstance(read, list | tuple) else [read]
 
     def base(self, machine: AnyMachine, value: Any, field: str = "base") -> Vector:
         """Placement (n_b,), m or rad."""
@@ -131,17 +177,4 @@ class Arguments:
 
     def done(self) -> None:
         """Raise every fault noted so far."""
-        raise_if_any(InputError, self.call, self.faults)
-
-
-def shown(value: Any) -> str:
-    """A value as it is quoted in a message."""
-    text = repr(_plain(value))
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays as Python numbers and lists."""
-    if isinstance(value, np.ndarray | np.generic):
-        return cast(Any, value.tolist())  # pyright: ignore[reportUnknownMemberType]
-    return value
+        raise_if_any(self.error, self.call, self.faults)

@@ -11,11 +11,10 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
-import numpy as np
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from flexopt.model.faults import ALIKE, validated
+from flexopt.model.faults import ALIKE, read_table, validated
 from flexopt.model.polygons import Corners, check_simple_polygon
 from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX, check_number, check_numbers, checked
 from flexopt.model.tables import FileModel
@@ -284,15 +283,5 @@ def read_constraints(value: Any, *, origin: str = "constraints") -> Constraints:
     """
     if isinstance(value, Constraints):
         return value
-    table: Any = {} if value is None else _plain(value)
+    table = {} if value is None else read_table(value, origin, "[constraints]")
     return validated(Constraints, table, origin, ())
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in cast(Mapping[str, Any], value).items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return cast(Any, value.tolist())  # pyright: ignore[reportUnknownMemberType]
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in cast(list[Any], value)]
-    return value

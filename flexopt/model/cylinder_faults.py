@@ -80,4 +80,4 @@ def check_strokes(machine: AnyMachine, origin: str) -> None:
     Raises:
         ModelError: lists every fault.
     """
-    raise_if_any(ModelError, origin, [fault for _, faults in machine.stroke_ranges for fault in faults])
+    raise_if_any(ModelError, origin, machine.stroke_faults())

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.model.machine import AnyMachine
+from flexopt.writing import AnyPath, write_file
 
 
 @cache
@@ -30,6 +31,15 @@ def provenance(machine: AnyMachine | None = None, **options: Any) -> dict[str, A
         "casadi": package_version("casadi"),
         "options": options,
     }
+
+
+def write_netcdf(path: AnyPath, dataset: Any) -> None:
+    """Write an xarray.Dataset as a netCDF 3 file, which needs nothing but SciPy to be written or read.
+
+    Raises:
+        WriteError: the file cannot be written.
+    """
+    write_file(path, bytes(dataset.to_netcdf(engine="scipy", format="NETCDF3_64BIT")))
 
 
 def json_ready(value: Any) -> Any:

@@ -12,13 +12,28 @@ from pydantic import ValidationError
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.model.cylinder_faults import cylinder_faults
 from flexopt.model.machine import BASE_DIRECTIONS, FileModel
+from flexopt.model.plain import Unreadable, plain_table, shown
 
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
 # How alike two words must be for one to be suggested for the other.
 ALIKE = 0.6
+# Far beyond any machine; what is larger is refused at once, before its parts are looked at.
+DEPTH_MAX = 30
+ENTRIES_MAX = 1000
+BODIES_MAX = 250
 
 Table = Mapping[str, Any]
 Model = TypeVar("Model", bound=FileModel)
+
+
+def read_table(data: Any, origin: str, layout: str, kind: type[InputError] = ModelError) -> dict[str, Any]:
+    """What a caller passes as a table: plain data whose lists are tuples, or an error of that kind."""
+    table = plain_table(data)
+    if not isinstance(table, dict):
+        what = f"which {table.sentence}" if isinstance(table, Unreadable) else f"not {type(data).__name__}"
+        raise kind(f"{origin}: must be a dictionary in the layout of {layout}, {what}")
+    check_extent(cast(Table, table), origin, kind)
+    return cast(dict[str, Any], table)
 
 
 def validated(
@@ -29,6 +44,7 @@ def validated(
     kind: type[InputError] = ModelError,
 ) -> Model:
     """The model of `data`, or an error of that kind with the faults of single keys and the `structural` ones."""
+    check_extent(data, origin, kind)
     try:
         result = model.model_validate(data)
     except ValidationError as error:
@@ -43,6 +59,37 @@ def validated(
     return result
 
 
+def check_extent(data: Table, origin: str, kind: type[InputError] = ModelError) -> None:
+    """Refuse tables that are nested too deep or have too many keys, and lists of too many tables."""
+    faults: list[Fault] = []
+    seen: dict[int, int] = {}
+    waiting: list[tuple[str, Any, int]] = [("", data, 0)]
+    while waiting:
+        path, value, depth = waiting.pop()
+        identity = id(cast(object, value))
+        if not isinstance(value, Mapping | list | tuple) or seen.get(identity, -1) >= depth:
+            continue
+        seen[identity] = depth
+        if depth > DEPTH_MAX:
+            faults.append(Fault(path.split(".")[0], f"tables or lists are nested more than {DEPTH_MAX} deep"))
+            break
+        if isinstance(value, Mapping):
+            table = cast(Table, value)
+            if len(table) > ENTRIES_MAX:
+                faults.append(Fault(path or "file", f"has {len(table)} keys; at most {ENTRIES_MAX} are read"))
+                continue
+            waiting += [(f"{path}.{key}" if path else str(key), part, depth + 1) for key, part in table.items()]
+            continue
+        parts = cast(list[Any], value)
+        tables = sum(1 for part in parts if isinstance(part, Mapping))
+        most = BODIES_MAX if path in ("links", "bodies") else ENTRIES_MAX
+        if tables > most:
+            faults.append(Fault(path, f"has {tables} tables; at most {most} are read"))
+            continue
+        waiting += [(path, part, depth + 1) for part in parts if isinstance(part, Mapping | list | tuple)]
+    raise_if_any(kind, origin, faults)
+
+
 def model_faults(model: type[FileModel], data: Table, error: ValidationError) -> list[Fault]:
     """What pydantic found wrong, as sentences; faults of parts that were built by a call of their own keep theirs."""
     faults: list[Fault] = []
@@ -51,7 +98,7 @@ def model_faults(model: type[FileModel], data: Table, error: ValidationError) ->
         if isinstance(inner, InputError) and inner.faults:
             path = _field_path(data, entry["loc"])
             faults += [Fault(f"{path}.{fault.field}", fault.sentence, fault.value) for fault in inner.faults]
-        else:
+        elif not (entry["type"] == "too_short" and entry["input"]):  # its entries are faulty, and named
             faults.append(_fault(model, data, cast(dict[str, Any], entry)))
     return faults
 
@@ -128,13 +175,16 @@ def _short(value: Any) -> str:
     """A value as TOML would write it, cut where it is long."""
     if isinstance(value, bool):
         text = str(value).lower()
-    elif isinstance(value, tuple):
-        text = repr(list(cast(tuple[Any, ...], value)))
     elif isinstance(value, datetime.date | datetime.time):
         text = value.isoformat()
     else:
-        text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+        text = shown(_lists(value))
+    return text
+
+
+def _lists(value: Any) -> Any:
+    """Tuples as the lists that were written."""
+    return [_lists(part) for part in cast(tuple[Any, ...], value)] if isinstance(value, tuple) else value
 
 
 def _table(data: Any, key: str) -> dict[str, Any]:

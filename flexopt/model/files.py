@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from flexopt.errors import ModelError
-from flexopt.model.faults import ALIKE
+from flexopt.model.faults import ALIKE, DEPTH_MAX
 
 PACKAGE = Path(__file__).resolve().parents[1]
-FILE_SIZE_MAX = 4_000_000
+# Fifty times the largest file that a machine of the most bodies needs.
+FILE_SIZE_MAX = 500_000
+LONG_KEY = re.compile(rf"(?<![^\s.=\[\]{{}},#])(?:[^\s.=\[\]{{}},#]++[ \t]*+\.[ \t]*+){{{DEPTH_MAX}}}")
 # Longer words are no file names to any system.
 NAME_MAX = 200
 # Robot files: a machine file names them.
@@ -54,19 +57,13 @@ def shipped_names(kind: Kind) -> list[str]:
     return sorted(path.stem for path in shipped_folder(kind).glob("*.toml"))
 
 
-def read_source(name_or_path: Any, kinds: tuple[Kind, ...]) -> Source:
+def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[Kind, ...]) -> Source:
     """The file behind a shipped name or a path, of one of the `kinds`.
 
     Raises:
         ModelError: nothing is there, it cannot be read, is no TOML, or is of another kind.
     """
-    if not isinstance(name_or_path, str | os.PathLike):
-        raise ModelError(
-            f"a name or path is wanted, not {type(name_or_path).__name__}; machine_from_dict takes a dictionary"
-        )
-    text = os.fsdecode(name_or_path)  # pyright: ignore[reportUnknownArgumentType]
-    if not text or "\0" in text:
-        raise ModelError(f"an empty or unusable name was given where a machine or problem is wanted: {text!r}")
+    text = os.fsdecode(name_or_path)
     try:
         looks = text.endswith((".toml", *ROBOT_SUFFIXES)) or os.sep in text or "/" in text
         if looks or (len(text) <= NAME_MAX and Path(text).is_file()):
@@ -83,7 +80,7 @@ def read_source(name_or_path: Any, kinds: tuple[Kind, ...]) -> Source:
             if named_kind is None:
                 raise _unknown_name(text, kinds)
             path = shipped_folder(named_kind) / f"{text}.toml"
-        data = _read_toml(path)
+        data = read_toml(path)
     except OSError as error:
         raise ModelError(f"{_cut(text)}: cannot be read ({error.strerror})") from None
     told: Kind = "problems" if PROBLEM_KEYS & data.keys() else "models"
@@ -125,14 +122,26 @@ def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """The keys and tables of a TOML file.
+
+    Raises:
+        ModelError: it is no TOML, or too large to be a machine or problem file.
+        OSError: it cannot be read.
+    """
     with path.open("rb") as file:
         content = file.read(FILE_SIZE_MAX + 1)
     if len(content) > FILE_SIZE_MAX:
-        raise ModelError(f"{path}: larger than {FILE_SIZE_MAX // 1_000_000} MB; this is no machine or problem file")
+        raise ModelError(f"{path}: larger than {FILE_SIZE_MAX // 1000} kB; this is no machine or problem file")
     try:
-        return tomllib.loads(content.decode("utf-8"))
+        text = content.decode("utf-8")
+        # The parser's time and memory grow with the square of the length of such a key.
+        if LONG_KEY.search(text):
+            raise ModelError(f"{path}: has a key of more than {DEPTH_MAX} words joined by dots")
+        return tomllib.loads(text)
     except UnicodeDecodeError:
-        raise ModelError(f"{path}: is not UTF-8 text") from None
+        raise ModelError(f"{path}: is not valid TOML: it is not UTF-8 text") from None
     except (ValueError, RecursionError) as error:
+        if isinstance(error, ModelError):
+            raise
         raise ModelError(f"{path}: is not valid TOML: {error}") from None

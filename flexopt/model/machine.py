@@ -9,9 +9,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from flexopt.errors import Fault
+from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model.hydraulics import Cylinder, JointFrame
+from flexopt.model.plain import shown
 from flexopt.model.quantities import (
+    COORDINATE_MAX,
     Acceleration,
     Angle,
     AngularSpeed,
@@ -26,11 +28,12 @@ from flexopt.model.quantities import (
     RotationalStiffness,
     Stiffness,
     Torque,
+    check_number,
     check_schema,
     checked,
 )
 from flexopt.model.strokes import Travel, usable_range
-from flexopt.model.tables import Capsule, FileModel, Payload, Span
+from flexopt.model.tables import BuiltByCall, Capsule, FileModel, Payload, Span
 
 BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
 
@@ -94,7 +97,7 @@ class Parameter(NamedTuple):
     unit: str
 
 
-class AnyMachine(FileModel):
+class AnyMachine(BuiltByCall):
     """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more."""
 
     schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
@@ -124,8 +127,16 @@ class AnyMachine(FileModel):
     def joint_frame(self, joint: str) -> JointFrame:
         """How an actuated joint stands between the bodies that it joins."""
 
+    def _check_joint(self, call: str, joint: Any) -> None:
+        """Raise where that is no name of an actuated joint."""
+        if not isinstance(joint, str) or joint not in self.joints:
+            sentence = f"must be an actuated joint: {', '.join(self.joints)}"
+            raise_if_any(InputError, call, [Fault("joint", sentence, shown(joint))])
+
     def travel(self, cylinder: Cylinder) -> Travel:
         """A cylinder's length over its joint's coordinate, as numbers."""
+        if not isinstance(cylinder, Cylinder):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise_if_any(InputError, "travel", [Fault("cylinder", "must be one of `cylinders`", shown(cylinder))])
         return Travel(cylinder, self.joint_frame(cylinder.joint), {name: value for name, value, _ in self.parameters})
 
     @property
@@ -137,6 +148,11 @@ class AnyMachine(FileModel):
 
     def beyond_stroke(self, joint: str, q: Any) -> str:
         """The end of a sentence about a value that its joint cannot take, where that is its cylinder's doing."""
+        self._check_joint("beyond_stroke", joint)
+        try:
+            q = check_number(q, "rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
+        except ValueError as error:
+            raise_if_any(InputError, "beyond_stroke", [Fault("q", str(error), shown(q))])
         return next((self.travel(c).beyond_stroke(q) for c in self.cylinders if c.joint == joint), "")
 
     @cached_property
@@ -154,6 +170,10 @@ class AnyMachine(FileModel):
             usable_range(self.travel(cylinder), given[cylinder.joint], f"cylinders[{index}] ({cylinder.name})")
             for index, cylinder in enumerate(self.cylinders)
         )
+
+    def stroke_faults(self) -> list[Fault]:
+        """What is wrong with the cylinders' strokes."""
+        return [fault for _, faults in self.stroke_ranges for fault in faults]
 
     @property
     @abstractmethod
@@ -235,6 +255,12 @@ class Machine(AnyMachine):
 
     __hash__ = AnyMachine.__hash__
 
+    def structural_faults(self) -> list[Fault]:
+        """As of a file."""
+        from flexopt.model.faults import machine_faults  # noqa: PLC0415  (which knows this class)
+
+        return machine_faults(self.to_dict()) or self.stroke_faults()
+
     @property
     def free_base_directions(self) -> tuple[Literal["x", "y", "rotation"], ...]:
         """The directions in which the base gives, in the order x, y, rotation."""
@@ -263,6 +289,7 @@ class Machine(AnyMachine):
 
     def joint_frame(self, joint: str) -> JointFrame:
         """At the far end of the body that carries the joint."""
+        self._check_joint("joint_frame", joint)
         bodies = ["base", *(link.name for link in self.links)]
         return JointFrame(slide=False, origin=(f"{bodies[bodies.index(joint) - 1]}.length", "", ""))
 

@@ -8,18 +8,22 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, PrivateAttr
 
+from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine, FileModel
+from flexopt.model.plain import shown
 from flexopt.model.quantities import (
     COORDINATE_MAX,
     check_number,
     check_numbers,
     check_pair,
     check_schema,
+    check_whole,
     checked,
     coordinate_max,
 )
-from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares
+from flexopt.model.tables import BuiltByCall
+from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares, target_faults
 
 # "inverse", "transpose" or "damped:LAMBDA", as `check_control` gives it.
 Control = str
@@ -32,6 +36,8 @@ ELBOWS: tuple[Elbow, ...] = ("up", "down")
 Combine = Literal["worst", "weighted"]
 COMBINES: tuple[Combine, ...] = ("worst", "weighted")
 SINGULARITY_MARGIN_DEG = 10.0
+# The best maxima of the excavator's ε_max differ by 4e-5 of it and more.
+SLACK = 1e-5
 STARTS_MAX = 10_000
 # What the calls that solve a problem name the keys of [target].
 TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "path"}
@@ -120,16 +126,17 @@ def check_gain(value: Any) -> float:
 
 def check_starts(value: Any) -> int:
     """How many starts at most."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= STARTS_MAX:
-        raise ValueError(f"must be a whole number between 1 and {STARTS_MAX}")
-    return value
+    return check_whole(value, 1, STARTS_MAX)
 
 
 def check_seed(value: Any) -> int:
     """A seed."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**32:
-        raise ValueError("must be a whole number between 0 and 2³² − 1")
-    return value
+    return check_whole(value, 0, 2**32 - 1, "2³² − 1")
+
+
+def check_slack(value: Any) -> float:
+    """What an objective may give up for the next one, as a share."""
+    return check_number(value, "", low=1e-7, high=1.0)
 
 
 def check_base(value: Any) -> tuple[float, ...]:
@@ -194,7 +201,7 @@ def _check_any_range(value: Any) -> Any:
 class SelectionOptions(FileModel):
     """How to choose among the configurations that reach the target or targets (keys of `[selection]`).
 
-    `gain` and `elbow` go with a single `end_point`, `combine` and `shares` with `end_points`.
+    `gain`, `elbow` and `slack` go with a single `end_point`, `combine` and `shares` with `end_points`.
     """
 
     objective: Annotated[str, checked(check_objective)] = "w1"
@@ -209,11 +216,12 @@ class SelectionOptions(FileModel):
     singularity_margin_deg: Annotated[float, checked(check_margin_deg)] = SINGULARITY_MARGIN_DEG
     starts: Annotated[int, checked(check_starts)] | None = None
     seed: Annotated[int, checked(check_seed)] = 0
+    slack: Annotated[float, checked(check_slack)] = SLACK
     combine: Combine = "worst"
     shares: Annotated[tuple[float, ...], checked(check_any_shares)] | None = None
 
 
-class Problem(FileModel):
+class Problem(BuiltByCall):
     """A configuration problem (`flexopt.load_problem` reads one from a file)."""
 
     schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
@@ -228,8 +236,18 @@ class Problem(FileModel):
 
     _loaded: AnyMachine | None = PrivateAttr(default=None)
 
+    def structural_faults(self) -> list[Fault]:
+        """As of a file."""
+        from flexopt.model.faults import problem_faults  # noqa: PLC0415  (which knows the tables)
+
+        table = self.model_dump(by_alias=True, exclude_unset=True)
+        return [*problem_faults(table), *target_faults(table)]
+
     def with_machine(self, machine: AnyMachine) -> Problem:
         """The same problem, holding its machine."""
+        if not isinstance(machine, AnyMachine):  # pyright: ignore[reportUnnecessaryIsInstance]
+            sentence = 'must be a Machine, from flexopt.load("excavator") for example'
+            raise_if_any(InputError, "with_machine", [Fault("machine", sentence, shown(machine))])
         twin = self.model_copy()
         twin._loaded = machine
         return twin
@@ -237,7 +255,8 @@ class Problem(FileModel):
     @property
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
-        assert self._loaded is not None
+        if self._loaded is None:
+            raise ModelError("holds no machine: flexopt.load_problem gives one that does, or with_machine")
         return self._loaded
 
     def select_arguments(self) -> dict[str, Any]:

@@ -9,8 +9,15 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
+from flexopt.model.plain import plain
+
 SUPPORTED_SCHEMA = 1
-KINDS: dict[type, str] = {str: "text", bool: "true/false", list: "a list", tuple: "a list", dict: "a table"}
+ANGLE_MAX = 4 * math.pi
+DEGREES_MAX = 720.0
+KINDS: dict[type, str] = {
+    str: "text", bool: "true/false", list: "a list", tuple: "a list", dict: "a table", complex: "a complex number",
+    type(None): "nothing",
+}  # fmt: skip
 
 
 def range_sentence(unit: str, above: float | None, low: float | None, high: float) -> str:
@@ -23,7 +30,7 @@ def range_sentence(unit: str, above: float | None, low: float | None, high: floa
 
 def check_number(value: Any, unit: str, *, above: float | None = None, low: float | None = None, high: float) -> float:
     """Return `value` as a float, or raise `ValueError` with a sentence that names unit and range."""
-    allowed = range_sentence(unit, above, low, high)
+    allowed, value = range_sentence(unit, above, low, high), plain(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         kind = next((word for type_, word in KINDS.items() if type(value) is type_), "something else")
         raise ValueError(f"must be a number, not {kind}; it {allowed}")
@@ -34,8 +41,21 @@ def check_number(value: Any, unit: str, *, above: float | None = None, low: floa
     if not math.isfinite(number):
         raise ValueError(f"must be finite; it {allowed}")
     if (above is not None and not number > above) or (low is not None and number < low) or number > high:
-        raise ValueError(allowed)
+        raise ValueError(allowed + degrees_hint(unit, number))
     return number + 0.0  # −0.0 becomes 0.0, so that equal inputs have equal hashes
+
+
+def check_whole(value: Any, low: int, high: int, most: str = "") -> int:
+    """Return `value`, a whole number in that range; `most` is how the sentence calls a large `high`."""
+    value = plain(value)
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"must be a whole number between {low} and {most or high}")
+    return value
+
+
+def degrees_hint(unit: str, value: float) -> str:
+    """The end of a sentence about an angle that is too large, where it may have been meant in degrees."""
+    return "; is it in degrees?" if unit == "rad" and ANGLE_MAX < abs(value) <= DEGREES_MAX else ""
 
 
 def _quantity(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> BeforeValidator:
@@ -68,7 +88,6 @@ Damping = Annotated[float, _quantity("N s/m", low=0.0, high=1e12)]
 RotationalDamping = Annotated[float, _quantity("N m s/rad", low=0.0, high=1e12)]
 Torque = Annotated[float, _quantity("N m", above=0.0, high=1e15)]
 AngularSpeed = Annotated[float, _quantity("rad/s", above=0.0, high=1e6)]
-ANGLE_MAX = 4 * math.pi
 Angle = Annotated[float, _quantity("rad", low=-ANGLE_MAX, high=ANGLE_MAX)]
 Acceleration = Annotated[float, _quantity("m/s²", low=0.0, high=1e3)]
 COORDINATE_MAX = 1e6
@@ -80,13 +99,15 @@ def coordinate_max(unit: str) -> float:
     return ANGLE_MAX if unit == "rad" else COORDINATE_MAX
 
 
-def check_numbers(values: list[Any], names: list[str], unit: str, *, low: float, high: float) -> tuple[float, ...]:
+def check_numbers(
+    values: list[Any], names: list[str], unit: str, *, above: float | None = None, low: float | None = None, high: float
+) -> tuple[float, ...]:
     """Numbers in one range; the sentence names every one that is not."""
     checked_values: list[float] = []
     sentences: list[str] = []
     for value, name in zip(values, names, strict=True):
         try:
-            checked_values.append(check_number(value, unit, low=low, high=high))
+            checked_values.append(check_number(value, unit, above=above, low=low, high=high))
         except ValueError as error:
             sentences.append(f"{name} {error}" if len(names) > 1 else str(error))
     if sentences:

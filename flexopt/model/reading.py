@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, cast
 
 from flexopt.errors import Fault, ModelError, raise_if_any
+from flexopt.model.boundary import public
 from flexopt.model.cylinder_faults import check_strokes
-from flexopt.model.faults import Table, machine_faults, problem_faults, validated
+from flexopt.model.faults import Table, check_extent, machine_faults, problem_faults, read_table, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.machine import Machine
 from flexopt.model.problem import Problem, check_placement, check_task
@@ -17,6 +18,7 @@ from flexopt.model.targets import target_faults
 from flexopt.model.tree import Tree
 
 
+@public(error=ModelError)
 def load(name_or_path: str | os.PathLike[str]) -> Machine | Tree:
     """Read and validate a machine: a planar one, or a spatial one where the file names a robot file (key `robot`).
 
@@ -30,6 +32,7 @@ def load(name_or_path: str | os.PathLike[str]) -> Machine | Tree:
     return _machine(read_source(name_or_path, ("models",)))
 
 
+@public(error=ModelError)
 def load_problem(name_or_path: str | os.PathLike[str]) -> Problem:
     """Read and validate a configuration problem; its machine is loaded with it.
 
@@ -43,6 +46,7 @@ def load_problem(name_or_path: str | os.PathLike[str]) -> Problem:
     return _problem(read_source(name_or_path, ("problems",)))
 
 
+@public(error=ModelError)
 def load_experiment(name_or_path: str | os.PathLike[str]) -> Experiment:
     """Read and validate an experiment, a simulation in a file; its machine is loaded with it.
 
@@ -56,6 +60,7 @@ def load_experiment(name_or_path: str | os.PathLike[str]) -> Experiment:
     return _experiment(read_source(name_or_path, ("problems",)))
 
 
+@public(error=ModelError)
 def load_simulated(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Experiment:
     """A machine or an experiment, whichever the name or file is.
 
@@ -66,6 +71,7 @@ def load_simulated(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Exp
     return _experiment(source) if source.kind == "problems" else _machine(source)
 
 
+@public(error=ModelError)
 def load_any(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Problem:
     """A machine or a problem, whichever the name or file is.
 
@@ -76,6 +82,19 @@ def load_any(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Problem:
     return _problem(source) if source.kind == "problems" else _machine(source)
 
 
+def load_file(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Problem | Experiment:
+    """A machine, a problem or an experiment, whichever the name or file is.
+
+    Raises:
+        ModelError: as for `load`, `load_problem` and `load_experiment`.
+    """
+    source = read_source(name_or_path, KINDS)
+    if source.kind == "models":
+        return _machine(source)
+    return _experiment(source) if "simulation" in source.data else _problem(source)
+
+
+@public(error=ModelError)
 def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     """Validate a dictionary in the layout of a machine file.
 
@@ -86,9 +105,7 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     Raises:
         ModelError: lists every fault.
     """
-    if not isinstance(data, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise ModelError(f"{origin}: must be a dictionary in the layout of a machine file, not {type(data).__name__}")
-    named = _with_link_names(data)
+    named = _with_link_names(read_table(data, origin, "a machine file"))
     machine = validated(Machine, named, origin, machine_faults(named))
     check_strokes(machine, origin)
     return machine
@@ -115,6 +132,7 @@ def _experiment(source: Source) -> Experiment:
 def _problem(source: Source) -> Problem:
     if "simulation" in source.data:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
+    check_extent(source.data, source.name)
     faults = [*problem_faults(source.data), *target_faults(source.data)]
     name = source.data.get("machine")
     machine: Machine | Tree | None = None
@@ -163,14 +181,13 @@ def _machine_of(source: Source, name: str) -> Machine | Tree:
     return load(beside if name.endswith(".toml") and beside.exists() else name)
 
 
-def _with_link_names(data: Table) -> dict[str, Any]:
-    """Number the links that have no name, so that parameters and joints can be told apart; lists become tuples."""
-    plain = {key: tuple(cast(list[Any], value)) if isinstance(value, list) else value for key, value in data.items()}
-    links = plain.get("links")
+def _with_link_names(data: dict[str, Any]) -> dict[str, Any]:
+    """Number the links that have no name, so that parameters and joints can be told apart."""
+    links = data.get("links")
     if not isinstance(links, tuple):
-        return plain
+        return data
     named = [
         {"name": f"link{i}"} | cast(dict[str, Any], link) if isinstance(link, dict) else link
         for i, link in enumerate(cast(tuple[Any, ...], links), start=1)
     ]
-    return plain | {"links": tuple(named)}
+    return data | {"links": tuple(named)}

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr, ValidationError
+from pydantic import Field, PrivateAttr
 
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.errors import Fault, ModelError
 from flexopt.model.arguments import Arguments
-from flexopt.model.faults import model_faults
+from flexopt.model.boundary import array_of, public
 from flexopt.model.machine import AnyMachine, FileModel
+from flexopt.model.plain import plain
 from flexopt.model.problem import (
     Control,
     Elbow,
@@ -29,8 +31,10 @@ from flexopt.model.quantities import (
     check_number,
     check_numbers,
     check_schema,
+    check_whole,
     checked,
 )
+from flexopt.model.tables import BuiltByCall
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
@@ -38,6 +42,7 @@ FEEDBACKS: tuple[Feedback, ...] = ("pd", "pid", "robust", "none")
 METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
 SAMPLES_MAX = 10_000_000
 DELAY_MAX = 100  # samples
+PART_OF_SAMPLE = 1e-6  # below this share of a sample a dead time is a whole number of them
 GAIN_MAX = 1e15
 
 Numbers = tuple[float, ...]
@@ -47,8 +52,8 @@ def _list_of(unit: str, *, low: float, high: float) -> Callable[[Any], Numbers]:
     """One number, or a list with one for each axis or joint."""
 
     def check(value: Any) -> Numbers:
-        value = _plain(value)
-        parts = [_plain(part) for part in cast(list[Any], value)] if isinstance(value, list | tuple) else [value]
+        value = plain(value)
+        parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
         if not parts:
             raise ValueError(f"must be a number, or a list of numbers, in {unit}")
         return check_numbers(parts, [f"entry {i + 1}" for i in range(len(parts))], unit, low=low, high=high)
@@ -56,14 +61,9 @@ def _list_of(unit: str, *, low: float, high: float) -> Callable[[Any], Numbers]:
     return check
 
 
-def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays as Python numbers and lists."""
-    return cast(Any, value.tolist()) if isinstance(value, np.ndarray | np.generic) else value  # pyright: ignore[reportUnknownMemberType]
-
-
 def _check_points(value: Any) -> tuple[Numbers, ...]:
     """A list of points, each a list of coordinates."""
-    parts = _plain(value)
+    parts = plain(value)
     if not isinstance(parts, list | tuple) or not parts:
         raise ValueError("must be a list of points, each a list of coordinates in m")
     check, points, sentences = _list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX), list[Numbers](), list[str]()
@@ -82,9 +82,7 @@ def _number(unit: str, *, above: float | None = None, low: float | None = None, 
 
 
 def _whole(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 1000:
-        raise ValueError("must be a whole number between 1 and 1000")
-    return value
+    return check_whole(value, 1, 1000)
 
 
 Gains = Annotated[Numbers, checked(_list_of("N/m and the like", low=0.0, high=GAIN_MAX))]
@@ -93,18 +91,7 @@ Torques = Annotated[Numbers, checked(_list_of("N m or N", low=0.0, high=1e12))]
 Coordinates = Annotated[Numbers, checked(_list_of("rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX))]
 
 
-class _Option(FileModel):
-    """A table that may also be built by a call, whose faults come in flexopt's own words."""
-
-    def __init__(self, **data: Any) -> None:
-        try:
-            super().__init__(**data)
-        except ValidationError as error:
-            raise_if_any(InputError, type(self).__name__, model_faults(type(self), data, error))
-            raise
-
-
-class Sensor(_Option):
+class Sensor(BuiltByCall):
     """How the end-point is measured.
 
     Attributes:
@@ -120,7 +107,7 @@ class Sensor(_Option):
     delay: Annotated[float, _number("s", low=0.0, high=10.0)] = 0.0
 
 
-class Actuator(_Option):
+class Actuator(BuiltByCall):
     """What the joints' drives make of the torque asked for; a number, or a list with one for each actuated joint.
 
     Attributes:
@@ -144,32 +131,45 @@ class Actuator(_Option):
     servo_gain: Annotated[float, _number("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
 
 
-class Path(_Option):
+class Path(BuiltByCall):
     """Points at times, s, joined by straight lines; held before the first and after the last."""
 
     times: Annotated[Numbers, checked(_list_of("s", low=0.0, high=1e6))]
     points: Annotated[tuple[Numbers, ...], checked(_check_points)]
 
-    def faults(self, name: str, names: tuple[str, ...]) -> list[Fault]:
-        """What does not fit together; `names` of a point's coordinates."""
-        found: list[Fault] = []
-        if len(self.times) != len(self.points):
-            found.append(
-                Fault(f"{name}.points", f"needs one for each of the {len(self.times)} times", str(len(self.points)))
-            )
-        if any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
-            found.append(Fault(f"{name}.times", "must increase, in s"))
-        if not names:
-            found.append(Fault(name, "has nothing to move: the machine has no placement coordinates"))
-        elif any(len(point) != len(names) for point in self.points):
-            sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
-            found.append(Fault(f"{name}.points", sentence))
-        return found
+    def structural_faults(self) -> list[Fault]:
+        """What does not fit together."""
+        return _shape_faults(self, "")
 
+    @public(times=array_of((), ("K",), unit="s"))
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points (len(times), size)."""
         columns = [np.interp(times, self.times, column) for column in zip(*self.points, strict=True)]
         return np.array(columns).T
+
+
+def _shape_faults(path: Path, name: str) -> list[Fault]:
+    """What does not fit together in a path, `name` (and a dot) before its keys."""
+    found: list[Fault] = []
+    if len(path.times) != len(path.points):
+        sentence = f"needs one for each of the {len(path.times)} times"
+        found.append(Fault(f"{name}points", sentence, str(len(path.points))))
+    if any(later <= earlier for earlier, later in pairwise(path.times)):
+        found.append(Fault(f"{name}times", "must increase, in s"))
+    if len({len(point) for point in path.points}) > 1:
+        found.append(Fault(f"{name}points", "must have as many coordinates each"))
+    return found
+
+
+def _path_faults(path: Path, name: str, names: tuple[str, ...]) -> list[Fault]:
+    """What does not fit together; `names` of a point's coordinates."""
+    found = _shape_faults(path, f"{name}.")
+    if not names:
+        found.append(Fault(name, "has nothing to move: the machine has no placement coordinates"))
+    elif any(len(point) != len(names) for point in path.points):
+        sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
+        found.append(Fault(f"{name}.points", sentence))
+    return found
 
 
 class SimulationOptions(FileModel):
@@ -206,14 +206,14 @@ class SimulationOptions(FileModel):
         """The placement (n_b,); the origin where none is given."""
         return (0.0,) * len(machine.base_coordinates) if self.base is None else self.base
 
-    def faults(self, machine: AnyMachine) -> list[Fault]:
-        """What does not fit together, or not this machine."""
-        found = self._posture_faults(machine) + self._controller_faults(machine) + self._time_faults()
+    def faults(self, machine: AnyMachine, *, any_delay: bool = False) -> list[Fault]:
+        """What does not fit together, or not this machine; `any_delay`: the linear loop takes parts of a sample."""
+        found = self._posture_faults(machine) + self._controller_faults(machine) + self._time_faults(any_delay)
         for name, path, names in (
             ("base_path", self.base_path, machine.base_coordinates),
             ("target_path", self.target_path, machine.task_rows),
         ):
-            found += [] if path is None else path.faults(name, names)
+            found += [] if path is None else _path_faults(path, name, names)
         return found
 
     def _posture_faults(self, machine: AnyMachine) -> list[Fault]:
@@ -263,18 +263,32 @@ class SimulationOptions(FileModel):
             found.append(Fault("actuator.levers", sentence, repr(self.actuator.levers)))
         return found
 
-    def _time_faults(self) -> list[Fault]:
+    def _time_faults(self, any_delay: bool) -> list[Fault]:
         found: list[Fault] = []
         samples, waits = self.duration * self.rate, self.sensor.delay * self.rate
         if not 0.5 <= samples <= SAMPLES_MAX:
             found.append(Fault("duration, rate", f"must give between 1 and {SAMPLES_MAX} samples", f"{samples:g}"))
-        if abs(waits - round(waits)) > 1e-6 or waits > DELAY_MAX:
+        if any_delay and waits > DELAY_MAX:
+            sentence = f"must be at most {DELAY_MAX} samples of {1 / self.rate:g} s"
+            found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
+        elif not any_delay and (abs(waits - round(waits)) > PART_OF_SAMPLE or waits > DELAY_MAX):
             sentence = f"must be a whole number (0 to {DELAY_MAX}) of samples of {1 / self.rate:g} s"
+            sentence += "; sampled_loop and stability_border take any time"
             found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
         if not self.hold and self.sensor != Sensor():
             sentence = "noise, resolution and delay belong to a sampled controller: give hold = true"
             found.append(Fault("sensor", sentence))
         return found
+
+
+def dead_time(options: SimulationOptions) -> tuple[int, float]:
+    """Measurements on their way, and how long before a sample the newest was taken, s, of a delay of any length."""
+    waits = options.sensor.delay * options.rate
+    whole = round(waits)
+    if abs(waits - whole) <= PART_OF_SAMPLE:
+        return whole, 0.0
+    whole = int(waits)
+    return whole + 1, (waits - whole) / options.rate
 
 
 class NullspaceOptions(FileModel):
@@ -288,7 +302,7 @@ class NullspaceOptions(FileModel):
     duration: Annotated[float, _number("s", above=0.0, high=1e6)] = 60.0
 
 
-class Experiment(FileModel):
+class Experiment(BuiltByCall):
     """A simulation in a file (`flexopt.load_experiment` reads one)."""
 
     schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
@@ -301,6 +315,7 @@ class Experiment(FileModel):
 
     _loaded: AnyMachine | None = PrivateAttr(default=None)
 
+    @public()
     def with_machine(self, machine: AnyMachine) -> Experiment:
         """The same experiment, holding its machine."""
         twin = self.model_copy()
@@ -310,5 +325,6 @@ class Experiment(FileModel):
     @property
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""
-        assert self._loaded is not None
+        if self._loaded is None:
+            raise ModelError("holds no machine: flexopt.load_experiment gives one that does, or with_machine")
         return self._loaded

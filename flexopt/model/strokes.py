@@ -61,10 +61,8 @@ class Travel:
         """dL/dq at one q."""
         return float(self.ratios(np.array([q]))[0])
 
-    def beyond_stroke(self, q: Any) -> str:
+    def beyond_stroke(self, q: float) -> str:
         """What is wrong with the length at q, as the end of a sentence; nothing where it is within the stroke."""
-        if not isinstance(q, int | float) or not math.isfinite(q):
-            return ""
         (low, high), length, name = self.cylinder.length, self.length(q), self.cylinder.name
         if math.isnan(length):
             return f"; the linkage of {name} does not close there"

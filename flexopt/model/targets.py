@@ -17,7 +17,11 @@ TARGETS_MAX = 1000
 RATE_MAX, TIME_MAX, SHARE_MAX = 1e3, 1e6, 1e6
 # Keys of [target], of which a problem has exactly one, with the keys of [selection] that go with it only.
 Kind = Literal["end_point", "end_points", "path"]
-KINDS: dict[Kind, tuple[str, ...]] = {"end_point": ("gain", "elbow"), "end_points": ("combine", "shares"), "path": ()}
+KINDS: dict[Kind, tuple[str, ...]] = {
+    "end_point": ("gain", "elbow", "slack"),
+    "end_points": ("combine", "shares"),
+    "path": (),
+}
 Numbers = tuple[float, ...]
 
 

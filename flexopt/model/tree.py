@@ -7,14 +7,15 @@ body along or about `axis`. The ground's frame is the anchor frame, which the pl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
+from flexopt.errors import Fault, ModelError
+from flexopt.model.boundary import public
 from flexopt.model.cylinder_faults import check_strokes
-from flexopt.model.faults import Table, validated
+from flexopt.model.faults import Table, read_table, validated
 from flexopt.model.hydraulics import JointFrame
 from flexopt.model.machine import AnyMachine, FileModel, Parameter, Payload
 from flexopt.model.quantities import Length, MassOrZero, checked
@@ -130,6 +131,10 @@ class Tree(AnyMachine):
 
     __hash__ = AnyMachine.__hash__
 
+    def structural_faults(self) -> list[Fault]:
+        """As of `tree_from_dict`."""
+        return tree_faults(self.to_dict()) or self.stroke_faults()
+
     @property
     def passive_bodies(self) -> tuple[TreeBody, ...]:
         """Bodies on passive joints, in order."""
@@ -173,6 +178,7 @@ class Tree(AnyMachine):
 
     def joint_frame(self, joint: str) -> JointFrame:
         """The joint's axis is the third of its frame."""
+        self._check_joint("joint_frame", joint)
         body = next(body for body in self.actuated_bodies if body.joint.name == joint)
         of_body = axes_about(body.joint.axis)
         of_parent = snapped_rows(np.array(of_body) @ np.array(body.rotation).T)
@@ -269,6 +275,7 @@ def _vector(name: str, values: tuple[float, float, float]) -> list[Parameter]:
     return [Parameter(f"{name}.{axis}", value, "m") for axis, value in zip("xyz", values, strict=True)]
 
 
+@public(error=ModelError)
 def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
     """Validate a dictionary in the layout of `Tree`; lists may stand for tuples.
 
@@ -279,15 +286,7 @@ def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
     Raises:
         ModelError: lists every fault.
     """
-    frozen = cast(dict[str, Any], _with_tuples(data))
+    frozen = read_table(data, origin, "flexopt.Tree")
     tree = validated(Tree, frozen, origin, tree_faults(frozen))
     check_strokes(tree, origin)
     return tree
-
-
-def _with_tuples(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _with_tuples(part) for key, part in cast(Mapping[str, Any], value).items()}
-    if isinstance(value, list | tuple):
-        return tuple(_with_tuples(part) for part in cast(list[Any], value))
-    return value

@@ -11,7 +11,7 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.model.cylinder_faults import cylinder_faults
 from flexopt.model.faults import capsule_faults
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX
+from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, degrees_hint
 from flexopt.model.tree_quantities import check_square
 
 Bodies = list[tuple[int, dict[str, Any]]]
@@ -116,8 +116,10 @@ def _joint_faults(where: str, joint: dict[str, Any], coupled: dict[str, tuple[st
         given = joint.get("limits")
         ends = list(cast(tuple[Any, ...], given)) if isinstance(given, tuple) else []
         for key, values in (("rest", [joint.get("rest")]), ("limits", ends)):
-            if any(isinstance(v, int | float) and ANGLE_MAX < abs(v) <= COORDINATE_MAX for v in values):
-                sentence = f"must lie between {-ANGLE_MAX:g} and {ANGLE_MAX:g} rad"
+            wide = [v for v in values if isinstance(v, int | float) and ANGLE_MAX < abs(v) <= COORDINATE_MAX]
+            if wide:
+                hint = degrees_hint("rad", max(wide, key=abs))
+                sentence = f"must lie between {-ANGLE_MAX:g} and {ANGLE_MAX:g} rad{hint}"
                 faults.append(Fault(f"{where}.joint.{key}", sentence, _quoted(joint[key])))
     return faults
 

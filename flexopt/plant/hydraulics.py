@@ -18,6 +18,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import array_of, instance, public, public_class, words
 from flexopt.model.hydraulics import Cylinder, pin_to_pin
 from flexopt.plant.plant import Plant, build_plant
 
@@ -50,6 +51,10 @@ class CylinderState(NamedTuple):
         )
 
 
+_SATURATION = words("none", "each", "uniform")
+
+
+@public_class(plant=instance(Plant, "a Plant, from flexopt.build_plant"))
 @dataclass(frozen=True)
 class Hydraulics:
     """The n_c cylinders of a machine with n actuated joints. Every Function takes its inputs by name.
@@ -141,6 +146,7 @@ class Hydraulics:
         """`lever_map` without saturation."""
         return self.lever_map()
 
+    @public(saturation=_SATURATION)
     def lever_map(self, saturation: Saturation = "none") -> ca.Function:
         """Lever commands u (n,) from joint rates, 1 at full lever. Inputs posture, rates (n,), p; output lever.
 
@@ -175,6 +181,7 @@ class Hydraulics:
         name = "lever" if saturation == "none" else f"lever_saturated_{saturation}"
         return self._function(name, {"rates": rates}, [self._by_joint(moved_lever)], ["lever"])
 
+    @public(saturation=_SATURATION)
     def driven(self, saturation: Saturation) -> ca.Function:
         """Joint rates (n,) that come of wanted ones when they pass through the levers. Inputs posture, rates, p.
 
@@ -207,6 +214,11 @@ class Hydraulics:
             rates[joint] = shares[joint] * ca.if_else(shares[joint] < 0, retract, extend) / arm
         return self._function("lever_rates", {"lever": lever}, [ca.vertcat(*rates)], ["rates"])
 
+    @public(
+        machine=lambda self: self.plant.machine,
+        sizes=lambda self: {"n_q": self.plant.n_coordinates},
+        q=array_of(("n_q",)),
+    )
     def states(self, q: Vector, base: Vector) -> tuple[CylinderState, ...]:
         """Every cylinder at a configuration q (n_q,) of the machine's plant, the placement being `base` (n_b,)."""
         plant, p = self.plant, self.plant.parameter_values
@@ -250,10 +262,15 @@ def _column(entries: list[ca.SX]) -> ca.SX:
     return ca.vertcat(*entries) if entries else ca.SX(0, 1)
 
 
-@lru_cache(maxsize=32)
+@public()
 def build_hydraulics(machine: AnyMachine) -> Hydraulics:
     """The hydraulics of a machine, planar or in space (built once for each machine and kept).
 
     A machine without cylinders has the maps of its motors: `lever` and `joint_efforts` from its speeds and efforts.
     """
+    return _built(machine)
+
+
+@lru_cache(maxsize=32)
+def _built(machine: AnyMachine) -> Hydraulics:
     return Hydraulics(build_plant(machine))

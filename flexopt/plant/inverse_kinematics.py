@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
 
-from flexopt.errors import Fault, NoSolutionFound
+from flexopt.errors import NoSolutionFound
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector, shown
-from flexopt.model.problem import ELBOWS, Elbow, check_seed
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import public
+from flexopt.model.problem import Elbow
 from flexopt.plant.plant import Plant, build_plant
 from flexopt.plant.reach import missed, unreachable
 from flexopt.plant.reaching import REACHED, joint_box, nearest_postures
@@ -24,6 +26,12 @@ SAME = 1e-6
 EDGE = 1e-12
 
 
+def _branches(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    if given["elbow"] is not None and arguments.of is not None and not build_plant(arguments.of).closed_form:
+        arguments.note("elbow", "names a branch of planar arms only", given["elbow"])
+
+
+@public(together=_branches)
 def inverse_kinematics(
     machine: AnyMachine,
     target: Any,
@@ -53,17 +61,8 @@ def inverse_kinematics(
         InputError: an argument is not finite or has the wrong shape.
         UnreachableTarget: by how many metres, and for planar machines from which placements it would be reachable.
     """
-    arguments = Arguments("inverse_kinematics")
-    machine = arguments.machine(machine)
-    point = arguments.point(target, "target", machine)
-    placement = np.zeros(len(machine.base_coordinates)) if base is None else arguments.base(machine, base)
-    arguments.flag("gravity", gravity)
-    arguments.choice("elbow", elbow, (None, *ELBOWS))
-    arguments.checked("seed", seed, check_seed, 0)
-    plant = build_plant(machine)
-    if elbow is not None and not plant.closed_form:
-        arguments.faults.append(Fault("elbow", "names a branch of planar arms only", shown(elbow)))
-    arguments.done()
+    plant, point = build_plant(machine), target
+    placement = np.zeros(plant.n_base) if base is None else base
     if not plant.closed_form:
         return _by_iteration(plant, point, placement, gravity, seed)
     free = plant.n_actuated - 2

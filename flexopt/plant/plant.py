@@ -10,6 +10,7 @@ import casadi as ca
 from flexopt.algebra import solve_spd
 from flexopt.errors import Fault, InputError
 from flexopt.model import AnyMachine, Machine, Tree
+from flexopt.model.boundary import instance, public, public_class
 from flexopt.model.problem import Control, control_method
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.frames import Frames, build_frames
@@ -35,6 +36,10 @@ class OperatingPoint:
     static_residual: ca.SX
 
 
+_SX = instance(ca.SX, "a ca.SX")
+
+
+@public_class(graph=instance(ChainGraph, "the ChainGraph of a machine, as flexopt.build_plant makes it"))
 @dataclass(frozen=True)
 class Plant:
     """The equations of one machine: M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = τ (article, section 2).
@@ -262,6 +267,7 @@ class Plant:
             q_p = self._newton_step(q_p, g.base, g.posture, g.p)
         return self._of_posture("deflected", [q_p], ["q_p"])
 
+    @public(base=_SX, posture=_SX, p=_SX, deflection=_SX)
     def operating_point(self, base: ca.SX, posture: ca.SX, p: ca.SX, deflection: ca.SX | None = None) -> OperatingPoint:
         """Graphs at rest, or under gravity about the passive coordinates `deflection` (m,) from `deflected`.
 
@@ -291,6 +297,7 @@ class Plant:
             static_residual=residual,
         )
 
+    @public()
     def linearisation(self, control: Control = "inverse", *, gravity: bool = False) -> ca.Function:
         """The linear plant that the task-space controller sees: x = [q̇; q − q_d], ẋ = A x + B f, y = C x.
 
@@ -346,7 +353,7 @@ class Plant:
         )
 
 
-@lru_cache(maxsize=32)
+@public()
 def build_plant(machine: AnyMachine) -> Plant:
     """The plant of a machine (built once for each machine and kept).
 
@@ -356,6 +363,11 @@ def build_plant(machine: AnyMachine) -> Plant:
     Raises:
         ModelError: the joints of a spatial machine are not independent.
     """
+    return _built(machine)
+
+
+@lru_cache(maxsize=32)
+def _built(machine: AnyMachine) -> Plant:
     if isinstance(machine, Tree):
         return Plant(machine, build_spatial(machine))
     assert isinstance(machine, Machine)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
 from flexopt.errors import UnreachableTarget
@@ -105,8 +106,11 @@ def unreachable(
 
 
 @lru_cache(maxsize=32)
-def _path(machine: AnyMachine) -> tuple[tuple[float, ...], float, tuple[str, ...]]:
-    """Where the first joint on the way to the end-point sits, how long the way is, m, and the slides on it."""
+def path_to_end_point(machine: AnyMachine) -> tuple[ca.Function, tuple[str, ...]]:
+    """Where the first joint on the way to the end-point sits (3,) and how long the way is, m, from p; the slides on it.
+
+    Joints and placement are at 0, passive coordinates at rest.
+    """
     assert isinstance(machine, Tree)
     plant = build_plant(machine)
     index = {body.name: k for k, body in enumerate(machine.bodies)}
@@ -117,19 +121,22 @@ def _path(machine: AnyMachine) -> tuple[tuple[float, ...], float, tuple[str, ...
         name = machine.bodies[index[name]].parent
     while way and machine.bodies[way[0]].joint.passive:
         way.pop(0)
-    q = plant.rest(np.zeros(plant.n_base), np.zeros(plant.n_actuated), plant.parameter_values)
-    points = plant.skeleton(q, np.zeros(plant.n_base), plant.parameter_values).full()
+    p, base = plant.graph.p, ca.SX.zeros(plant.n_base, 1)
+    points = plant.skeleton(plant.rest(base, ca.SX.zeros(plant.n_actuated, 1), p), base, p)
     corners = points[:, [*(1 + k for k in way), points.shape[1] - 1]]
+    length = sum((ca.norm_2(part) for part in ca.horzsplit(ca.diff(corners, 1, 1))), start=ca.SX(0))
     joints = [machine.bodies[k].joint for k in way]
     slides = tuple(joint.name for joint in joints if joint.kind == "slide" and not joint.passive)
-    return tuple(corners[:, 0].tolist()), float(np.linalg.norm(np.diff(corners), axis=0).sum()), slides
+    outputs = [ca.densify(corners[:, 0]), length]
+    return ca.Function("path", [p], outputs, ["p"], ["first_joint", "length"]), slides
 
 
 def arm_length(plant: Plant) -> float:
     """Sum of the distances from joint to joint and to the end-point, slides at zero, m; 1 where that is nothing."""
     if plant.closed_form:
         return float(plant.arm_segments(p=plant.parameter_values)["lengths"].full().sum())
-    return _path(plant.machine)[1] or 1.0
+    length = path_to_end_point(plant.machine)[0].call([plant.parameter_values])[1]
+    return float(length) or 1.0
 
 
 def sampled_ranges(machine: AnyMachine, length: float) -> Vector:
@@ -154,10 +161,15 @@ def outer_reach(plant: Plant) -> tuple[Vector, float]:
     if plant.closed_form:
         at = reach(plant)
         return at.center, at.outer
-    center, _, slides = _path(plant.machine)
-    length = arm_length(plant)
-    ends = dict(zip(plant.machine.joints, sampled_ranges(plant.machine, length), strict=True))
-    return np.array(center), length + sum(float(np.abs(ends[name]).max()) for name in slides)
+    center = path_to_end_point(plant.machine)[0].call([plant.parameter_values])[0]
+    return center.full().ravel(), arm_length(plant) + slide_reach(plant)
+
+
+def slide_reach(plant: Plant) -> float:
+    """What the slides on the way to the end-point add to the arm's length inside `sampled_ranges`, m."""
+    ranges = sampled_ranges(plant.machine, arm_length(plant))
+    ends = dict(zip(plant.machine.joints, ranges, strict=True))
+    return sum(float(np.abs(ends[name]).max()) for name in path_to_end_point(plant.machine)[1])
 
 
 def missed(plant: Plant, target: Vector, base: Vector | None, left: float, why: str = "") -> UnreachableTarget:

@@ -6,6 +6,7 @@ import math
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.errors import SingularPosture
 from flexopt.model.arguments import Vector
@@ -52,6 +53,48 @@ def inverse_condition(condition: Vector, largest: Vector, control: Control) -> V
     if damping is None:
         return condition
     return np.hypot(largest, damping) / np.hypot(largest / condition, damping)
+
+
+def screened(plant: Plant) -> dict[str, ca.SX]:
+    """Graphs of base, posture and p that tell singular postures at rest, for many points at once by `singular_points`.
+
+    With σ the singular values of Jv: `screen` = Π σ² / (Σ σ²)^r ≤ 1/cond², so that most points need no more; `jv`
+    stacked, and of a single task row `position`, the Jacobian of the end-point's position, which it is compared with.
+    """
+    g, r = plant.graph, plant.n_task
+    rest = plant.rest(g.base, g.posture, g.p)
+    jv, position = plant.rigid_jacobian(rest, g.base, g.p), ca.SX(0, 1)
+    gram, size = jv @ jv.T, ca.sumsqr(jv)
+    if r == 1:
+        by_joints = ca.jacobian(g.skeleton[:, -1], g.q)[:, plant.n_passive :]
+        position = ca.Function("position_jacobian", [g.q, g.base, g.p], [by_joints])(rest, g.base, g.p)
+        size += ca.sumsqr(position)
+    return {"screen": ca.det(gram) / size**r, "jv": ca.vec(jv), "position": ca.vec(position)}
+
+
+def singular_points(plant: Plant, control: Control, screen: Vector, jv: Vector, position: Vector) -> NDArray[np.bool_]:
+    """Which of N points `check_regular` would refuse, (N,), from the outputs of `screened`, a column each."""
+    # A NaN is suspect, too. Damping can only make a posture regular.
+    suspects = np.flatnonzero(~(screen.ravel() > 2 / CONDITION_MAX**2))
+    singular = np.zeros(screen.size, dtype=bool)
+    if suspects.size:
+        condition, largest = conditions(jv[:, suspects], plant.n_actuated)
+        if plant.n_task == 1:
+            compared = np.maximum(largest, conditions(position[:, suspects], plant.n_actuated)[1])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                condition, largest = compared / largest, compared
+        singular[suspects] = ~(inverse_condition(condition, largest, control) <= CONDITION_MAX)
+    return singular
+
+
+def conditions(stacked: Vector, n_actuated: int) -> tuple[Vector, Vector]:
+    """Ratio of the extreme singular values of each of N Jacobians, stacked by columns, and the largest, (N,)."""
+    jacobians = stacked.T.reshape(stacked.shape[1], n_actuated, -1)
+    finite = np.all(np.isfinite(jacobians), axis=(1, 2))
+    values = np.linalg.svd(np.where(finite[:, None, None], jacobians, 0.0), compute_uv=False)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio: Vector = values[:, 0] / values[:, -1]
+    return np.where(np.isnan(ratio), np.inf, ratio), values[:, 0]
 
 
 def check_regular(plant: Plant, q: Vector, base: Vector, control: Control = "inverse") -> float:

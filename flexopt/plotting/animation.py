@@ -13,22 +13,21 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from flexopt.errors import Fault
-from flexopt.model.arguments import Arguments, shown
-from flexopt.model.quantities import check_number
+from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import instance, number, path, public
 from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.stage_space import SpaceStage
-from flexopt.plotting.trajectory import check_runs
 from flexopt.simulation.trajectory import Trajectory
+from flexopt.writing import write_file
 
 FRAMES_MAX = 250
 SHORTEST_FRAME = 4  # hundredths of a second, in which GIF counts: 25 frames a second
@@ -38,6 +37,32 @@ COLORS, NEARLY_WHITE = 64, 248
 TRANSPARENT = COLORS  # the palette's next entry
 
 
+def _lasts(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """The film must be neither too short nor too long."""
+    trajectory, rate = given["trajectory"], given["speed"]
+    if trajectory is None or rate is None:
+        return
+    alive = _alive(trajectory)
+    seconds = float(trajectory.time[alive[-1]]) / rate if alive.size else 0.0
+    if not FILM[0] <= seconds <= FILM[1]:
+        lasts = f"the film would last {seconds:.3g} s; it must last {FILM[0]:g} to {FILM[1]:g} s"
+        if seconds > 0:
+            lasts += f", so speed must lie between {seconds * rate / FILM[1]:.3g} and {seconds * rate / FILM[0]:.3g}"
+        arguments.note("speed", lasts, rate)
+
+
+def _alive(trajectory: Trajectory) -> NDArray[np.int64]:
+    """Samples whose numbers are finite."""
+    return np.flatnonzero(np.all(np.isfinite(trajectory.q), axis=1))
+
+
+@public(
+    trajectory=instance(Trajectory, "a Trajectory, from flexopt.simulate for example"),
+    path=path(".gif", ".html", parent=True),
+    speed=number("", above=0.0, high=1e9),
+    magnify=number("", low=0.0, high=1e6),
+    together=_lasts,
+)
 def animate_trajectory(
     trajectory: Trajectory, path: str | os.PathLike[str], *, speed: float = 1.0, magnify: float = 1.0
 ) -> None:
@@ -54,37 +79,17 @@ def animate_trajectory(
 
     Raises:
         InputError: arguments are not usable, all faults in one message.
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
-    check_runs("animate_trajectory", {"trajectory": trajectory})
-    arguments = Arguments("animate_trajectory")
-    suffix = arguments.checked("path", path, _check_suffix, ".gif")
-    rate = arguments.checked("speed", speed, lambda v: check_number(v, "", above=0.0, high=1e9), math.nan)
-    factor = arguments.checked("magnify", magnify, lambda v: check_number(v, "", low=0.0, high=1e6), 1.0)
-    alive = np.flatnonzero(np.all(np.isfinite(trajectory.q), axis=1))
-    seconds = float(trajectory.time[alive[-1]]) / rate if alive.size else 0.0
-    if not math.isnan(seconds) and not FILM[0] <= seconds <= FILM[1]:
-        lasts = f"the film would last {seconds:.3g} s; it must last {FILM[0]:g} to {FILM[1]:g} s"
-        if seconds > 0:
-            lasts += f", so speed must lie between {seconds * rate / FILM[1]:.3g} and {seconds * rate / FILM[0]:.3g}"
-        arguments.faults.append(Fault("speed", lasts, shown(speed)))
-    arguments.done()
-    film = _film(trajectory, alive, seconds, rate, factor)
+    alive = _alive(trajectory)
+    film = _film(trajectory, alive, float(trajectory.time[alive[-1]]) / speed, speed, magnify)
     images = list(_frames(film))
-    if suffix == ".gif":
-        still, *others = images
-        still.save(path, save_all=True, append_images=others, duration=10 * film.delay, loop=0, optimize=True)
+    if Path(path).suffix.lower() == ".gif":
+        buffer, (still, *others) = io.BytesIO(), images
+        still.save(buffer, "GIF", save_all=True, append_images=others, duration=10 * film.delay, loop=0, optimize=True)
+        write_file(path, buffer.getvalue())
     else:
-        Path(path).write_text(_page(film, images), encoding="utf-8")
-
-
-def _check_suffix(path: Any) -> str:
-    if not isinstance(path, str | os.PathLike):
-        raise ValueError("must be a path that ends in .gif or .html")
-    suffix = Path(cast(str, path)).suffix.lower()
-    if suffix not in (".gif", ".html"):
-        raise ValueError("must end in .gif or .html")
-    return suffix
+        write_file(path, _page(film, images))
 
 
 def _film(t: Trajectory, alive: NDArray[np.int64], seconds: float, rate: float, factor: float) -> Film:

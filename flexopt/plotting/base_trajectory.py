@@ -15,12 +15,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.arguments import shown
+from flexopt.model.plain import shown
+from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.panels import Line, Panel, draw_panel
 from flexopt.plotting.selection import CHOSEN, PRESENT
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
-from flexopt.plotting.trajectory import write
 from flexopt.selection.base_trajectory import BaseTrajectory
 
 TITLE_WIDTH = 100  # characters
@@ -35,7 +35,7 @@ def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str
 
     Raises:
         InputError: not a base trajectory, or the file's suffix is unknown.
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
     # A caller without types may pass anything.
     if not isinstance(trajectory, BaseTrajectory):  # pyright: ignore[reportUnnecessaryIsInstance]

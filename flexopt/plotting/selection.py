@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.scenery import AREAS, draw_scenery, scenery_points
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
@@ -35,7 +36,7 @@ def plot_selection(selection: Selection, path: str | os.PathLike[str] | None = N
         path: file to write (`.png`, `.svg`, `.pdf`), or None.
 
     Raises:
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
     planar = selection.best.evaluation.skeleton.shape[0] == 2
     count = selection.best.evaluation.w.size
@@ -50,8 +51,7 @@ def plot_selection(selection: Selection, path: str | os.PathLike[str] | None = N
         seen = grid[:, 0].subgridspec(2, 1)
         draw_configurations([figure.add_subplot(seen[k, 0]) for k in range(2)], selection)
         draw_candidates([figure.add_subplot(grid[k, 1]) for k in range(3)], selection)
-    if path is not None:
-        figure.savefig(path, dpi=150)
+    write("plot_selection", figure, path, dpi=150)
     return figure
 
 

@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.arguments import shown
+from flexopt.model.plain import shown
+from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.panels import Line, Panel, draw_panel
 from flexopt.plotting.scenery import draw_scenery, scenery_points
 from flexopt.plotting.selection import CHOSEN, MUTED, PRESENT
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
-from flexopt.plotting.trajectory import write
 from flexopt.selection.several import BasePlan, Place, Stand
 
 TITLE_WIDTH = 95  # characters
@@ -40,7 +40,7 @@ def plot_stand(stand: Stand, path: str | os.PathLike[str] | None = None) -> Figu
 
     Raises:
         InputError: not a stand, or the file's suffix is unknown.
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
     _check("plot_stand", "stand", stand, Stand, "flexopt.select_stand")
     figure, panels = _begin(stand, 2)
@@ -65,7 +65,7 @@ def plot_plan(plan: BasePlan, path: str | os.PathLike[str] | None = None) -> Fig
 
     Raises:
         InputError: not a plan, or the file's suffix is unknown.
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
     _check("plot_plan", "plan", plan, BasePlan, "flexopt.plan_base")
     e = plan.places[0].evaluation

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -17,8 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.arguments import shown
+from flexopt.model.plain import shown
 from flexopt.plant import build_plant
+from flexopt.plotting.files import write
 from flexopt.plotting.panels import Panel, draw_panel
 from flexopt.simulation.trajectory import Trajectory
 
@@ -36,7 +36,7 @@ def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None 
 
     Raises:
         InputError: not a trajectory, or the file's suffix is unknown.
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
     check_runs("plot_trajectory", {"trajectory": trajectory})
     t = trajectory
@@ -64,7 +64,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], path: str | os.Pat
 
     Raises:
         InputError: no runs, or they do not compare, or the file's suffix is unknown.
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
     check_runs("plot_trajectories", trajectories)
     first = next(iter(trajectories.values()))
@@ -103,18 +103,6 @@ def check_runs(call: str, runs: Any) -> None:
         if its != expected
     ]
     raise_if_any(InputError, call, faults)
-
-
-def write(call: str, figure: Figure, path: str | os.PathLike[str] | None) -> None:
-    """Write a figure where asked."""
-    if path is None:
-        return
-    known = sorted(figure.canvas.get_supported_filetypes())
-    suffix = Path(path).suffix
-    if suffix[1:].lower() not in known:
-        sentence = "must end in " + ", ".join(f".{each}" for each in known)
-        raise_if_any(InputError, call, [Fault("path", sentence, os.fspath(path))])
-    figure.savefig(path, dpi=200)
 
 
 def title(trajectory: Trajectory) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from flexopt.plotting.fields import Plane, Values, draw_field, draw_marks, draw_regions, label_plane
+from flexopt.plotting.files import write
 
 
 def dataset_plane(dataset: Any) -> Plane:
@@ -38,7 +39,7 @@ def plot_workspace(
         marks: points of the plane to show, name -> (x, y); the dataset's own by default.
 
     Raises:
-        OSError: the file cannot be written.
+        WriteError: the file cannot be written.
     """
     plane, panels = dataset_plane(dataset), _panels(dataset)
     shown = json.loads(dataset.attrs.get("marks", "{}")) if marks is None else marks
@@ -58,8 +59,7 @@ def plot_workspace(
     if shown:
         figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=8.5)
     figure.suptitle(f"{dataset.attrs['title']}, kr = {float(dataset.attrs['gain']):.3g}", fontsize=11)
-    if path is not None:
-        figure.savefig(path, dpi=150)
+    write("plot_workspace", figure, path, dpi=150)
     return figure
 
 

@@ -1,7 +1,8 @@
 """w at many points at once, for maps and scans.
 
 In: `Measures` and arrays of placements and postures, one column a point. Out: arrays in the same order. The compiled
-`Measures.quick` computes all points; those whose frequencies nearly meet are computed again by `Measures.w`.
+`Measures.quick` computes all points; those whose frequencies nearly meet are computed again by `Measures.w`, and those
+that have no measures are marked.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexopt.robustness.measures import Measures
+from flexopt.model.boundary import array_of, instance, public
+from flexopt.plant.singularity import singular_points
+from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.robustness.modes import TRUSTED_GAP
 
 Array = NDArray[np.float64]
@@ -23,30 +26,44 @@ class BatchedW:
     """Measures at N points. m modes, n joints.
 
     Attributes:
-        w: w_i, (m, N).
-        w_posture: ∂w_i/∂posture_j, (m, n, N), if asked for.
+        w: w_i, (m, N); NaN where there is none.
+        w_posture: ∂w_i/∂posture_j, (m, n, N), if asked for; NaN likewise.
         repaired: how many points were computed again.
+        singular: where Jv loses rank, (N,), so that `flexopt.evaluate` raises `SingularPosture`, or is no number.
+        unheld: where the static deflection did not converge or the springs do not hold the machine, (N,).
     """
 
     w: Array
     w_posture: Array | None
     repaired: int
+    singular: NDArray[np.bool_]
+    unheld: NDArray[np.bool_]
 
 
+@public(
+    measures=instance(Measures, "a Measures, from flexopt.build_measures"),
+    bases=array_of((), ("n_b",), ("n_b", "N"), finite=False),
+    postures=array_of(("n",), ("n", "N"), finite=False),
+)
 def evaluate_w(
     measures: Measures, bases: ArrayLike, postures: ArrayLike, *, threads: int = 1, gradient: bool = False
 ) -> BatchedW:
     """The w_i of `measures` at N points, with the machine's own parameters.
 
+    At a singular posture there is no w, nor under gravity where no equilibrium is found: these points come back as NaN
+    and are marked. So does a point that is not finite, and spoils none of the others.
+
     Args:
+        measures: from `flexopt.build_measures`.
         bases: (n_b, N), or (n_b,) for one placement at all points.
         postures: (n, N), or (n,).
         threads: among how many the points are divided; the results do not depend on it.
         gradient: whether ∂w/∂posture is wanted.
 
     Raises:
-        InputError: a shape or `threads` does not fit.
+        InputError: an argument is not usable, a shape does not fit.
     """
+    bases, postures = np.asarray(bases), np.asarray(postures)
     p = measures.plant.parameter_values.full().ravel()
     quick = measures.quick_batch_with_gradient if gradient else measures.quick_batch
     w, gap, *slopes = quick(bases, postures, p, threads=threads)
@@ -60,7 +77,17 @@ def evaluate_w(
             m, n = slopes[0].shape[0] // measures.plant.n_actuated, measures.plant.n_actuated
             slopes[0][:, doubtful] = flat.reshape(m, doubtful.size, n).transpose(2, 0, 1).reshape(m * n, -1)
     w_posture = slopes[0].reshape(-1, w.shape[0], w.shape[1]).transpose(1, 0, 2) if gradient else None
-    return BatchedW(w, w_posture, int(doubtful.size))
+    *jacobians, left_over, least_pivot = measures.sound_batch(bases, postures, p, threads=threads)
+    singular = singular_points(measures.plant, measures.control, *jacobians)
+    unheld = np.zeros_like(singular)
+    if measures.gravity:
+        unheld = ~((left_over[0] <= SOLVE_TOLERANCE) & (least_pivot[0] > 0))
+    # Points that fit every input alone are one.
+    none = np.broadcast_to(singular | unheld, w.shape[1])
+    w[:, none] = np.nan
+    if w_posture is not None:
+        w_posture[..., none] = np.nan
+    return BatchedW(w, w_posture, int(doubtful.size), singular, unheld)
 
 
 def _columns(given: ArrayLike, n_points: int) -> Array:

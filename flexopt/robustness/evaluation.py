@@ -12,18 +12,18 @@ import numpy as np
 from flexopt.coprime.margin import with_bound
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.arguments import Vector
+from flexopt.model.boundary import public
 from flexopt.model.documents import json_ready, provenance
-from flexopt.model.problem import Control, check_gain
+from flexopt.model.problem import Control
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.robustness.damped import DampedModes, damped_modes
 from flexopt.robustness.margin import build_margin
-from flexopt.robustness.measures import Measures, build_measures
+from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
+from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.posture_margin import evaluate_margin, prepare_margin
-
-SOLVE_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -238,6 +238,7 @@ def _listed(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> s
     return ", ".join(parts)
 
 
+@public()
 def evaluate(
     machine: AnyMachine,
     posture: Any,
@@ -273,16 +274,9 @@ def evaluate(
     Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, eqs. (1)–(10); mode derivatives after Fox and
     Kapoor, AIAA Journal 6(12), 1968.
     """
-    arguments = Arguments("evaluate")
-    machine = arguments.machine(machine)
-    angles = arguments.posture(machine, posture)
-    placement = np.zeros(len(machine.base_coordinates)) if base is None else arguments.base(machine, base)
-    control = arguments.control(control)
-    kr = arguments.checked("gain", gain, check_gain, 1.0)
-    arguments.flag("damped", damped)
-    arguments.flag("gravity", gravity)
-    arguments.done()
-    return evaluate_checked(machine, angles, placement, control=control, gain=kr, damped=damped, gravity=gravity)
+    warn_implausible(machine)
+    placement = np.zeros(len(machine.base_coordinates)) if base is None else base
+    return evaluate_checked(machine, posture, placement, control=control, gain=gain, damped=damped, gravity=gravity)
 
 
 def prepare(machine: AnyMachine, control: Control, *, gravity: bool) -> None:
@@ -332,7 +326,7 @@ def evaluate_checked(
     sentences = _warnings(clusters, frequencies, damped) + ((margin.warning,) if margin.warning else ())
     sentences += tuple(f"the gradient of w{i + 1} could not be computed to 1e-7: two poles nearly meet" for i in untold)
     for sentence in sentences:
-        python_warnings.warn(sentence, FlexoptWarning, stacklevel=3)
+        python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
     _check_finite(w, w_z[[i for i in alone if i not in untold]], frequencies, ratios, traces)
     options = {"gain": gain, "damped": damped, "gravity": gravity}
     return Evaluation(

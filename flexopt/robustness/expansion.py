@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 
@@ -19,11 +20,17 @@ from flexopt.robustness.measures import Measures
 from flexopt.robustness.residues import measure, rank_one_measure
 
 NAMES = ["base", "posture", "p", "held", "alpha"]
+# `held` is a constant to CasADi but changes with the posture: a derivative taken of such a Function would be wrong, so
+# that none can be taken.
+NO_DERIVATIVES: dict[str, Any] = {"never_inline": True, "enable_forward": False, "enable_reverse": False}
+NO_DERIVATIVES |= {"enable_jacobian": False, "enable_fd": False}
 
 
 @dataclass(frozen=True)
 class Expansion:
     """Functions of base (n_b,), posture (n,), p (n_par,), `held` from `Measures.hold`, and alpha (m,).
+
+    None of them can be differentiated by CasADi, to which `held` would be constant: ask for the next one.
 
     Inside, `f` is F Φ (2r, m), a_i above b_i, and `change` one of y in the axes of the modes: Φᵀ dK_p Φ, Φᵀ dM̄ Φ, dF Φ.
     """
@@ -35,7 +42,7 @@ class Expansion:
         """-> V."""
         symbols, f = self._begun()
         value = self._of_modes("weighted_measures", [], lambda weighted: [weighted])
-        return ca.Function("value", symbols, value.call([f, *symbols[3:]]), NAMES, ["V"])
+        return ca.Function("value", symbols, value.call([f, *symbols[3:]]), NAMES, ["V"], NO_DERIVATIVES)
 
     @cached_property
     def slope(self) -> ca.Function:
@@ -44,7 +51,7 @@ class Expansion:
         value, by_f = self._slopes.call([f, *symbols[3:]])
         pull = self._pull.call([f, by_f, symbols[3]])[0]
         gradient = self._machine_slope.call([*symbols[:4], pull])[0]
-        return ca.Function("slope", symbols, [value, gradient], NAMES, ["V", "V_z"])
+        return ca.Function("slope", symbols, [value, gradient], NAMES, ["V", "V_z"], NO_DERIVATIVES)
 
     @cached_property
     def curvature(self) -> ca.Function:
@@ -54,13 +61,13 @@ class Expansion:
         pull = self._pull.call([f, by_f, symbols[3]])[0]
         of_machine, slopes = self._machine_curvature.call([*symbols[:4], pull])
         if not self._moving:
-            return ca.Function("curvature", symbols, [of_machine], NAMES, ["V_zz"])
+            return ca.Function("curvature", symbols, [of_machine], NAMES, ["V_zz"], NO_DERIVATIVES)
         changes = self._into_modes.map(len(self._moving)).call([slopes, symbols[3]])[0]
         bent = self._bent.map(len(self._moving)).call([changes, f, by_f, *symbols[3:]])[0]
         inside = changes.T @ bent
         spread = ca.DM.eye(of_machine.shape[0])[:, self._moving]
         hessian = of_machine + spread @ ((inside + inside.T) / 2) @ spread.T
-        return ca.Function("curvature", symbols, [hessian], NAMES, ["V_zz"])
+        return ca.Function("curvature", symbols, [hessian], NAMES, ["V_zz"], NO_DERIVATIVES)
 
     def _begun(self) -> tuple[list[ca.MX], ca.MX]:
         """Symbols of all inputs, and f."""

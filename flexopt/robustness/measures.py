@@ -18,8 +18,10 @@ import casadi as ca
 from flexopt.algebra import called_eigen, turned_vectors
 from flexopt.compiled import Batch, batch
 from flexopt.model import AnyMachine
+from flexopt.model.boundary import instance, public, public_class
 from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
+from flexopt.plant.singularity import screened
 from flexopt.robustness.modes import (
     WRITTEN_OUT,
     called_modes,
@@ -39,6 +41,8 @@ from flexopt.robustness.residues import (
 
 # Nodes of a graph up to which equal parts of it are looked for.
 CSE_MAX = 20_000
+# Of what the static deflection may leave over, relative to the weight, and of the modes' orthogonality.
+SOLVE_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,7 @@ class MeasureGraph:
         return {name: ca.densify(getattr(self, name)) for name in self.__dataclass_fields__}
 
 
+@public_class(plant=instance(Plant, "a Plant, from flexopt.build_plant"))
 @dataclass(frozen=True)
 class Measures:
     """Measures of one machine under one controller.
@@ -263,6 +268,23 @@ class Measures:
         """`quick_with_gradient` at many points."""
         return batch(self.quick_with_gradient)
 
+    @cached_property
+    def sound_batch(self) -> Batch:
+        """What tells the points that have no measures, for many at once; see `flexopt.robustness.batches`.
+
+        Outputs of `flexopt.plant.singularity.screened`; under gravity also `left_over`, of the static deflection
+        relative to the weight, and `least_pivot` of the stiffness that holds it, else empty.
+        """
+        g, plant = self.plant.graph, self.plant
+        outputs = screened(plant) | {"left_over": ca.SX(0, 1), "least_pivot": ca.SX(0, 1)}
+        if self.gravity:
+            m = plant.n_passive
+            at = plant.operating_point(g.base, g.posture, g.p, plant.deflected(g.base, g.posture, g.p))
+            weight = ca.norm_inf(plant.gravity(at.q, g.base, g.p)[:m])
+            outputs["left_over"] = ca.norm_inf(at.static_residual) / (1 + weight)
+            outputs["least_pivot"] = ca.mmin(ca.ldl(ca.densify(at.stiffness[:m, :m]))[0])
+        return batch(self._function("sound", [], outputs, {}))
+
     def _quickly(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """The w_i (m, 1), the gap, and what `hold` would give."""
         g, plant = self.plant.graph, self.plant
@@ -322,7 +344,21 @@ def _shared(
     return ca.Function(name, inputs, outputs, names, results, {"cse": True} | options)
 
 
-@lru_cache(maxsize=64)
+@public()
 def build_measures(machine: AnyMachine, control: Control = "inverse", gravity: bool = False) -> Measures:
-    """The measures of a machine (built once for each machine, controller and gravity option, and kept)."""
+    """The measures of a machine (built once for each machine, controller and gravity option, and kept).
+
+    Args:
+        machine: from `flexopt.load`.
+        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
+        gravity: under static deflection.
+
+    Raises:
+        InputError: an argument is not usable.
+    """
+    return _built(machine, control, gravity)
+
+
+@lru_cache(maxsize=64)
+def _built(machine: AnyMachine, control: Control, gravity: bool) -> Measures:
     return Measures(build_plant(machine), control, gravity)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import public
 from flexopt.model.documents import json_ready
 from flexopt.model.problem import Control
 from flexopt.model.simulation import Path
@@ -115,6 +116,7 @@ class BaseTrajectory:
         document |= {"initial": self.initial.to_dict(), "final": self.final.to_dict()}
         return json_ready(document | {"provenance": self.provenance})
 
+    @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the machine at start and end, and the base's position and rate and V over time.
 

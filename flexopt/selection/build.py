@@ -4,31 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from flexopt.errors import Fault, InputError, UnreachableTarget
+from flexopt.errors import Fault, UnreachableTarget
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector, shown
-from flexopt.model.constraints import Constraints, read_constraints
-from flexopt.model.problem import (
-    ELBOWS,
-    SINGULARITY_MARGIN_DEG,
-    Control,
-    Elbow,
-    check_base_range,
-    check_gain,
-    check_margin_deg,
-    check_seed,
-    check_starts,
-)
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import public
+from flexopt.model.constraints import Constraints
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Control, Elbow
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held
 from flexopt.selection.constraints import ConstraintSet, build_constraints, constraint_faults
 from flexopt.selection.nlp import build_configuration
-from flexopt.selection.objective import Quantities, quantities, read_objectives
+from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
 from flexopt.selection.problem import Constraint, SelectionProblem, Travel, Variable
 from flexopt.selection.scan import Scan, scan_redundancy
 from flexopt.selection.starts import STARTS, Region, sample_configurations
@@ -37,6 +28,37 @@ Ranges = dict[str, tuple[float, float]]
 FREE = (-math.inf, math.inf)
 
 
+class _Asked(NamedTuple):
+    """What several arguments say together."""
+
+    objectives: tuple[Objective, ...]
+    constraints: Constraints
+    limits: Vector
+    now: Vector | None
+
+
+def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
+    """What the arguments of a selection say together; notes what does not fit."""
+    machine = arguments.of
+    if machine is None:
+        return None
+    base, posture = given["base"], given["posture"]
+    if posture is not None and base is None and machine.base_coordinates and not arguments.faulty("base"):
+        arguments.note("posture", "needs base, too: where the machine stands now", posture)
+    objectives: tuple[Objective, ...] = ()
+    if given["objective"] is not None:
+        objectives = read_objectives(arguments, machine, given["objective"], given["weights"])
+    asked = _suiting(arguments, machine, given["constraints"] or Constraints())
+    limits = _joint_limits(arguments, machine, asked.joint_margin)
+    return _Asked(objectives, asked, limits, _present(arguments, machine, asked, base, posture))
+
+
+def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """As `ask`, for the boundary."""
+    ask(arguments, given)
+
+
+@public("select", together=only_notes)
 def build_selection(
     machine: AnyMachine,
     target: Any,
@@ -54,6 +76,7 @@ def build_selection(
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
     starts: int | None = None,
     seed: int = 0,
+    slack: float = SLACK,
 ) -> SelectionProblem:
     """Set up the choice of placement and posture for a target of the end-point.
 
@@ -61,7 +84,8 @@ def build_selection(
         machine: from `flexopt.load`.
         target: a number for each row of the task (n_task,), m, inertial frame.
         objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
-            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1.
+            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1 to
+            within `slack`.
         control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
         weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
         gravity: measures and end-point under static deflection.
@@ -78,35 +102,21 @@ def build_selection(
             `Plant.singularity_sine_squared`.
         starts: how many starts IPOPT tries at most; by default 32, in the plane every peak of the scan, up to 64.
         seed: of the sample that the starts come from.
+        slack: what an objective may give up for the next one, as a share of its best value, or of Σ αi |a_i||b_i| where
+            that is more: w_i are best at 0. 1e-5 lets a_i and b_i of w_i turn by 0.3° from each other.
 
     Raises:
         InputError: arguments of wrong shape, not finite or out of range, all in one message.
         UnreachableTarget: no placement in the range reaches the target inside limits and margin.
     """
-    arguments = Arguments("select")
-    machine = arguments.machine(machine)
+    together = {"objective": objective, "weights": weights, "constraints": constraints, "base": base}
+    read = ask(Arguments("select", machine), together | {"posture": posture})
+    assert read is not None  # the machine is one
+    objectives, asked, limits, travel_now = read
     names, units = machine.base_coordinates, machine.base_units
-    point = arguments.point(target, "target", machine)
-    control = arguments.control(control)
-    arguments.choice("elbow", elbow, ELBOWS)
-    arguments.flag("gravity", gravity)
-    kr = arguments.checked("gain", gain, check_gain, 1.0)
-    present = None if base is None else arguments.base(machine, base)
-    held = None if posture is None else arguments.posture(machine, posture)
-    if held is not None and present is None and names:
-        arguments.faults.append(Fault("posture", "needs base, too: where the machine stands now", shown(posture)))
-    ranges: Ranges = {}
-    if base_range is not None:
-        ranges = arguments.checked("base_range", base_range, lambda v: check_base_range(v, names, units), {})
-    margin = math.radians(arguments.checked("singularity_margin_deg", singularity_margin_deg, check_margin_deg, 10.0))
-    if starts is not None:
-        arguments.checked("starts", starts, check_starts, 1)
-    arguments.checked("seed", seed, check_seed, 0)
-    objectives = read_objectives(arguments, machine, objective, weights)
-    asked = _read_constraints(arguments, machine, constraints)
-    limits = _joint_limits(arguments, machine, asked.joint_margin)
-    travel_now = _present(arguments, machine, asked, present, held)
-    arguments.done()
+    point, present, held, kr = target, base, posture, gain
+    ranges: Ranges = base_range or {}
+    margin = math.radians(singularity_margin_deg)
 
     functions = quantities(machine, control, gravity, kr)
     plant = functions.measures.plant
@@ -149,6 +159,7 @@ def build_selection(
         target=point,
         objectives=objectives,
         kept=(),
+        slack=slack,
         control=control,
         gravity=gravity,
         gain=kr,
@@ -169,15 +180,8 @@ def build_selection(
     )
 
 
-def _read_constraints(arguments: Arguments, machine: AnyMachine, value: Any) -> Constraints:
-    """The constraints of a call; faults go to `arguments`."""
-    try:
-        asked = read_constraints(value)
-    except InputError as error:
-        arguments.faults += [Fault(f"constraints.{f.field}", f.sentence, f.value) for f in error.faults] or [
-            Fault("constraints", str(error))
-        ]
-        return Constraints()
+def _suiting(arguments: Arguments, machine: AnyMachine, asked: Constraints) -> Constraints:
+    """The constraints, as far as they suit the machine; faults go to `arguments`."""
     faults = constraint_faults(build_plant(machine), asked)
     arguments.faults += [Fault(f"constraints.{f.field}", f.sentence, f.value) for f in faults]
     return Constraints(travel=asked.travel) if faults else asked
@@ -207,7 +211,7 @@ def _present(
     if base is None and not machine.base_coordinates:
         base = np.zeros(0)
     for name, value in (("base", base), ("posture", posture)):
-        if value is None:
+        if value is None and not arguments.faulty(name):
             arguments.faults.append(Fault(f"{where}{name}", "is required: what the machine leaves"))
     return None if base is None or posture is None else np.concatenate([base, posture])
 

@@ -14,6 +14,7 @@ from flexopt.selection.nlp import Rows
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.programs import Local
 
 TARGET_TOLERANCE = 1e-8
 BOUND_TOLERANCE = 1e-8
@@ -95,7 +96,7 @@ def prove(problem: SelectionProblem, z: Vector) -> Proof:
 
 
 @dataclass(frozen=True)
-class _Local:
+class _Linear:
     """First-order model at a point, in x = z / scale.
 
     Attributes:
@@ -145,6 +146,31 @@ def row_gradients(problem: SelectionProblem, z: Vector) -> Vector:
     return np.vstack([part.full() for part in parts])
 
 
+def stated(problem: SelectionProblem, x: Vector) -> Local:
+    """The program that `SelectionProblem.solver` climbs, at its x, by functions that it does not use."""
+    size, n_task, shift = problem.scale.size, problem.target.size, problem.shift[0]
+    z = x[:size] * problem.scale + shift
+    scales = np.array([constraint.scale for constraint in problem.constraints])
+    wanted = np.concatenate([problem.target, np.zeros(len(problem.constraints) - n_task)])
+    g, jacobian = [(problem.rows(z) - wanted) / scales], [row_gradients(problem, z) / scales[:, None]]
+    for objective, scale in zip(problem.objectives[: len(problem.kept)], problem.objective_scales, strict=False):
+        values, slopes = problem.branches(objective, z)
+        g.append(values / scale)
+        jacobian.append(slopes[: values.size] / scale)
+    values, slopes = problem.branches(problem.objective, z)
+    values, slopes = values / problem.objective_scale, slopes[: values.size] / problem.objective_scale
+    if not problem.objective.has_kinks:
+        return Local(
+            -float(values[0]), -slopes[0] * problem.scale, np.concatenate(g), np.vstack(jacobian) * problem.scale
+        )
+    # The level t, last in x, below both branches.
+    every = np.vstack([*jacobian, slopes]) * problem.scale
+    of_level = np.zeros(len(every))
+    of_level[-values.size :] = -1.0
+    down = np.append(np.zeros(size), -1.0)
+    return Local(-float(x[-1]), down, np.concatenate([*g, values - x[-1]]), np.column_stack([every, of_level]))
+
+
 def _active_rows(problem: SelectionProblem, values: Vector) -> tuple[list[int], list[ActiveRow]]:
     """Numbers of the equality rows, and of the active inequalities."""
     equal: list[int] = []
@@ -160,7 +186,7 @@ def _active_rows(problem: SelectionProblem, values: Vector) -> tuple[list[int], 
     return equal, active
 
 
-def _linearised(problem: SelectionProblem, z: Vector, row_values: Vector) -> _Local:
+def _linearised(problem: SelectionProblem, z: Vector, row_values: Vector) -> _Linear:
     rows: list[Vector] = []
     names: list[str] = []
     size = problem.objective_scale
@@ -201,7 +227,7 @@ def _linearised(problem: SelectionProblem, z: Vector, row_values: Vector) -> _Lo
             rows.append(-identity[i])
             names.append(f"{variable.name} upper bound")
     equalities = np.vstack([gradients_of_rows[equal], coupling, *fixed])
-    return _Local(
+    return _Linear(
         value=float(values[0]) / size,
         gradient=gradients[0] * problem.scale / size,
         equalities=equalities * problem.scale,
@@ -212,7 +238,7 @@ def _linearised(problem: SelectionProblem, z: Vector, row_values: Vector) -> _Lo
     )
 
 
-def _multipliers(local: _Local) -> tuple[Vector, list[int]]:
+def _multipliers(local: _Linear) -> tuple[Vector, list[int]]:
     """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, and the inequalities that pull."""
     kept = list(range(len(local.inequalities)))
     if not np.all(np.isfinite(local.gradient)) or not np.all(np.isfinite(local.rows(kept))):
@@ -226,7 +252,7 @@ def _multipliers(local: _Local) -> tuple[Vector, list[int]]:
         del kept[int(np.argmax(signs))]
 
 
-def _nearest_multipliers(local: _Local) -> tuple[Vector, list[int]]:
+def _nearest_multipliers(local: _Linear) -> tuple[Vector, list[int]]:
     """As `_multipliers`, the nearest there are: non-negative least squares on what equalities cannot take up."""
     if not len(local.inequalities):
         return np.linalg.pinv(local.equalities.T) @ local.gradient, []
@@ -238,7 +264,7 @@ def _nearest_multipliers(local: _Local) -> tuple[Vector, list[int]]:
     return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
-def _curvature(problem: SelectionProblem, z: Vector, local: _Local, multipliers: Vector, kept: list[int]) -> float:
+def _curvature(problem: SelectionProblem, z: Vector, local: _Linear, multipliers: Vector, kept: list[int]) -> float:
     """Largest curvature of V − λᵀ c on the null space of the active rows, by central differences of exact gradients.
 
     0 where nothing is free, at a kink, where the branches change places within the step, and where no point nearby
@@ -289,7 +315,7 @@ def _curved_gradients(
 
 
 def _rises(
-    problem: SelectionProblem, z: Vector, local: _Local, direction: Vector, weights: Vector, curvature: float
+    problem: SelectionProblem, z: Vector, local: _Linear, direction: Vector, weights: Vector, curvature: float
 ) -> bool:
     """Whether V is larger at some point near z along a direction, moved back onto the active rows.
 

@@ -23,6 +23,7 @@ from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.selection.constraints import ConstraintSet
+from flexopt.selection.programs import make_solver
 
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False, "no_nlp_grad": True}
 IPOPT_OPTIONS: dict[str, Any] = QUIET | {
@@ -63,6 +64,7 @@ SQP_OPTIONS: dict[str, Any] = QUIET | {
     "tol_pr": 1e-10,
     "min_step_size": 1e-12,
 }
+SQP_QUICK = 30
 
 
 @dataclass(frozen=True)
@@ -179,18 +181,6 @@ class Configuration:
         total = ca.hessian(ca.dot(multipliers, self._rows), self._z)[0]
         return self._of_rows("row_curvature", {"multipliers": multipliers}, [total], ["rows_zz"])
 
-    @cached_property
-    def values(self) -> ca.Function:
-        """(base, posture, p, c, alpha) -> V and rows (n_rows,): for other programs; differentiable twice, exactly."""
-        measures, s = self.measures, self._symbols
-        names = ("base", "posture", "p", "c")
-        symbols = [ca.MX.sym(name, s[name].shape[0]) for name in names]
-        alpha = ca.MX.sym("alpha", measures.plant.n_passive)
-        held = measures.called_hold.call(symbols[:3])[0]
-        rows = self.row_values.call([*symbols, self.held_rows(held)])[0]
-        outputs = [self.value.call([*symbols[:3], held, alpha])[0], rows]
-        return ca.Function("configuration", [*symbols, alpha], outputs, [*names, "alpha"], ["V", "rows"])
-
     def held_rows(self, held: ca.MX) -> ca.MX:
         """What the rows take as `held`: nothing of it matters without gravity, so that it need not be computed."""
         return held if self.gravity else ca.MX(ca.DM.zeros(*held.shape))
@@ -285,8 +275,8 @@ def build_solver(configuration: Configuration, forms: tuple[Form, ...], *, quick
     on which of them is the smaller one just now. `quick` is for first solves of problems with much redundancy.
     """
     if any(form.kinks for form in forms):
-        return _sequential(configuration, forms)
-    return ca.nlpsol("selection", "ipopt", *_interior_point(configuration, len(forms), quick=quick))
+        return make_solver("selection", "sqpmethod", *_sequential(configuration, forms, quick=quick))
+    return make_solver("selection", "ipopt", *_interior_point(configuration, len(forms), quick=quick))
 
 
 def _interior_point(
@@ -339,31 +329,56 @@ def _interior_point(
     return {"x": x, "p": parameters, "f": f, "g": g}, options
 
 
-def _sequential(configuration: Configuration, forms: tuple[Form, ...]) -> ca.Function:
+def _sequential(
+    configuration: Configuration, forms: tuple[Form, ...], *, quick: bool
+) -> tuple[dict[str, ca.MX], dict[str, Any]]:
+    """The program and the options of the sequential method."""
     measures, plant = configuration.measures, configuration.measures.plant
     n_z, n_b, m, count = plant.n_base + plant.n_actuated, plant.n_base, plant.n_passive, len(forms)
-    last = forms[-1]
-    x = ca.MX.sym("x", n_z + (1 if last.kinks else 0))
+    n_rows, level = configuration.n_rows, int(forms[-1].kinks)
+    x = ca.MX.sym("x", n_z + level)
     parameters, s = parameters_of(configuration, count).symbols()
     z, alphas = s["z_scale"] * x[:n_z], ca.reshape(s["alpha"], m, count)
     at = [z[:n_b], z[n_b:], s["p"]]
-    travel = s["cost"] * ca.sumsqr(x[:n_z] - s["now"])
+    away = x[:n_z] - s["now"]
+    travel, of_travel = s["cost"] * ca.sumsqr(away), 2 * s["cost"] * away.T
     margin = build_margin(configuration.machine, configuration.control, configuration.gravity)
-
-    branches: list[list[ca.MX]] = []
-    for k, form in enumerate(forms):
-        smooth = configuration.values.call([*at, s["c"], alphas[:, k]])[0] if form.smooth else ca.MX(0)
-        parts = [smooth]
-        if form.kinks:
-            epsilon = margin.differentiable.call([*at, s["gain"]])[0]
-            parts = [smooth + s["beta"][k] * epsilon[j] for j in range(2)]
-        branches.append([part / s["size"][k] - travel for part in parts])
     held = measures.called_hold.call(at)[0]
-    rows = configuration.row_values.call([*at, s["c"], configuration.held_rows(held)])[0]
-    offset = ca.vertcat(s["target"], ca.DM.zeros(configuration.n_rows - plant.n_task, 1))
-    constraints = [(rows - offset) / s["row_scale"], *(branch for kept in branches[:-1] for branch in kept)]
-    if last.kinks:
-        constraints += [branch - x[n_z] for branch in branches[-1]]
-    f = -x[n_z] if last.kinks else -branches[-1][0]
-    nlp = {"x": x, "p": parameters, "f": f, "g": ca.vertcat(*constraints)}
-    return ca.nlpsol("selection", "sqpmethod", nlp, SQP_OPTIONS)
+    row_inputs = [*at, s["c"], configuration.held_rows(held)]
+    offset = ca.vertcat(s["target"], ca.DM.zeros(n_rows - plant.n_task, 1))
+    epsilon, epsilon_z = margin.values.call([*at, s["gain"]])[0], margin.gradients.call([*at, s["gain"]])[1]
+
+    values: list[list[ca.MX]] = []
+    slopes: list[list[ca.MX]] = []
+    for k, form in enumerate(forms):
+        smooth, smooth_z = ca.MX(0), ca.MX(1, n_z)
+        if form.smooth:
+            # Held modes are constants to CasADi: the slope is asked for, never derived from the value.
+            smooth, by_z = configuration.slope.call([*at, held, alphas[:, k]])
+            smooth_z = by_z.T
+        both, both_z = [smooth], [smooth_z]
+        if form.kinks:
+            both = [smooth + s["beta"][k] * epsilon[j] for j in range(2)]
+            both_z = [smooth_z + s["beta"][k] * epsilon_z[j, :] for j in range(2)]
+        values.append([value / s["size"][k] - travel for value in both])
+        slopes.append([slope * s["z_scale"].T / s["size"][k] - of_travel for slope in both_z])
+
+    def program(rows: ca.MX) -> tuple[ca.MX, ca.MX]:
+        constraints = [(rows - offset) / s["row_scale"], *(branch for kept in values[:-1] for branch in kept)]
+        if level:
+            constraints += [branch - x[n_z] for branch in values[-1]]
+        return -x[n_z] if level else -values[-1][0], ca.vertcat(*constraints)
+
+    f, g = program(configuration.row_values.call(row_inputs)[0])
+    rows, row_slopes = configuration.row_slopes.call(row_inputs)
+    jacobian = [row_slopes * (1 / s["row_scale"] @ s["z_scale"].T), *(slope for kept in slopes[:-1] for slope in kept)]
+    gradient = -slopes[-1][0]
+    if level:
+        jacobian = [ca.horzcat(part, ca.MX.zeros(part.shape[0], 1)) for part in jacobian]
+        jacobian += [ca.horzcat(slope, ca.MX(-1)) for slope in slopes[-1]]
+        gradient = ca.MX(ca.DM([*[0] * n_z, -1]).T)
+    f_there, g_there = program(rows)
+    outputs = [f_there, ca.densify(gradient), g_there, ca.densify(ca.vertcat(*jacobian))]
+    given = ca.Function("jac_fg", [x, parameters], outputs, ["x", "p"], ["f", "grad_f_x", "g", "jac_g_x"])
+    options = SQP_OPTIONS | {"jac_fg": given} | ({"max_iter": SQP_QUICK} if quick else {})
+    return {"x": x, "p": parameters, "f": f, "g": g}, options

@@ -8,16 +8,17 @@ after each one the joints, and they alone, are corrected by Newton's method unti
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, cast
 
 import numpy as np
 
-from flexopt.errors import Fault, NoSolutionFound
+from flexopt.errors import NoSolutionFound
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import Check, number, of_machine, public, words
 from flexopt.model.documents import provenance
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_base_range, check_gain, check_margin_deg
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control
 from flexopt.model.quantities import check_number, check_numbers
 from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
@@ -35,6 +36,78 @@ GAIN_SHARE = 1e-6
 ROUNDING = 1e-12
 
 
+def _k_xi(value: Any, names: tuple[str, ...]) -> Vector:
+    """kξ as a matrix (n_z, n_z)."""
+    n_z, high = len(names), 1e30
+    if not isinstance(value, list | tuple):
+        return np.eye(n_z) * check_number(value, "", above=0.0, high=high)
+    rows = cast(Sequence[Any], value)
+    shape = f"must be a positive number, {n_z} numbers ({', '.join(names)}), or {n_z} rows of {n_z}"
+    if len(rows) != n_z:
+        raise ValueError(shape)
+    if not any(isinstance(row, list | tuple) for row in rows):
+        matrix = np.diag(check_numbers(list(rows), list(names), "", low=-high, high=high))
+    else:
+        if any(not isinstance(row, list | tuple) or len(cast(Sequence[Any], row)) != n_z for row in rows):
+            raise ValueError(shape)
+        labels = [f"row {a}, column {b}" for a in names for b in names]
+        flat = check_numbers([x for row in rows for x in row], labels, "", low=-high, high=high)
+        matrix = np.array(flat).reshape(n_z, n_z)
+    if not np.any(matrix):
+        raise ValueError("must not be zero: nothing would move")
+    return matrix
+
+
+def _metric(value: Any, names: tuple[str, ...]) -> Vector:
+    """Diagonal of the metric (n_z,)."""
+    if not isinstance(value, list | tuple) or len(cast(Sequence[Any], value)) != len(names):
+        raise ValueError(f"must be {len(names)} numbers, one for each of {', '.join(names)}")
+    return np.array(check_numbers(list(cast(Sequence[Any], value)), list(names), "", low=1e-12, high=1e12))
+
+
+def _named(check: Callable[[Any, tuple[str, ...]], Any]) -> Check:
+    """A check that asks the names of z."""
+
+    def asked(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
+        names = (*machine.base_coordinates, *machine.joints)
+        return arguments.checked(field, value, lambda v: check(v, names), None)
+
+    return of_machine(asked)
+
+
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    machine = arguments.of
+    if machine is not None and given["objective"] is not None:
+        more = read_objectives(arguments, machine, given["objective"], given["weights"])[1:]
+        if more:
+            arguments.note("objective", "must be a single one: the law climbs one V", given["objective"])
+    if given["duration"] and given["rate"] and given["duration"] * given["rate"] > SAMPLES_MAX:
+        arguments.note("duration", f"times rate must be at most {SAMPLES_MAX} samples", given["duration"])
+    if machine is None or arguments.faulty("base"):
+        return
+    placement = _placement(machine, given["base"])
+    ends = zip(placement, *_ends(machine, given["base_range"]), strict=True)
+    for name, unit, (x, low, high) in zip(machine.base_coordinates, machine.base_units, ends, strict=True):
+        if not low <= x <= high:
+            arguments.note("base", f"must lie in base_range, {name} {low:g} to {high:g} {unit}", placement)
+
+
+_SPEED = number("m/s", above=0.0, high=1e3)
+
+
+@public(
+    step_gain=_named(_k_xi),
+    metric=_named(_metric),
+    rate=number("Hz", above=0.0, high=1e5),
+    max_base_rate=_SPEED,
+    max_turn_rate=_SPEED,
+    max_joint_rate=number("rad/s or m/s", above=0.0, high=1e3),
+    max_base_acceleration=number("m/s²", above=0.0, high=1e4),
+    min_gain=number("1/s", low=0.0, high=1e6),
+    duration=number("s", above=0.0, high=1e6),
+    on_descent=words("stop", "continue"),
+    together=_together,
+)
 def nullspace_trajectory(
     machine: AnyMachine,
     posture: Any,
@@ -97,38 +170,13 @@ def nullspace_trajectory(
 
     Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, section 4.
     """
-    arguments = Arguments("nullspace_trajectory")
-    machine = arguments.machine(machine)
-    angles, units = arguments.posture(machine, posture), machine.base_units
-    placement = np.zeros(len(units)) if base is None else arguments.base(machine, base)
-    control = arguments.control(control)
-    arguments.flag("gravity", gravity)
-    kr = arguments.checked("gain", gain, check_gain, 1.0)
-    goal, *more = read_objectives(arguments, machine, objective, weights)
-    if more:
-        arguments.faults.append(Fault("objective", "must be a single one: the law climbs one V", shown(objective)))
-    names = (*machine.base_coordinates, *machine.joints)
-    k_xi = None if step_gain is None else arguments.checked("step_gain", step_gain, lambda v: _k_xi(v, names), None)
-    w = arguments.checked("metric", metric, lambda v: _metric(v, names), np.ones(len(names)))
-
-    def positive(field: str, value: Any, unit: str, high: float) -> float:
-        return arguments.checked(field, value, lambda v: check_number(v, unit, above=0.0, high=high), 1.0)
-
-    hertz, seconds = positive("rate", rate, "Hz", 1e5), positive("duration", duration, "s", 1e6)
-    given = ("max_base_rate", max_base_rate, "m/s"), ("max_turn_rate", max_turn_rate, "rad/s")
-    given = (*given, ("max_joint_rate", max_joint_rate, "rad/s or m/s"))
-    base_rate, turn_rate, joint_rate = (positive(*each, 1e3) for each in given)
-    if max_base_acceleration is not None:
-        max_base_acceleration = positive("max_base_acceleration", max_base_acceleration, "m/s²", 1e4)
-    if seconds * hertz > SAMPLES_MAX:
-        sentence = f"times rate must be at most {SAMPLES_MAX} samples"
-        arguments.faults.append(Fault("duration", sentence, shown(duration)))
-    lower, upper = _base_range(arguments, machine, base_range, placement)
-    margin = math.radians(arguments.checked("singularity_margin_deg", singularity_margin_deg, check_margin_deg, 10.0))
-    if min_gain is not None:
-        min_gain = arguments.checked("min_gain", min_gain, lambda v: check_number(v, "1/s", low=0.0, high=1e6), 0.0)
-    arguments.choice("on_descent", on_descent, ("stop", "continue"))
-    arguments.done()
+    angles, placement, kr, k_xi = posture, _placement(machine, base), gain, step_gain
+    goal = read_objectives(Arguments("nullspace_trajectory", machine), machine, objective, weights)[0]
+    w = np.ones(placement.size + angles.size) if metric is None else np.asarray(metric)
+    hertz, seconds = rate, duration
+    base_rate, turn_rate, joint_rate = max_base_rate, max_turn_rate, max_joint_rate
+    lower, upper = _ends(machine, base_range)
+    margin = math.radians(singularity_margin_deg)
 
     functions = quantities(machine, control, gravity, kr)
     start = np.concatenate([placement, angles])
@@ -234,51 +282,17 @@ def _check_start(law: NullspaceLaw, start: Point, initial: Evaluation, margin: f
         arguments = Arguments("nullspace_trajectory")
         sentence = f"comes closer than {math.degrees(margin):.4g}° to a singular posture; bend the arm or allow it by "
         sentence += "singularity_margin_deg"
-        arguments.faults.append(Fault("posture", sentence, shown(start.z[law.plant.n_base :])))
+        arguments.note("posture", sentence, start.z[law.plant.n_base :])
         arguments.done()
 
 
-def _k_xi(value: Any, names: tuple[str, ...]) -> Vector:
-    """kξ as a matrix (n_z, n_z)."""
-    n_z, high = len(names), 1e30
-    if not isinstance(value, list | tuple):
-        return np.eye(n_z) * check_number(value, "", above=0.0, high=high)
-    rows = cast(Sequence[Any], value)
-    shape = f"must be a positive number, {n_z} numbers ({', '.join(names)}), or {n_z} rows of {n_z}"
-    if len(rows) != n_z:
-        raise ValueError(shape)
-    if not any(isinstance(row, list | tuple) for row in rows):
-        matrix = np.diag(check_numbers(list(rows), list(names), "", low=-high, high=high))
-    else:
-        if any(not isinstance(row, list | tuple) or len(cast(Sequence[Any], row)) != n_z for row in rows):
-            raise ValueError(shape)
-        labels = [f"row {a}, column {b}" for a in names for b in names]
-        flat = check_numbers([x for row in rows for x in row], labels, "", low=-high, high=high)
-        matrix = np.array(flat).reshape(n_z, n_z)
-    if not np.any(matrix):
-        raise ValueError("must not be zero: nothing would move")
-    return matrix
+def _placement(machine: AnyMachine, base: Vector | None) -> Vector:
+    """Where the base stands at the start, (n_b,)."""
+    return np.zeros(len(machine.base_coordinates)) if base is None else base
 
 
-def _metric(value: Any, names: tuple[str, ...]) -> Vector:
-    """Diagonal of the metric (n_z,)."""
-    if value is None:
-        return np.ones(len(names))
-    if not isinstance(value, list | tuple) or len(cast(Sequence[Any], value)) != len(names):
-        raise ValueError(f"must be {len(names)} numbers, one for each of {', '.join(names)}")
-    return np.array(check_numbers(list(cast(Sequence[Any], value)), list(names), "", low=1e-12, high=1e12))
-
-
-def _base_range(arguments: Arguments, machine: AnyMachine, value: Any, placement: Vector) -> tuple[Vector, Vector]:
+def _ends(machine: AnyMachine, ranges: Mapping[str, tuple[float, float]] | None) -> tuple[Vector, Vector]:
     """Lower and upper ends for each base coordinate, (n_b,) each."""
-    names, units = machine.base_coordinates, machine.base_units
-    ranges: dict[str, tuple[float, float]] = {}
-    if value is not None:
-        ranges = arguments.checked("base_range", value, lambda v: check_base_range(v, names, units), ranges)
-    ends = [ranges.get(name, (-math.inf, math.inf)) for name in names]
-    for name, unit, x, (low, high) in zip(names, units, placement, ends, strict=True):
-        if not low <= x <= high:
-            sentence = f"must lie in base_range, {name} {low:g} to {high:g} {unit}"
-            arguments.faults.append(Fault("base", sentence, shown(placement)))
+    ends = [(ranges or {}).get(name, (-math.inf, math.inf)) for name in machine.base_coordinates]
     lower, upper = np.array(ends).reshape(-1, 2).T
     return lower, upper

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.problem import Control, check_objective, check_weights
+from flexopt.model.problem import Control
+from flexopt.plant import build_plant
 from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import Measures, build_measures
 
@@ -85,16 +86,20 @@ def quantities(machine: AnyMachine, control: Control, gravity: bool, gain: float
     return Quantities(build_measures(machine, control, gravity), build_margin(machine, control, gravity), gain)
 
 
-def read_objectives(arguments: Arguments, machine: AnyMachine, objective: Any, weights: Any) -> tuple[Objective, ...]:
-    """The objectives of a call, in order; faults go to `arguments`."""
-    m = build_measures(machine).plant.n_passive
-    names = arguments.checked("objective", objective, check_objective, "w1").split(",")
+def read_objectives(
+    arguments: Arguments, machine: AnyMachine, objective: str, weights: Sequence[float] | None
+) -> tuple[Objective, ...]:
+    """The objectives of a call, in order, of words and weights that are checked; other faults go to `arguments`."""
+    m = build_plant(machine).n_passive
+    names = objective.split(",")
     if "V" not in names and weights is not None:
-        arguments.faults.append(Fault("weights", f"go with objective V only, not with {','.join(names)}", str(weights)))
-    return tuple(_objective(arguments, machine, name.strip(), weights, m) for name in names)
+        arguments.note("weights", f"go with objective V only, not with {','.join(names)}", list(weights))
+    return tuple(_objective(arguments, machine, name, weights, m) for name in names)
 
 
-def _objective(arguments: Arguments, machine: AnyMachine, name: str, weights: Any, m: int) -> Objective:
+def _objective(
+    arguments: Arguments, machine: AnyMachine, name: str, weights: Sequence[float] | None, m: int
+) -> Objective:
     if name == "epsilon_max":
         return Objective(name, (0.0,) * m, 1.0)
     if name == "V":
@@ -106,14 +111,14 @@ def _objective(arguments: Arguments, machine: AnyMachine, name: str, weights: An
     return Objective(name, tuple(1.0 if i == mode - 1 else 0.0 for i in range(m)), 0.0)
 
 
-def _weighted(arguments: Arguments, machine: AnyMachine, weights: Any, m: int) -> Objective:
+def _weighted(arguments: Arguments, machine: AnyMachine, weights: Sequence[float] | None, m: int) -> Objective:
     stand_in = Objective("V", (1.0,) * m, 0.0)
     if weights is None:
-        arguments.faults.append(Fault("weights", f"objective V needs {m} of them, one for each mode"))
+        if not arguments.faulty("weights"):
+            arguments.faults.append(Fault("weights", f"objective V needs {m} of them, one for each mode"))
         return stand_in
-    values = arguments.checked("weights", weights, check_weights, (1.0,) * m)
-    if len(values) not in (m, m + 1):
+    if len(weights) not in (m, m + 1):
         sentence = f"{machine.name} has {m} modes, so {m} weights are needed, or {m + 1} with the last for ε_max"
-        arguments.faults.append(Fault("weights", sentence, str(weights)))
+        arguments.note("weights", sentence, list(weights))
         return stand_in
-    return Objective("V", tuple(values[:m]), values[m] if len(values) > m else 0.0)
+    return Objective("V", tuple(weights[:m]), weights[m] if len(weights) > m else 0.0)

@@ -8,26 +8,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
 from flexopt.model.arguments import Vector
 from flexopt.robustness.evaluation import prepare
-from flexopt.selection.check import Proof, prove
+from flexopt.selection.check import Proof, prove, stated
 from flexopt.selection.parallel import in_parallel
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Attempt
+from flexopt.selection.programs import Bounds, run
+from flexopt.selection.result import Attempt, Kept
+from flexopt.selection.seen import better_than, kept_peaks, seen_values
 
 SAME_POINT = 1e-4
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 CUT_SHORT = "Maximum_Iterations_Exceeded"
 # Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
 NEARLY = 1e-3
-# What an earlier objective may give up for a later one, relative to its scale: two postures with w that close to 0 are
-# equally robust.
-KEPT_SLACK = 1e-4
 # How often a solve that was cut short is taken up again.
 RESUMED = 3
 # Where no optimum of a later objective is found from those of the one before: how far away, in scaled variables, it is
@@ -45,33 +43,79 @@ Solved = tuple[Vector, Proof | None, int, str]
 def first_optima(
     problem: SelectionProblem, starts: list[Vector], workers: int, progress: Progress | None
 ) -> tuple[list[Found], list[Attempt]]:
-    """Distinct verified optima from the starts, and what became of each start."""
+    """Distinct verified optima from the starts, and what became of each start.
+
+    Raises:
+        NoSolutionFound: there is none, or none as good as a feasible point of the scan.
+    """
     found, attempts, failures = _attempted(problem, starts, workers, progress, _solve_start)
-    if not found:
-        raise _no_solution(problem, attempts, failures)
-    return found, attempts
+    return _not_below_seen(problem, found, attempts, failures, workers)
 
 
 def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) -> tuple[list[Found], list[Attempt]]:
-    """The same of a later objective, from optima of the one before.
+    """The same of a later objective, from optima of the one before and what the scan knows to keep them.
 
     These are few, and may lie where the solver gets stuck: in a valley as narrow as what the earlier objectives may
     give up, or where derivatives jump. Where none leads to an optimum, they may be optima of this objective, too; else
     points around them are tried, further and further away.
     """
-    found, attempts, failures = _attempted(problem, starts, workers, None, _solve_start)
-    if not found:
-        proofs = [prove(problem, z) for z in starts]
-        found = [(z, proof, 0) for z, proof in zip(starts, proofs, strict=True) if proof.holds]
+    near = [*starts, *kept_peaks(problem)]
+    found, attempts, failures = _attempted(problem, near, workers, None, _solve_start)
+    best = max((_value(problem, z) for z, _, _ in found), default=-np.inf)
+    proofs = [(z, prove(problem, z)) for z in starts if _value(problem, z) > best]
+    found += [(z, proof, 0) for z, proof in proofs if proof.holds and _is_new(problem, z, found)]
     for round_number, distance in enumerate(AROUND):
         if found:
             break
         near = starts if distance == 0 else _around(problem, starts, distance, round_number)
         found, more, failed = _attempted(problem, near, workers, None, _finish)
         attempts, failures = attempts + more, failures + failed
+    return _not_below_seen(problem, found, attempts, failures, workers)
+
+
+def _not_below_seen(
+    problem: SelectionProblem,
+    found: list[Found],
+    attempts: list[Attempt],
+    failures: list[tuple[Vector, Proof]],
+    workers: int,
+) -> tuple[list[Found], list[Attempt]]:
+    """The optima, and more from every point that was seen and is better than all of them.
+
+    Raises:
+        NoSolutionFound: there is none, or such a point leads to none that is as good.
+    """
+    values, tried = seen_values(problem), 0
+    best = max((_value(problem, z) for z, _, _ in found), default=-np.inf)
+    while (point := better_than(problem, best, values)) is not None:
+        if tried == len(AROUND):
+            raise _below(problem, best, point, len(attempts)) if found else _no_solution(problem, attempts, failures)
+        distance = AROUND[tried]
+        starts = [point] if distance == 0 else [point, *_around(problem, [point], distance, tried)]
+        more, others, failed = _attempted(problem, starts, workers, None, _finish)
+        found += [item for item in more if _is_new(problem, item[0], found)]
+        attempts, failures = attempts + others, failures + failed
+        better = max((_value(problem, z) for z, _, _ in more), default=-np.inf)
+        tried, best = (0, better) if better > best else (tried + 1, best)
     if not found:
         raise _no_solution(problem, attempts, failures)
     return found, attempts
+
+
+def _below(problem: SelectionProblem, best: float, point: Vector, starts: int) -> NoSolutionFound:
+    iterate = _named(problem, point)
+    where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
+    short = _value(problem, point) - best
+    return NoSolutionFound(
+        f"the best optimum of {problem.objective.name} from {starts} starts, {best:.6g}, is below {best + short:.6g} "
+        f"of a configuration that was seen ({where}) and leads to no verified optimum",
+        violations={"below what was seen": short},
+        iterate=iterate,
+    )
+
+
+def _named(problem: SelectionProblem, z: Vector) -> dict[str, float]:
+    return dict(zip((v.name for v in problem.variables), z.tolist(), strict=True))
 
 
 def _around(problem: SelectionProblem, starts: list[Vector], distance: float, number: int) -> list[Vector]:
@@ -99,11 +143,14 @@ def _attempted(
 
     # What candidates are evaluated by is built while others solve.
     meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
-    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile)
+    lost = partial(_lost, starts)
+    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile, lost)
     unfinished = _promising(problem, solved)
     points = [solved[number][0] for number in unfinished]
     for number, (z, proof, more, status) in zip(
-        unfinished, in_parallel(partial(_resume, problem, points), len(points), workers), strict=True
+        unfinished,
+        in_parallel(partial(_resume, problem, points), len(points), workers, lost=partial(_lost, points)),
+        strict=True,
     ):
         solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
@@ -121,6 +168,10 @@ def _attempted(
     return found, attempts, failures
 
 
+def _lost(starts: list[Vector], number: int, sentence: str) -> Solved:
+    return starts[number], None, 0, sentence
+
+
 def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
     """Whether a point counts as an optimum.
 
@@ -132,7 +183,7 @@ def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
 
 def _hurried(problem: SelectionProblem) -> bool:
     """Whether solves are cut short first: with one degree of redundancy optima are points, and solves are quick."""
-    return problem.redundancy > 1 and not any(o.has_kinks for o in problem.objectives[: len(problem.kept) + 1])
+    return problem.redundancy > 1
 
 
 def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
@@ -188,13 +239,13 @@ def _near(problem: SelectionProblem, z: Vector) -> bool:
     return max(beyond) <= NEARLY
 
 
-def next_stage(problem: SelectionProblem, found: list[Found]) -> SelectionProblem:
-    """The problem of the next objective, with the best value of the present one to be kept."""
-    values = [problem.branches(problem.objective, z)[0][0] for z, _, _ in found]
-    keep = float(max(values)) - KEPT_SLACK * problem.objective_scale
-    good = [item for item, value in zip(found, values, strict=True) if value >= keep]
-    found[:] = good
-    return replace(problem, kept=(*problem.kept, keep))
+def next_stage(problem: SelectionProblem, found: list[Found]) -> tuple[SelectionProblem, Kept]:
+    """The problem of the next objective, with the best value of the present one to be kept; and what that is."""
+    values = [_value(problem, z) for z, _, _ in found]
+    best = max(values)
+    kept = Kept(problem.objective.name, best, best - problem.given_up(best))
+    found[:] = [item for item, value in zip(found, values, strict=True) if value >= kept.at_least]
+    return replace(problem, kept=(*problem.kept, kept.at_least)), kept
 
 
 def run_solver(problem: SelectionProblem, start: Vector, *, quick: bool = False) -> tuple[Vector, int, str]:
@@ -213,17 +264,10 @@ def run_solver(problem: SelectionProblem, start: Vector, *, quick: bool = False)
         x0, lower, upper = np.append(x0, value), np.append(lower, -np.inf), np.append(upper, np.inf)
         at_least.append(np.zeros(2))
         at_most.append(np.full(2, np.inf))
-    result = solver(
-        x0=x0,
-        p=problem.solver_parameters(),
-        lbx=lower,
-        ubx=upper,
-        lbg=np.concatenate(at_least),
-        ubg=np.concatenate(at_most),
-    )
-    statistics: dict[str, Any] = solver.stats()
-    z = problem.wrapped(result["x"].full().ravel()[: problem.scale.size] * problem.scale + shift)
-    return np.clip(z, problem.lower, problem.upper), int(statistics["iter_count"]), str(statistics["return_status"])
+    bounds = Bounds(lower, upper, np.concatenate(at_least), np.concatenate(at_most))
+    reached = run(solver, partial(stated, problem), x0, problem.solver_parameters(), bounds)
+    z = problem.wrapped(reached.x[: problem.scale.size] * problem.scale + shift)
+    return np.clip(z, problem.lower, problem.upper), reached.iterations, reached.status
 
 
 def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:
@@ -242,7 +286,7 @@ def _no_solution(
     z, proof = min(failures, key=lambda item: _severity(problem, item[1]))
     units = {c.name: c.unit for c in problem.constraints} | {f"{v.name} range": v.unit for v in problem.variables}
     sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in proof.violations.items())
-    iterate = dict(zip((v.name for v in problem.variables), z.tolist(), strict=True))
+    iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
     return NoSolutionFound(
         f"{heading}; the best iterate ({where}) violates {sizes}", violations=proof.violations, iterate=iterate

@@ -15,22 +15,27 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
 from typing import Any, TypeVar, cast
 
-from flexopt.errors import Fault
-from flexopt.model.arguments import Arguments, shown
+from flexopt.errors import FlexoptError
 
 T = TypeVar("T")
 Task = Callable[[int], T]
 Done = Callable[[int], None]
 
-WORKERS_MAX = 1024
 # Work left, s, from which on processes are worth their start: forked ones start in some 10 ms, others import anew.
 WORTH_FORKING, WORTH_SPAWNING = 0.1, 5.0
 # Numbers that a process is given ahead.
 AHEAD_MAX = 8
+# How often a number is tried whose process is ended from outside.
+TRIES = 2
+
+
+class ProcessLost(FlexoptError):
+    """A process was ended from outside, as the system does for lack of memory, and so was the one that took over."""
 
 
 def available_cores() -> int:
@@ -38,19 +43,13 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def check_workers(arguments: Arguments, value: Any) -> int:
-    """A number of processes, by default one for each core."""
-    if value is None:
-        return available_cores()
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= WORKERS_MAX:
-        sentence = f"must be a whole number between 1 and {WORKERS_MAX}"
-        arguments.faults.append(Fault("workers", sentence, shown(value)))
-        return 1
-    return value
-
-
 def in_parallel(
-    task: Task[T], count: int, workers: int, done: Done | None = None, meanwhile: Callable[[], None] | None = None
+    task: Task[T],
+    count: int,
+    workers: int,
+    done: Done | None = None,
+    meanwhile: Callable[[], None] | None = None,
+    lost: Callable[[int, str], T] | None = None,
 ) -> list[T]:
     """[task(0), …, task(count − 1)].
 
@@ -62,9 +61,12 @@ def in_parallel(
         workers: processes at most, this one aside while it waits.
         done: called with the number of results so far.
         meanwhile: called once while processes work; not where none do.
+        lost: the result of a number whose processes were ended from outside, as for lack of memory, every time that it
+            was tried; takes the number and a sentence. Without it that is an error.
 
     Raises:
         Exception: the first one, by number, that the task raised.
+        ProcessLost: as above.
     """
     results: list[T] = []
     method = "fork" if sys.platform == "linux" else "spawn"
@@ -79,7 +81,7 @@ def in_parallel(
         if workers > 1 and left > 1 and slow and not _is_worker():
             numbers = list(range(len(results), count))
             context = multiprocessing.get_context(method)
-            rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile)
+            rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile, lost)
             if rest is not None:
                 return results + rest
             workers = 1
@@ -91,6 +93,54 @@ def _is_worker() -> bool:
     return bool(multiprocessing.current_process().daemon)
 
 
+@dataclass
+class _Crew:
+    """Processes that work, each with the end of its pipe here, and the numbers that each was given and has not done."""
+
+    context: BaseContext
+    task: Task[Any]
+    pairs: dict[Connection, Any] = field(default_factory=dict[Connection, Any])
+    busy: dict[Connection, deque[int]] = field(default_factory=dict[Connection, deque[int]])
+
+    def hire(self) -> bool:
+        """Start one more process; false where that cannot be."""
+        ours, theirs = self.context.Pipe()
+        # A forked child holds the ends of all pipes so far; it must close ours to see when we do.
+        held = [ours, *self.pairs] if self.context.get_start_method() == "fork" else []
+        process = cast(Any, self.context).Process(target=_work, args=(self.task, theirs, held), daemon=True)
+        try:
+            with warnings.catch_warnings():
+                # Threads that wait (an interactive shell's) do not matter to a child that never meets them.
+                warnings.simplefilter("ignore", DeprecationWarning)
+                process.start()
+        except (OSError, RuntimeError, AttributeError, TypeError, ValueError):
+            ours.close()
+            return False
+        finally:
+            theirs.close()
+        self.pairs[ours], self.busy[ours] = process, deque()
+        return True
+
+    def gone(self, connection: Connection) -> tuple[str, list[int]]:
+        """How a process ended, in words, and its numbers, the one that it worked on first."""
+        process, left = self.pairs.pop(connection), self.busy.pop(connection)
+        connection.close()
+        process.join()
+        code = int(process.exitcode)
+        process.close()
+        return (f"signal {-code}" if code < 0 else f"exit code {code}"), list(left)
+
+    def dismiss(self) -> None:
+        """Let every process go, those that are still at work by force."""
+        for connection, process in self.pairs.items():
+            connection.close()
+            if process.is_alive():
+                process.terminate()
+        for process in self.pairs.values():
+            process.join()
+            process.close()
+
+
 def _spread(
     context: BaseContext,
     task: Task[T],
@@ -99,89 +149,86 @@ def _spread(
     done: Done | None,
     before: int,
     meanwhile: Callable[[], None] | None,
+    lost: Callable[[int, str], T] | None,
 ) -> list[T] | None:
     """Results of the numbers from `workers` processes; None where processes cannot be started."""
-    pairs: list[tuple[Connection, Any]] = []
+    crew = _Crew(context, task)
     try:
-        for _ in range(workers):
-            ours, theirs = context.Pipe()
-            # A forked child holds the ends of all pipes so far; it must close ours to see when we do.
-            held = [ours, *(connection for connection, _ in pairs)] if context.get_start_method() == "fork" else []
-            process = cast(Any, context).Process(target=_work, args=(task, theirs, held), daemon=True)
-            try:
-                with warnings.catch_warnings():
-                    # Threads that wait (an interactive shell's) do not matter to a child that never meets them.
-                    warnings.simplefilter("ignore", DeprecationWarning)
-                    process.start()
-            except (OSError, RuntimeError, AttributeError, TypeError, ValueError):
-                ours.close()
-                if not pairs:
-                    return None
-                break
-            finally:
-                theirs.close()
-            pairs.append((ours, process))
-        return _collect(pairs, numbers, done, before, meanwhile)
+        while len(crew.pairs) < workers and crew.hire():
+            pass
+        if not crew.pairs:
+            return None
+        return _collect(crew, numbers, done, before, meanwhile, lost)
     finally:
-        _end(pairs)
+        crew.dismiss()
 
 
 def _collect(
-    pairs: list[tuple[Connection, Any]],
+    crew: _Crew,
     numbers: list[int],
     done: Done | None,
     before: int,
     meanwhile: Callable[[], None] | None,
+    lost: Callable[[int, str], Any] | None,
 ) -> list[Any]:
-    waiting, results = iter(numbers), dict[int, Any]()
+    waiting, results, tried = deque(numbers), dict[int, Any](), dict[int, int]()
     failures: dict[int, BaseException] = {}
-    busy = {connection: deque[int]() for connection, _ in pairs}
 
     def feed(connection: Connection) -> None:
-        number = next(waiting, None)
-        if number is not None and not failures:
-            busy[connection].append(number)
+        if waiting and not failures:
+            number = waiting.popleft()
+            crew.busy[connection].append(number)
             # One that has ended shows when its answer is read.
             with contextlib.suppress(BrokenPipeError):
                 connection.send(number)
 
+    def finished(number: int, value: Any) -> None:
+        results[number] = value
+        if done is not None:
+            done(before + len(results))
+
+    def replace(connection: Connection) -> None:
+        """Another process for one that was ended; what it worked on is tried once more, the rest goes back."""
+        ending, (number, *others) = crew.gone(connection)
+        waiting.extendleft(reversed(others))
+        tried[number] = tried.get(number, 0) + 1
+        if tried[number] < TRIES:
+            waiting.appendleft(number)
+        else:
+            sentence = f"its process was ended from outside ({ending}) each of {TRIES} times; memory may be short"
+            if lost is None:
+                failures[number] = ProcessLost(f"number {number + 1}: {sentence}")
+            else:
+                finished(number, lost(number, sentence))
+        if waiting and not failures and not crew.hire() and not crew.pairs:
+            failures[waiting[0]] = ProcessLost(f"processes were ended from outside ({ending}) and none can be started")
+        for free in [each for each, left in crew.busy.items() if not left]:
+            feed(free)
+
     # Enough to do for as long as this process does not look; more than a pipe holds would stop it for good, as the
     # others wait until it reads their results.
-    for _ in range(1 if meanwhile is None else max(1, min(AHEAD_MAX, len(numbers) // (2 * len(pairs))))):
-        for connection, _ in pairs:
+    ahead = 1 if meanwhile is None else max(1, min(AHEAD_MAX, len(numbers) // (2 * len(crew.pairs))))
+    for _ in range(ahead):
+        for connection in crew.pairs:
             feed(connection)
     if meanwhile is not None:
         meanwhile()
-    while any(busy.values()):
-        for ready in cast(list[Connection], wait([connection for connection, left in busy.items() if left])):
-            number = busy[ready].popleft()
+    while any(crew.busy.values()):
+        for ready in cast(list[Connection], wait([connection for connection, left in crew.busy.items() if left])):
             try:
                 fine, value = ready.recv()
             except (EOFError, ConnectionResetError):
-                failures[number] = RuntimeError(f"a process that solved start {number + 1} ended before it was done")
-                busy[ready].clear()
+                replace(ready)
                 continue
+            number = crew.busy[ready].popleft()
             if fine:
-                results[number] = value
-                if done is not None:
-                    done(before + len(results))
+                finished(number, value)
             else:
                 failures[number] = value
             feed(ready)
     if failures:
         raise failures[min(failures)]
     return [results[number] for number in numbers]
-
-
-def _end(pairs: list[tuple[Connection, Any]]) -> None:
-    """Let every process go, those that are still at work by force."""
-    for connection, process in pairs:
-        connection.close()
-        if process.is_alive():
-            process.terminate()
-    for _, process in pairs:
-        process.join()
-        process.close()
 
 
 def _work(task: Task[Any], connection: Connection, inherited: list[Connection]) -> None:

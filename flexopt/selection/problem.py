@@ -11,6 +11,7 @@ import numpy as np
 
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import array_of, instance, public
 from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.model.problem import Control, Elbow
 from flexopt.robustness.measures import Measures
@@ -56,6 +57,15 @@ class Travel:
     now: Vector
 
 
+def _sizes(of: Any) -> dict[str, int]:
+    return {"n_z": len(of.variables)}
+
+
+_OBJECTIVE = instance(Objective, "one of the problem's `objectives`")
+# One configuration or many.
+_MANY = array_of(("n_z",), ("N", "n_z"), ("K", "N", "n_z"), finite=False)
+
+
 @dataclass(frozen=True)
 class SelectionProblem:
     """argmax V(z), V = Σ αi wi + β ε_max, over z = [base, posture] with r(z) = target (article, section 4).
@@ -64,6 +74,7 @@ class SelectionProblem:
         machine, target: what is asked for; target (n_task,), m, inertial frame.
         objectives: what is maximised, in order of importance: each one among the configurations that keep those before.
         kept: values of V_1, V_2, … that a solution must keep, for the objectives before the one being solved.
+        slack: what an objective may give up for the next, as a share; see `given_up`.
         control, gravity, gain: as in `flexopt.evaluate`.
         variables: the placement, then the actuated joints.
         constraints: the target's rows, the distance from singular postures as sin² of the margin, and the rows of
@@ -86,6 +97,7 @@ class SelectionProblem:
     target: Vector
     objectives: tuple[Objective, ...]
     kept: tuple[float, ...]
+    slack: float
     control: Control
     gravity: bool
     gain: float
@@ -134,6 +146,13 @@ class SelectionProblem:
         """Its scale."""
         return self.objective_scales[len(self.kept)]
 
+    def given_up(self, best: float) -> float:
+        """What the objective being solved, at most `best`, may give up for the next one, in V's unit.
+
+        The share `slack` of |best|, or of the typical Σ αi |a_i||b_i| where that is more: the w_i are best at 0.
+        """
+        return self.slack * max(abs(best), self.objective_scale - self.objective.beta)
+
     @property
     def bounded_by_zero(self) -> bool:
         """Whether no configuration can have V > 0: w_i ≤ 0 for two task rows and more, travel costs aside."""
@@ -170,6 +189,7 @@ class SelectionProblem:
                 of_z[k] = of_target[rows.index(name)] = self.target[rows.index(name)]
         return of_z, of_target
 
+    @public(sizes=_sizes, objective=_OBJECTIVE, z=array_of(("n_z",)))
     def branches(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
         """V of an objective with each of the branches of ε_max, and gradients by z, as `Quantities.branches`.
 
@@ -182,6 +202,7 @@ class SelectionProblem:
         gradients[: values.size] -= slope
         return values - cost, gradients
 
+    @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
     def travel_cost(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
         """What V of an objective is less by at z (…, n_z), and its gradient."""
         if self.travel is None:
@@ -190,6 +211,7 @@ class SelectionProblem:
         away = (z - self.travel.now) / self.scale
         return size * np.sum(away**2, axis=-1), 2 * size * away / self.scale
 
+    @public(sizes=_sizes, z=_MANY)
     def wrapped(self, z: Vector) -> Vector:
         """The same configurations (…, n_z) with unlimited angles within half a turn of the present ones, or of 0."""
         units = (*self.machine.base_units, *self.machine.joint_units)
@@ -198,6 +220,7 @@ class SelectionProblem:
         away = (z - now + math.pi) % (2 * math.pi) - math.pi
         return np.where(turns, now + away, z)
 
+    @public(sizes=_sizes, z=array_of(("n_z",)))
     def rows(self, z: Vector) -> Vector:
         """Values of all constraints, (n_rows,), in their units."""
         n_base, p = len(self.machine.base_coordinates), self.measures.plant.parameter_values
@@ -212,6 +235,7 @@ class SelectionProblem:
         """How many variables the target leaves free."""
         return int(np.sum(self.lower < self.upper)) - self.target.size
 
+    @public()
     def solver(self, *, quick: bool = False) -> ca.Function:
         """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameters: `solver_parameters`."""
         return build_solver(self.configuration, self._forms, quick=quick)
@@ -255,6 +279,7 @@ class SelectionProblem:
             "target": self.target.tolist(),
             "objective": self.name,
             "weights": self.objectives[0].weights.tolist(),
+            "slack": self.slack,
             "objective_scale": self.objective_scales[0],
             "objectives": [
                 {"name": objective.name, "weights": objective.weights.tolist(), "scale": size}

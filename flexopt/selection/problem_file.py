@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from flexopt.model import Problem
+from flexopt.model.boundary import public
 from flexopt.selection.result import Selection
 from flexopt.selection.several import BasePlan, Stand, plan_base, select_stand
 from flexopt.selection.solve import Progress, select
 
 
+@public()
 def solve_problem(
     problem: Problem, *, workers: int | None = None, progress: Progress | None = None
 ) -> Selection | Stand | BasePlan:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from flexopt.compiled.turns import TURN
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import public
 from flexopt.model.documents import json_ready
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
@@ -59,9 +61,15 @@ class Candidate:
     evaluate: Callable[[], Evaluation] = field(repr=False, compare=False)
     continuum: tuple[tuple[float, ...], ...] = ()
 
-    @cached_property
+    @property
     def evaluation(self) -> Evaluation:
         """Every measure there; computed when first asked for."""
+        # The turn first, the property's own lock inside it.
+        with TURN:
+            return self._evaluation
+
+    @cached_property
+    def _evaluation(self) -> Evaluation:
         return self.evaluate()
 
     def to_dict(self) -> dict[str, Any]:
@@ -87,16 +95,29 @@ class Attempt:
 
 
 @dataclass(frozen=True)
+class Kept:
+    """An objective that the next ones keep: its name, the best V found, and what V must be at least."""
+
+    objective: str
+    best: float
+    at_least: float
+
+    def __str__(self) -> str:
+        return f"{self.objective} kept: at least {self.at_least:.6g}, {self.best - self.at_least:.1e} below its best"
+
+
+@dataclass(frozen=True)
 class Selection:
     """The answer to a configuration problem.
 
     Attributes:
         best: the first of the candidates.
-        candidates: all distinct local optima found, one of each continuum, ranked by objective; ties within 1e-9 of
-            |a||b| by the worst of the other w_i, then by ε_max, then by the distance from the present base if one was
-            given.
+        candidates: all distinct local optima found, one of each continuum, ranked by objective; of several in order by
+            the last, as all of them keep those before. Ties within 1e-9 of |a||b| go by the earlier objectives, then by
+            the worst of the other w_i, then by ε_max, then by the distance from the present base if one was given.
         initial: the posture at the present base, where one was given and reaches the target.
         attempts: every start and its outcome.
+        kept: of objectives in order, what those before the last keep.
         problem: what was solved.
     """
 
@@ -104,6 +125,7 @@ class Selection:
     candidates: tuple[Candidate, ...]
     initial: Evaluation | None
     attempts: tuple[Attempt, ...]
+    kept: tuple[Kept, ...]
     problem: SelectionProblem
     provenance: dict[str, Any] = field(repr=False)
 
@@ -129,11 +151,13 @@ class Selection:
                 "candidates": [candidate.to_dict() for candidate in self.candidates],
                 "initial": self.initial and self.initial.to_dict(),
                 "attempts": [vars(attempt) for attempt in self.attempts],
+                "kept": [vars(kept) for kept in self.kept],
                 "problem": self.problem.to_dict(),
                 "provenance": self.provenance,
             }
         )
 
+    @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the machine in the chosen and the initial posture beside w along the redundancy.
 
@@ -165,6 +189,7 @@ class Selection:
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
             alike = f"   and {len(candidate.continuum)} placements alike" if candidate.continuum else ""
             lines.append(f"  {rank:4d} {numbers}{_measures(e)}{active}{alike}")
+        lines += [f"  {kept}" for kept in self.kept]
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:

@@ -10,18 +10,20 @@ import numpy as np
 
 from flexopt.errors import FlexoptError
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.arguments import Vector
+from flexopt.model.boundary import instance, public
 from flexopt.model.constraints import Constraints
 from flexopt.model.documents import provenance
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, Elbow
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Control, Elbow
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
-from flexopt.selection.build import build_selection
+from flexopt.robustness.plausibility import warn_implausible
+from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.continua import grouped
-from flexopt.selection.optima import KEPT_SLACK, Found, Progress, first_optima, later_optima, next_stage
-from flexopt.selection.parallel import check_workers
+from flexopt.selection.optima import Found, Progress, first_optima, later_optima, next_stage
+from flexopt.selection.parallel import available_cores
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Candidate, ConstraintValue, Selection
+from flexopt.selection.result import Candidate, ConstraintValue, Kept, Selection
 from flexopt.selection.starts import starting_points
 
 # Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
@@ -29,6 +31,7 @@ from flexopt.selection.starts import starting_points
 TIE_TOLERANCE = 1e-9
 
 
+@public(together=only_notes)
 def select(
     machine: AnyMachine,
     target: Any,
@@ -46,6 +49,7 @@ def select(
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
     starts: int | None = None,
     seed: int = 0,
+    slack: float = SLACK,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Selection:
@@ -53,7 +57,7 @@ def select(
 
     Args:
         machine, target, objective, control, weights, gravity, gain, base, posture, base_range, constraints, elbow,
-            singularity_margin_deg, starts, seed: as in `flexopt.build_selection`.
+            singularity_margin_deg, starts, seed, slack: as in `flexopt.build_selection`.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -77,10 +81,12 @@ def select(
         singularity_margin_deg=singularity_margin_deg,
         starts=starts,
         seed=seed,
+        slack=slack,
     )
     return solve_selection(problem, workers=workers, progress=progress)
 
 
+@public(problem=instance(SelectionProblem, "a SelectionProblem, from flexopt.build_selection"))
 def solve_selection(
     problem: SelectionProblem, *, workers: int | None = None, progress: Progress | None = None
 ) -> Selection:
@@ -96,12 +102,13 @@ def solve_selection(
         NoSolutionFound: no start led to a point that passes the checks; names the violated constraints, their sizes
             and the best iterate.
     """
-    arguments = Arguments("solve_selection")
-    count = check_workers(arguments, workers)
-    arguments.done()
+    warn_implausible(problem.machine)
+    count = workers or available_cores()
     found, attempts = first_optima(problem, starting_points(problem), count, progress)
+    kept: list[Kept] = []
     while len(problem.kept) + 1 < len(problem.objectives):
-        problem = next_stage(problem, found)
+        problem, now = next_stage(problem, found)
+        kept.append(now)
         found, more = later_optima(problem, [z for z, _, _ in found], count)
         attempts += more
     groups = grouped(problem, [z for z, _, _ in found])
@@ -110,12 +117,13 @@ def solve_selection(
     assert candidates[0].evaluation is not None
     options = {"target": problem.target.tolist(), "objective": problem.name, "control": problem.control}
     options |= {"weights": [objective.weights.tolist() for objective in problem.objectives]}
-    options |= {"gravity": problem.gravity, "gain": problem.gain, "seed": problem.seed}
+    options |= {"gravity": problem.gravity, "gain": problem.gain, "seed": problem.seed, "slack": problem.slack}
     return Selection(
         best=candidates[0],
         candidates=tuple(candidates),
         initial=_initial(problem),
         attempts=tuple(attempts),
+        kept=tuple(kept),
         problem=problem,
         provenance=provenance(problem.machine, **options),
     )
@@ -168,7 +176,7 @@ def evaluated(problem: SelectionProblem, z: Vector) -> Evaluation:
 
 
 def _ranked(problem: SelectionProblem, candidates: list[Candidate]) -> list[Candidate]:
-    """Best first: the objectives in order, the worst of the w_i in none of them, ε_max, distance.
+    """Best first: the last objective, those before, the worst of the w_i in none of them, ε_max, distance.
 
     ε_max is asked for where it decides only: it costs more than all else about a candidate.
     """
@@ -180,16 +188,13 @@ def _ranked(problem: SelectionProblem, candidates: list[Candidate]) -> list[Cand
 
 
 def _rank(problem: SelectionProblem, candidate: Candidate) -> tuple[float, ...]:
-    """Sorting key, smallest first: the objectives in order, then the worst of the w_i in none of them."""
+    """Sorting key, smallest first: the last objective, those that all keep, the worst of the w_i in none of them."""
     key: list[float] = []
-    first = problem.objective_scales[0]
-    for number, (objective, size) in enumerate(zip(problem.objectives, problem.objective_scales, strict=True)):
-        # An objective that was kept has been kept to within the slack.
-        quantum = (KEPT_SLACK if number < len(problem.kept) else TIE_TOLERANCE) * size
-        key.append(-round(float(problem.branches(objective, candidate.z)[0][0]) / quantum))
+    for objective, size in zip(reversed(problem.objectives), reversed(problem.objective_scales), strict=True):
+        key.append(-round(float(problem.branches(objective, candidate.z)[0][0]) / (TIE_TOLERANCE * size)))
     used = np.any([np.array(objective.alpha) > 0 for objective in problem.objectives], axis=0)
     others = [w for w, taken in zip(candidate.w, used, strict=True) if not taken] or [0.0]
-    return (*key, -round(min(others) / (TIE_TOLERANCE * first)))
+    return (*key, -round(min(others) / (TIE_TOLERANCE * problem.objective_scales[0])))
 
 
 def _tie(problem: SelectionProblem, candidate: Candidate) -> tuple[float, float]:

@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from flexopt.model.arguments import Vector
 
-Verdict = Literal["converges", "grows"]
+RunVerdict = Literal["converges", "grows"]
 SETTLED = 0.02  # share of the error at the start
 # Energy of a mode below this share of the largest of all so far is rounding.
 ROUNDING = 1e-20
 # So is what moves by less than this, m and rad.
 STILL = 1e-12
 FEWEST_WINDOWS = 4
+# A mode whose kinetic energy stays below this share of its elastic one is bent slowly: a hundredth of its frequency.
+QUASI_STATIC = 1e-4
 # An amplitude that ends so many times larger than it began has grown, whatever it does in the end.
 GROWN = 3.0
 
@@ -45,6 +47,11 @@ class Behaviour:
         peak_base_rotation: rad (N,); NaN for a base that cannot turn.
         residual_oscillation: largest energy of each mode in the slowest one's last period (m, N), J.
         finite_until: time up to which every state was a finite number, s (N,).
+        significant: whether the growth rate is more than twice its standard error away from 0, or the amplitude three
+            times what it was, or nothing moved (N,).
+        short: whether what is judged lasts less than four periods of the slowest mode.
+        slowest_hz: that mode's frequency.
+        duration: s.
     """
 
     grows: NDArray[np.bool_]
@@ -56,10 +63,41 @@ class Behaviour:
     peak_base_rotation: Vector
     residual_oscillation: Vector
     finite_until: Vector
+    significant: NDArray[np.bool_]
+    short: bool
+    slowest_hz: float
+    duration: float
 
-    def verdict(self, member: int = 0) -> Verdict:
-        """The verdict in the command line's word."""
+    def verdict(self, member: int = 0) -> RunVerdict:
+        """What the run shows, in a word."""
         return "grows" if self.grows[member] else "converges"
+
+    def shown(self, member: int = 0) -> Shown:
+        """What one run shows."""
+        return Shown(
+            word=self.verdict(member),
+            rate=float(self.growth_rate[member]),
+            error=float(self.growth_rate_error[member]),
+            ended=float(self.finite_until[member]),
+            significant=bool(self.significant[member]),
+            short=self.short,
+            slowest_hz=self.slowest_hz,
+            duration=self.duration,
+        )
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What one run shows of growth; see `Behaviour`, `rate` and `error` in 1/s, `ended` in s."""
+
+    word: RunVerdict
+    rate: float
+    error: float
+    ended: float
+    significant: bool
+    short: bool
+    slowest_hz: float
+    duration: float
 
 
 @dataclass(frozen=True)
@@ -73,6 +111,8 @@ class Grounds:
         undisturbed_from: time from which nothing is driven any more, s; growth is judged from there.
         noisy: whether noise keeps the modes moving. Their amplitudes then wander, which a fit takes for growth, so
             that only an amplitude three times as large as at first counts.
+        drifting: whether the arm drifts along a self-motion, so that kinetic and elastic energies come apart, and a
+            mode that is bent without moving counts as still.
     """
 
     slowest_hz: float
@@ -80,6 +120,7 @@ class Grounds:
     still: Vector | float = 0.0
     undisturbed_from: float = 0.0
     noisy: bool = False
+    drifting: bool = False
 
 
 def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Grounds) -> Behaviour:
@@ -87,24 +128,29 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
 
     Args:
         times: (windows + 1,) edges of the windows, s.
-        monitors: (windows, 2 + m, N) maxima of `Sample.monitor`.
+        monitors: (windows, 2 + m, N) maxima of `Sample.monitor`; (windows, 2 + 2 m, N) where the arm drifts.
         end_error: |e| at the end, (N,).
         grounds: of the judgement.
     """
     squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, 2:]
+    modes = energy.shape[1] // 2 if grounds.drifting else energy.shape[1]
     alive = np.logical_and.accumulate(np.isfinite(squared_error) & np.all(np.isfinite(energy), axis=1), axis=0)
     finite = np.where(np.all(alive, axis=0), times[-1], times[np.sum(alive, axis=0)])
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)
 
     begin = int(np.sum(times[:-1] < grounds.undisturbed_from - 1e-9 * times[-1]))
+    short = grounds.slowest_hz * float(times[-1] - times[min(begin, len(times) - 1)]) < FEWEST_WINDOWS
     begin = begin if len(energy) - begin >= FEWEST_WINDOWS else 0
     judged = np.where(alive[begin:, None], energy[begin:], np.nan)
     peaks, centres = _periods(times[begin:], judged, grounds.slowest_hz)
-    rate, error, first, last = _growth(peaks, centres, grounds.still)
+    peaks, elastic = peaks[:, :modes], peaks[:, modes:]
+    bent = QUASI_STATIC * elastic if grounds.drifting else 0.0
+    rate, error, first, last = _growth(peaks, centres, grounds.still, bent)
     with np.errstate(invalid="ignore"):
         growing = last >= GROWN * first
         if not grounds.noisy:
             growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
+        wavering = np.any((np.abs(rate) <= 2 * error) & (last < GROWN * first), axis=0)
     fastest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)[None]
 
     loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
@@ -122,6 +168,10 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
         peak_base_rotation=turn if grounds.turns else np.full_like(turn, np.nan),
         residual_oscillation=peaks[-1],
         finite_until=finite,
+        significant=diverged | ~wavering,
+        short=short,
+        slowest_hz=grounds.slowest_hz,
+        duration=float(times[-1]),
     )
 
 
@@ -140,14 +190,18 @@ def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, 
     return peaks, times[-1] - step * per_period * (np.arange(count)[::-1] + 0.5)
 
 
-def _growth(peaks: Vector, centres: Vector, still: Vector | float) -> tuple[Vector, Vector, Vector, Vector]:
+def _growth(
+    peaks: Vector, centres: Vector, still: Vector | float, bent: Vector | float
+) -> tuple[Vector, Vector, Vector, Vector]:
     """Growth rate, its standard error, and the amplitudes in the first and the last period, each (m, N).
 
-    Of the periods from where a mode first leaves rounding to where it falls back, or to the end.
+    Of the periods from where a mode first leaves rounding and what it is bent by, to where it falls back or to the end.
     """
     largest = np.maximum.accumulate(np.max(peaks, axis=1), axis=0)[:, None]
     with np.errstate(invalid="ignore"):
-        above = np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1))))
+        above = (
+            np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1)))) & (peaks > bent)
+        )
     begun = np.logical_or.accumulate(above, axis=0)
     whole = begun & ~np.logical_or.accumulate(begun & ~above, axis=0)
     begin, length = np.argmax(whole, axis=0), np.sum(whole, axis=0)

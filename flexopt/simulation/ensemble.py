@@ -12,22 +12,27 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.compiled import Batch, Recurrence, batch
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.compiled import Batch, Recurrence
+from flexopt.errors import Fault, InputError
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.documents import json_ready, provenance
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import array_of, of_machine, path, public, words
+from flexopt.model.documents import json_ready, provenance, write_netcdf
 from flexopt.model.parameter_ranges import parameter_range
+from flexopt.model.plain import shown
 from flexopt.plant import build_plant
-from flexopt.plant.machine_motion import constant_names, constants
 from flexopt.simulation.behaviour import Behaviour, behaviour
-from flexopt.simulation.run import check_residual, runners
-from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, start_states
+from flexopt.simulation.linear import SampledLoop
+from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
+from flexopt.simulation.run import check_residual, moves, runners
+from flexopt.simulation.scenario import OPTIONS, build_scenario, checked_options, note_options
+from flexopt.simulation.verdict import Verdict, judge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,7 +41,8 @@ WINDOWS = 250  # at most, for the measures of a member
 GROUP = 512  # members that go through together on one core
 BYTES_MAX = 4e9  # of samples kept
 
-Keep = Literal["measures", "trajectories"]
+VERDICTS: tuple[Verdict, ...] = ("converges", "grows", "undecided")
+WORDS = {"converges": "converge", "grows": "grow", "undecided": "undecided"}
 Progress = Callable[[int, int], None]
 
 
@@ -48,11 +54,36 @@ class Ensemble:
         dataset: xarray.Dataset over `member`: `grows`, `growth_rate`, `growth_rate_error`, `settling_time`,
             `peak_error`, `end_error`, `peak_base_rotation`, `residual_oscillation`, `finite_until` (see
             `simulation.behaviour.Behaviour`), what was varied, and with `keep="trajectories"` also `q`, `v`,
-            `end_point`, `error`, `torque`, `energy` over `time`.
+            `end_point`, `error`, `torque`, `energy` over `time`. `grows` is what the runs alone show.
+        linear_growth_rate: (N,) of the linear loop of each member, exact between the samples, 1/s; NaN where it rests
+            nowhere. Computed when asked for, some 0.5 ms for each different loop.
+        verdict: (N,) `"converges"`, `"grows"` or `"undecided"`, as of `Trajectory`: of run and eigenvalues together.
     """
 
     dataset: xr.Dataset
     provenance: dict[str, Any] = field(repr=False)
+    plan: Plan = field(repr=False)
+    measures: tuple[Behaviour, ...] = field(repr=False)
+    ends: Vector | None = field(repr=False)
+
+    @cached_property
+    def _loops(self) -> list[SampledLoop | str]:
+        return member_loops(self.plan, self.ends)
+
+    @cached_property
+    def linear_growth_rate(self) -> Vector:
+        """See the class."""
+        return np.array([math.nan if isinstance(loop, str) else loop.growth_rate for loop in self._loops])
+
+    @cached_property
+    def verdict(self) -> NDArray[np.str_]:
+        """See the class."""
+        shown = (share.shown(k) for share in self.measures for k in range(len(share.grows)))
+        return np.array([judge(run, loop).verdict for run, loop in zip(shown, self._loops, strict=True)])
+
+    def share(self, verdict: Verdict) -> float:
+        """Share of the members with a verdict."""
+        return float(np.count_nonzero(self.verdict == verdict) / self.n_members)
 
     @property
     def n_members(self) -> int:
@@ -61,18 +92,23 @@ class Ensemble:
 
     @property
     def growing(self) -> float:
-        """Share of the members whose oscillation grows."""
+        """Share of the members whose oscillation grows in the run."""
         return float(self.dataset["grows"].mean())
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready summary: shares, and 5th, 50th and 95th percentiles."""
+        """JSON-ready summary: shares, and 5th, 50th and 95th percentiles.
+
+        Keys: `members`; `growing`, by the runs alone; `verdicts` (verdict -> share); `percentiles`; `provenance`.
+        """
         quantiles = {
             name: self._quantiles(self.dataset[name].to_numpy())
             for name in ("growth_rate", "settling_time", "peak_error", "end_error", "peak_base_rotation")
         }
+        quantiles["linear_growth_rate"] = self._quantiles(self.linear_growth_rate)
         document = {
             "members": self.n_members,
             "growing": self.growing,
+            "verdicts": {word: self.share(word) for word in VERDICTS},
             "percentiles": {"levels": [5, 50, 95], **quantiles},
             "provenance": self.provenance,
         }
@@ -84,26 +120,65 @@ class Ensemble:
         finite = values[np.isfinite(values)]
         return np.percentile(finite, [5, 50, 95]).tolist() if finite.size else [math.nan] * 3
 
+    @public(path=path(parent=True))
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset and the provenance to a netCDF file.
 
         Raises:
-            OSError: the file cannot be written.
+            WriteError: the file cannot be written.
         """
         data = self.dataset.copy()
         data["grows"] = cast(Any, data["grows"]).astype("int8")
+        data["linear_growth_rate"] = ("member", self.linear_growth_rate, {"units": "1/s"})
+        codes = [VERDICTS.index(cast(Verdict, str(word))) for word in self.verdict]
+        meanings = {"flag_values": list(range(len(VERDICTS))), "flag_meanings": " ".join(VERDICTS)}
+        data["verdict"] = ("member", np.array(codes, dtype="int8"), meanings)
         data.attrs["flexopt"] = json.dumps(self.to_dict())
-        cast(Any, data).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+        write_netcdf(path, data)
 
     def __repr__(self) -> str:
         d = self.dataset
         rate = self._quantiles(d["growth_rate"].to_numpy())
+        shares = ", ".join(f"{100 * self.share(word):.1f} % {WORDS[word]}" for word in VERDICTS)
         return (
-            f"Ensemble({self.n_members} members: {100 * self.growing:.1f} % grow; growth rate "
+            f"Ensemble({self.n_members} members: {shares}; growth rate "
             f"{rate[0]:+.3g} … {rate[1]:+.3g} … {rate[2]:+.3g}/s (5, 50, 95 %))"
         )
 
 
+def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> dict[str, Vector]:
+    """The arrays, all with the same number of rows."""
+    plant = build_plant(machine)
+    parameters = {parameter.name: parameter.unit for parameter in machine.parameters}
+    widths: dict[str, tuple[int, ...]] = {
+        "offset": (plant.n_actuated,), "deflection": (plant.n_passive,), "rates": (plant.n_coordinates,),
+        "kp": (0, plant.n_task), "kv": (0, plant.n_task), "ki": (0, plant.n_task),
+    }  # fmt: skip
+    widths |= dict.fromkeys(parameters, (0,))
+    arrays: dict[str, Vector] = {}
+    if not isinstance(value, Mapping) or not value:
+        arguments.note(field, "must be a dictionary of arrays, one row for each member", value)
+        return arrays
+    for name, given in cast(Mapping[Any, Any], value).items():
+        where = f"{field}[{shown(name)}]"
+        if name not in widths:
+            words = ", ".join([*list(widths)[:6], "or a parameter of the machine: " + ", ".join(parameters)])
+            arguments.faults.append(Fault(where, f"is not something that varies; known are {words}"))
+            continue
+        shapes = [("members",) if width == 0 else ("members", width) for width in widths[name]]
+        array = array_of(*shapes)(arguments, where, given)
+        if array is not None and not len(array):
+            arguments.note(where, "must have one row for each member", given)
+        elif array is not None:
+            arguments.faults += _range_faults(machine, name, array)
+            arrays[name] = array
+    lengths = {name: len(array) for name, array in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        arguments.faults.append(Fault(field, f"needs one number of members, not {lengths}"))
+    return arrays
+
+
+@public(together=note_options, vary=of_machine(_vary), keep=words("measures", "trajectories"), **OPTIONS)
 def simulate_ensemble(
     machine: AnyMachine,
     posture: Any = None,
@@ -133,20 +208,26 @@ def simulate_ensemble(
     With noise every member draws its own, from `seed` and its number.
     """
     checked = checked_options("simulate_ensemble", machine, {"posture": posture, **options})
-    varied = _checked(machine, vary, keep, threads)
+    varied = dict[str, Vector](vary)
     n = len(next(iter(varied.values())))
     names = [parameter.name for parameter in machine.parameters]
-    zeros, motion = _motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
+    zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
     s = build_scenario(machine, checked, zeros, watched=True)
-    plan = _Plan(s, varied, motion, n, keep)
+    plan = Plan(s, zeros, varied, motion, n, keep)
     _check_room(plan)
     shares = _run(plan, threads or _cores(), progress)
     given = {name: list(np.shape(value)) for name, value in varied.items()}
     settings = checked.model_dump(exclude_unset=True)
-    return Ensemble(_dataset(plan, varied, shares), provenance(machine, vary=given, keep=keep, **settings))
+    return Ensemble(
+        _dataset(plan, varied, shares),
+        provenance(machine, vary=given, keep=keep, **settings),
+        plan,
+        tuple(share.measures for share in shares),
+        np.concatenate([share.last for share in shares], axis=1) if moves(s) else None,
+    )
 
 
-def _check_room(plan: _Plan) -> None:
+def _check_room(plan: Plan) -> None:
     """Refuse samples that would not fit into memory, before anything runs."""
     if plan.keep != "trajectories":
         return
@@ -160,60 +241,15 @@ def _check_room(plan: _Plan) -> None:
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """What every group of members needs."""
-
-    scenario: Scenario
-    varied: dict[str, Vector]
-    motion: dict[str, Vector]
-    n: int
-    keep: Keep
-
-    def parts(self, rows: slice) -> dict[str, Any]:
-        """Constants by name, (size, members) where they vary."""
-        parts = dict(self.scenario.parts)
-        parts |= {name: values[rows][None, :] for name, values in self.motion.items()}
-        n_task = self.scenario.loop.structure.n_task
-        for name in ("kp", "kv", "ki"):
-            if name in self.varied:
-                parts[name] = np.broadcast_to(self.varied[name].reshape(self.n, -1).T[:, rows], (n_task, _count(rows)))
-        return parts
-
-    def start(self, rows: slice) -> Vector:
-        """States x (n_x, members)."""
-        s, count = self.scenario, _count(rows)
-        m = len(s.q_design) - len(s.posture)
-        q = np.repeat(s.q_design[:, None], count, axis=1)
-        q[m:] += self.varied["offset"][rows].T if "offset" in self.varied else s.offset[:, None]
-        if "deflection" in self.varied:
-            q[:m] += self.varied["deflection"][rows].T
-        x = start_states(s.machine, s.loop, s.parts, q)
-        if "rates" in self.varied:
-            x[s.loop.states.slices["w"]] = np.linalg.solve(s.loop.to_q, self.varied["rates"][rows].T)
-        return x
-
-    def signals(self, rows: slice) -> Vector | None:
-        """Signals e (steps, n_e) or (steps, n_e, members): noise of its own for every member."""
-        s = self.scenario
-        if "noise" not in s.loop.signals.sizes:
-            return s.signals()
-        each = [s.signals(np.random.default_rng([s.options.seed, k])) for k in range(rows.start, rows.stop)]
-        return np.stack(cast(list[Vector], each), axis=2)
-
-
-def _count(rows: slice) -> int:
-    return rows.stop - rows.start
-
-
-@dataclass(frozen=True)
 class _Share:
     """One group's results."""
 
     measures: Behaviour
     samples: dict[str, Vector]
+    last: Vector
 
 
-def _run(plan: _Plan, threads: int, progress: Progress | None) -> list[_Share]:
+def _run(plan: Plan, threads: int, progress: Progress | None) -> list[_Share]:
     runner, shown, _ = runners(plan.scenario.loop.structure)
     size = GROUP * threads
     shares: list[_Share] = []
@@ -225,7 +261,7 @@ def _run(plan: _Plan, threads: int, progress: Progress | None) -> list[_Share]:
     return shares
 
 
-def _group(plan: _Plan, rows: slice, runner: Recurrence, shown: Batch, threads: int) -> _Share:
+def _group(plan: Plan, rows: slice, runner: Recurrence, shown: Batch, threads: int) -> _Share:
     s = plan.scenario
     stride = 1 if plan.keep == "trajectories" else math.ceil(s.samples / WINDOWS)
     c, start, e = s.loop.constants.packed(plan.parts(rows)), plan.start(rows), plan.signals(rows)
@@ -242,13 +278,13 @@ def _group(plan: _Plan, rows: slice, runner: Recurrence, shown: Batch, threads: 
     names = shown.function.name_out()
     error = shown(records.last, end, c, threads=threads)[names.index("error")]
     edges = np.concatenate([[0.0], records.k * s.period])
-    watched = records.monitor[:, : 2 + len(s.frequencies_hz)]
+    watched = records.monitor[:, :-1] if structure.method == "gauss" else records.monitor
     end_error = np.sqrt(np.sum(error**2, axis=0))
     measures = behaviour(edges, watched, end_error, s.grounds)
     samples: dict[str, Vector] = {}
     if plan.keep == "trajectories":
         samples = _samples(shown, np.concatenate([start[None], records.x]), e, end, c, threads)
-    return _Share(measures, samples)
+    return _Share(measures, samples, records.last)
 
 
 def _samples(shown: Batch, x: Vector, e: Vector | None, end: Vector, c: Vector, threads: int) -> dict[str, Vector]:
@@ -268,7 +304,7 @@ def _samples(shown: Batch, x: Vector, e: Vector | None, end: Vector, c: Vector, 
     }
 
 
-def _dataset(plan: _Plan, varied: Mapping[str, Vector], shares: list[_Share]) -> xr.Dataset:
+def _dataset(plan: Plan, varied: Mapping[str, Vector], shares: list[_Share]) -> xr.Dataset:
     import xarray as xr  # noqa: PLC0415  (slow to import)
 
     s, plant = plan.scenario, build_plant(plan.scenario.machine)
@@ -308,68 +344,8 @@ def _dataset(plan: _Plan, varied: Mapping[str, Vector], shares: list[_Share]) ->
     return xr.Dataset(variables, {name: value for name, value in coordinates.items() if name in used})
 
 
-def _motion_constants(
-    machine: AnyMachine, varied: Mapping[str, Vector], n: int
-) -> tuple[frozenset[str] | None, dict[str, Vector]]:
-    """Constants of the motion that vary, (N,) each, and those that are zero for all; None where none varies."""
-    if not varied:
-        return None, {}
-    function = constants(machine)
-    p = np.repeat(np.array([[parameter.value] for parameter in machine.parameters]), n, axis=1)
-    names = [parameter.name for parameter in machine.parameters]
-    for name, values in varied.items():
-        p[names.index(name)] = values
-    columns = dict(zip(constant_names(machine), batch(function)(p)[0], strict=True))
-    zeros = frozenset(name for name, value in columns.items() if not np.any(value))
-    return zeros, {name: value for name, value in columns.items() if name not in zeros}
-
-
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _checked(machine: AnyMachine, vary: Any, keep: Any, threads: Any) -> dict[str, NDArray[np.float64]]:
-    """The arrays, all with the same number of rows, or one error with every fault."""
-    plant, faults = build_plant(machine), list[Fault]()
-    parameters = {parameter.name: parameter.unit for parameter in machine.parameters}
-    widths: dict[str, tuple[int, ...]] = {
-        "offset": (plant.n_actuated,), "deflection": (plant.n_passive,), "rates": (plant.n_coordinates,),
-        "kp": (0, plant.n_task), "kv": (0, plant.n_task), "ki": (0, plant.n_task),
-    }  # fmt: skip
-    widths |= dict.fromkeys(parameters, (0,))
-    arrays: dict[str, Vector] = {}
-    if not isinstance(vary, Mapping) or not vary:
-        faults.append(Fault("vary", "must be a dictionary of arrays, one row for each member"))
-        vary = {}
-    for name, value in cast(Mapping[Any, Any], vary).items():
-        if name not in widths:
-            words = ", ".join([*list(widths)[:6], "or a parameter of the machine: " + ", ".join(parameters)])
-            faults.append(Fault(f"vary[{name!r}]", f"is not something that varies; known are {words}"))
-            continue
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            faults.append(Fault(f"vary[{name!r}]", "must be numbers, as many in each row"))
-            continue
-        width = array.shape[1] if array.ndim == 2 else 0
-        if array.ndim not in (1, 2) or width not in widths[name] or not len(array):
-            shapes = " or ".join("(members,)" if w == 0 else f"(members, {w})" for w in widths[name])
-            faults.append(Fault(f"vary[{name!r}]", f"must have the shape {shapes}, not {array.shape}"))
-        elif not np.all(np.isfinite(array)):
-            row = int(np.argmin(np.isfinite(array).reshape(len(array), -1).all(axis=1)))
-            faults.append(Fault(f"vary[{name!r}]", f"must be finite; row {row} is not"))
-        else:
-            faults += _range_faults(machine, name, array)
-            arrays[name] = array
-    lengths = {name: len(array) for name, array in arrays.items()}
-    if len(set(lengths.values())) > 1:
-        faults.append(Fault("vary", f"needs one number of members, not {lengths}"))
-    if keep not in ("measures", "trajectories"):
-        faults.append(Fault("keep", "must be measures or trajectories", repr(keep)))
-    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-        faults.append(Fault("threads", "must be a whole number of at least 1", repr(threads)))
-    raise_if_any(InputError, "simulate_ensemble", faults)
-    return arrays
 
 
 def _range_faults(machine: AnyMachine, name: str, array: Vector) -> list[Fault]:

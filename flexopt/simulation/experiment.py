@@ -5,16 +5,41 @@ In: an `Experiment`. Out: its `Trajectory`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from flexopt.errors import InputError
 from flexopt.model import Experiment
+from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import anything, holding_machine, public
 from flexopt.plant import inverse_kinematics
 from flexopt.selection import nullspace_trajectory
 from flexopt.simulation.run import simulate
+from flexopt.simulation.scenario import checked_options
 from flexopt.simulation.trajectory import Trajectory
 
+HELD = holding_machine(Experiment, "an Experiment, from flexopt.load_experiment")
 
+
+def _given(experiment: Experiment, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """The file's options, and others in place of some."""
+    options, others = experiment.simulation, {k: value for k, value in overrides.items() if value is not None}
+    given = {name: getattr(options, name) for name in options.model_fields_set} | others
+    if "posture" in others:
+        given.pop("end_point", None)
+    elif "end_point" in others:
+        given.pop("posture", None)
+    return given
+
+
+def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    experiment = given["experiment"]
+    if experiment is not None:
+        options = _given(experiment, given["overrides"])
+        arguments.collect("", lambda: checked_options(arguments.call, arguments.of, options))
+
+
+@public(experiment=HELD, together=_note, overrides=anything)
 def run_experiment(experiment: Experiment, **overrides: Any) -> Trajectory:
     """Run what a file describes.
 
@@ -22,18 +47,13 @@ def run_experiment(experiment: Experiment, **overrides: Any) -> Trajectory:
 
     Args:
         experiment: from `flexopt.load_experiment`.
-        overrides: arguments of `flexopt.simulate` that take the place of the file's.
+        overrides: arguments of `flexopt.simulate` that take the place of the file's; None leaves the file's.
 
     Raises:
         InputError and others: as `flexopt.simulate` and `flexopt.nullspace_trajectory`; or the file gives both a
             `base_path` and `[nullspace]`.
     """
-    machine, options = experiment.loaded_machine, experiment.simulation
-    given = {name: getattr(options, name) for name in options.model_fields_set} | overrides
-    if "posture" in overrides:
-        given.pop("end_point", None)
-    elif "end_point" in overrides:
-        given.pop("posture", None)
+    machine, given = experiment.loaded_machine, _given(experiment, overrides)
     law = experiment.nullspace
     if law is None:
         return simulate(machine, **given)

@@ -11,7 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
+from flexopt.algebra import apply_pseudo_inverse
 from flexopt.model.problem import Control
 from flexopt.plant.control import task_to_joints
 
@@ -33,6 +36,29 @@ def joint_torque(jacobian: ca.SX, force: ca.SX, control: Control, damping: ca.SX
         half = 0.5 * force
         return twice * ca.vertcat(d * half[0] - b * half[1], a * half[1] - c * half[0])
     return task_to_joints(jacobian, control, force, damping)
+
+
+def nullspace_torque(jacobian: ca.SX, rates: ca.SX, damping: ca.SX) -> ca.SX:
+    """−d (I − Jv⁺ Jv) q̇, (n,): a damper on the self-motion of an arm with more joints than task rows.
+
+    Args:
+        jacobian: Jv (n_task, n), n > n_task.
+        rates: q̇ (n,).
+        damping: d, N m s/rad or N s/m.
+    """
+    return -damping * (rates - apply_pseudo_inverse(jacobian, jacobian @ rates))
+
+
+def self_motion_damping(jacobian: NDArray[np.float64], mass: NDArray[np.float64], decay: float) -> float:
+    """D with which the fastest self-motion decays like exp(−decay t): decay / λmax(Nᵀ M_a⁻¹ N), N the null space of Jv.
+
+    Args:
+        jacobian: Jv (n_task, n), n > n_task.
+        mass: M_a (n, n) of the joints.
+        decay: of the fastest, 1/s.
+    """
+    free: NDArray[np.float64] = np.linalg.svd(jacobian)[2][len(jacobian) :]
+    return decay / float(np.linalg.eigvalsh(free @ np.linalg.inv(mass) @ free.T)[-1])
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,16 @@
 """The sampled loop linearised about its equilibrium: multipliers, growth rate, gains between which it is stable.
 
-In: the same options as `simulate`, and the same graph: the derivative of one sample by the states. Out: eigenvalues,
-with the self-motion of a redundant arm (an undriven double eigenvalue 1) taken out.
+In: the same options as `simulate`, and the same graphs. Between the samples the linear plant is advanced exactly,
+unless an integrator is asked for: integrators damp fast modes by themselves. Out: eigenvalues, with what no feedback
+holds (the self-motion of a redundant arm: an undriven eigenvalue 1) taken out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, cast
 
 import casadi as ca
@@ -18,15 +19,24 @@ from numpy.typing import NDArray
 
 from flexopt.errors import InputError
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import number, public
+from flexopt.model.simulation import SimulationOptions, dead_time
+from flexopt.plant import build_plant
 from flexopt.simulation.loop import closed_loop
-from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, start_states
+from flexopt.simulation.scenario import OPTIONS, Scenario, build_scenario, checked_options
 from flexopt.simulation.structure import LoopStructure
+from flexopt.simulation.tangent import Tangent, still, tangent
 
-EQUILIBRIUM = 1e-9
-INVARIANT = 1e-8
+EXACT = "exact"
+# Share of the largest singular value of Φ − 1 below which a direction stays where it is.
+INVARIANT = 1e-10
+# Share of its kinetic energy in the self-motion above which a motion is that.
+OWN = 0.9
 # Gains searched for the stability border.
 KP_LOW, KP_HIGH, KP_POINTS = 1e1, 1e9, 400
+# Relative width to which a narrow interval between two of them is looked for.
+NARROW = 1e-3
 
 
 @dataclass(frozen=True)
@@ -34,12 +44,22 @@ class SampledLoop:
     """The linear loop x_{k+1} = Φ x_k about equilibrium.
 
     Attributes:
-        multipliers: eigenvalues of Φ, largest first; self-motion left out.
+        multipliers: eigenvalues of Φ, largest first; what nothing holds left out.
         period: of a sample, s.
+        neutral: how many eigenvalues 1 were taken out, of what nothing drives or brakes: the self-motion of a redundant
+            arm, and directions without gain.
+        drift: growth rates of the self-motion where weight or damping act on it, 1/s; taken out, too: an arm that
+            drifts while its end-point stays is no oscillation.
+        integrator: how the plant is advanced between samples: `"exact"`, or the method asked for.
+        rounding: of a growth rate, 1/s: what is nearer to zero is neither growth nor decay.
     """
 
     multipliers: NDArray[np.complex128]
     period: float
+    neutral: int = 0
+    drift: tuple[float, ...] = ()
+    integrator: str = EXACT
+    rounding: float = 0.0
 
     @property
     def growth_rate(self) -> float:
@@ -52,15 +72,21 @@ class SampledLoop:
         return cast(NDArray[np.complex128], np.log(self.multipliers) / self.period)
 
     @property
+    def frequency_hz(self) -> float:
+        """Of the pole nearest to instability, Hz."""
+        return abs(float(np.angle(self.multipliers[0]))) / (2 * np.pi * self.period)
+
+    @property
     def stable(self) -> bool:
         """Whether all multipliers lie inside the unit circle."""
         return bool(np.abs(self.multipliers[0]) < 1.0)
 
     def __repr__(self) -> str:
         word = "stable" if self.stable else "unstable"
-        frequency = abs(self.poles[0].imag) / (2 * np.pi)
+        how = "" if self.integrator == EXACT else f" by {self.integrator}"
         return (
-            f"SampledLoop({word}: {self.growth_rate:+.4g}/s at {frequency:.4g} Hz, {len(self.multipliers)} multipliers)"
+            f"SampledLoop({word}{how}: {self.growth_rate:+.4g}/s at {self.frequency_hz:.4g} Hz, "
+            f"{len(self.multipliers)} multipliers)"
         )
 
 
@@ -86,35 +112,46 @@ class StabilityBorder:
         return self.intervals[0][1] if self.intervals else None
 
 
+def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    options = {"posture": given["posture"], **given["options"]}
+    arguments.collect("", lambda: linear_options(arguments.of, options, arguments.call))
+
+
+@public(together=_note, **OPTIONS)
 def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> SampledLoop:
     """Multipliers of the loop that `simulate` runs, at its equilibrium.
 
-    Limits, dead bands and rounding of measurements are left out: they do not exist for vanishing motions.
+    Between the samples x(t + h) = e^{Ah} x(t) + ∫₀ʰ e^{As} ds B τ, exactly. Limits, dead bands and rounding of
+    measurements are left out: they do not exist for vanishing motions. Paths are left out: the base stands, and the
+    target.
 
     Args:
-        machine, posture, options: as for `flexopt.simulate`.
+        machine, posture, options: as for `flexopt.simulate`, but `integrator`: `"exact"` (default), or a method whose
+            own error is then part of the loop (`"rk4"` is the article's; at 5 ms it damps modes of 13 Hz and more); and
+            `sensor.delay`, which may be any time (with `"exact"`).
 
     Raises:
         InputError: as `simulate`; or the design posture is no equilibrium (weight without compensation).
     """
-    return linearised(_scenario(machine, {"posture": posture, **options}, "sampled_loop"))
+    return linearised(linear_scenario(machine, {"posture": posture, **options}, "sampled_loop"))
 
 
+@public(together=_note, ratio=number("s", low=0.0, high=1e9), **OPTIONS)
 def stability_border(
     machine: AnyMachine, posture: Any = None, *, ratio: float | None = None, **options: Any
 ) -> StabilityBorder:
     """Gains Kp for which the sampled linear loop is stable.
 
     Args:
-        machine, posture, options: as for `flexopt.simulate`; `kp` is ignored.
+        machine, posture, options: as for `flexopt.sampled_loop`; `kp` is ignored.
         ratio: hold Kv = ratio · Kp (s) instead of Kv.
 
     Raises:
-        InputError: as `simulate`.
+        InputError: as `sampled_loop`.
     """
     from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
 
-    scenario = _scenario(machine, {"posture": posture, **options}, "stability_border")
+    scenario = linear_scenario(machine, {"posture": posture, **options}, "stability_border")
     kv = float(scenario.options.kv[0])
 
     def growth(exponent: float) -> float:
@@ -124,62 +161,144 @@ def stability_border(
         return linearised(replace(scenario, parts={**scenario.parts, **parts})).growth_rate
 
     low, high = math.log10(KP_LOW), math.log10(KP_HIGH)
-    grid = [low + (high - low) * k / (KP_POINTS - 1) for k in range(KP_POINTS)]
-    stable = np.array([growth(x) < 0 for x in grid])
+    grid = _with_narrow(growth, np.linspace(low, high, KP_POINTS).tolist())
+    stable = np.array([value < 0 for _, value in grid])
     edges = np.flatnonzero(stable[1:] != stable[:-1])
-    roots = [float(10 ** brentq(growth, grid[i], grid[i + 1], xtol=1e-10)) for i in edges.tolist()]
+    roots = [float(10 ** brentq(growth, grid[i][0], grid[i + 1][0], xtol=1e-10)) for i in edges.tolist()]
     ends = ([KP_LOW] if stable[0] else []) + roots + ([KP_HIGH] if stable[-1] else [])
     intervals = tuple(zip(ends[::2], ends[1::2], strict=True))
     return StabilityBorder(intervals, (KP_LOW, KP_HIGH), kv if ratio is None else ratio, ratio is not None)
 
 
+def _with_narrow(growth: Callable[[float], float], grid: list[float]) -> list[tuple[float, float]]:
+    """Exponents and growth rates, ascending, with the extremes between them that change the sign.
+
+    An interval narrower than the grid shows as a valley above zero, or a gap as a hill below it.
+    """
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (loads slowly)
+
+    values = [growth(x) for x in grid]
+    found = list(zip(grid, values, strict=True))
+    for before, here, after, left, right in zip(values, values[1:], values[2:], grid, grid[2:], strict=False):
+        sign = 1.0 if here > 0 else -1.0
+        # A valley of |growth|, all of one sign.
+        if sign * here <= sign * before and sign * here <= sign * after and sign * before > 0 and sign * after > 0:
+            best: Any = minimize_scalar(
+                partial(_times, sign, growth), bounds=(left, right), method="bounded",
+                options={"xatol": math.log10(1 + NARROW) / 10},
+            )  # fmt: skip
+            if best.fun < 0:
+                found.append((float(best.x), sign * float(best.fun)))
+    return sorted(found)
+
+
+def _times(sign: float, growth: Callable[[float], float], exponent: float) -> float:
+    return sign * growth(exponent)
+
+
 def linearised(scenario: Scenario) -> SampledLoop:
-    """The sampled linear loop of a scenario made by `_scenario`."""
-    s, loop = scenario, scenario.loop
-    x = start_states(s.machine, loop, s.parts, s.q_design[:, None])
-    e = _still(s)
-    c = s.constants
-    step, phi = loop.step, _derivative(loop.structure)
-    moved = step.call([x, e, c])[0].full() - x
-    if float(np.abs(moved).max()) > EQUILIBRIUM:
+    """The sampled linear loop of a scenario made by `linear_scenario`."""
+    s, structure = scenario, scenario.loop.structure
+    x, e, c = s.resting, np.zeros(s.loop.signals.total), s.constants
+    here = tangent(structure, x, e, c)
+    if not still(structure, here, x):
+        moved = float(np.abs(here.moved).max())
         raise InputError(
             "the design posture is no equilibrium: the weight acts and the command does not carry it "
-            f"(the states move by {np.abs(moved).max():.2g} in one sample); give gravity_compensation = True"
+            f"(the states move by {moved:.2g} in one sample); give gravity_compensation = True"
         )
-    matrix = np.array(phi.call([x, e, c])[0])
-    removed = 0
-    for basis in _self_motions(s, x[:, 0], c):
-        matrix, rank = _without(matrix, basis)
-        removed += rank
-    values = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
+    if s.exact:
+        return exactly(s, here)
+    return _spectrum(s, np.array(_derivative(structure).call([x, e, c])[0]), s.options.integrator)
+
+
+def exactly(scenario: Scenario, here: Tangent) -> SampledLoop:
+    """The loop about a state of rest, advanced exactly."""
+    _, early = dead_time(scenario.options)
+    return _spectrum(scenario, here.sample(scenario.period, early), EXACT)
+
+
+def _spectrum(scenario: Scenario, matrix: Vector, integrator: str) -> SampledLoop:
+    from scipy.linalg import matrix_balance  # noqa: PLC0415  (loads slowly)
+
+    if not np.all(np.isfinite(matrix)):
+        raise InputError("the linear loop grows beyond the largest number within one sample; give lower gains")
+    balanced, (scale, _) = matrix_balance(matrix, permute=False, separate=True)
+    held, kept = _without_neutral(np.asarray(balanced, dtype=np.float64), _neutral(scenario))
+    removed, excess = len(matrix) - len(held), scenario.loop.shape.n_joints - scenario.loop.shape.n_task
+    if excess > 0 and removed < 2 * excess:
+        values, vectors = np.linalg.eig(held)
+        drifting = _drifting(scenario, values, scale[:, None] * (kept.T @ vectors), 2 * excess - removed)
+    else:
+        values = np.asarray(np.linalg.eigvals(held), dtype=complex)
+        drifting = np.zeros(len(values), dtype=bool)
+    rounding = 10 * len(matrix) * np.finfo(float).eps * float(np.linalg.norm(balanced))
+    values = np.asarray(values, dtype=np.complex128)
+    apart, values = np.real(values[drifting]), values[~drifting]
     values = values[np.argsort(-np.abs(values))]
-    return SampledLoop(values[: len(values) - removed], s.period)
+    drift = tuple(sorted((np.log(apart) / scenario.period).tolist(), reverse=True))
+    return SampledLoop(values, scenario.period, removed, drift, integrator, rounding / scenario.period)
 
 
-def _scenario(machine: AnyMachine, given: Mapping[str, Any], call: str) -> Scenario:
-    """A scenario without what vanishing motions do not feel."""
-    options = checked_options(call, machine, given)
+def _drifting(scenario: Scenario, values: NDArray[np.complex128], vectors: Any, most: int) -> NDArray[np.bool_]:
+    """Which eigenvalues belong to an arm that drifts along its self-motion: real, and its the kinetic energy.
+
+    Weight makes the self-motion of an arm on a base that gives no longer neutral, nor does damping of it.
+    """
+    s, motion = scenario, scenario.loop.shape
+    plant, n, m = build_plant(s.machine), motion.n, motion.n_passive
+    p = plant.parameter_values
+    joints = np.linalg.svd(plant.rigid_jacobian(s.q_design, s.base, p).full())[2][motion.n_task :].T
+    own = np.vstack([np.zeros((m, joints.shape[1])), joints])
+    mass: Vector = plant.mass(s.q_design, s.base, p).full()
+    rates = np.asarray(s.loop.to_q @ vectors[n : 2 * n], dtype=np.complex128)
+    along: NDArray[np.complex128] = own.T @ mass @ rates
+    part = np.einsum("ik,ik->k", along.conj(), np.linalg.solve(own.T @ mass @ own, along)).real
+    whole = np.einsum("ik,ij,jk->k", rates.conj(), mass, rates).real
+    share = np.where((values.imag == 0) & (values.real > 0), part / np.maximum(whole, np.finfo(float).tiny), 0.0)
+    drifting = share > OWN
+    drifting[np.argsort(-share)[most:]] = False
+    return drifting
+
+
+def linear_scenario(machine: AnyMachine, given: Mapping[str, Any], call: str) -> Scenario:
+    """A scenario without what vanishing motions do not feel; exact where no integrator is asked for."""
+    options, exact = linear_options(machine, given, call)
+    return bare_scenario(machine, options, exact=exact)
+
+
+def linear_options(machine: AnyMachine | None, given: Mapping[str, Any], call: str) -> tuple[SimulationOptions, bool]:
+    """Checked options, and whether the loop is advanced exactly, in which there are no substeps."""
+    method = given.get("integrator")
+    exact = method is None or (isinstance(method, str) and method == EXACT)
+    rest = {name: value for name, value in given.items() if not (exact and name == "integrator")}
+    options = checked_options(call, machine, rest, any_delay=exact)
+    return options.model_copy(update={"substeps": None}) if exact else options, exact
+
+
+def bare_scenario(
+    machine: AnyMachine,
+    options: SimulationOptions,
+    zeros: frozenset[str] | None = None,
+    *,
+    exact: bool = True,
+    paths: bool = False,
+) -> Scenario:
+    """The like of checked options; `zeros` as of `build_scenario`; `paths`: base and target stay signals."""
     bare = {"torque_limit": None, "dead_band": None, "rate_limit": None, "levers": None}
-    exact = {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0}
-    still = options.model_copy(
-        update={
-            "actuator": options.actuator.model_copy(update=bare),
-            "sensor": options.sensor.model_copy(update=exact),
-            "base_path": None,
-            "target_path": None,
-            "baked": False,
-        }
-    )
-    return build_scenario(machine, still)
-
-
-def _still(scenario: Scenario) -> Vector:
-    return np.zeros(scenario.loop.signals.total)
+    clean = {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0}
+    update: dict[str, Any] = {
+        "actuator": options.actuator.model_copy(update=bare),
+        "sensor": options.sensor.model_copy(update=clean),
+        "baked": False,
+    }
+    update |= {} if paths else {"base_path": None, "target_path": None}
+    return build_scenario(machine, options.model_copy(update=update), zeros, exact=exact)
 
 
 @lru_cache(maxsize=64)
 def _derivative(structure: LoopStructure) -> ca.Function:
-    """Φ = ∂x_{k+1}/∂x_k. Inputs x, e, c."""
+    """Φ = ∂x_{k+1}/∂x_k of an integrator's own step. Inputs x, e, c."""
     step = closed_loop(structure).step
     symbols = [ca.MX.sym(name, step.size1_in(name)) for name in step.name_in()]
     phi = ca.jacobian(step.call(symbols)[0], symbols[0])
@@ -187,30 +306,37 @@ def _derivative(structure: LoopStructure) -> ca.Function:
     return whole.expand() if step.is_a("SXFunction") else whole
 
 
-def _self_motions(scenario: Scenario, x: Vector, c: Vector) -> list[Vector]:
-    """Bases of the states that the end-point neither sees nor moves: the arm's self-motion, then its rate."""
-    loop = scenario.loop
-    motion = loop.shape
-    n, excess = motion.n, motion.n_joints - motion.n_task
-    if excess <= 0:
-        return []
-    rows = loop.outputs.name_out().index("end_point")
-    symbol = [ca.MX.sym(name, loop.outputs.size1_in(name)) for name in loop.outputs.name_in()]
-    jacobian = ca.jacobian(loop.outputs.call(symbol)[rows], symbol[0])
-    by_u = np.array(ca.Function("J", symbol, [jacobian]).call([x, _still(scenario), c])[0])[:, :n]
-    # Columns of the actuated joints, in u.
-    joints = np.linalg.inv(loop.to_q)[:, motion.n_passive :]
-    kernel = np.linalg.svd(by_u @ joints)[2][motion.n_task :].T
-    position, rate = np.zeros((len(x), excess)), np.zeros((len(x), excess))
-    position[:n], rate[n : 2 * n] = joints @ kernel, joints @ kernel
-    return [position, rate]
+def _neutral(scenario: Scenario) -> int:
+    """In how many directions the loop may rest elsewhere: self-motion, and task rows that no gain holds."""
+    motion, structure = scenario.loop.shape, scenario.loop.structure
+    if structure.law == "none":
+        return motion.n_joints
+    free = motion.n_joints - motion.n_task
+    if structure.law not in ("pd", "pid"):
+        return free
+    kp, ki = (np.broadcast_to(scenario.parts[name], structure.n_task) for name in ("kp", "ki"))
+    unheld = kp == 0
+    if structure.law == "pid":
+        # An integral without gain keeps what it has; a row without either gain rests anywhere.
+        return free + int(np.count_nonzero(ki == 0)) + int(np.count_nonzero(unheld & (ki == 0)))
+    return free + int(np.count_nonzero(unheld))
 
 
-def _without(matrix: Vector, basis: Vector) -> tuple[Vector, int]:
-    """The matrix with the eigenvalues of an invariant subspace put to 0, and how many; unchanged where it is none."""
-    q, _ = np.linalg.qr(basis)
-    image = matrix @ q
-    if np.linalg.norm(image - q @ (q.T @ image)) > INVARIANT * max(1.0, float(np.linalg.norm(image))):
-        return matrix, 0
-    complement = np.eye(len(q)) - q @ q.T
-    return np.asarray(complement @ matrix @ complement), q.shape[1]
+def _without_neutral(matrix: Vector, most: int) -> tuple[Vector, Vector]:
+    """Φ on what is left when states that stay where they are, then rates that nothing changes, are divided out.
+
+    Both are kernels of Φ − 1, the second of what the first leaves; together a double eigenvalue 1 for each direction.
+
+    Returns:
+        The matrix U Φ Uᵀ that is left, and U, orthonormal rows.
+    """
+    basis = np.eye(len(matrix))
+    for _ in range(2):
+        if not most:
+            break
+        _, sizes, rows = np.linalg.svd(matrix - np.eye(len(matrix)))
+        most = int(np.count_nonzero(sizes[-most:] < INVARIANT * sizes[0]))
+        kept = rows[: len(matrix) - most]
+        # Φ v = v on the kernel: in this basis the matrix is block triangular, with 1 in the lower block.
+        matrix, basis = np.asarray(kept @ matrix @ kept.T), kept @ basis
+    return matrix, basis

@@ -14,6 +14,7 @@ from flexopt.compiled import Batch, Recurrence, batch, recurrence
 from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import public
 from flexopt.model.documents import provenance
 from flexopt.model.problem import Control, Elbow, control_damping
 from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor
@@ -21,9 +22,10 @@ from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
 from flexopt.simulation.levers import feeble_levers
 from flexopt.simulation.loop import baked, closed_loop
-from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
+from flexopt.simulation.scenario import OPTIONS, Scenario, build_scenario, checked_options, note_options
 from flexopt.simulation.structure import LoopStructure
 from flexopt.simulation.trajectory import Trajectory
+from flexopt.simulation.verdict import Ended
 
 # Largest relative change left by the implicit method's iterations.
 RESIDUAL_MAX = 1e-10
@@ -31,6 +33,7 @@ RESIDUAL_MAX = 1e-10
 NEAR_SINGULAR = 1e-3
 
 
+@public(together=note_options, **OPTIONS)
 def simulate(
     machine: AnyMachine,
     posture: Any = None,
@@ -66,6 +69,8 @@ def simulate(
     At each sample the controller measures the end-point r and its rate and asks for τ_a = Jvᵀ f (transpose) or Jv⁺ f
     (inverse), f = Kp (r_d − r) + Kv (ṙ_d − ṙ); it knows the joints' angles and takes the passive coordinates for what
     they are at equilibrium: nobody measures the base (article, sections 3.2 and 5).
+
+    The verdict takes the run and the eigenvalues of the linear loop together; see `Trajectory`.
 
     Args:
         machine: from `flexopt.load`.
@@ -126,14 +131,22 @@ def simulate_checked(scenario: Scenario) -> Trajectory:
     watched = outputs["monitor"][:, :-1].T[:, :, None]
     verdict = behaviour(s.times, watched, end_error, s.grounds)
     check_residual(loop.structure, records.monitor)
-    return _trajectory(s, outputs, verdict)
+    end = None if signals is None or not moves(s) else signals_at_end(s, signals)[0]
+    ended = Ended(s.machine, s.options, None if end is None else x[:, -1].copy(), end)
+    return _trajectory(s, outputs, verdict, ended)
+
+
+def moves(scenario: Scenario) -> bool:
+    """Whether base or target are moved."""
+    return scenario.options.base_path is not None or scenario.options.target_path is not None
 
 
 @lru_cache(maxsize=64)
 def _runner(structure: LoopStructure) -> tuple[Recurrence, Batch]:
     loop = closed_loop(structure)
     fast = loop.fast
-    runner = recurrence(loop.step, fast=fast, refresh=loop.refresh if fast else None)
+    refresh = loop.refresh if fast else None
+    runner = recurrence(loop.step, fast=fast, refresh=refresh, many=structure.watched)
     return runner, batch(loop.outputs)
 
 
@@ -157,7 +170,7 @@ def _baked_runner(structure: LoopStructure, constants: tuple[float, ...]) -> Rec
 def shown_at(scenario: Scenario, shown: Batch, x: Vector, signals: Vector | None) -> dict[str, Vector]:
     """The loop's outputs at every state of a run, (rows, K), and `base` and `target`."""
     s = scenario
-    e = np.zeros((0, 1)) if signals is None else np.concatenate([signals, _at_end(s, signals)]).T
+    e = np.zeros((0, 1)) if signals is None else np.concatenate([signals, signals_at_end(s, signals)]).T
     values = shown(x, e, s.constants)
     outputs = dict(zip(shown.function.name_out(), values, strict=True))
     n = x.shape[1]
@@ -166,7 +179,7 @@ def shown_at(scenario: Scenario, shown: Batch, x: Vector, signals: Vector | None
     return outputs
 
 
-def _at_end(scenario: Scenario, signals: Vector) -> Vector:
+def signals_at_end(scenario: Scenario, signals: Vector) -> Vector:
     """Signals (1, n_e) at the end of the last sample: where the paths have come to, and no noise."""
     layout, last = scenario.loop.signals, signals[-1:].copy()
     for name, path in (("base", scenario.options.base_path), ("target", scenario.options.target_path)):
@@ -192,7 +205,7 @@ def check_residual(structure: LoopStructure, monitor: Vector) -> None:
         )
 
 
-def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Trajectory:
+def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour, ended: Ended) -> Trajectory:
     plant, loop = build_plant(s.machine), s.loop.structure
     sentences = _warnings(s, plant, outputs, of)
     for sentence in sentences:
@@ -214,7 +227,8 @@ def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Traje
         deflection=rows["deflection"],
         base=rows["base"],
         target=rows["target"],
-        verdict=of.verdict(),
+        run=of.shown(),
+        ended=ended,
         growth_rate=_finite(of.growth_rate[0]),
         growth_rate_error=_finite(of.growth_rate_error[0]),
         settling_time=_finite(of.settling_time[0]),
@@ -223,10 +237,21 @@ def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour) -> Traje
         peak_base_rotation=_finite(of.peak_base_rotation[0]),
         residual_oscillation=of.residual_oscillation[:, 0],
         frequencies_hz=s.frequencies_hz,
+        self_motion_rate=_self_motion_rate(plant, outputs),
         warnings=sentences,
         provenance=provenance(s.machine, **s.options.model_dump(exclude_unset=True)),
         model=s.machine,
     )
+
+
+def _self_motion_rate(plant: Plant, outputs: dict[str, Vector]) -> float | None:
+    """Largest rate of a joint at the end that leaves the end-point where it is; None where there is none."""
+    q, rates = outputs["q"][:, -1], outputs["v"][plant.n_passive :, -1]
+    if plant.n_actuated <= plant.n_task or not (np.all(np.isfinite(q)) and np.all(np.isfinite(rates))):
+        return None
+    jacobian = plant.rigid_jacobian(q, outputs["base"][:, -1], plant.parameter_values).full()
+    seen = np.asarray(np.linalg.pinv(jacobian) @ (jacobian @ rates), dtype=np.float64)
+    return float(np.max(np.abs(rates - seen)))
 
 
 def _finite(value: float) -> float | None:
@@ -254,12 +279,12 @@ def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behavio
             f"the arm came close to a singular posture at {at:.4g} s (sine squared {near:.2g} of its start)"
         )
     if plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
-        sentences.append("the arm's self-motion is not damped and may drift; nullspace_damping holds it")
+        sentences.append("the arm's self-motion is not damped and may drift; nullspace_damping brakes it")
     sentences += feeble_levers(s.machine, s.options, s.posture)
     if s.loop.structure.noisy:
         sentences.append(
-            "noise keeps the base moving, so the verdict says whether its oscillation stays bounded; sampled_loop says "
-            "whether the loop is stable"
+            "noise keeps the base moving, so the run shows no more than whether its oscillation stays bounded; the "
+            "linear loop's eigenvalues say whether it would die away"
         )
     return tuple(sentences)
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,9 +17,10 @@ import numpy as np
 from flexopt.errors import InputError, NoSolutionFound, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.faults import validated
+from flexopt.model.boundary import Check, anything
+from flexopt.model.faults import read_table, validated
 from flexopt.model.problem import Control, control_damping, control_method
-from flexopt.model.simulation import Path, SimulationOptions
+from flexopt.model.simulation import Path, SimulationOptions, dead_time
 from flexopt.plant import Plant, build_plant, inverse_kinematics
 from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
 from flexopt.plant.motion import Motion
@@ -30,17 +31,11 @@ from flexopt.simulation.behaviour import STILL, Grounds
 from flexopt.simulation.levers import with_servo_gain
 from flexopt.simulation.loop import ClosedLoop, closed_loop
 from flexopt.simulation.robust import robust_law
+from flexopt.simulation.stepping import stepping
 from flexopt.simulation.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 
 OFFSET = 0.05  # rad or m
-# Steps of the accurate methods, as shares of the fastest mode's radian.
-ACCURATE_STEP = 0.3
-# Where RK4 leaves the imaginary axis: |R(iy)| > 1 beyond √8.
-RK4_LIMIT = math.sqrt(8.0)
-# And where it leaves the negative real axis: |R(−y)| > 1 beyond.
-RK4_REAL_LIMIT = 2.785
 STATIC_TOLERANCE = 1e-8
-SUBSTEPS_MAX = 1000
 
 
 @dataclass(frozen=True)
@@ -59,6 +54,7 @@ class Scenario:
         start: states x (n_x,).
         period: of a sample, s.
         samples: how many.
+        exact: whether it is there to be linearised and advanced exactly, not to be integrated.
     """
 
     machine: AnyMachine
@@ -75,11 +71,18 @@ class Scenario:
     start: Vector
     period: float
     samples: int
+    exact: bool = False
 
     @cached_property
     def constants(self) -> Vector:
         """Constants c (n_c,)."""
         return self.loop.constants.packed(self.parts)[:, 0]
+
+    @property
+    def resting(self) -> Vector:
+        """States x (n_x,) at rest in the design configuration."""
+        x: Vector = start_states(self.machine, self.loop, self.parts, self.q_design[:, None])[:, 0]
+        return x
 
     @property
     def times(self) -> Vector:
@@ -110,6 +113,7 @@ class Scenario:
             still=self.still,
             undisturbed_from=max((path.times[-1] for path in paths), default=0.0),
             noisy=self.loop.structure.noisy,
+            drifting=self.loop.structure.drifting,
         )
 
     def signals(self, rng: np.random.Generator | None = None) -> Vector | None:
@@ -135,17 +139,38 @@ def _place(motion: Motion, base: Vector) -> Vector:
     return np.array(motion.on_rows(base.tolist(), 0.0))
 
 
-def checked_options(call: str, machine: Any, given: Mapping[str, Any]) -> SimulationOptions:
-    """Options of a call, or one error with every fault."""
-    plain = {name: _plain(value) for name, value in given.items() if value is not None}
-    machine = Arguments(call).machine(machine)
-    options = validated(SimulationOptions, plain, call, (), InputError)
-    raise_if_any(InputError, call, options.faults(machine) + path_faults(machine, options))
+# Arguments that are options of a loop: `checked_options` checks them together.
+OPTIONS: dict[str, Check] = dict.fromkeys((*SimulationOptions.model_fields, "options"), anything)
+
+
+def note_options(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """Note the faults of a call's options of a loop."""
+    named = {name: value for name, value in given.items() if name in SimulationOptions.model_fields}
+    options = named | given.get("options", {})
+    arguments.collect("", lambda: checked_options(arguments.call, arguments.of, options))
+
+
+def checked_options(
+    call: str, machine: AnyMachine | None, given: Mapping[str, Any], *, any_delay: bool = False
+) -> SimulationOptions:
+    """Options of a call, or one error with every fault; without a machine, with those that need none.
+
+    `any_delay`: dead times need be no whole samples.
+    """
+    table = {name: value for name, value in given.items() if value is not None}
+    options = validated(SimulationOptions, read_table(table, call, "[simulation]", InputError), call, (), InputError)
+    if machine is not None:
+        raise_if_any(InputError, call, options.faults(machine, any_delay=any_delay) + path_faults(machine, options))
     return options
 
 
 def build_scenario(
-    machine: AnyMachine, options: SimulationOptions, zeros: frozenset[str] | None = None, *, watched: bool = False
+    machine: AnyMachine,
+    options: SimulationOptions,
+    zeros: frozenset[str] | None = None,
+    *,
+    watched: bool = False,
+    exact: bool = False,
 ) -> Scenario:
     """The scenario of checked options.
 
@@ -155,6 +180,7 @@ def build_scenario(
         zeros: constants that are zero for all machines of an ensemble, whose controllers then keep this machine's
             numbers; None for this machine alone.
         watched: whether steps give what is judged.
+        exact: whether it is there to be linearised and advanced exactly: no step is then too long.
 
     Raises:
         SingularPosture: Jv loses rank in the design posture.
@@ -174,9 +200,10 @@ def build_scenario(
     options = with_servo_gain(machine, options, design.posture)
     period = 1 / options.rate
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
-    substeps, iterations = _stepping(options, fastest, 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,)))
+    servo = 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,))
+    substeps, iterations = (1, 0) if exact else stepping(options, fastest, servo)
     structure = _structure(machine, options, substeps, iterations)
-    structure = replace(structure, watched=watched)
+    structure = replace(structure, watched=watched, method="rk4" if exact else structure.method)
     if zeros is not None:
         structure = replace(structure, motion=replace(structure.motion, zeros=zeros), own_model=True)
     parts: dict[str, Any] = dict(constant_values(machine))
@@ -232,6 +259,7 @@ def build_scenario(
         start=start_states(machine, loop, parts, q_start[:, None])[:, 0],
         period=period,
         samples=max(1, round(options.duration * options.rate)),
+        exact=exact,
     )
 
 
@@ -321,30 +349,6 @@ def _flexible_modes(stiffness: Vector, mass: Vector, m: int) -> tuple[Vector, Ve
     return frequencies, modes
 
 
-def _stepping(options: SimulationOptions, mode: float, servo: float) -> tuple[int, int]:
-    """Integration steps in a sample, and iterations of the implicit method; the fastest mode and servo in rad/s."""
-    period = 1 / options.rate
-    fastest, substeps = max(mode, servo), options.substeps
-    what = f"mode at {mode / (2 * math.pi):.4g} Hz" if mode >= servo else f"servo of {servo / (2 * math.pi):.4g} Hz"
-    if substeps is None:
-        substeps = 1 if options.integrator == "rk4" else max(1, math.ceil(fastest * period / ACCURATE_STEP))
-    reach = fastest * period / substeps
-    need = max(math.ceil(mode * period / RK4_LIMIT), math.ceil(servo * period / RK4_REAL_LIMIT))
-    if options.integrator == "rk4" and substeps < need <= SUBSTEPS_MAX:
-        raise InputError(
-            f"simulate: rate = {options.rate:g} Hz with {substeps} substeps: RK4 is unstable for the {what} "
-            f"(step {period / substeps:g} s); needs substeps of at least {need}, or integrator = 'dop853' or 'gauss'"
-        )
-    if substeps > SUBSTEPS_MAX or need > SUBSTEPS_MAX:
-        raise InputError(
-            f"simulate: rate = {options.rate:g} Hz is too slow for the {what}: a sample would need more than "
-            f"{SUBSTEPS_MAX} integration steps"
-        )
-    # Fixed-point iterations shrink the change by a quarter of the step in radians of the fastest mode.
-    shrink = min(0.25 * reach, 0.75)
-    return substeps, max(6, math.ceil(-38.0 / math.log(shrink))) if options.integrator == "gauss" else 0
-
-
 def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, iterations: int) -> LoopStructure:
     sensor, actuator = options.sensor, options.actuator
     laws: dict[str, Any] = {"robust": "state_space"}
@@ -358,7 +362,7 @@ def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, i
         iterations=iterations,
         gravity=options.gravity,
         compensated=options.gravity and options.gravity_compensation,
-        delay=round(sensor.delay * options.rate),
+        delay=dead_time(options)[0],
         quantised=bool(sensor.resolution or sensor.rate_resolution),
         noisy=bool(sensor.noise or sensor.rate_noise),
         limited=actuator.torque_limit is not None,
@@ -394,14 +398,3 @@ def start_states(machine: AnyMachine, loop: ClosedLoop, parts: Mapping[str, Any]
         measured = np.concatenate([points, np.zeros_like(points)])
         x[loop.states.slices["queue"]] = np.tile(measured, (loop.structure.delay, 1))
     return x
-
-
-def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays as Python numbers and lists, and sequences of points as they are validated."""
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())  # pyright: ignore[reportUnknownMemberType]
-    if isinstance(value, Mapping):
-        return {name: _plain(part) for name, part in cast(Mapping[Any, Any], value).items()}
-    if isinstance(value, list | tuple):
-        return tuple(_plain(part) for part in cast(list[Any], value))
-    return value

@@ -77,6 +77,12 @@ class LoopStructure:
         return len(self.motion.rows)
 
     @property
+    def drifting(self) -> bool:
+        """Whether the arm has a self-motion that nothing brakes."""
+        joints = motion_of(self.motion, {}).n_joints
+        return self.law != "none" and joints > self.n_task and not self.nullspace_damped
+
+    @property
     def n_base(self) -> int:
         """Placement coordinates."""
         return len(self.motion.placement)

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.documents import json_ready
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import array_of, path, public
+from flexopt.model.documents import json_ready, write_netcdf
 from flexopt.plant import build_plant
-from flexopt.simulation.behaviour import Verdict
+from flexopt.simulation.behaviour import Shown
+from flexopt.simulation.linear import SampledLoop
+from flexopt.simulation.verdict import Ended, Judgement, Verdict, judge
+from flexopt.writing import write_file
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
+
+
+def _as_many(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    q, base = given["q"], given["base"]
+    if q is not None and base is not None and len(q) != len(base):
+        arguments.note("base", f"needs a row for each of the {len(q)} configurations", base)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +46,19 @@ class Trajectory:
         deflection: passive coordinates less their values at equilibrium (K, m).
         base: placement, the anchor of the springs (K, n_b), m or rad.
         target: of the end-point, (K, n_task), m.
-        verdict: `"converges"` or `"grows"`, by the base's oscillation; see `simulation.behaviour`.
-        growth_rate, growth_rate_error: of its amplitude and the standard error, 1/s; None where the base never moved.
+        run: what the run alone shows of growth: its tendency, `run.word`, and how sure that is.
+        ended: the loop that was run, and where it came to.
+        linear: the linear loop about the rest at the run's end, exact between the samples, whatever integrated the run
+            (computed when asked for); None where the loop has no such rest.
+        verdict: of the base's oscillation, `"converges"` or `"grows"` where the run and the eigenvalues of `linear` say
+            the same, `"undecided"` where they do not, or the run is shorter than four periods of the slowest mode, or
+            the eigenvalues are 1 to rounding; where there is no `linear`, the run's own, if significant.
+        verdict_reason: both, in a sentence.
+        growth_rate, growth_rate_error: of the base's amplitude in the run and its standard error, 1/s; None where it
+            never moved.
+        linear_growth_rate: of `linear`, 1/s.
+        self_motion_rate: of a redundant arm, the largest rate of a joint at the end that leaves the end-point where it
+            is, rad/s or m/s; None where there is no such motion. It is no part of the verdict.
         settling_time: after which |e| stays below 2 % of its start, s; None where it does not.
         overshoot: how far the end-point went beyond its target, as a share of the error at the start; None where base
             or target move.
@@ -67,7 +88,8 @@ class Trajectory:
     deflection: Vector
     base: Vector
     target: Vector
-    verdict: Verdict
+    run: Shown
+    ended: Ended = field(repr=False)
     growth_rate: float | None
     growth_rate_error: float | None
     settling_time: float | None
@@ -76,9 +98,38 @@ class Trajectory:
     peak_base_rotation: float | None
     residual_oscillation: Vector
     frequencies_hz: Vector
+    self_motion_rate: float | None
     warnings: tuple[str, ...]
     provenance: dict[str, Any] = field(repr=False)
     model: AnyMachine = field(repr=False)
+
+    @cached_property
+    def _linear(self) -> SampledLoop | str:
+        return self.ended.linear()
+
+    @property
+    def linear(self) -> SampledLoop | None:
+        """See the class."""
+        return None if isinstance(self._linear, str) else self._linear
+
+    @property
+    def linear_growth_rate(self) -> float | None:
+        """See the class."""
+        return None if self.linear is None else self.linear.growth_rate
+
+    @cached_property
+    def _judgement(self) -> Judgement:
+        return judge(self.run, self._linear, self.ended)
+
+    @property
+    def verdict(self) -> Verdict:
+        """See the class."""
+        return self._judgement.verdict
+
+    @property
+    def verdict_reason(self) -> str:
+        """See the class."""
+        return self._judgement.reason
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -90,6 +141,12 @@ class Trajectory:
         """See the class."""
         return self.skeletons(self.q, self.base)
 
+    @public(
+        sizes=lambda self: {"n_q": self.q.shape[1], "n_b": self.base.shape[1]},
+        q=array_of(("K", "n_q"), finite=False),
+        base=array_of(("K", "n_b"), finite=False),
+        together=_as_many,
+    )
     def skeletons(self, q: Vector, base: Vector) -> Vector:
         """Points as in `Plant.skeleton` in K configurations (K, n_q) and placements (K, n_b).
 
@@ -130,7 +187,9 @@ class Trajectory:
         """JSON-ready dictionary of the measures (keys as in the command line's `--json`)."""
         document = {
             "machine": self.machine, "control": self.control, "verdict": self.verdict, "growth_rate": self.growth_rate,
-            "growth_rate_error": self.growth_rate_error, "settling_time": self.settling_time,
+            "growth_rate_error": self.growth_rate_error, "run_verdict": self.run.word,
+            "linear_growth_rate": self.linear_growth_rate, "verdict_reason": self.verdict_reason,
+            "self_motion_rate": self.self_motion_rate, "settling_time": self.settling_time,
             "overshoot": self.overshoot, "end_error": self.end_error, "peak_base_rotation": self.peak_base_rotation,
             "residual_oscillation": self.residual_oscillation, "frequencies_hz": self.frequencies_hz,
             "duration": float(self.time[-1]), "samples": len(self.time), "warnings": self.warnings,
@@ -138,20 +197,26 @@ class Trajectory:
         }  # fmt: skip
         return cast(dict[str, Any], json_ready(document))
 
+    @public(path=path(parent=True))
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write every sample, the measures and the provenance to a netCDF file.
 
         Raises:
-            OSError: the file cannot be written.
+            WriteError: the file cannot be written.
         """
         import json  # noqa: PLC0415
 
         data = self.dataset.copy()
         data.attrs["flexopt"] = json.dumps(self.to_dict())
-        cast(Any, data).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+        write_netcdf(path, data)
 
+    @public(path=path(parent=True))
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them."""
+        """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them.
+
+        Raises:
+            WriteError: the file cannot be written.
+        """
         names = ["time_s", *(f"q_{c}" for c in self.coordinates), *(f"v_{c}" for c in self.coordinates)]
         for word in ("end_point", "error"):
             names += [f"{word}_{axis}_m" for axis in self.model.task_rows]
@@ -160,8 +225,9 @@ class Trajectory:
         columns = [self.time[:, None], self.q, self.v, self.end_point, self.error, self.torque, self.energy[:, None]]
         lines = [",".join(names)]
         lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_file(path, "\n".join(lines) + "\n")
 
+    @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw end-point error, base oscillation and torques over time.
 
@@ -195,12 +261,18 @@ class Trajectory:
         modes = ", ".join(
             f"{hz:.2f} Hz {e:.2e} J" for hz, e in zip(self.frequencies_hz, self.residual_oscillation, strict=True)
         )
+        verdict = "may grow or not, undecided" if self.verdict == "undecided" else self.verdict
         lines = [
-            f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {self.verdict} "
-            f"({number(self.growth_rate, '{:+.4g}')}/s ± {number(self.growth_rate_error, '{:.1g}')})",
+            f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {verdict} "
+            f"({number(self.growth_rate, '{:+.4g}')}/s ± {number(self.growth_rate_error, '{:.1g}')} in the run, "
+            f"{number(self.linear_growth_rate, '{:+.4g}')}/s in the linear loop)",
             f"  end-point: settles in {number(self.settling_time, '{:.3f} s')}, overshoot "
             f"{number(self.overshoot and 100 * self.overshoot, '{:.1f} %')}, {number(self.end_error, '{:.3e} m')} off "
             "at the end",
             f"  base: turns by up to {rotation}; left in its modes: {modes}",
         ]
+        if self.verdict == "undecided":
+            lines.insert(1, f"  undecided: {self.verdict_reason}")
+        if self.self_motion_rate is not None:
+            lines.append(f"  self-motion of the arm at the end: {self.self_motion_rate:.3g} rad/s or m/s")
         return "\n".join([*lines, *(f"  warning: {warning}" for warning in self.warnings)])

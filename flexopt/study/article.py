@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.model import Machine, load
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.documents import json_ready, provenance
@@ -184,6 +185,7 @@ def epsilon_at(machine: Machine, posture: Vector, kr: float) -> float:
     return float(margin.values.call([0.0, posture, margin.plant.parameter_values, kr])[0][0])
 
 
+@in_turn
 def reproduce_table2() -> ArticleTable:
     """Postures A and B of Table 2 from each input: inertial end-point, printed workspace point, rounded angles."""
     machine = article_machine()

@@ -7,7 +7,6 @@ runs and base trajectories, and the poles of the sampled linear loop beside them
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +18,7 @@ from flexopt.plant import inverse_kinematics
 from flexopt.robustness import Evaluation, evaluate
 from flexopt.selection import BaseTrajectory, Selection, nullspace_trajectory
 from flexopt.simulation import SampledLoop, Trajectory, sampled_loop, simulate
+from flexopt.simulation.linear import EXACT
 from flexopt.study.article import TARGET, X_MOBILE
 
 EXPERIMENT = "article-move"
@@ -29,7 +29,7 @@ LOW_GAINS, LOW_SECONDS = {"kp": 1e4, "kv": 1e3}, 60.0
 FIGURE_9_SECONDS, FIGURE_11_SECONDS = 10.0, 15.0
 # As long as the beating of its close poles takes to die away.
 ROBUST_SECONDS = 40.0
-# Integrates the plant without error that would show: what the machine itself would do.
+# Integrates a nonlinear run without error that would show: what the machine itself would do.
 ACCURATE = "dop853"
 # Of the way without a stop, which is only drawn.
 CLIMB_HZ = 50.0
@@ -44,8 +44,8 @@ class LoopRow:
     Attributes:
         stand: the posture's name.
         kp, kv: gains.
-        stated: the sampled loop with the stated integrator.
-        accurate: the sampled loop of the plant integrated without error that shows.
+        stated: the sampled linear loop as the stated integrator makes it, its own damping included.
+        accurate: the sampled linear loop itself, exact between the samples.
         run: the nonlinear loop with the stated integrator.
     """
 
@@ -61,15 +61,18 @@ class LoopRow:
         return {
             "posture": self.stand, "kp": self.kp, "kv": self.kv,
             "growth_rate_stated_integrator": self.stated.growth_rate,
-            "frequency_stated_integrator_hz": hertz(self.stated),
-            "growth_rate_accurate": self.accurate.growth_rate, "frequency_accurate_hz": hertz(self.accurate),
+            "frequency_stated_integrator_hz": self.stated.frequency_hz,
+            "growth_rate_accurate": self.accurate.growth_rate, "frequency_accurate_hz": self.accurate.frequency_hz,
             "run": self.run.to_dict(),
         }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class RobustRow:
-    """The controller that attains ε_max, at posture A: the sampled loop with one integrator, and a nonlinear run."""
+    """The controller that attains ε_max, at posture A: the sampled linear loop, and a nonlinear run.
+
+    `integrator` is that of the linear loop, `"exact"` or the stated one.
+    """
 
     integrator: str
     linear: SampledLoop
@@ -77,7 +80,7 @@ class RobustRow:
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers of the row."""
-        numbers = {"growth_rate": self.linear.growth_rate, "frequency_hz": hertz(self.linear)}
+        numbers = {"growth_rate": self.linear.growth_rate, "frequency_hz": self.linear.frequency_hz}
         return {"integrator": self.integrator, **numbers, "run": self.run and self.run.to_dict()}
 
 
@@ -155,11 +158,6 @@ class ClosedLoops:
         }
 
 
-def hertz(loop: SampledLoop) -> float:
-    """Frequency of the pole nearest to instability, Hz."""
-    return abs(float(loop.poles[0].imag)) / (2 * np.pi)
-
-
 def peak_error(run: Trajectory) -> float:
     """Largest |r_d − r|, m."""
     return float(np.sqrt(np.nanmax(np.sum(run.error**2, axis=1))))
@@ -205,35 +203,32 @@ def close_loops(machine: Machine, stands: Mapping[str, Evaluation]) -> ClosedLoo
     pairs: tuple[tuple[dict[str, float], float], ...]
     pairs = (({"kp": kp, "kv": kv}, FIGURE_9_SECONDS), (LOW_GAINS, LOW_SECONDS))
     a = stands["A"]
-    with ThreadPoolExecutor(1) as aside:
-        # Most of this is the compiler's time.
-        robust = aside.submit(_robust_rows, machine, a, given)
-        moving: dict[str, Any] = law.model_dump() | {"base": a.base, "control": options.control, "rate": options.rate}
-        free: dict[str, Any] = moving | {"base_range": None, "rate": CLIMB_HZ}
-        stopped = nullspace_trajectory(machine, a.posture, **moving | stop)
-        climb = nullspace_trajectory(machine, a.posture, **free)
-        rows = tuple(
-            _row(machine, name, stand, gains, given | {"duration": seconds})
-            for gains, seconds in pairs
-            for name, stand in stands.items()
-        )
-        driven: dict[str, Any] = given | pairs[0][0] | {"base": a.base, "duration": FIGURE_11_SECONDS}
+    moving: dict[str, Any] = law.model_dump() | {"base": a.base, "control": options.control, "rate": options.rate}
+    free: dict[str, Any] = moving | {"base_range": None, "rate": CLIMB_HZ}
+    stopped = nullspace_trajectory(machine, a.posture, **moving | stop)
+    climb = nullspace_trajectory(machine, a.posture, **free)
+    rows = tuple(
+        _row(machine, name, stand, gains, given | {"duration": seconds})
+        for gains, seconds in pairs
+        for name, stand in stands.items()
+    )
+    driven: dict[str, Any] = given | pairs[0][0] | {"base": a.base, "duration": FIGURE_11_SECONDS}
 
-        def run(**more: Any) -> Trajectory:
-            options: dict[str, Any] = driven | {"base_path": stopped.path} | more
-            return simulate(machine, a.posture, **options)
+    def run(**more: Any) -> Trajectory:
+        options: dict[str, Any] = driven | {"base_path": stopped.path} | more
+        return simulate(machine, a.posture, **options)
 
-        return ClosedLoops(
-            stated=stated,
-            stands=dict(stands),
-            rows=rows,
-            stopped=stopped,
-            climb=climb,
-            adjustment={WITH: run(), WITHOUT: run(base_path=None)},
-            low_adjustment=run(**LOW_GAINS, duration=LOW_SECONDS),
-            from_rest=run(offset=[0.0] * a.posture.size),
-            robust=robust.result(),
-        )
+    return ClosedLoops(
+        stated=stated,
+        stands=dict(stands),
+        rows=rows,
+        stopped=stopped,
+        climb=climb,
+        adjustment={WITH: run(), WITHOUT: run(base_path=None)},
+        low_adjustment=run(**LOW_GAINS, duration=LOW_SECONDS),
+        from_rest=run(offset=[0.0] * a.posture.size),
+        robust=_robust_rows(machine, a, given),
+    )
 
 
 def _row(machine: Machine, name: str, stand: Evaluation, gains: dict[str, float], given: dict[str, Any]) -> LoopRow:
@@ -243,7 +238,7 @@ def _row(machine: Machine, name: str, stand: Evaluation, gains: dict[str, float]
         kp=gains["kp"],
         kv=gains["kv"],
         stated=sampled_loop(machine, stand.posture, **options),
-        accurate=sampled_loop(machine, stand.posture, **{**options, "integrator": ACCURATE}),
+        accurate=sampled_loop(machine, stand.posture, **{**options, "integrator": EXACT}),
         run=simulate(machine, stand.posture, **options),
     )
 
@@ -251,12 +246,9 @@ def _row(machine: Machine, name: str, stand: Evaluation, gains: dict[str, float]
 def _robust_rows(machine: Machine, stand: Evaluation, given: dict[str, Any]) -> tuple[RobustRow, ...]:
     """With the stated integrator, which shows the loop falsely, no run."""
     options = given | {"feedback": "robust", "base": stand.base}
-    accurate: dict[str, Any] = options | {"integrator": ACCURATE}
+    exact: dict[str, Any] = options | {"integrator": EXACT}
+    accurate: dict[str, Any] = options | {"integrator": ACCURATE, "duration": ROBUST_SECONDS}
     return (
         RobustRow(given["integrator"], sampled_loop(machine, stand.posture, **options), None),
-        RobustRow(
-            ACCURATE,
-            sampled_loop(machine, stand.posture, **accurate),
-            simulate(machine, stand.posture, **accurate, duration=ROBUST_SECONDS),
-        ),
+        RobustRow(EXACT, sampled_loop(machine, stand.posture, **exact), simulate(machine, stand.posture, **accurate)),
     )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.compiled.turns import in_turn
 from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control, Elbow
@@ -53,6 +54,7 @@ class Curve:
         return np.flatnonzero(inner) + 1
 
 
+@in_turn
 def curve(
     machine: Machine, y: float, *, control: Control, elbow: Elbow, gain: float = 5e5, margin_deg: float = 10.0
 ) -> Curve:

@@ -6,22 +6,55 @@ In: a machine in a configuration. Out: Kp, Kv and the damping of an arm's self-m
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from flexopt.errors import FlexoptError
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.plant import build_plant
 from flexopt.plant.control import task_to_joints
 from flexopt.robustness import Evaluation
+from flexopt.simulation import sampled_loop
+from flexopt.simulation.feedback import self_motion_damping
 
 # Of the closed loop on a rigid base: corner over the lowest flexible mode's, damping ratio, and the corner's largest
 # angle in a sample, rad.
 SHARE, DAMPING_RATIO, ANGLE = 0.3, 0.7, 0.25
+# How often the corner is halved in search of a stable loop.
+HALVINGS = 6
 
 
-def default_gains(machine: AnyMachine, stand: Evaluation, rate: float) -> dict[str, float]:
+def default_gains(
+    machine: AnyMachine, stand: Evaluation, rate: float, loop: Mapping[str, Any] | None = None
+) -> dict[str, float]:
+    """`rigid_gains` with the highest corner, halved again and again, whose sampled linear loop is stable, exactly.
+
+    Where none of them is (no PD control may be, in a posture), those of the highest corner.
+
+    Args:
+        machine: the machine.
+        stand: its configuration, and control.
+        rate: of the samples, Hz.
+        loop: further options of `flexopt.sampled_loop`: sensor, actuator and the like.
+    """
+    options = {"control": stand.control, "rate": rate} | dict(loop or {})
+    options = {name: value for name, value in options.items() if name not in ("integrator", "substeps")}
+    for halving in range(HALVINGS + 1):
+        gains = rigid_gains(machine, stand, rate, 0.5**halving)
+        try:
+            stable = sampled_loop(machine, stand.posture, base=stand.base, **gains | options).stable
+        except FlexoptError:
+            break
+        if stable:
+            return gains
+    return rigid_gains(machine, stand, rate)
+
+
+def rigid_gains(machine: AnyMachine, stand: Evaluation, rate: float, share: float = 1.0) -> dict[str, float]:
     """`kp`, `kv` and, where joints are redundant, `nullspace_damping` for a machine as heavy as this one.
 
     On a rigid base the end-point obeys r̈ = A f, f = Kp e + Kv ė, with A = Jv M_a⁻¹ T and T the map of the control from
@@ -36,6 +69,7 @@ def default_gains(machine: AnyMachine, stand: Evaluation, rate: float) -> dict[s
         machine: the machine.
         stand: its configuration, and control.
         rate: of the samples, Hz.
+        share: of the corner that is taken.
     """
     plant = build_plant(machine)
     p, n = plant.parameter_values, plant.n_actuated
@@ -47,10 +81,9 @@ def default_gains(machine: AnyMachine, stand: Evaluation, rate: float) -> dict[s
     rows = len(jv)
     mapped: Vector = ca.evalf(task_to_joints(ca.SX(jv), stand.control, ca.SX.eye(rows))).full()
     inertia = abs(float(np.linalg.det(jv @ mobility @ mapped))) ** (-1 / rows)
-    corner = min(SHARE * 2 * math.pi * float(np.min(stand.frequencies_hz)), ANGLE * rate)
+    corner = share * min(SHARE * 2 * math.pi * float(np.min(stand.frequencies_hz)), ANGLE * rate)
     damping = 2 * DAMPING_RATIO * corner
     gains = {"kp": inertia * corner**2, "kv": damping * inertia}
     if n > rows:
-        free: Vector = np.linalg.svd(jv)[2][rows:]
-        gains["nullspace_damping"] = damping / float(np.linalg.eigvalsh(free @ mobility @ free.T)[-1])
+        gains["nullspace_damping"] = self_motion_damping(jv, mass, damping)
     return {name: float(f"{value:.4g}") for name, value in gains.items()}

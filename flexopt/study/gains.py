@@ -6,7 +6,6 @@ In: a machine and postures to stand in. Out: a `GainMap`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -18,9 +17,7 @@ from flexopt.model import AnyMachine, Machine
 from flexopt.model.arguments import Vector
 from flexopt.robustness import Evaluation
 from flexopt.simulation import StabilityBorder, sampled_loop, simulate_ensemble, stability_border
-from flexopt.simulation.linear import linearised
-from flexopt.simulation.scenario import build_scenario, checked_options
-from flexopt.study.closed_loops import ACCURATE, hertz
+from flexopt.simulation.linear import EXACT, linear_scenario, linearised
 
 KP, KV = (1e2, 1e7), (1e1, 1e6)
 # Of the grid on each side; of these every second is run.
@@ -39,7 +36,7 @@ class BorderRow:
     Attributes:
         stand: the posture's name.
         held: what is held, in words.
-        integrator: of the loop.
+        integrator: of the plant between samples, `"exact"` for none.
         border: the intervals.
         frequency_hz: of the pole that becomes unstable just beyond the lowest interval; None without one.
     """
@@ -71,7 +68,7 @@ class BorderRow:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A pair of gains at which the nonlinear run and the eigenvalues say different things."""
+    """A pair of gains at which the nonlinear run and the eigenvalues say different things: its verdict is undecided."""
 
     stand: str
     kp: float
@@ -87,28 +84,45 @@ class GainMap:
     Attributes:
         names: of the postures (s,).
         kp, kv: (k,), (l,).
-        growth_rate: (s, l, k), 1/s; below 0 the loop is stable.
+        growth_rate: of the loop itself, exact between the samples, (s, l, k), 1/s; below 0 it is stable.
+        stated_growth_rate: of the loop as the runs' integrator makes it, the like.
         tested_kp, tested_kv: (k',), (l',), every second of them.
-        grows: verdicts of the nonlinear runs, (s, l', k').
+        grows: what the nonlinear runs show, (s, l', k').
         offset, duration: of these, rad and s.
         borders: in Kp.
+        integrator: of the runs.
     """
 
     names: tuple[str, ...]
     kp: Vector
     kv: Vector
     growth_rate: Vector = field(repr=False)
+    stated_growth_rate: Vector = field(repr=False)
     tested_kp: Vector = field(repr=False)
     tested_kv: Vector = field(repr=False)
     grows: NDArray[np.bool_] = field(repr=False)
     offset: float
     duration: float
     borders: tuple[BorderRow, ...]
+    integrator: str = "rk4"
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
-        """Where the runs contradict the eigenvalues."""
-        rates = self.growth_rate[:, ::EVERY, ::EVERY]
+        """Where the runs contradict the eigenvalues of the loop."""
+        return self._differing(self.growth_rate[:, ::EVERY, ::EVERY])
+
+    @property
+    def own_disagreements(self) -> tuple[Disagreement, ...]:
+        """Where they contradict the eigenvalues of the loop that their integrator makes of it."""
+        return self._differing(self.stated_growth_rate[:, ::EVERY, ::EVERY])
+
+    @property
+    def hidden(self) -> int:
+        """How many runs decay because their integrator damps: its loop is stable there and the loop itself is not."""
+        rates, stated = (x[:, ::EVERY, ::EVERY] for x in (self.growth_rate, self.stated_growth_rate))
+        return int(np.count_nonzero(~self.grows & (rates >= 0) & (stated < 0)))
+
+    def _differing(self, rates: Vector) -> tuple[Disagreement, ...]:
         at: list[list[int]] = np.argwhere(self.grows != (rates >= 0)).tolist()
         return tuple(
             Disagreement(
@@ -120,23 +134,27 @@ class GainMap:
 
     @property
     def band(self) -> float:
-        """Largest |growth rate| at which run and eigenvalues disagree, 1/s; 0 where they never do."""
-        return max((abs(d.growth_rate) for d in self.disagreements), default=0.0)
+        """Largest |growth rate| at which run and eigenvalues of its own loop disagree, 1/s; 0 where they never do."""
+        return max((abs(d.growth_rate) for d in self.own_disagreements), default=0.0)
 
     @property
     def sentence(self) -> str:
         """How well the verdicts agree."""
-        found, total = self.disagreements, self.grows.size
+        own, total = self.own_disagreements, self.grows.size
         text = (
-            f"Of {total} nonlinear runs over {self.duration:g} s, {self.offset:g} rad off at the start, "
-            f"{total - len(found)} grow or converge as the eigenvalues of the sampled linear loop say. "
+            f"Of {total} nonlinear runs over {self.duration:g} s by {self.integrator.upper()}, {self.offset:g} rad off "
+            f"at the start, {total - len(self.disagreements)} grow or converge as the eigenvalues of the sampled "
+            "linear loop say. "
         )
-        if not found:
-            return text + "None disagrees."
-        inside = int(np.count_nonzero(np.abs(self.growth_rate[:, ::EVERY, ::EVERY]) <= self.band))
+        if self.hidden:
+            text += f"{self.hidden} decay only because {self.integrator.upper()} damps: the loop itself grows there. "
+        if not own:
+            return text + "None disagrees with the eigenvalues of the loop that the integrator makes of it."
+        inside = int(np.count_nonzero(np.abs(self.stated_growth_rate[:, ::EVERY, ::EVERY]) <= self.band))
         return text + (
-            f"The {len(found)} others all lie where the linear loop grows or decays by no more than {self.band:.4f}/s, "
-            f"a factor of {np.exp(self.band * self.duration):.2f} in the whole run ({inside} runs lie in that band)."
+            f"The {len(own)} that disagree with the eigenvalues of the loop that the integrator makes of it all lie "
+            f"where that grows or decays by no more than {self.band:.4f}/s, a factor of "
+            f"{np.exp(self.band * self.duration):.2f} in the whole run ({inside} runs lie in that band)."
         )
 
     def border(self, stand: str, held: str, integrator: str) -> BorderRow:
@@ -146,11 +164,25 @@ class GainMap:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready but for arrays.
 
-        Keys: `postures`, `kp`, `kv`, `growth_rate` (posture, kv, kp), 1/s; of the nonlinear runs `tested_kp`,
-        `tested_kv`, `grows` (posture, kv, kp), `offset`, rad, `duration`, s; `disagreements`, `band`, 1/s; `borders`;
-        `sentence`.
+        Keys: `postures`, `kp`, `kv`, `growth_rate` (posture, kv, kp), 1/s, exact, and `stated_growth_rate`; of the
+        nonlinear runs `integrator`, `tested_kp`, `tested_kv`, `grows` (posture, kv, kp), `offset`, rad, `duration`, s;
+        `disagreements` with the exact loop, `hidden`, `band`, 1/s; `borders`; `sentence`.
         """
-        names = ("kp", "kv", "growth_rate", "tested_kp", "tested_kv", "grows", "offset", "duration", "band", "sentence")
+        names = (
+            "kp",
+            "kv",
+            "growth_rate",
+            "stated_growth_rate",
+            "integrator",
+            "hidden",
+            "tested_kp",
+            "tested_kv",
+            "grows",
+            "offset",
+            "duration",
+            "band",
+            "sentence",
+        )
         document: dict[str, Any] = {"postures": self.names} | {name: getattr(self, name) for name in names}
         document["disagreements"] = [vars(d) for d in self.disagreements]
         return document | {"borders": [row.to_dict() for row in self.borders]}
@@ -172,15 +204,15 @@ def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mappin
     given: dict[str, Any] = {name: stated[name] for name in ("control", "feedback", "rate", "integrator")}
     kp, kv = np.geomspace(*KP, POINTS), np.geomspace(*KV, POINTS)
     tested_kp, tested_kv = kp[::EVERY], kv[::EVERY]
-    with ThreadPoolExecutor(1) as aside:
-        # Much of this is the compiler's time.
-        tested = aside.submit(_verdicts, machine, stands, given, stated["offset"], tested_kp, tested_kv)
-        rates = [
-            _growth_rates(machine, given | {"base": stand.base, "posture": stand.posture}, kp, kv)
-            for stand in stands.values()
+    grows = _verdicts(machine, stands, given, stated["offset"], tested_kp, tested_kv)
+    rates, stated_rates = (
+        [
+            _growth_rates(machine, given | {"base": s.base, "posture": s.posture, "integrator": method}, kp, kv)
+            for s in stands.values()
         ]
-        grows = tested.result()
-    methods = (str(given["integrator"]), ACCURATE)
+        for method in (EXACT, given["integrator"])
+    )
+    methods = (str(given["integrator"]), EXACT)
     borders = tuple(
         border_row(machine, name, stands[name], given | {"integrator": method}, ratio)
         for method, ratio, name in product(methods, (None, *RATIOS), stands)
@@ -190,12 +222,14 @@ def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mappin
         kp=kp,
         kv=kv,
         growth_rate=np.array(rates),
+        stated_growth_rate=np.array(stated_rates),
         tested_kp=tested_kp,
         tested_kv=tested_kv,
         grows=grows,
         offset=OFFSET,
         duration=SECONDS,
         borders=borders,
+        integrator=str(given["integrator"]),
     )
 
 
@@ -215,7 +249,7 @@ def _verdicts(
 
 def _growth_rates(machine: Machine, options: Mapping[str, Any], kp: Vector, kv: Vector) -> Vector:
     """(l, k), 1/s. As `sampled_loop` at every pair, the scenario built once."""
-    s = build_scenario(machine, checked_options("map_gains", machine, options))
+    s = linear_scenario(machine, options, "map_gains")
     rows = s.loop.structure.n_task
     rates = [
         linearised(replace(s, parts={**s.parts, "kp": np.full(rows, p), "kv": np.full(rows, v)})).growth_rate
@@ -238,7 +272,7 @@ def border_row(
         machine: the machine.
         name: of the posture.
         stand: the posture with its base.
-        given: options of `simulate` but posture, base and the two gains, the integrator among them.
+        given: options of `sampled_loop` but posture, base and the two gains.
         ratio: Kv/Kp, s, or None.
         kv: held where the ratio is not.
     """
@@ -248,5 +282,5 @@ def border_row(
     if largest is not None and largest < border.searched[1]:
         kp = BEYOND * largest
         beyond = options | {"kp": kp, "kv": kv if ratio is None else ratio * kp}
-        frequency = hertz(sampled_loop(machine, stand.posture, **beyond))
-    return BorderRow(name, held_words(ratio, kv), str(given["integrator"]), border, frequency)
+        frequency = sampled_loop(machine, stand.posture, **beyond).frequency_hz
+    return BorderRow(name, held_words(ratio, kv), str(given.get("integrator", EXACT)), border, frequency)

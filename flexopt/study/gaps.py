@@ -1,7 +1,8 @@
 """How far the full plant is from the rigid one, in the gap and the ν-gap, as the machine's damping grows.
 
 In: a machine and named postures. Out: a `GapSweep`: the distances beside w_1 and ε_max, and what they say of the
-article's link between the two "through the GAP metric".
+article's link between the two, "seen in the GAP metric between the rigid body excavator system and the total flexible
+system".
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.coprime import gap, nu_gap
 from flexopt.errors import FlexoptError
 from flexopt.model import Machine
@@ -109,6 +111,7 @@ class GapSweep:
         return document | {"holds_at_own_damping": self.holds_at_own_damping, "sentence": self.sentence}
 
 
+@in_turn
 def sweep_gaps(
     machine: Machine,
     postures: Mapping[str, Vector],

@@ -13,6 +13,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flexopt import writing
+from flexopt.writing import make_folder
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -68,8 +71,6 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def write_files(folder: Path, text: str, document: dict[str, Any]) -> tuple[Path, Path]:
     """Write `report.html` and `report.json` into `folder`, made if missing."""
-    folder.mkdir(parents=True, exist_ok=True)
-    web, data = folder / "report.html", folder / "report.json"
-    data.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    web.write_text(text, encoding="utf-8")
+    web, data = make_folder(folder) / "report.html", folder / "report.json"
+    writing.write_files({data: json.dumps(document, indent=2, allow_nan=False) + "\n", web: text})
     return web, data

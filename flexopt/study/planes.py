@@ -13,7 +13,8 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.model import AnyMachine, Machine
-from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.plain import shown
 from flexopt.model.problem import Elbow
 from flexopt.model.quantities import (
     ANGLE_MAX,
@@ -194,7 +195,10 @@ def _other_joints(arguments: Arguments, machine: AnyMachine, varies: Pair, postu
     others = [k for k in range(len(names)) if k not in varies]
     if posture is None and not others:
         return np.zeros(0)
-    values = [] if posture is None else list(np.ravel(posture).tolist())
+    given = arguments.checked("posture", posture, lambda v: v, None)
+    if arguments.faulty("posture"):
+        return np.zeros(len(others))
+    values = [] if given is None else list(cast(list[Any], given)) if isinstance(given, list | tuple) else [given]
     if len(values) != len(others):
         rest = ", ".join(names[k] for k in others)
         angles = "angles in rad" if set(machine.joint_units) == {"rad"} else "numbers in rad or m"

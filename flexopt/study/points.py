@@ -8,32 +8,26 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from flexopt.algebra import symmetric_eigen
-from flexopt.compiled import Batch, batch
+from flexopt.compiled import Economical
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
-from flexopt.plant.singularity import CONDITION_MAX, inverse_condition
+from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_condition
 from flexopt.robustness import build_measures
-from flexopt.robustness.evaluation import SOLVE_TOLERANCE
 from flexopt.robustness.margin import Margin, build_margin
-from flexopt.robustness.measures import Measures
+from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.robustness.posture_margin import evaluate_margin
-from flexopt.study.interpreter import Interpreter
 
 Progress = Callable[[int, int], None]
 # Postures at a time, so that progress shows and memory stays small.
 CHUNK = 4096
-# Instructions of a graph from which on compiling takes longer than a map does without.
-COMPILED_MAX = 10_000
 # What the batched Riccati equations may leave over, relative. Over the random machines of `benchmarks.margin_accuracy`
 # ε_max is off by less than a hundred times that.
 MARGIN_RESIDUAL = 1e-9
@@ -86,7 +80,7 @@ def evaluate_points(
     """
     threads = default_threads() if threads is None else threads
     count = postures.shape[1]
-    batches = _batches(machine, control, gravity, epsilon_max)
+    batches = expect_points(count, machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
     placed = np.zeros((len(machine.base_coordinates), count)) if bases is None else bases
     parts: list[tuple[Vector, ...]] = []
     if progress is not None:
@@ -106,31 +100,31 @@ def evaluate_points(
 
 
 @dataclass(frozen=True)
-class _Batches:
-    """The batched Functions of one machine under one controller."""
+class Batches:
+    """The Functions of one machine under one controller, for many points."""
 
     measures: Measures
     margin: Margin
-    values: Batch | Interpreter
-    margins: Batch | Interpreter | None
+    values: Economical
+    margins: Economical | None
+
+
+def expect_points(count: int, machine: AnyMachine, *, control: Control, gravity: bool, epsilon_max: bool) -> Batches:
+    """The Functions that `evaluate_points` calls; those that are worth it for so many points begin to be compiled."""
+    batches = _batches(machine, control, gravity, epsilon_max)
+    # The one that takes longer first.
+    if batches.margins is not None:
+        batches.margins.expect(count)
+    batches.values.expect(count)
+    return batches
 
 
 @lru_cache(maxsize=16)
-def _batches(machine: AnyMachine, control: Control, gravity: bool, epsilon_max: bool) -> _Batches:
+def _batches(machine: AnyMachine, control: Control, gravity: bool, epsilon_max: bool) -> Batches:
     measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
-    # Compilers are programs of their own, so that threads suffice to run several.
-    with ThreadPoolExecutor(2) as pool:
-        values = pool.submit(_many, _measure_function(measures))
-        margins = pool.submit(_many_margins, margin) if epsilon_max else None
-        return _Batches(measures, margin, values.result(), margins and margins.result())
-
-
-def _many(function: ca.Function) -> Batch | Interpreter:
-    return batch(function) if function.n_instructions() <= COMPILED_MAX else Interpreter(function)
-
-
-def _many_margins(margin: Margin) -> Batch | Interpreter:
-    return margin.batched if margin.batched.compiled else Interpreter(margin.values)
+    compact = build_margin(machine, control, gravity, compact=True)
+    margins = Economical(margin.values, compact.values) if epsilon_max else None
+    return Batches(measures, margin, Economical(_measure_function(measures)), margins)
 
 
 def _measure_function(measures: Measures) -> ca.Function:
@@ -168,17 +162,16 @@ def _measure_function(measures: Measures) -> ca.Function:
     return ca.Function("map_measures", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
 
 
-def _measured(batches: _Batches, bases: Vector, postures: Vector, threads: int) -> tuple[Vector, ...]:
+def _measured(batches: Batches, bases: Vector, postures: Vector, threads: int) -> tuple[Vector, ...]:
     """The fields of `PointValues` up to `condition`."""
     plant = batches.measures.plant
     p = np.array(plant.parameter_values).ravel()
     frequency, w, scale, trace, least, rigid, jv, position, left_over = batches.values(
         bases, postures, p, threads=threads
     )
-    jacobians = jv.T.reshape(-1, plant.n_actuated, plant.n_task)
-    condition, largest = _conditions(jacobians)
+    condition, largest = conditions(jv, plant.n_actuated)
     if plant.n_task == 1:
-        of_position = _conditions(position.T.reshape(-1, plant.n_actuated, position.shape[0] // plant.n_actuated))[1]
+        of_position = conditions(position, plant.n_actuated)[1]
         with np.errstate(divide="ignore"):
             condition = np.maximum(largest, of_position) / largest
         largest = np.maximum(largest, of_position)
@@ -189,16 +182,7 @@ def _measured(batches: _Batches, bases: Vector, postures: Vector, threads: int) 
     return (*(np.where(sound, field, np.nan) for field in fields), condition)
 
 
-def _conditions(jacobians: Vector) -> tuple[Vector, Vector]:
-    """Ratio of the extreme singular values of each (N, n, r), infinite where it is no number, and the largest."""
-    finite = np.all(np.isfinite(jacobians), axis=(1, 2))
-    values = np.linalg.svd(np.where(finite[:, None, None], jacobians, 0.0), compute_uv=False)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio: NDArray[np.float64] = values[:, 0] / values[:, -1]
-    return np.where(np.isnan(ratio), np.inf, ratio), values[:, 0]
-
-
-def _margins(batches: _Batches, bases: Vector, postures: Vector, gain: float, threads: int) -> Vector:
+def _margins(batches: Batches, bases: Vector, postures: Vector, gain: float, threads: int) -> Vector:
     """ε_max (N,); one by one, in extended precision, where the batched equations are not solved well enough."""
     assert batches.margins is not None
     p = np.array(batches.margin.plant.parameter_values).ravel()

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from flexopt.plant import build_plant
-from flexopt.study.closed_loops import hertz
 from flexopt.study.page import heading, page, paragraph, picture, table
 
 if TYPE_CHECKING:
@@ -203,7 +202,7 @@ def _loops(report: Report) -> str:
     rows: list[list[str]] = []
     for name, loop in report.loops.items():
         run, linear = loop.run, loop.linear
-        poles = "–" if linear is None else f"{_number(linear.growth_rate, 4)} at {_number(hertz(linear), 4)} Hz"
+        poles = "–" if linear is None else f"{_number(linear.growth_rate, 4)} at {_number(linear.frequency_hz, 4)} Hz"
         turn = "–" if run.peak_base_rotation is None else _number(1e3 * run.peak_base_rotation, 4)
         off = "–" if run.end_error is None else _number(1e3 * run.end_error, 4)
         rows.append(

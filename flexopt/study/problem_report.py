@@ -15,15 +15,17 @@ import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.model import AnyMachine, Experiment, Problem
-from flexopt.model.arguments import Vector, shown
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import TABLE, instance, public, table, whole
 from flexopt.model.documents import json_ready, provenance
+from flexopt.model.plain import shown
 from flexopt.model.simulation import SimulationOptions
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
-from flexopt.simulation import SampledLoop, Trajectory, sampled_loop, simulate
+from flexopt.simulation import SampledLoop, Trajectory, simulate
+from flexopt.simulation.experiment import HELD
 from flexopt.simulation.scenario import checked_options
-from flexopt.study.closed_loops import hertz
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
 from flexopt.study.points import Progress
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STAGES = 4
+POINTS_MAX = 1000  # of the map, along each axis
 # Options of `simulate` that say where the machine stands and are the selection's to say.
 PLACES = ("posture", "end_point", "elbow", "base", "control", "gravity", "base_path", "target_path")
 T = TypeVar("T")
@@ -44,11 +47,15 @@ class Loop:
     """The closed loop in one configuration: the nonlinear run, and the poles of the sampled linear loop."""
 
     run: Trajectory
-    linear: SampledLoop | None
+
+    @property
+    def linear(self) -> SampledLoop | None:
+        """The linear loop, exact between the samples; None where there is none."""
+        return self.run.linear
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers: growth rates in 1/s, frequency in Hz."""
-        linear = self.linear and {"growth_rate": self.linear.growth_rate, "frequency_hz": hertz(self.linear)}
+        linear = self.linear and {"growth_rate": self.linear.growth_rate, "frequency_hz": self.linear.frequency_hz}
         return {"run": self.run.to_dict(), "linear": linear}
 
 
@@ -88,6 +95,7 @@ class Report:
         """Configurations by name, the present one first where it is known."""
         return stands_of(self.selection)
 
+    @public(stand=instance(Evaluation, "an Evaluation, such as those of `stands`"))
     def mode_shares(self, stand: Evaluation) -> Vector:
         """Share of each passive coordinate in the strain energy of each mode, (n_passive, modes): columns add to 1.
 
@@ -142,11 +150,12 @@ class Report:
             ),
         )
 
+    @public()
     def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:
         """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.
 
         Raises:
-            OSError: a file cannot be written.
+            WriteError: a file cannot be written.
         """
         from flexopt.study.page import write_files  # noqa: PLC0415  (imports what only reports need)
         from flexopt.study.problem_page import report_html  # noqa: PLC0415
@@ -184,6 +193,38 @@ def machine_document(machine: AnyMachine) -> dict[str, Any]:
     }
 
 
+def _reported(arguments: Arguments, field: str, value: Any) -> Any:
+    """A problem of one target."""
+    if isinstance(value, SelectionProblem):
+        arguments.of = value.machine
+        return value
+    value = TABLE["problem"](arguments, field, value)
+    if isinstance(value, Problem) and value.target.kind != "end_point":
+        sentence = f"must have one target, target.end_point, not target.{value.target.kind}"
+        arguments.faults.append(Fault(field, sentence, value.name))
+    return value
+
+
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    machine = arguments.of
+    if machine is not None and not arguments.faulty("simulation"):
+        arguments.collect("", lambda: _simulation(machine, given["experiment"], given["simulation"]))
+
+
+def _other_experiment(arguments: Arguments, field: str, value: Any) -> Any:
+    """Its machine is not the one of the call."""
+    machine = arguments.of
+    value, arguments.of = HELD(arguments, field, value), machine
+    return value
+
+
+@public(
+    problem=_reported,
+    experiment=_other_experiment,
+    simulation=table,
+    points=whole(2, POINTS_MAX),
+    together=_together,
+)
 def report(
     problem: Problem | SelectionProblem,
     *,
@@ -201,23 +242,17 @@ def report(
         experiment: from `flexopt.load_experiment`: its controller, gains, start and run are those of the closed loops.
         simulation: arguments of `flexopt.simulate` for these, before those of the experiment; not where the machine
             stands, nor `control` and `gravity`, which are the problem's. Where neither names `kp` or `kv` they are as
-            heavy as the machine in the chosen configuration: a corner at 0.3 of its lowest mode, damped by 0.7; see
-            `flexopt.study.default_gains`.
+            heavy as the machine in the chosen configuration: a corner at 0.3 of its lowest mode, damped by 0.7, and
+            halved until the linear loop is stable; see `flexopt.study.default_gains`.
         points: of the map, along each axis; 160, or with more than three passive coordinates 48.
         progress: called with the number of stages done and of all.
 
     Raises:
         InputError, UnreachableTarget, NoSolutionFound: as `flexopt.select`; arguments are not usable.
     """
-    if not isinstance(problem, Problem | SelectionProblem):  # pyright: ignore[reportUnnecessaryIsInstance]
-        sentence = "must be a problem, from flexopt.load_problem or flexopt.build_selection"
-        raise_if_any(InputError, "report", [Fault("problem", sentence, shown(problem))])
-    if isinstance(problem, Problem) and problem.target.kind != "end_point":
-        sentence = f"must have one target, target.end_point, not target.{problem.target.kind}"
-        raise_if_any(InputError, "report", [Fault("problem", sentence, problem.name)])
     machine = problem.loaded_machine if isinstance(problem, Problem) else problem.machine
     given = _simulation(machine, experiment, simulation)
-    size = map_points(machine, points)
+    size = map_points(machine) if points is None else points
     stages = _Stages(progress)
     selection = select(**problem.select_arguments()) if isinstance(problem, Problem) else solve_selection(problem)
     solved, notes = selection.problem, list[str]()
@@ -230,9 +265,8 @@ def report(
     for name, stand in stands.items():
         run = _attempt(notes, f"the closed loop, {name}", lambda s=stand: _run(machine, s, given))
         if run is not None:
-            linear = _attempt(notes, f"the linear loop, {name}", lambda s=stand: _linear(machine, s, given))
-            loops[name] = Loop(run, linear)
-            notes += _too_short(name, loops[name])
+            loops[name] = Loop(run)
+            notes += _undecided(name, run)
     stages.next()
     borders: list[BorderRow] = []
     for name in loops:
@@ -283,9 +317,6 @@ def _simulation(
     """Options of the closed loops, checked."""
     given: dict[str, Any] = {}
     if experiment is not None:
-        if not isinstance(experiment, Experiment):  # pyright: ignore[reportUnnecessaryIsInstance]
-            sentence = "must be an Experiment, from flexopt.load_experiment"
-            raise_if_any(InputError, "report", [Fault("experiment", sentence, shown(experiment))])
         options = experiment.simulation
         given = {name: getattr(options, name) for name in options.model_fields_set if name not in PLACES}
         if len(experiment.loaded_machine.joints) != len(machine.joints):
@@ -305,30 +336,22 @@ def _with_gains(machine: AnyMachine, stand: Evaluation, given: dict[str, Any]) -
     """The options with gains that suit the machine, where nobody named any."""
     if {"kp", "kv"} & given.keys() or given.get("feedback", "pd") not in ("pd", "pid"):
         return given
-    return default_gains(machine, stand, given.get("rate", SimulationOptions.model_fields["rate"].default)) | given
+    rate = given.get("rate", SimulationOptions.model_fields["rate"].default)
+    return default_gains(machine, stand, rate, given) | given
 
 
 def _inside(low: float, high: float) -> float:
     return float(np.clip(0.0, low, high))
 
 
-def _too_short(name: str, loop: Loop) -> list[str]:
-    """A note where the run does not yet show what the linear loop does in the end."""
-    if loop.linear is None or loop.linear.stable == (loop.run.verdict == "converges"):
-        return []
-    rate, grows = loop.linear.growth_rate, loop.run.verdict
-    return [
-        f"the closed loop, {name}: the run of {loop.run.time[-1]:g} s {grows}, but the sampled linear loop says "
-        f"{rate:+.3g}/s: the run is too short, or too large, to show it"
-    ]
+def _undecided(name: str, run: Trajectory) -> list[str]:
+    """A note where run and linear loop together do not say what becomes of the oscillation."""
+    said = run.verdict_reason
+    return [f"the closed loop, {name}: {said}"] if run.verdict == "undecided" or run.linear is None else []
 
 
 def _run(machine: AnyMachine, stand: Evaluation, given: Mapping[str, Any]) -> Trajectory:
     return simulate(machine, stand.posture, base=stand.base, **given)
-
-
-def _linear(machine: AnyMachine, stand: Evaluation, given: Mapping[str, Any]) -> SampledLoop:
-    return sampled_loop(machine, stand.posture, base=stand.base, **given)
 
 
 def _borders(machine: AnyMachine, name: str, stand: Evaluation, given: dict[str, Any]) -> list[BorderRow]:
@@ -337,6 +360,7 @@ def _borders(machine: AnyMachine, name: str, stand: Evaluation, given: dict[str,
     if options.feedback != "pd":
         return []
     kp, kv = float(options.kp[0]), float(options.kv[0])
-    rest = {n: v for n, v in given.items() if n not in ("kp", "kv")} | {"integrator": options.integrator}
+    # The loop itself, whatever integrates the runs.
+    rest = {n: v for n, v in given.items() if n not in ("kp", "kv", "integrator", "substeps")}
     ratios = (None, *([kv / kp] if kp > 0 else []))
     return [border_row(machine, name, stand, rest, ratio, kv) for ratio in ratios]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from flexopt.compiled.turns import in_turn
 from flexopt.model import Machine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready, provenance
@@ -146,7 +147,7 @@ class Reproduction:
         """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.
 
         Raises:
-            OSError: a file cannot be written.
+            WriteError: a file cannot be written.
         """
         from flexopt.study.reproduction_page import write_report  # noqa: PLC0415  (imports what only reports need)
 
@@ -169,6 +170,7 @@ def _row(values: Any) -> str:
     return ", ".join(f"{value:.4f}" for value in values)
 
 
+@in_turn
 def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None = None) -> Reproduction:
     """Compute everything.
 
@@ -219,7 +221,7 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
     at_b = {name: q for name, q in named.items() if name.startswith("B")}
     contradictions = (
         findings.posture_b(table),
-        findings.below_maximum(machine, maps["inverse"], gain),
+        findings.below_maximum(lines, maps["inverse"]),
         findings.union(maps["inverse"]),
         findings.semidefinite(table, maps["inverse"], maps["transpose"]),
         findings.gain_independent(machine, named, gain),
@@ -229,7 +231,7 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
         loop_findings.integration_step(loops, gain_map),
     )
     claims = (
-        findings.same_shape(lines),
+        findings.same_shape(tuple(curves[control, "up"] for control in CONTROLS)),
         findings.many_in_phase(maps["inverse"]),
         findings.passive(selection, rigid),
         findings.features((maps["transpose"], maps["inverse"])),

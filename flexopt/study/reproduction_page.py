@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexopt.study.closed_loops import hertz
 from flexopt.study.findings import Finding
 from flexopt.study.gains import BorderRow
 from flexopt.study.page import page, picture, table, write_files
@@ -117,14 +116,14 @@ def _loops(result: Reproduction) -> str:
     """Poles and runs of every posture with both pairs of gains."""
     rows: list[tuple[str, ...]] = []
     for row in result.loops.rows:
-        stated, accurate = (f"{x.growth_rate:+.4f} at {hertz(x):.2f} Hz" for x in (row.stated, row.accurate))
+        stated, accurate = (f"{x.growth_rate:+.4f} at {x.frequency_hz:.2f} Hz" for x in (row.stated, row.accurate))
         run = row.run
         rate = "" if run.growth_rate is None else f" {run.growth_rate:+.4f}"
         turn = "" if run.peak_base_rotation is None else f"{1e3 * run.peak_base_rotation:.2f}"
         off = "" if run.end_error is None else f"{1e3 * run.end_error:.3f}"
         words = f"{run.verdict}{rate}, {run.time[-1]:g} s"
         rows.append((row.stand, f"{row.kp:g}", f"{row.kv:g}", stated, accurate, words, turn, off))
-    header = ("posture", "Kp", "Kv", "linear, RK4, 1/s", "linear, accurate, 1/s", "nonlinear run, 1/s",
+    header = ("posture", "Kp", "Kv", "linear, RK4, 1/s", "linear, exact, 1/s", "nonlinear run, 1/s",
               "largest base rotation, mrad", "end-point at the end, mm off")  # fmt: skip
     return table(header, rows)
 

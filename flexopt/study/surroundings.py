@@ -5,11 +5,9 @@ In: a selection. Out: a `WorkspaceMap` and the marks to draw in it.
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
-from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import shown
 from flexopt.model.problem import Elbow
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
@@ -29,14 +27,9 @@ def stands_of(selection: Selection) -> dict[str, Evaluation]:
     return present | {CHOSEN: selection.best.evaluation}
 
 
-def map_points(machine: AnyMachine, points: Any) -> int:
-    """How many along each axis, checked."""
-    if points is None:
-        return FEW_POINTS if build_plant(machine).n_passive > MANY_PASSIVE else POINTS
-    if type(points) is not int or not 2 <= points <= 1000:
-        sentence = "must be a whole number between 2 and 1000"
-        raise_if_any(InputError, "report", [Fault("points", sentence, shown(points))])
-    return cast(int, points)
+def map_points(machine: AnyMachine) -> int:
+    """How many along each axis by default."""
+    return FEW_POINTS if build_plant(machine).n_passive > MANY_PASSIVE else POINTS
 
 
 def surroundings(selection: Selection, points: int) -> WorkspaceMap | None:

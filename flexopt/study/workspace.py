@@ -6,25 +6,54 @@ In: a machine and a range of end-points or joint angles. Out: a `WorkspaceMap` w
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any, cast
 
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import anything, by, flag, public, words
 from flexopt.model.documents import provenance
-from flexopt.model.problem import ELBOWS, Control, Elbow, check_gain
+from flexopt.model.problem import Control, Elbow
 from flexopt.plant import build_plant
 from flexopt.study.grid import Grid, Over
 from flexopt.study.planes import Plane, read_plane
-from flexopt.study.points import Progress, evaluate_points
+from flexopt.study.points import Progress, evaluate_points, expect_points
 from flexopt.study.workspace_map import WorkspaceMap, workspace_dataset
 
 OVER: tuple[Over, ...] = ("end_point", "posture", "base")
 POINTS_MAX = 10_000
 # Points by default, and of machines with more passive coordinates than the number between: each costs far more there.
 POINTS, MANY_PASSIVE, FEW_POINTS = (400, 400), 3, (60, 60)
-THREADS_MAX = 1024
 
 
+def _check_points(value: Any) -> tuple[int, int]:
+    parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
+    whole = [part for part in parts if type(part) is int and 2 <= part <= POINTS_MAX]
+    if len(parts) != 2 or len(whole) != 2:
+        raise ValueError(f"must be two whole numbers between 2 and {POINTS_MAX}: points along x and along y")
+    return whole[0], whole[1]
+
+
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    if arguments.of is not None:
+        read_plane(arguments, arguments.of, given["over"], given)
+
+
+@public(
+    over=words(*OVER),
+    joints=anything,  # these are `read_plane`'s: what they may be depends on what varies
+    rows=anything,
+    coordinates=anything,
+    posture=anything,
+    end_point=anything,
+    base=anything,
+    x_range=anything,
+    y_range=anything,
+    points=by(_check_points),
+    measures=flag,
+    epsilon_max=flag,
+    together=_together,
+)
 def map_workspace(
     machine: AnyMachine,
     *,
@@ -83,26 +112,17 @@ def map_workspace(
         InputError: every unusable argument, in one message.
         UnreachableTarget: over the base, the end-point is not reached from the placements next to `base`.
     """
-    arguments = Arguments("map_workspace")
-    machine = arguments.machine(machine)
-    control = arguments.control(control)
-    kr = arguments.checked("gain", gain, check_gain, 1.0)
-    for name, flag in (("gravity", gravity), ("measures", measures), ("epsilon_max", epsilon_max)):
-        arguments.flag(name, flag)
-    noted = len(arguments.faults)
-    over = arguments.choice("over", over, OVER)
-    usable = over if len(arguments.faults) == noted else None
-    elbow = arguments.choice("elbow", elbow, ELBOWS)
-    size = arguments.checked("points", _default_points(machine) if points is None else points, _check_points, (2, 2))
-    workers = arguments.checked("threads", threads, _check_threads, None)
+    size = _default_points(machine) if points is None else points
     given = {"joints": joints, "rows": rows, "coordinates": coordinates, "posture": posture, "end_point": end_point}
-    plane = read_plane(arguments, machine, usable, given | {"base": base, "x_range": x_range, "y_range": y_range})
-    arguments.done()
-    options: dict[str, Any] = {"control": control, "gain": kr, "gravity": gravity, "over": over}
+    given |= {"base": base, "x_range": x_range, "y_range": y_range}
+    plane = read_plane(Arguments("map_workspace", machine), machine, over, given)
+    options: dict[str, Any] = {"control": control, "gain": gain, "gravity": gravity, "over": over}
     options |= {"x_range": plane.ranges[0], "y_range": plane.ranges[1], "points": size} | plane.options(elbow)
+    # Compilers are at work while postures are followed.
+    expect_points(size[0] * size[1], machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
     grid = plane.grid(machine, size, elbow)
     return _computed(
-        machine, plane, grid, options, measures=measures, margins=epsilon_max, threads=workers, progress=progress
+        machine, plane, grid, options, measures=measures, margins=epsilon_max, threads=threads, progress=progress
     )
 
 
@@ -145,17 +165,3 @@ def _attributes(machine: AnyMachine, plane: Plane, options: dict[str, Any]) -> d
 
 def _default_points(machine: AnyMachine) -> tuple[int, int]:
     return FEW_POINTS if build_plant(machine).n_passive > MANY_PASSIVE else POINTS
-
-
-def _check_points(value: Any) -> tuple[int, int]:
-    parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
-    whole = [part for part in parts if type(part) is int and 2 <= part <= POINTS_MAX]
-    if len(parts) != 2 or len(whole) != 2:
-        raise ValueError(f"must be two whole numbers between 2 and {POINTS_MAX}: points along x and along y")
-    return whole[0], whole[1]
-
-
-def _check_threads(value: Any) -> int | None:
-    if value is not None and (type(value) is not int or not 1 <= value <= THREADS_MAX):
-        raise ValueError(f"must be a whole number between 1 and {THREADS_MAX}, or None for all processors")
-    return value

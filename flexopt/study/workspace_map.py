@@ -8,21 +8,47 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from flexopt.errors import InputError
+from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.documents import json_ready
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import array_of, by, check_text, path, public
+from flexopt.model.documents import json_ready, write_netcdf
+from flexopt.model.plain import shown
+from flexopt.model.problem import check_point
+from flexopt.model.quantities import check_whole
 from flexopt.study.grid import Grid
 from flexopt.study.points import PointValues
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
+
+
+def _sizes(of: Any) -> dict[str, int]:
+    """Shape of the map."""
+    rows, columns = of.axes
+    return {"n_y": of.dataset.sizes[rows], "n_x": of.dataset.sizes[columns]}
+
+
+def _modes(arguments: Arguments, field: str, value: Any) -> Any:
+    """Numbers of modes."""
+    return tuple(arguments.checked(field, mode, lambda v: check_whole(v, 1, 1000), 1) for mode in value)
+
+
+def _marks(arguments: Arguments, field: str, value: Any) -> dict[str, tuple[float, float]]:
+    """Points of the plane by name."""
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in cast(Mapping[Any, Any], value)):
+        arguments.note(field, "must be a dictionary, name -> (x, y)", value)
+        return {}
+    points = cast(Mapping[str, Any], value)
+    return {
+        name: arguments.checked(f"{field}[{shown(name)}]", point, check_point, (0.0, 0.0))
+        for name, point in points.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -48,8 +74,18 @@ class WorkspaceMap:
     dataset: xr.Dataset = field(repr=False)
     provenance: dict[str, Any] = field(repr=False)
 
+    @public(name=by(check_text))
     def array(self, name: str) -> Vector:
-        """A variable as an array."""
+        """A variable as an array.
+
+        Raises:
+            InputError: the map has none of that name.
+        """
+        if name not in self.dataset.variables:
+            listed = ", ".join(map(str, self.dataset.variables))
+            raise_if_any(
+                InputError, "array", [Fault("name", f"is no variable of the map; it has {listed}", shown(name))]
+            )
         return np.asarray(self.dataset[name].values, dtype=float)
 
     @property
@@ -58,27 +94,34 @@ class WorkspaceMap:
         rows, columns = (str(name) for name in self.dataset["reachable"].dims)
         return rows, columns
 
+    @public(sizes=_sizes, mask=array_of(("n_y", "n_x"), kinds="biuf"))
     def fraction(self, mask: Any) -> float:
         """Share of the mapped points (reachable and regular) where `mask` (n_y, n_x) holds."""
         mapped = np.isfinite(self.array("condition"))
         return float(np.count_nonzero(np.asarray(mask, dtype=bool) & mapped) / max(1, np.count_nonzero(mapped)))
 
+    @public(modes=_modes)
     def in_phase_fraction(self, *modes: int, strict: bool = False) -> float:
         """Share of the mapped points where all `modes` (counted from 1) are in phase."""
+        numbers = range(1, self.dataset.sizes.get("mode", 0) + 1)
+        if not modes or any(mode not in numbers for mode in modes):
+            sentence = f"must be among the map's modes, {numbers.start} to {numbers.stop - 1}"
+            sentence = sentence if numbers else "needs a map with measures"
+            raise_if_any(InputError, "in_phase_fraction", [Fault("modes", sentence, shown(modes))])
         in_phase = self.array("in_phase_strict" if strict else "in_phase")
         return self.fraction(np.all(in_phase[[mode - 1 for mode in modes]] == 1, axis=0))
 
+    @public(path=path(".nc", parent=True))
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write a netCDF 3 file, which needs nothing but SciPy to be written or read.
 
         Raises:
             InputError: the name does not end in `.nc`.
-            OSError: the file cannot be written.
+            WriteError: the file cannot be written.
         """
-        if Path(path).suffix.lower() != ".nc":
-            raise InputError(f"to_netcdf: {os.fspath(path)!r}: the name must end in .nc")
-        cast(Any, self.dataset).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+        write_netcdf(path, self.dataset)
 
+    @public(marks=_marks)
     def plot(
         self, path: str | os.PathLike[str] | None = None, *, marks: Mapping[str, tuple[float, float]] | None = None
     ) -> Figure:
@@ -89,7 +132,7 @@ class WorkspaceMap:
             marks: points of the plane to show, name -> (x, y), in place of the map's own.
 
         Raises:
-            OSError: the file cannot be written.
+            WriteError: the file cannot be written.
         """
         from flexopt.plotting.workspace import plot_workspace  # noqa: PLC0415  (matplotlib is slow to import)
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.cli import cli
+from flexopt.cli import _COMMANDS
 from tests.cli.command import MACHINE, PROBLEM, THIRD_LINK, Command, strict_json, toml
 
 ROOT = Path(__file__).parents[2]
@@ -379,7 +379,7 @@ def test_doctor_fails_on_a_broken_shipped_machine(command: Command, monkeypatch:
     assert "base.mass = -1.0" in finding
 
 
-@pytest.mark.parametrize("arguments", [(), *[(name,) for name in cli.commands]], ids=lambda a: a[0] if a else "flexopt")
+@pytest.mark.parametrize("arguments", [(), *[(name,) for name in _COMMANDS]], ids=lambda a: a[0] if a else "flexopt")
 def test_help(command: Command, arguments: tuple[str, ...]) -> None:
     outcome = command(*arguments, "--help")
     assert outcome.code == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,10 @@ import xarray as xr
 
 import flexopt
 from flexopt.cli import main
+from flexopt.cli.simulation import ELSEWHERE, simulate_arguments, simulate_command
 from flexopt.errors import ModelError
 from flexopt.model.files import shipped_folder, shipped_names
+from flexopt.model.simulation import Actuator, Sensor, SimulationOptions
 from tests.cli.command import Command
 
 POSTURE = ("simulate", "excavator", "--posture", "0.0448,-2.0499")
@@ -54,6 +57,79 @@ def test_divergence_is_an_answer_and_valid_json(command: Command) -> None:
     assert document["verdict"] == "grows"
     assert document["end_error"] is None
     assert any("finite" in sentence for sentence in document["warnings"])
+
+
+def test_every_argument_of_simulate_is_an_option_or_named_as_none(command: Command) -> None:
+    """Nothing that a warning or an error names is out of the command's reach without the help saying so."""
+    arguments = set(inspect.signature(flexopt.simulate).parameters) - {"machine"}
+    assert set(SimulationOptions.model_fields) == arguments
+    spelled = {"hold": "continuous", "gravity_compensation": "uncompensated"}
+    known = {parameter.name for parameter in simulate_command.params}
+    missing = {name for name in arguments if spelled.get(name, name) not in known}
+    assert missing == set(ELSEWHERE)
+    text = " ".join(command("simulate", "--help").stdout.split())
+    for name in (*ELSEWHERE, *Sensor.model_fields, *Actuator.model_fields):
+        assert name in text
+    everything = {p.name: None for p in simulate_command.params} | {
+        "sensor": ("delay=0",),
+        "actuator": ("dead_band=1",),
+    }
+    given = {
+        "posture": "1", "end_point": "1,2", "elbow": "up", "base": "0", "control": "inverse", "feedback": "pd",
+        "kp": "1", "kv": "1", "ki": "1", "integral_limit": "1", "gain": "1", "offset": "1", "duration": "1", "rate": "1",
+        "continuous": True, "integrator": "rk4", "substeps": "1", "gravity": True, "uncompensated": True,
+        "nullspace_damping": "1", "seed": "1",
+    }  # fmt: skip
+    # What the options say arrives at the call.
+    assert set(simulate_arguments(everything | given)) == arguments - set(ELSEWHERE)
+
+
+def test_tables_of_sensor_and_actuator(command: Command) -> None:
+    options = ("--duration", "0.5", "--sensor", "delay=0.02", "--sensor", "noise=1e-4", "--actuator")
+    document = command.json(*POSTURE, *options, "torque_limit=1e5,2e5")
+    given = document["provenance"]["options"]
+    assert given["sensor"] == {"delay": 0.02, "noise": 1e-4}
+    assert given["actuator"] == {"torque_limit": [1e5, 2e5]}
+    # In an experiment an entry takes the place of the file's; the others stay.
+    command.write("e.toml", EXPERIMENT + "[simulation.sensor]\ndelay = 0.01\nnoise = 1e-3\n")
+    changed = command.json("simulate", "e.toml", "--sensor", "delay=0.02")["provenance"]["options"]["sensor"]
+    assert changed == {"delay": 0.02, "noise": 1e-3}
+    for wrong, words in (("delay", "NAME=VALUE"), ("dely=1", "did you mean 'delay'"), ("delay=x", "sensor.delay")):
+        outcome = command(*POSTURE, "--sensor", wrong)
+        assert outcome.code == 2
+        assert words in outcome.stderr
+    assert command(*POSTURE, "--sensor", "delay=0", "--sensor", "delay=1").code == 2
+
+
+def test_verdicts_that_a_run_alone_gets_wrong(command: Command) -> None:
+    """A slow mode that ten seconds do not show; an arm that drifts along its self-motion and settles in 2.2 s."""
+    slow = (
+        "simulate",
+        "excavator",
+        "--posture",
+        "0.992,-1.4056",
+        "--kp",
+        "1e3",
+        "--kv",
+        "2e3",
+        "--sensor",
+        "delay=0.02",
+    )
+    document = command.json(*slow)
+    assert (document["run_verdict"], document["verdict"]) == ("converges", "undecided")
+    assert document["linear_growth_rate"] > 0
+    assert "linear loop grows" in document["verdict_reason"]
+    assert command.json(*slow, "--duration", "60")["verdict"] == "grows"
+    drifting = ("simulate", "slewing-excavator", "--posture", "0.2,0.5,-1.2,-0.5", "--kp", "3e6", "--kv", "6e5")
+    document = command.json(*drifting)
+    assert document["verdict"] == "converges"
+    assert document["settling_time"] < 2.5
+    assert document["self_motion_rate"] > 0.01
+    assert any("nullspace_damping" in sentence for sentence in document["warnings"])
+    braked = command.json(*drifting, "--nullspace-damping", "1e4")
+    assert braked["verdict"] == "converges"
+    assert braked["self_motion_rate"] < 1e-6
+    assert braked["warnings"] == []
 
 
 @pytest.mark.parametrize(

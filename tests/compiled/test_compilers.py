@@ -88,6 +88,55 @@ def test_a_named_compiler_that_does_not_exist(empty_cache: Path, monkeypatch: py
         _check_fallback()
 
 
+ODD = [
+    ("'unclosed", "is no command: No closing quotation"),
+    ("@folder", "a folder, no program"),
+    ("@folder/none", "not found"),
+    ("@plain", "not executable" if sys.platform != "win32" else ""),
+    ("''", ""),
+    ("@garbage -O2 --option='a b'", r"ended with 1: .*\S"),
+    ("@endless", "prints without end"),
+    ("@hanging", r"took longer than 1 s"),
+    ("@leaving", r"took longer than 1 s|wrote no library"),
+]
+PROGRAMS = {
+    "garbage": "import os, sys; os.write(1, bytes(range(256)) * 50); sys.exit(1)",
+    "endless": "import os\nwhile True: os.write(1, b'x' * 65536)",
+    "hanging": "import time; time.sleep(60)",
+    "leaving": "import subprocess, sys; subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])",
+}
+
+
+@pytest.mark.parametrize(("command", "reason"), ODD)
+def test_odd_commands_are_told_and_the_virtual_machine_serves(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: str, reason: str
+) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "plain").write_bytes(b"")
+    name, _, rest = command.removeprefix("@").partition(" ")
+    if command.startswith("@"):
+        script = _script(tmp_path / f"{name}.py", PROGRAMS[name]) if name in PROGRAMS else f"'{tmp_path / name}'"
+        command = f"{script} {rest}"
+    monkeypatch.setattr(compilers, "_TRIAL_SECONDS", 1.0)
+    monkeypatch.setenv("FLEXOPT_CXX", command)
+    start = time.monotonic()
+    with pytest.warns(CompilerNotFound, match=reason) as told:
+        _check_fallback()
+    assert len(told) == 1
+    assert "\n" not in str(told[0].message)
+    assert time.monotonic() - start < 30
+
+
+@pytest.mark.filterwarnings(QUIET)
+def test_a_command_with_options(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    good = find_compiler()
+    if good is None:
+        _check_fallback()
+        return
+    monkeypatch.setenv("FLEXOPT_CXX", " ".join(f"'{word}'" for word in (*good.command, "-g0", "-DNAME=a b")))
+    assert batch(_function()).compiled
+
+
 @pytest.mark.filterwarnings(QUIET)
 def test_a_compiler_that_fails_later(empty_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     good = find_compiler()
@@ -125,7 +174,7 @@ def test_a_compiler_is_tried_once_and_then_known(empty_cache: Path, monkeypatch:
     found = find_compiler()
     compilers._search.cache_clear()
 
-    def refuse(_: Compiler) -> str:
+    def refuse(_: Compiler) -> tuple[str, bool]:
         raise AssertionError("tried again")
 
     if found is not None:

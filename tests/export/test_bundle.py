@@ -14,6 +14,7 @@ import pytest
 import flexopt
 from flexopt.errors import ExportError, InputError
 from flexopt.export import PARTS, export_c
+from tests.export.programs import MAKE
 from tests.oracles.machines import Structure, random_machine
 
 SMALL = ["kinematics", "controller"]
@@ -128,7 +129,7 @@ def test_the_optimiser_is_a_part_with_a_header_of_its_own(machine: flexopt.Machi
         assert f"`EXCAVATOR_OPTIMISER_{name}`" in (report.folder / "README.md").read_text()
 
 
-@pytest.mark.usefixtures("tools")
+@MAKE
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_the_example_closes_the_loop_around_the_machine(machine: flexopt.Machine, tmp_path: Path, real: str) -> None:
     parts = ["kinematics", "controller", "simulator"]

@@ -12,10 +12,11 @@ from flexopt.export import export_c, verify_bundle
 from flexopt.model import AnyMachine, tree_from_dict
 from flexopt.plant import build_hydraulics
 from tests.export.bundle_library import BundleLibrary
+from tests.export.programs import GCC
 from tests.oracles.cylinders import digger, digger_in_space
 from tests.oracles.spatial import in_space
 
-pytestmark = pytest.mark.usefixtures("tools")
+pytestmark = GCC
 
 
 def plane() -> AnyMachine:

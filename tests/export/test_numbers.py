@@ -13,10 +13,11 @@ from flexopt.export.context import build_context
 from flexopt.export.modal import margin
 from flexopt.robustness.margin import build_margin
 from tests.export.bundle_library import BundleLibrary
+from tests.export.programs import GCC
 from tests.oracles.controls import task_map
 from tests.oracles.machines import Structure, arm_at_rest, random_machine
 
-pytestmark = pytest.mark.usefixtures("tools")
+pytestmark = GCC
 
 PARTS_TESTED = ["kinematics", "controller", "measures", "nullspace", "margin"]
 REDUNDANT = Structure(4, ("x", "rotation"), (1,))
@@ -59,14 +60,17 @@ def test_c_agrees_with_formulas_and_with_evaluate(make, control: str, tmp_path: 
         inputs = {
             "joint_angles": posture, "measured_point": point, "measured_rate": rate, "target_point": target,
             "target_rate": target_rate, "proportional_gain": 3e3, "derivative_gain": 200.0,
+            "joint_rates": rng.uniform(-1, 1, n), "nullspace_damping": 70.0,
         }  # fmt: skip
+        damper = -70.0 * (np.eye(n) - np.linalg.pinv(jv) @ jv) @ inputs["joint_rates"]
         laws = {"transpose": "transpose", "inverse": "inverse", control.partition(":")[0]: control}
         for law, meant in laws.items():
             matrix = task_map(jv, meant)
             status, out = library(f"torque_{law}", **inputs)
             assert status == "OK"
-            size = np.linalg.norm(matrix) * np.linalg.norm(force)
-            np.testing.assert_allclose(out["torque"], matrix @ force, rtol=0, atol=1e-13 * size)
+            size = np.linalg.norm(matrix) * np.linalg.norm(force) + 70.0 * np.linalg.norm(inputs["joint_rates"])
+            torque = matrix @ force + (damper if law == "inverse" else 0.0)
+            np.testing.assert_allclose(out["torque"], torque, rtol=0, atol=1e-13 * size)
 
         rest = plant.rest(0, posture, plant.parameter_values).full().ravel()
         status, out = library("kinematics", coordinates=rest)
@@ -128,7 +132,7 @@ def test_parameters_at_run_time_and_refusals(tmp_path: Path) -> None:
 
     refused = {
         "NOT_FINITE": {"joint_angles": [np.nan, -1.4]},
-        "OUT_OF_RANGE": {"joint_angles": [0.9, -13.0]},
+        "OUT_OF_RANGE": {"joint_angles": [0.9, -1e7]},
         "SINGULAR_POSTURE": {"joint_angles": [0.9, 0.001]},
     }
     for wanted, inputs in refused.items():

@@ -18,9 +18,10 @@ from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
 from flexopt.selection.check import prove
 from tests.export.optimiser_library import INCLUDES, WARNINGS, Library, assert_feasible, library, problem_of
+from tests.export.programs import GCC
 from tests.oracles.machines import random_machine
 
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+pytestmark = GCC
 
 TARGET = (0.0, 1.6)
 # IPOPT's own tolerance is 1e-10; an answer this far below it, relative to the problem's scale, is another one.

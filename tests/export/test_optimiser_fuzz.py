@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 
 import numpy as np
@@ -12,9 +11,10 @@ import flexopt
 from flexopt.export.optimiser import build_optimiser
 from flexopt.model import AnyMachine
 from tests.export.optimiser_library import INCLUDES, WARNINGS
+from tests.export.programs import GCC
 from tests.oracles.machines import random_machine
 
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+pytestmark = GCC
 
 SANITIZERS = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,9 +25,10 @@ from flexopt.plant import build_plant
 from flexopt.plant.reach import outer_reach
 from flexopt.selection.check import prove
 from tests.export.optimiser_library import Library, assert_feasible, library, problem_of
+from tests.export.programs import GCC, TARGET
 from tests.oracles.spatial import grounded, in_space, random_tree
 
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+pytestmark = GCC
 
 SAME = 1e-8
 # Positions of machines ten metres long; Newton's method ends at 32 roundings of the largest number that enters.
@@ -350,7 +350,6 @@ def bench_of(report: ExportReport, scratch: Path, inputs: int, fuzz_calls: int) 
     return Bench(report.folder, scratch, manifest, library_of(manifest), inputs, fuzz_calls)
 
 
-@pytest.mark.usefixtures("tools")
 def test_a_bundle_without_a_placement(tmp_path):
     machine = tree_from_dict(random_tree(4, counts=(2, 4)) | {"placement": []})
     report = export_c(machine, tmp_path / "b", parts=["optimiser"])
@@ -376,7 +375,7 @@ def test_a_bundle_without_a_placement(tmp_path):
     assert all(counts[status] > 0 for status in refusals)
 
 
-@pytest.mark.usefixtures("tools")
+@TARGET
 def test_a_bundle_on_an_emulated_processor(slewing, tmp_path):
     folder = export_c(slewing, tmp_path / "b", parts=["optimiser"]).folder
     result = verify_bundle(folder, target="cortex-m7", inputs=8)

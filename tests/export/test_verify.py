@@ -16,8 +16,7 @@ from flexopt.export.verify import objects, optimiser, tools
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Check
 from flexopt.export.verify.misra import in_pieces
-
-pytestmark = pytest.mark.usefixtures("tools")
+from tests.export.programs import GCC, HOST, TARGET
 
 
 def exported(folder: Path, **options) -> Path:
@@ -32,6 +31,7 @@ def rows(check: Check, title: str) -> list[dict]:
     return next(t.to_dict()["rows"] for t in check.tables if t.title.startswith(title))
 
 
+@HOST
 @pytest.mark.parametrize(
     ("real", "parts", "functions", "outputs"),
     [("double", [part for part in PARTS if part != "levers"], 7, 14), ("float", ["kinematics", "controller"], 3, 5)],
@@ -62,6 +62,7 @@ def test_everything_holds_on_the_host(real: str, parts, functions: int, outputs:
     assert "cortex-m7 (not asked for)" in page
 
 
+@TARGET
 @pytest.mark.parametrize(("real", "target"), [("float", "cortex-m4f"), ("double", "cortex-m7")])
 def test_everything_holds_on_emulated_processors(real: str, target, tmp_path: Path) -> None:
     folder = exported(tmp_path / "b", real=real)
@@ -83,12 +84,14 @@ def test_everything_holds_on_emulated_processors(real: str, target, tmp_path: Pa
         assert plain["instructions"] >= 10 * kernel["instructions"] > 0
 
 
+@TARGET
 def test_software_double_on_a_processor_without_it(tmp_path: Path) -> None:
     folder = exported(tmp_path / "b", parts=["kinematics", "controller", "measures"], baked=True)
     result = verify_bundle(folder, target="cortex-m4f", inputs=200)
     assert result.passed and result.complete, repr(result)  # noqa: PT018
 
 
+@HOST
 def test_a_wrong_constant_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = exported(tmp_path / "b", parts=["controller"])
     source = folder / "src" / "excavator_controller.c"
@@ -112,6 +115,7 @@ def examined(folder: Path, scratch: Path, inputs: int = 10, fuzz_calls: int = 10
     return Bench(folder, scratch, manifest, library_of(manifest), inputs, fuzz_calls)
 
 
+@GCC
 @pytest.mark.parametrize(
     ("right", "wrong", "sentence"),
     [
@@ -222,7 +226,13 @@ def test_functions_of_one_name_in_two_files_are_two(tmp_path: Path) -> None:
         ),
     ],
 )
-@pytest.mark.parametrize("target", ["host", "cortex-m4f"])
+@pytest.mark.parametrize(
+    "target",
+    [
+        pytest.param("host", marks=pytest.mark.needs("gcc", "nm", "objdump")),
+        pytest.param("cortex-m4f", marks=TARGET),
+    ],
+)
 def test_objects_show_what_may_not_be(addition: str, sentence: str, target, tmp_path: Path) -> None:
     folder = exported(tmp_path / "b", parts=["kinematics"], real="float")
     with (folder / "src" / "excavator_kinematics.c").open("a") as file:

@@ -6,12 +6,15 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import flexopt
-from flexopt.selection.parallel import in_parallel
+from flexopt.selection import optima
+from flexopt.selection.parallel import ProcessLost, in_parallel
 
 TARGET = (0.0, 1.6)
 
@@ -114,16 +117,60 @@ def test_errors_of_a_process_are_raised_here_and_nothing_is_left():
     assert not multiprocessing.active_children()
 
 
-def test_a_process_that_dies_is_told():
-    def fatal(number: int) -> int:
-        time.sleep(0.05)
-        if number == 4:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return number
+def _killing(number: int, which: tuple[int, ...], times: int, folder: str) -> int:
+    """The number; the first so many times that one of these is worked on its process is killed."""
+    time.sleep(0.05)
+    begun = len([path for path in Path(folder).iterdir() if path.name.startswith(f"{number}-")])
+    if number in which and begun < times:
+        Path(folder, f"{number}-{begun}").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
 
-    with pytest.raises(RuntimeError, match="start 5 ended before it was done"):
-        in_parallel(fatal, 8, 2)
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
+@pytest.mark.parametrize(("workers", "ahead"), [(2, None), (3, int), (5, None)])
+def test_what_a_killed_process_worked_on_is_done_again(tmp_path, workers, ahead):
+    task = partial(_killing, which=(4, 7, 11), times=1, folder=str(tmp_path))
+    assert in_parallel(task, 12, workers, meanwhile=ahead) == list(range(12))
+    assert len(list(tmp_path.iterdir())) == 3
     assert not multiprocessing.active_children()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
+def test_what_kills_every_process_is_named_and_the_rest_is_done(tmp_path):
+    task = partial(_killing, which=(4,), times=9, folder=str(tmp_path))
+    told = []
+
+    def lost(number: int, sentence: str) -> int:
+        told.append(sentence)
+        return -number
+
+    assert in_parallel(task, 8, 2, lost=lost) == [0, 1, 2, 3, -4, 5, 6, 7]
+    assert len(told) == 1
+    assert "ended from outside (signal 9) each of 2 times" in told[0]
+    with pytest.raises(ProcessLost, match="number 5: its process was ended from outside"):
+        in_parallel(task, 8, 2)
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
+def test_a_start_whose_processes_are_killed_costs_the_others_nothing(monkeypatch):
+    """Of the processes that solve, each that comes to the third start is killed."""
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
+    whole = flexopt.solve_selection(problem, workers=1)
+    third, parent, solve = whole.attempts[2].start, os.getpid(), optima._solve_start
+
+    def killed(problem, starts, number):
+        time.sleep(0.1)
+        if os.getpid() != parent and tuple(starts[number]) == third:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return solve(problem, starts, number)
+
+    monkeypatch.setattr(optima, "_solve_start", killed)
+    selection = flexopt.solve_selection(problem, workers=2)
+    assert "ended from outside" in selection.attempts[2].outcome
+    assert [a.start for a in selection.attempts] == [a.start for a in whole.attempts]
+    assert {tuple(c.z) for c in selection.candidates} <= {tuple(c.z) for c in whole.candidates}
 
 
 INTERRUPTED = """

@@ -1,10 +1,12 @@
 """Selection by ε_max, by mixes and in order of importance: never below a dense scan, kinks and all."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import flexopt
 from flexopt.robustness.margin import build_margin
+from flexopt.selection.nlp import build_configuration
 
 TARGET = (0.0, 1.6)
 
@@ -76,3 +78,20 @@ def test_the_gain_matters(machine):
     soft = flexopt.select(machine, TARGET, objective="epsilon_max", gain=1e4)
     hard = flexopt.select(machine, TARGET, objective="epsilon_max", gain=5e5)
     assert abs(soft.best.evaluation.base[0] - hard.best.evaluation.base[0]) > 1e-3
+
+
+@pytest.mark.parametrize("control", ["inverse", "transpose"])
+def test_a_mix_is_climbed_on_its_own_slope(machine, control):
+    """The modes turn with the posture: with the slope of held ones no start led to an optimum."""
+    problem = flexopt.build_selection(machine, TARGET, objective="V", weights=(1.0, 0.3, 0.3, 1e-3), control=control)
+    selection = flexopt.solve_selection(problem)
+    assert selection.best.objective >= problem.scan.objective.max()
+    assert all("optimum" in attempt.outcome for attempt in selection.attempts)
+
+
+def test_functions_of_held_modes_cannot_be_differentiated(machine):
+    configuration = build_configuration(machine)
+    for function in (configuration.value, configuration.slope, configuration.curvature):
+        symbols = function.mx_in()
+        with pytest.raises(RuntimeError, match="erivative"):
+            ca.Function("wrong", symbols, [ca.jacobian(function.call(symbols)[0], symbols[1])])

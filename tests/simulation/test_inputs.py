@@ -273,7 +273,7 @@ def test_self_motion_that_nobody_damps():
 
 def test_rk4_too_slow_for_a_servo():
     """|R(−y)| passes 1 at y = 2.785, which a mode's limit would not tell."""
-    servo = {"actuator": {"bandwidth_hz": 200.0}, "duration": 1.0}
+    servo = {"actuator": {"bandwidth_hz": 200.0}, "duration": 2.0}
     message = refused(**servo)
     assert "servo of 200 Hz" in message
     assert "substeps of at least 3" in message

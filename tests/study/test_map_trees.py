@@ -7,10 +7,10 @@ import pytest
 import xarray as xr
 
 import flexopt
+from flexopt.compiled.threaded import Interpreter
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
-from flexopt.study.interpreter import Interpreter
 from flexopt.study.points import _measure_function
 from tests.cli.command import Command
 from tests.oracles.spatial import grounded, in_space, random_tree

@@ -180,5 +180,6 @@ def test_a_run_too_short_for_its_verdict_is_noted():
     result = made(problem, simulation={"duration": 10.0, "kp": 3200.0, "kv": 64.0})
     for name, loop in result.loops.items():
         noted = any(note.startswith(f"the closed loop, {name}: the run of 10 s") for note in result.notes)
-        assert noted == (loop.linear.stable != (loop.run.verdict == "converges"))
+        assert noted == (loop.run.verdict == "undecided")
+        assert noted == (loop.linear.stable != (loop.run.run.word == "converges"))
     assert any("too short" in note for note in result.notes)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
-import tempfile
 import uuid
 import warnings
 import zipfile
@@ -17,6 +16,7 @@ from xml.etree import ElementTree as ET
 
 from flexopt.compiled.accelerated import level_for
 from flexopt.compiled.compilers import CompilationFailed, find_compiler, library_suffix
+from flexopt.compiled.storage import scratch
 from flexopt.errors import CompilerNotFound, ExportError, Fault, InputError, raise_if_any
 from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
@@ -26,13 +26,15 @@ from flexopt.export.fmu.source import VERSIONS, Version, body, source
 from flexopt.export.kernels import Unsupported
 from flexopt.export.naming import identifier
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, shown
+from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import path, public, words
 from flexopt.model.documents import json_ready, package_version, provenance
 from flexopt.model.simulation import Sensor, SimulationOptions
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.run import simulate_checked
-from flexopt.simulation.scenario import build_scenario, checked_options
+from flexopt.simulation.scenario import OPTIONS, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
+from flexopt.writing import write_files
 
 TOOL = "flexopt"
 # What a master would have to draw, or what has no meaning in an FMU.
@@ -85,6 +87,26 @@ class FmuReport:
         return "\n".join([*lines, f"  reference trajectory: {self.reference}"])
 
 
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    options = dict(given["options"])
+    for name in _NOT_TAKEN:
+        if options.pop(name, None) is not None:
+            arguments.note(name, "belongs to flexopt.simulate alone", given["options"][name])
+    if given["kind"] == "model-exchange" and options.get("hold") is True:
+        sentence = "a sampled controller cannot be integrated from outside; take kind = 'co-simulation' or hold = False"
+        arguments.note("hold", sentence, True)
+    note_options(arguments, {"posture": given["posture"], "options": _loop_options(given["kind"], options)})
+
+
+def _loop_options(kind: Any, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of the loop that an FMU of that kind holds."""
+    if kind != "model-exchange":
+        return dict(options)
+    method = options.get("integrator")
+    return {**options, "hold": False, "integrator": "dop853" if method is None else method}
+
+
+@public(path=path(".fmu", parent=True), version=words(*VERSIONS), kind=words(*KINDS), together=_together, **OPTIONS)
 def export_fmu(
     machine: AnyMachine,
     path: str | Path,
@@ -122,21 +144,8 @@ def export_fmu(
     Warns:
         CompilerNotFound: there is no C compiler, so the FMU holds sources alone.
     """
-    arguments = Arguments("export_fmu")
-    machine = arguments.machine(machine)
-    version = arguments.choice("version", version, VERSIONS)
-    kind = arguments.choice("kind", kind, KINDS)
-    target = _checked_path(arguments, path)
-    for name in _NOT_TAKEN:
-        if options.get(name) is not None:
-            arguments.faults.append(Fault(name, "belongs to flexopt.simulate alone", shown(options[name])))
-    if kind == "model-exchange" and options.get("hold"):
-        sentence = "a sampled controller cannot be integrated from outside; take kind = 'co-simulation' or hold = False"
-        arguments.faults.append(Fault("hold", sentence, "True"))
-    arguments.done()
-    if kind == "model-exchange":
-        options |= {"hold": False, "integrator": options.get("integrator") or "dop853"}
-    checked = checked_options("export_fmu", machine, {"posture": posture} | options)
+    target = Path(path)
+    checked = checked_options("export_fmu", machine, {"posture": posture} | _loop_options(kind, options))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)
@@ -152,8 +161,7 @@ def export_fmu(
     place = _platform(version)
     if library is not None and place is not None:
         files[f"binaries/{place}/{name}{library_suffix()}"] = library
-    _write(target, _zipped(files))
-    _write(reference, table.encode())
+    write_files({target: _zipped(files), reference: table})
     return FmuReport(
         path=target,
         reference=reference,
@@ -168,16 +176,6 @@ def export_fmu(
         files=tuple(files),
         provenance=provenance(machine, version=version, kind=kind, **checked.model_dump(exclude_defaults=True)),
     )
-
-
-def _checked_path(arguments: Arguments, path: Any) -> Path:
-    if not isinstance(path, str | Path) or Path(path).suffix != ".fmu":
-        arguments.faults.append(Fault("path", "must be the name of a file that ends in .fmu", shown(path)))
-        return Path("model.fmu")
-    if not Path(path).parent.is_dir():
-        sentence = f"there is no folder {str(Path(path).parent)!r} to write a file into"
-        arguments.faults.append(Fault("path", sentence, repr(str(path))))
-    return Path(path)
 
 
 def _check_base_path(machine: AnyMachine, options: SimulationOptions) -> None:
@@ -246,13 +244,13 @@ def _compiled(text: str) -> bytes | None:
         sentence = "export_fmu: no C compiler for a library; the FMU holds sources alone, which importers may compile"
         warnings.warn(sentence, CompilerNotFound, stacklevel=3)
         return None
-    with tempfile.TemporaryDirectory(prefix="flexopt-", ignore_cleanup_errors=True) as folder:
-        library = Path(folder) / f"library{library_suffix()}"
-        try:
+    try:
+        with scratch() as folder:
+            library = folder / f"library{library_suffix()}"
             replace(compiler, target=()).build(text, library, language="c", level=level_for(text) or ("-O1",))
-        except CompilationFailed as error:
-            raise ExportError(f"export_fmu: the sources could not be compiled ({error})") from error
-        return library.read_bytes()
+            return library.read_bytes()
+    except (CompilationFailed, OSError) as error:
+        raise ExportError(f"export_fmu: the sources could not be compiled ({error})") from error
 
 
 def _platform(version: Version) -> str | None:
@@ -274,14 +272,3 @@ def _zipped(files: Mapping[str, str | bytes]) -> bytes:
             info.external_attr = 0o644 << 16
             archive.writestr(info, content)
     return buffer.getvalue()
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write beside the file and swap."""
-    fresh = path.with_name(f".{path.name}.new")
-    try:
-        fresh.write_bytes(content)
-        fresh.replace(path)
-    except OSError as error:
-        fresh.unlink(missing_ok=True)
-        raise InputError(f"export_fmu: path = {str(path)!r}: cannot be written ({error.strerror})") from None

@@ -12,6 +12,11 @@ $status_cases
   return text;
 }
 
+int ${prefix}_has_output(${prefix}_status status)
+{
+  return ((status == ${PREFIX}_OK) || (status == ${PREFIX}_BEYOND_LIMIT)) ? 1 : 0;
+}
+
 const ${prefix}_info *${prefix}_build_info(void)
 {
   static const ${prefix}_info info = {

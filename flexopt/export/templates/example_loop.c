@@ -8,15 +8,15 @@
 
 #include "${prefix}_control.h"
 $foreign_includes
-#define RATE_HZ 200
-#define DURATION_S 6
+#define RATE_HZ $rate
+#define DURATION_S $duration
 #define INERTIA $inertia /* kg m^2, of each joint of the stand-in: the mean of the machine's in the start posture */
 
 static ${prefix}_real workspace[${PREFIX}_WORKSPACE];
 
 static void stop_on(${prefix}_status status)
 {
-  if (status != ${PREFIX}_OK) {
+  if (!${prefix}_has_output(status)) {
     printf("refused: %s\n", ${prefix}_status_text(status));
     exit(EXIT_FAILURE);
   }
@@ -25,21 +25,20 @@ static void stop_on(${prefix}_status status)
 int main(void)
 {
   static ${prefix}_torque_inverse_in controller;
-  static const ${prefix}_real start[${PREFIX}_JOINTS] = $start;
+  static ${prefix}_kinematics_in configuration;
+  static const ${prefix}_real start[${PREFIX}_COORDINATES] = $start;
   const ${prefix}_real step = (${prefix}_real)1 / RATE_HZ;
-  const ${prefix}_real bandwidth = 3; /* rad/s of the closed loop */
-$parameters_declaration  ${prefix}_kinematics_in configuration = {$rest_initialiser};
-  ${prefix}_kinematics_out arm;
+$parameters_declaration  ${prefix}_kinematics_out arm;
   ${prefix}_torque_inverse_out command;
   ${prefix}_real rate[${PREFIX}_JOINTS] = {0};
   double error = 0.0;
   int failures = 0, k, i, j;
 
   printf("%s: machine %s\n", ${prefix}_build_info()->bundle_sha256, ${prefix}_build_info()->machine);
-  controller.proportional_gain = INERTIA * bandwidth * bandwidth;
-  controller.derivative_gain = 2 * INERTIA * bandwidth;
-  for (i = 0; i < ${PREFIX}_JOINTS; ++i) {
-    configuration.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + i] = start[i];
+  controller.proportional_gain = $kp;
+  controller.derivative_gain = $kv;
+$set_damping  for (i = 0; i < ${PREFIX}_COORDINATES; ++i) {
+    configuration.coordinates[i] = start[i];
   }
   for (k = 0; k <= DURATION_S * RATE_HZ; ++k) {
     stop_on(${prefix}_kinematics(&configuration, ${pass}&arm, workspace, ${PREFIX}_WORKSPACE));
@@ -50,12 +49,12 @@ $parameters_declaration  ${prefix}_kinematics_in configuration = {$rest_initiali
         controller.measured_rate[i] += arm.rigid_jacobian[i][j] * rate[j];
       }
       if (k == 0) {
-        controller.target_point[i] = arm.end_point[i] + (${prefix}_real)$distance;
+        controller.target_point[i] = arm.end_point[i] + $distance;
       }
     }
     for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
       controller.joint_angles[j] = configuration.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + j];
-    }
+$set_rates    }
     stop_on(${prefix}_torque_inverse(&controller, ${pass}&command, workspace, ${PREFIX}_WORKSPACE));
     error = 0.0;
     for (i = 0; i < ${PREFIX}_TASK; ++i) {
@@ -72,8 +71,8 @@ $parameters_declaration  ${prefix}_kinematics_in configuration = {$rest_initiali
       configuration.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + j] += step * rate[j];
     }
   }
-  failures += (error < 1e-3) ? 0 : 1;
-  printf((error < 1e-3) ? "on target\n" : "NOT on target\n");
+  failures += (error < $settled) ? 0 : 1;
+  printf((error < $settled) ? "on target\n" : "NOT on target\n");
 $foreign_calls
   return failures ? EXIT_FAILURE : EXIT_SUCCESS;
 }

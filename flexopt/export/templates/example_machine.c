@@ -15,7 +15,7 @@ static ${prefix}_real workspace[${PREFIX}_WORKSPACE];
 
 static void stop_on(${prefix}_status status)
 {
-  if (status != ${PREFIX}_OK) {
+  if (!${prefix}_has_output(status)) {
     printf("refused: %s\n", ${prefix}_status_text(status));
     exit(EXIT_FAILURE);
   }
@@ -36,7 +36,7 @@ $parameters_declaration  ${prefix}_kinematics_out arm;
   printf("%s: machine %s\n", ${prefix}_build_info()->bundle_sha256, ${prefix}_build_info()->machine);
   controller.proportional_gain = $kp;
   controller.derivative_gain = $kv;
-  machine.step = (${prefix}_real)1 / RATE_HZ / STEPS;
+$set_damping  machine.step = (${prefix}_real)1 / RATE_HZ / STEPS;
   for (i = 0; i < ${PREFIX}_COORDINATES; ++i) {
     machine.coordinates[i] = start[i];
   }
@@ -58,7 +58,7 @@ $parameters_declaration  ${prefix}_kinematics_out arm;
     }
     for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
       controller.joint_angles[j] = machine.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + j];
-    }
+$set_rates    }
     /* What the controller asks for. */
     stop_on(${prefix}_torque_inverse(&controller, ${pass}&command, workspace, ${PREFIX}_WORKSPACE));
     error = 0.0;

@@ -6,9 +6,11 @@
  *
  * Units are SI, angles in radians, counter-clockwise positive; points in the inertial frame, origin on the ground. All
  * reals are $real. Two-dimensional arrays are row-major. Every function
- *   - checks each input, and leaves its output as it was unless it returns ${PREFIX}_OK;
+ *   - checks each input, and writes its output where it returns ${PREFIX}_OK, or ${PREFIX}_BEYOND_LIMIT, a warning; with every
+ *     other status the output stays as it was (${prefix}_has_output());
  *   - keeps no state, allocates nothing, does not recurse: it may be interrupted and called again with another workspace;
  *   - runs the same bounded number of steps whatever the numbers.
+ * Input and output may share memory; the workspace may not share any with them.
  */
 #ifndef ${PREFIX}_CONTROL_H
 #define ${PREFIX}_CONTROL_H
@@ -32,6 +34,13 @@ enum {
 $sizes
 };
 
+/* Measured joints may lie beyond the machine's limits by so much: sensors are calibrated to a degree or so, end stops give
+ * way, a loop overshoots. The outputs are then computed as ever and come with ${PREFIX}_BEYOND_LIMIT; farther out a sensor has failed.
+ * Hinges without limits, and the placement's angles, may have been counted on over many turns, up to $counted_max rad: whole turns
+ * are taken off. */
+#define ${PREFIX}_LIMIT_ALLOWANCE_RAD $allowance_rad /* rad, of hinges */
+#define ${PREFIX}_LIMIT_ALLOWANCE_M $allowance_m /* m, of slides */
+
 $enums
 /* What a function returns. */
 typedef enum {
@@ -40,6 +49,9 @@ $statuses
 
 /* A sentence for a status; never NULL. */
 const char *${prefix}_status_text(${prefix}_status status);
+
+/* 1 where a function that returned this status wrote its output, else 0. */
+int ${prefix}_has_output(${prefix}_status status);
 
 /* Where the library comes from, to be compared with the macros above. */
 typedef struct {

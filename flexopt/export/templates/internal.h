@@ -3,9 +3,15 @@
 #define ${PREFIX}_INTERNAL_H
 
 #include <float.h>
+#include <math.h>
 #include <stdint.h>
 
 #include "${prefix}_control.h"
+
+/* Checks for NaN compare numbers, which these options take to be needless. */
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0))
+#error "compile without -ffast-math and -ffinite-math-only (MSVC: /fp:fast): refusals rely on NaN and infinity"
+#endif
 
 /* Pointers and workspace; `given` says whether no pointer is NULL. */
 static inline ${prefix}_status ${prefix}_check_call(int given, const ${prefix}_real *workspace, size_t length,
@@ -20,6 +26,19 @@ static inline ${prefix}_status ${prefix}_check_call(int given, const ${prefix}_r
     status = ${PREFIX}_BAD_WORKSPACE;
   } else {
     status = ${PREFIX}_OK;
+  }
+  return status;
+}
+
+/* The workspace is written while the other arguments are still read. */
+static inline ${prefix}_status ${prefix}_check_apart(const ${prefix}_real *workspace, size_t needed,
+                                                     const ${prefix}_real *other, size_t size)
+{
+  const uintptr_t begin = (uintptr_t)workspace;
+  const uintptr_t from = (uintptr_t)other;
+  ${prefix}_status status = ${PREFIX}_OK;
+  if ((from < (begin + (needed * sizeof(${prefix}_real)))) && (begin < (from + size))) {
+    status = ${PREFIX}_BAD_WORKSPACE;
   }
   return status;
 }
@@ -70,6 +89,20 @@ static inline ${prefix}_status ${prefix}_check_each(const ${prefix}_real *values
     }
   }
   return status;
+}
+
+/* Angles that turn freely without their whole turns, the others as they are. The first part of a turn has so few digits
+ * that its multiples are exact. */
+static inline void ${prefix}_unwind(const ${prefix}_real *values, size_t length, const int *turns, ${prefix}_real *turned)
+{
+  size_t i;
+  for (i = 0U; i < length; ++i) {
+    turned[i] = values[i];
+    if (turns[i] != 0) {
+      const ${prefix}_real count = $FLOOR((values[i] / $TURN) + $HALF);
+      turned[i] = (values[i] - (count * $TURN_HIGH)) - (count * $TURN_LOW);
+    }
+  }
 }
 
 /* Results. */

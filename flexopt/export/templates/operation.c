@@ -15,6 +15,7 @@ $guards
   }
   if (status == ${PREFIX}_OK) {
 $copies
+    status = $remark;
   }
   return status;
 }

@@ -24,7 +24,9 @@
 #define CURVATURE_MIN     R(1e-7)               /* smallest curvature of the model */
 #define STATIONARY_ENOUGH @STATIONARY_ENOUGH@ /* where rounding ends a climb, this is still a stationary point */
 #define TIE               @TIE@               /* values of V/scale that count as equal */
-#define EDGE              (R(32.0) * EPSILON)   /* rounding of positions, relative to the reach */
+#define EDGE              (R(@EDGE@) * EPSILON)   /* rounding of positions, relative to the reach */
+#define FINE              (R(4.0) * EPSILON)    /* as near to the target as rounding lets most points come, */
+#define SETTLING          @SETTLING@                   /* by so many more of Newton's steps */
 #define MARGIN_EDGE       @MARGIN_EDGE@         /* rounding of the margin */
 /* Steps for which the Hessian has been learned; before: */
 #define OUTDATED          (-1)
@@ -404,7 +406,8 @@ static void unwind(const @p@_problem *problem, point *x)
 static int project(const @p@_problem *problem, workspace_t *s, point *x, const int *held_fast, int start_on_margin)
 {
   int on_margin = start_on_margin;
-  for (int step = 0; step < PROJECTION_STEPS; step++) {
+  int settled = 0;
+  for (int step = 0; step < (PROJECTION_STEPS + SETTLING); step++) {
     @real@ miss[NT + 1];
     @real@ dx[NZ];
     @real@ longest = R(0.0);
@@ -432,9 +435,13 @@ static int project(const @p@_problem *problem, workspace_t *s, point *x, const i
     }
     if (error <= (EDGE * size_of(problem, s, x))) {
       if ((miss[NT] <= MARGIN_EDGE) && ((on_margin == 0) || (miss[NT] >= -MARGIN_EDGE))) {
-        return 1;
+        if ((settled >= SETTLING) || (error <= (FINE * size_of(problem, s, x)))) {
+          return 1;
+        }
+        settled++;
+      } else {
+        on_margin = 1;
       }
-      on_margin = 1;
     }
     if ((on_margin != 0) && (margin_slope(problem, x) == 0)) {
       return 0;
@@ -958,6 +965,28 @@ static @real@ keep_nearer(workspace_t *s, const @real@ *start, @real@ nearest)
 @SAMPLING@
 /* ---- interface ---- */
 
+/* Where the arm begins and how long it is. */
+static int prepare(const @p@_problem *problem, workspace_t *s)
+{
+  const @real@ *arg[@ARG_reach@] = {parameters_of(problem)};
+  @real@ *res[@RES_reach@] = {s->first_joint, &s->reach};
+  (void)KERNEL_reach(arg, res);
+  return all_finite(NT, s->first_joint) && is_finite(s->reach) && (s->reach > R(0.0));
+}
+
+/* Whether the target may be within reach: in the rows along which no placement moves the machine it is no farther from
+ * where the arm begins than the arm is long. */
+static int within_reach(const @p@_problem *problem, const workspace_t *s)
+{
+  static const int fixed[NT] = {@FIXED_ROWS@};
+  int ok = 1;
+  for (int k = 0; k < NT; k++) {
+    const @real@ away = fabs(problem->target[k] - s->first_joint[k]);
+    ok = ok && ((fixed[k] == 0) || (away <= (R(1.001) * s->reach)));
+  }
+  return ok;
+}
+
 static int in_range(const @p@_problem *problem, const @p@_options *options)
 {
   int ok = (options->budget >= 1) && (options->budget <= @P@_BUDGET_MAX) && (options->starts >= 0) &&
@@ -1138,6 +1167,14 @@ static int aligned(const void *pointer)
   return ((uintptr_t)pointer % offsetof(struct probe, inner)) == 0U;
 }
 
+/* Whether an argument lies over the workspace, which is written while it is still read. */
+static int overlaps(const void *workspace, const void *other, size_t size)
+{
+  const uintptr_t begin = (uintptr_t)workspace;
+  const uintptr_t from = (uintptr_t)other;
+  return ((other != NULL) && (from < (begin + sizeof(workspace_t))) && (begin < (from + size))) ? 1 : 0;
+}
+
 /* Nothing leaves unless the equations, evaluated once more, say that it is feasible. */
 static int confirm(const @p@_problem *problem, workspace_t *s, @p@_result *found)
 {
@@ -1166,8 +1203,8 @@ static int confirm(const @p@_problem *problem, workspace_t *s, @p@_result *found
   found->cost = s->cost;
   found->iterations = s->iterations;
   found->starts = s->climbed;
-  return (found->target_error <= (R(4.0) * EDGE * s->reach * size_of(problem, s, x))) &&
-         (found->bound_violation <= R(0.0)) && (found->margin_slack >= (-R(4.0) * MARGIN_EDGE));
+  return (found->target_error <= (@P@_TARGET_TOLERANCE * s->reach * size_of(problem, s, x))) &&
+         (found->bound_violation <= R(0.0)) && (found->margin_slack >= -@P@_MARGIN_TOLERANCE);
 }
 
 @p@_status @p@_solve(const @p@_problem *problem, const @real@ *start, const @p@_options *options,
@@ -1178,7 +1215,9 @@ static int confirm(const @p@_problem *problem, workspace_t *s, @p@_result *found
   if ((problem == NULL) || (options == NULL) || (workspace == NULL) || (result == NULL)) {
     return @P@_NULL_POINTER;
   }
-  if (aligned(workspace) == 0) {
+  if ((aligned(workspace) == 0) || (overlaps(workspace, problem, sizeof(*problem)) != 0) ||
+      (overlaps(workspace, start, sizeof(@real@) * NZ) != 0) || (overlaps(workspace, options, sizeof(*options)) != 0) ||
+      (overlaps(workspace, result, sizeof(*result)) != 0)) {
     return @P@_BAD_WORKSPACE;
   }
   if (inputs_finite(problem, start, options) == 0) {
@@ -1205,6 +1244,9 @@ static int confirm(const @p@_problem *problem, workspace_t *s, @p@_result *found
     s->scales[i] = (is_angle(i) != 0) ? R(1.0) : s->reach;
   }
   s->from = first_that_tells(problem);
+  if (within_reach(problem, s) == 0) {
+    return @P@_NO_FEASIBLE;
+  }
 @FORGET@  if (start != NULL) {
     climb_from_start(problem, start, options, s);
   }

@@ -1,10 +1,13 @@
 /* Configuration optimiser of @MACHINE@, @CONTROL@ control@GRAVITY@.
  *
- * Maximises V(z) = sum_i alpha_i w_i(z) over z = [@VARIABLES@]
+ * Climbs to a local maximum of V(z) = sum_i alpha_i w_i(z) over z = [@VARIABLES@]
  * (m, rad) subject to r(z) = target, lower <= z <= upper, and a distance from singular postures.
  * Every accepted iterate is feasible and V never falls, so whenever the call ends, by budget or by deadline, the best
- * point so far is a valid configuration. No heap, no recursion, every loop bounded, no static data that changes.
- * Not for -ffast-math: a NaN is found by comparing. */
+ * point so far is a valid configuration. An answer is the best of the local maxima that the starts led to; whether there is
+ * a better one elsewhere is not known. It is checked once more in the end, in the precision of the call: bounds exactly, target
+ * and margin to the tolerances below; what does not pass is refused.
+ * No heap, no recursion, every loop bounded, no static data that changes. The workspace may not share memory with the other
+ * arguments. Not for -ffast-math: a NaN is found by comparing. */
 
 #define @P@_N_Z                    @N_Z@     /* variables: placement, then actuated joints */
 #define @P@_N_TASK                 @N_TASK@  /* coordinates of the target */
@@ -13,6 +16,10 @@
 #define @P@_WEIGHTS_AT_RUN_TIME    @WEIGHTS_AT_RUN_TIME@
 #define @P@_PARAMETERS_AT_RUN_TIME @PARAMETERS_AT_RUN_TIME@
 #define @P@_UNBOUNDED              R(1e6)     /* a bound of this size or more counts as absent */
+/* Tolerances of an answer. target_error is at most the first times the arm's reach, and times the largest of |z_i|, m over
+ * the reach or rad, and |target_k| over the reach, where that is more than 1; margin_slack is not below minus the second. */
+#define @P@_TARGET_TOLERANCE       @TARGET_TOLERANCE@
+#define @P@_MARGIN_TOLERANCE       @MARGIN_TOLERANCE@
 #define @P@_STARTS_MAX             @STARTS@ /* most own starts */
 #define @P@_BUDGET                 @BUDGET@ /* default budget; unit: one evaluation of V */
 #define @P@_BUDGET_MAX             @BUDGET_MAX@
@@ -21,17 +28,18 @@
 enum { @INDICES@ };
 
 typedef enum {
-  @P@_CONVERGED = 0,    /* feasible and stationary: to the tolerance, or to @STATIONARY_ENOUGH@ where rounding allows no more */
+  @P@_CONVERGED = 0,    /* a local optimum: feasible, and stationary to the tolerance, or to @STATIONARY_ENOUGH@ where rounding
+                           * allows no more; not proved to be the best of all */
   @P@_BUDGET_SPENT = 1, /* feasible; the budget ended before it was proved stationary, or before every start */
   @P@_DEADLINE = 2,     /* the same, ended by expired() */
   @P@_STALLED = 3,      /* feasible, not stationary, and no step raises V in this precision */
   /* From here on: no answer; result is as it was. */
   @P@_NULL_POINTER = 16,  /* a pointer is NULL; start alone may be */
-  @P@_BAD_WORKSPACE = 17, /* the workspace is not aligned as its type asks */
+  @P@_BAD_WORKSPACE = 17, /* the workspace is not aligned as its type asks, or overlaps another argument */
   @P@_NOT_FINITE = 18,    /* an input is NaN or infinite */
   @P@_OUT_OF_RANGE = 19,  /* bounds reversed, margin or tolerance outside (0, 1), weights negative or all 0, budget,
                              * starts, a machine parameter outside the range of machine files */
-  @P@_NO_FEASIBLE = 20,   /* no start could be brought to a feasible point: out of reach, or singular there */
+  @P@_NO_FEASIBLE = 20,   /* the target is out of reach, or no start could be brought to a feasible point */
   @P@_ENDED_EARLY = 21    /* budget or deadline ended before the first feasible point */
 } @p@_status;
 
@@ -60,9 +68,9 @@ typedef struct {
   @real@ z[@P@_N_Z];    /* the configuration */
   @real@ value;           /* V(z) */
   @real@ scale;           /* sum_i alpha_i |a_i||b_i| where the climb began: what V is measured against */
-  @real@ target_error;    /* largest |r - target|, m */
+  @real@ target_error;    /* largest |r - target|, m; see TARGET_TOLERANCE */
   @real@ bound_violation; /* how far outside its bounds a variable is: 0 */
-  @real@ margin_slack;    /* sin^2 minus sine_squared_min */
+  @real@ margin_slack;    /* sin^2 minus sine_squared_min; see MARGIN_TOLERANCE */
   @real@ stationarity;    /* projected gradient of V/scale, base in units of the reach; -1: not reached */
   int cost;                 /* of the budget */
   int iterations;           /* climbing steps, over all starts */

@@ -1,15 +1,6 @@
 #define UNITS   @UNITS@
 #define SAMPLES @SAMPLES@ /* of each elbow */
 
-/* Where the arm begins and how long it is. */
-static int prepare(const @p@_problem *problem, workspace_t *s)
-{
-  const @real@ *arg[@ARG_reach@] = {parameters_of(problem)};
-  @real@ *res[@RES_reach@] = {s->first_joint, &s->reach};
-  (void)KERNEL_reach(arg, res);
-  return all_finite(NT, s->first_joint) && is_finite(s->reach) && (s->reach > R(0.0));
-}
-
 /* Posture in closed form at a placement; 0 where there is none inside limits and margin. */
 static int place(const @p@_problem *problem, workspace_t *s, @real@ base, const @real@ *unit, @real@ elbow,
                  point *x)

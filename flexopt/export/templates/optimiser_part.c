@@ -6,4 +6,9 @@
 
 #include "${prefix}_optimiser.h"
 
+/* Checks for NaN compare numbers, which these options take to be needless. */
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0))
+#error "compile without -ffast-math and -ffinite-math-only (MSVC: /fp:fast): refusals rely on NaN and infinity"
+#endif
+
 $body

@@ -1,17 +1,5 @@
 #define SAMPLES @SAMPLES@
 
-/* Where the arm begins and how long it is, with the machine's own parameters. */
-static int prepare(const @p@_problem *problem, workspace_t *s)
-{
-  static const @real@ first_joint[NT] = {@FIRST_JOINT@};
-  (void)problem;
-  for (int k = 0; k < NT; k++) {
-    s->first_joint[k] = first_joint[k];
-  }
-  s->reach = @REACH@;
-  return 1;
-}
-
 /* Row of the task along which variable i moves the machine, or -1. */
 static int row_of(int i)
 {

@@ -32,6 +32,22 @@ static int optimiser_refuses(const char *what, const ${prefix}_optimiser_problem
   return 0;
 }
 
+/* The result inside the workspace. */
+static int optimiser_overlap(const ${prefix}_optimiser_options *options)
+{
+  static ${prefix}_optimiser_workspace memory;
+  ${prefix}_optimiser_problem problem;
+  void *inside = &memory;
+  ${prefix}_optimiser_status status;
+  (void)${prefix}_optimiser_default_problem(&problem);
+  status = ${prefix}_optimiser_solve(&problem, NULL, options, &memory, (${prefix}_optimiser_result *)inside);
+  if (status != ${PREFIX}_OPTIMISER_BAD_WORKSPACE) {
+    printf("FAILED  optimiser: a result inside the workspace gave status %d\n", (int)status);
+    return 1;
+  }
+  return 0;
+}
+
 static int optimiser_failures(void)
 {
   static ${prefix}_optimiser_workspace memory;
@@ -99,8 +115,10 @@ static int optimiser_failures(void)
 #if $far_known
   problem.target[0] = 0;
   problem.target[$far_row] = $far;
+  options.budget = ${PREFIX}_OPTIMISER_BUDGET_MAX; /* enough to try every start */
   failed |= optimiser_refuses("a target out of reach", &problem, start, &options, ${PREFIX}_OPTIMISER_NO_FEASIBLE);
 #endif
+  failed |= optimiser_overlap(&options);
   printf("%s  %-20s %d problems, V lower than IPOPT's by %.2g of its scale at most, %.2g m off the target\n",
          failed ? "FAILED" : "passed", "optimiser", OPTIMISER_CASES, (worst > 0.0) ? worst : 0.0, off);
   return failed;

@@ -28,10 +28,10 @@ class Controller {
   Controller(double proportional_gain, double derivative_gain) {
     input_.proportional_gain = static_cast<${prefix}_real>(proportional_gain);
     input_.derivative_gain = static_cast<${prefix}_real>(derivative_gain);
-$load_parameters  }
+$set_damping$load_parameters  }
 
   void set_joint(std::size_t joint, double angle) { input_.joint_angles[joint] = static_cast<${prefix}_real>(angle); }
-$set_placement  void set_target(std::size_t axis, double value) { input_.target_point[axis] = static_cast<${prefix}_real>(value); }
+$set_rate$set_placement  void set_target(std::size_t axis, double value) { input_.target_point[axis] = static_cast<${prefix}_real>(value); }
 
   // The rate comes from two measurements, `elapsed` seconds apart.
   void set_measured(const std::array<double, kTask>& point, double elapsed) {
@@ -46,7 +46,7 @@ $set_placement  void set_target(std::size_t axis, double value) { input_.target_
     ${prefix}_torque_inverse_out command;
     const ${prefix}_status status =
         ${prefix}_torque_inverse(&input_, ${pass_member}&command, workspace_.data(), workspace_.size());
-    if (status == ${PREFIX}_OK) {
+    if (${prefix}_has_output(status)) {
       for (std::size_t j = 0; j < kJoints; ++j) torque[j] = static_cast<double>(command.torque[j]);
     }
     return status;
@@ -101,7 +101,7 @@ $declare_placement    torques_ = create_publisher<std_msgs::msg::Float64MultiArr
       const auto index = static_cast<std::size_t>(found - m.name.begin());
       if (found == m.name.end() || index >= m.position.size()) return;
       controller_.set_joint(j, m.position[index]);
-    }
+$pass_rate    }
     joints_time_ = m.header.stamp;
     have_joints_ = true;
   }
@@ -122,9 +122,9 @@ $declare_placement    torques_ = create_publisher<std_msgs::msg::Float64MultiArr
     std::array<double, Controller::kJoints> torque{};
     const ${prefix}_status status = controller_.step(torque);
     if (status != ${PREFIX}_OK) {
-      RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "refused: %s", ${prefix}_status_text(status));
-      return;
+      RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "%s", ${prefix}_status_text(status));
     }
+    if (!${prefix}_has_output(status)) return;
     std_msgs::msg::Float64MultiArray message;
     message.data.assign(torque.begin(), torque.end());
     torques_->publish(message);
@@ -161,7 +161,7 @@ int main() {
   for (std::size_t j = 0; j < Controller::kJoints; ++j) {
     std::printf("  %s %.6g N m\n", Controller::joint_names()[j].c_str(), torque[j]);
   }
-  return status == ${PREFIX}_OK ? 0 : 1;
+  return ${prefix}_has_output(status) ? 0 : 1;
 }
 
 #endif

@@ -37,19 +37,21 @@ int main(void)
     int i, failed = 0, refused = 0;
     unsigned j;
     for (i = 0; i < VECTOR_COUNT; ++i) {
-      ${prefix}_status status;
+      ${prefix}_status status, wanted;
       memcpy(in, row, f->n_in * sizeof *row);
       row += f->n_in;
       memcpy(parameters, row, f->n_parameters * sizeof *row);
       row += f->n_parameters;
+      wanted = (*row > 0) ? ${PREFIX}_BEYOND_LIMIT : ${PREFIX}_OK;
+      ++row;
       status = f->call(in, parameters, out, workspace, f->workspace);
       if (status == ${PREFIX}_NOT_ACCURATE) {
         ++refused;
-      } else if (status != ${PREFIX}_OK) {
+      } else if (status != wanted) {
         printf("FAILED  %s: %s\n", f->name, ${prefix}_status_text(status));
         failed = 1;
       }
-      for (j = 0; (status == ${PREFIX}_OK) && (j < f->n_out); ++j) {
+      for (j = 0; ${prefix}_has_output(status) && (j < f->n_out); ++j) {
         /* The error as a share of what is allowed. */
         double share = fabs((double)out[j] - (double)row[j]) / (double)row[f->n_out + j];
         if (!(share <= worst)) {
@@ -75,6 +77,8 @@ int main(void)
       failed |= expect(f->name, "a huge input", f->call(in, parameters, out, workspace, f->workspace), ${PREFIX}_OUT_OF_RANGE);
       in[j] = kept;
     }
+    failed |= expect(f->name, "a workspace over the input", f->call(workspace, parameters, out, workspace, f->workspace),
+                     ${PREFIX}_BAD_WORKSPACE);
     printf("%s  %-20s %d vectors, %d not accurate, largest error %.2g of what is allowed ($bar of each output's size)\n",
            failed ? "FAILED" : "passed", f->name, VECTOR_COUNT, refused, worst);
     failures += failed;

@@ -14,6 +14,7 @@ from pathlib import Path
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Check, Finding, Table, attempt
 from flexopt.export.verify.tools import run
+from flexopt.writing import write_file
 
 DEVIATIONS = "misra_deviations.json"
 PIECE = 200  # statements
@@ -29,7 +30,7 @@ def _examined(bench: Bench) -> Finding:
     copies: list[Path] = []
     for source in bench.sources:
         copies.append(bench.scratch / f"misra-{source.name}")
-        copies[-1].write_text(in_pieces(source.read_text(encoding="utf-8")), encoding="utf-8")
+        write_file(copies[-1], in_pieces(source.read_text(encoding="utf-8")))
     said = run(
         ["cppcheck", "--addon=misra", "--std=c99", "--enable=warning,performance,portability", "--quiet",
          "--suppress=missingIncludeSystem", "--suppress=uninitvar", "--suppress=legacyUninitvar",

@@ -84,7 +84,9 @@ def _examined(bench: Bench, target: Target, compiler: str, flags: Sequence[str])
     nm, objdump = f"{tools}nm", f"{tools}objdump"
     need(compiler, nm, objdump)
     built = accounted(bench, target, compiler, flags)
-    own = {f"{bench.library.prefix}_{name}" for name in ("status_text", "build_info", "default_parameters")}
+    own = {
+        f"{bench.library.prefix}_{name}" for name in ("status_text", "has_output", "build_info", "default_parameters")
+    }
     own |= {f"{bench.library.prefix}_{o.name}" for o in bench.library.all_operations}
     own |= {name for foreign in bench.library.foreign.values() for name in foreign.functions}
     faults: list[str] = []

@@ -6,7 +6,6 @@ In: a `Bench`. Out: findings. Calls and answers go through files to the bundle's
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,9 +19,10 @@ from flexopt.export.optimiser import STARTS, TOLERANCES
 from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, Table
-from flexopt.export.verify.tools import StepFailed, need, run
+from flexopt.export.verify.tools import StepFailed, need, run, sanitizing_compiler
 from flexopt.model.quantities import COORDINATE_MAX
 from flexopt.plant.reach import outer_reach
+from flexopt.writing import write_file
 
 PART = "optimiser"
 PROBLEMS, SEED, FUZZ_SEED = 24, 40, 41
@@ -166,7 +166,7 @@ def host_runner(bench: Bench, compiler: str, objects: list[Path]) -> Runner:
 
 def sanitized(bench: Bench, flags: tuple[str, ...]) -> Finding:
     """The self-test of the whole bundle and faulty calls of the optimiser, with sanitizers."""
-    compiler = "clang" if shutil.which("clang") else "gcc"
+    compiler = sanitizing_compiler(flags, bench.scratch)
     need(compiler)
     # One object for both programs: the kernels take the compiler long.
     objects = list(bench.objects("sanitized", compiler, ["-std=c99", *flags]).values())
@@ -238,7 +238,7 @@ def _solve(bench: Bench, calls: Calls, runner: Runner) -> Solved:
     records["words"] = calls.words
     with np.errstate(over="ignore", under="ignore"):
         records["reals"] = reals
-    (bench.scratch / "problems.bin").write_bytes(records.tobytes())
+    write_file(bench.scratch / "problems.bin", records.tobytes())
     runner(bench.scratch, "problems.bin", "solved.bin")
     data, n_z = (bench.scratch / "solved.bin").read_bytes(), calls.start.shape[1]
     kind = np.dtype([("words", np.uint32, (6,)), ("reals", real, (n_z + 6,))])

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.export.operations import Array, Operation, Samples
-from flexopt.export.sources import STATUSES
+from flexopt.export.sources import STATUSES, WITH_OUTPUT
 from flexopt.export.verify.tools import StepFailed
+from flexopt.writing import write_file
 
 CODES = {name: k for k, name in enumerate(STATUSES)}
 NAMES = tuple(STATUSES)
+WRITTEN = [CODES[name] for name in WITH_OUTPUT]
 # Bits of the faults that the driver makes.
 NULL_IN, NULL_PARAMETERS, NULL_OUT, NULL_WORKSPACE, MISALIGNED, SHORT = (1 << k for k in range(6))
 CALIBRATION = 4_000_000  # instructions
@@ -72,15 +74,16 @@ def block(index: int, operation: Operation, rows: Array, *, repeats: int = 1, fa
 def write_calls(path: Path, blocks: Sequence[Block], *, single: bool) -> None:
     """The driver's input file."""
     real = np.float32 if single else np.float64
-    with path.open("wb") as file:
-        for b in blocks:
-            file.write(np.array([b.index, len(b.rows), b.repeats, 0], np.uint32).tobytes())
-            kind = np.dtype([("fault", np.uint32), ("row", real, (b.rows.shape[1],))])
-            records = np.zeros(len(b.rows), kind)
-            records["fault"] = b.faults
-            with np.errstate(over="ignore", under="ignore"):
-                records["row"] = b.rows
-            file.write(records.tobytes())
+    data = bytearray()
+    for b in blocks:
+        data += np.array([b.index, len(b.rows), b.repeats, 0], np.uint32).tobytes()
+        kind = np.dtype([("fault", np.uint32), ("row", real, (b.rows.shape[1],))])
+        records = np.zeros(len(b.rows), kind)
+        records["fault"] = b.faults
+        with np.errstate(over="ignore", under="ignore"):
+            records["row"] = b.rows
+        data += records.tobytes()
+    write_file(path, bytes(data))
 
 
 def read_answers(path: Path, blocks: Sequence[Block], *, single: bool) -> tuple[int, list[Answers]]:
@@ -123,8 +126,11 @@ class Agreement:
 def compare(operation: Operation, samples: Samples, answers: Answers, tolerance: float) -> Agreement:
     """Errors of each output against the samples', where C did not say NOT_ACCURATE."""
     name, faults = operation.name, list[str]()
-    good = answers.status == CODES["OK"]
+    good = np.isin(answers.status, WRITTEN)
     refused = answers.status == CODES["NOT_ACCURATE"]
+    mistaken = good & ((answers.status == CODES["BEYOND_LIMIT"]) != samples.beyond)
+    if mistaken.any():
+        faults.append(f"{name}: {int(mistaken.sum())} of {len(good)} calls were wrong about joints beyond their limits")
     for code in {int(code) for code in answers.status[~good & ~refused]}:
         count = int((answers.status == code).sum())
         said = NAMES[code] if code < len(NAMES) else f"status {code}"

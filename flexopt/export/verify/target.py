@@ -21,6 +21,7 @@ from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Check, Finding, Table, Target, attempt
 from flexopt.export.verify.host import agreement
 from flexopt.export.verify.tools import Said, StepFailed, need, run
+from flexopt.writing import write_file
 
 COMPILER = "arm-none-eabi-gcc"
 EMULATOR = "qemu-system-arm"
@@ -134,7 +135,7 @@ def _workspace_bytes(bench: Bench, part: str, flags: Sequence[str]) -> int:
     """Size of a workspace that is a structure: that of an array as large."""
     name = f"{bench.library.prefix}_{part}"
     probe = bench.scratch / f"{name}_workspace.c"
-    probe.write_text(f'#include "{name}.h"\nchar probe[{name.upper()}_WORKSPACE_SIZE];\n', encoding="utf-8")
+    write_file(probe, f'#include "{name}.h"\nchar probe[{name.upper()}_WORKSPACE_SIZE];\n')
     target = probe.with_suffix(".o")
     run([COMPILER, *flags, *bench.includes(), "-c", probe, "-o", target], folder=bench.scratch)
     return objects.section_sizes("arm-none-eabi-objdump", target)["ram"]
@@ -168,7 +169,7 @@ def _against_plain(bench: Bench, board: Board) -> Finding:
         sz_arg=operation.kernel.sz_arg(), sz_res=operation.kernel.sz_res(), pointers="\n".join(pointers),
         guard_pointers="\n".join(guards), **{"pass": "" if library.baked else "&parameters, "},
     )  # fmt: skip
-    (bench.scratch / "compare.c").write_text(text, encoding="utf-8")
+    write_file(bench.scratch / "compare.c", text)
     sources = [bench.scratch / "compare.c", bench.scratch / "plain.c"]
     program = _program(bench, board, "compare", sources, extra=[f"-I{bench.scratch}"])
     said = _emulate(bench, board, program, []).out
@@ -191,7 +192,7 @@ def _against_plain(bench: Bench, board: Board) -> Finding:
 def _program(bench: Bench, board: Board, name: str, sources: Sequence[Path], extra: Sequence[str] = ()) -> Path:
     """Link for a board, with semihosting."""
     for file in ("startup.c", "link.ld"):
-        (bench.scratch / file).write_text(template(f"target/{file}"), encoding="utf-8")
+        write_file(bench.scratch / file, template(f"target/{file}"))
     flags = [
         "-std=gnu99", "-O2", *board.flags, "-DFLEXOPT_TARGET", *extra, "--specs=rdimon.specs",
         f"-T{bench.scratch / 'link.ld'}", "-Wl,--no-warn-rwx-segments",

@@ -86,6 +86,23 @@ def run(
     return Said(done.stdout, done.stderr)
 
 
+def sanitizing_compiler(flags: Sequence[str], folder: Path) -> str:
+    """The first of clang and gcc that is there with the libraries of its sanitizers.
+
+    Raises:
+        ToolMissing: neither is.
+    """
+    source = folder / "sanitizers.c"
+    source.write_text("int main(void) { return 0; }\n", encoding="utf-8")
+    for compiler in ("clang", "gcc"):
+        try:
+            run([compiler, *flags, source, "-o", folder / "sanitizers"], folder=folder)
+        except (ToolMissing, StepFailed):
+            continue
+        return compiler
+    raise ToolMissing(["gcc"])
+
+
 def version(program: str) -> str:
     """First line of what `program --version` says."""
     said = run([program, "--version"], folder=Path.cwd(), may_fail=True).both.strip()

@@ -31,8 +31,9 @@ from flexopt.export.verify.objects import check_objects
 from flexopt.export.verify.report import report_html
 from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
-from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import public, whole, words
 from flexopt.model.documents import json_ready, package_version
+from flexopt.writing import make_folder, write_files
 
 INPUTS, FUZZ_CALLS = 1000, 10_000
 COUNT_MAX = 1_000_000
@@ -126,12 +127,15 @@ class Verification:
 
     def write(self) -> None:
         """Write `report.html` and `report.json` into the bundle's folder `verification`."""
-        self.page.parent.mkdir(exist_ok=True)
+        make_folder(self.page.parent)
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-        self.page.with_suffix(".json").write_text(text, encoding="utf-8")
-        self.page.write_text(report_html(self), encoding="utf-8")
+        write_files({self.page.with_suffix(".json"): text, self.page: report_html(self)})
 
 
+_COUNT = whole(1, COUNT_MAX)
+
+
+@public("verify", target=words(*TARGETS), inputs=_COUNT, fuzz_calls=_COUNT)
 def verify_bundle(
     folder: str | Path,
     *,
@@ -152,16 +156,11 @@ def verify_bundle(
     Raises:
         InputError: the folder is no bundle, or an argument is not usable.
     """
-    arguments = Arguments("verify")
-    chosen = None if target is None else arguments.choice("target", target, TARGETS)
-    inputs = arguments.checked("inputs", inputs, _check_count, INPUTS)
-    fuzz_calls = arguments.checked("fuzz_calls", fuzz_calls, _check_count, FUZZ_CALLS)
-    arguments.done()
     path = Path(folder).resolve()
     if not path.is_dir():
         raise InputError(f"verify: there is no folder {str(folder)!r}")
     manifest = read_manifest(path)
-    targets = TARGETS if chosen is None else (chosen,)
+    targets = TARGETS if target is None else (target,)
     with tempfile.TemporaryDirectory(prefix="flexopt-verify-") as scratch:
         bench = Bench(path, Path(scratch), manifest, library_of(manifest), inputs, fuzz_calls)
         checks: list[Check] = [attempt("files as they were exported", targets[0], lambda: _files(bench))]
@@ -210,9 +209,3 @@ def _files(bench: Bench) -> Finding:
 
 def _differs(path: Path, text: str) -> bool:
     return not path.is_file() or path.read_bytes() != text.encode()
-
-
-def _check_count(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= COUNT_MAX:
-        raise ValueError(f"must be a whole number between 1 and {COUNT_MAX}")
-    return value

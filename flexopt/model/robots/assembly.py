@@ -7,6 +7,7 @@ so that its turn is Rz(yaw) Ry(pitch) Rx(roll) and at rest their axes are those 
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -14,11 +15,12 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.model.hydraulics import Cylinder
+from flexopt.model.quantities import degrees_hint
 from flexopt.model.robots.bodies import Body, body_name, plain, tree_joint
-from flexopt.model.robots.description import Description, Frame, Link
+from flexopt.model.robots.description import Description, Frame, Joint, Link
 from flexopt.model.robots.geometry import Inertial, Pose, shift
 from flexopt.model.robots.overlay import DIRECTIONS, CapsuleTable, Overlay, nearest
-from flexopt.model.robots.roles import Roles
+from flexopt.model.robots.roles import Role, Roles
 
 CHAIN = ("x", "y", "z", "yaw", "pitch", "roll")
 AXES = {"x": 0, "y": 1, "z": 2, "roll": 0, "pitch": 1, "yaw": 2}
@@ -32,6 +34,7 @@ class Assembly:
         self.robot = robot
         self.overlay = overlay
         self.faults: list[Fault] = []
+        self.warnings: list[str] = []
         self.bodies: list[Body] = []
         self._carriers: dict[str | None, tuple[Body | None, Pose]] = {None: (None, Pose())}
         links = self._subtree()
@@ -48,7 +51,6 @@ class Assembly:
                 self.faults += [Fault(f.field, f.sentence + hint, f.value) for f in blocker.faults]
         self._end_point = self._find_end_point()
         self._cylinders = [self._cylinder(index, table) for index, table in enumerate(overlay.cylinders)]
-        self.warnings: list[str] = []
         self._capsules = [self._capsule(index, table) for index, table in enumerate(overlay.capsules)]
         if from_collisions:
             self._capsules += [capsule for link in links for capsule in self._round(link)]
@@ -165,6 +167,7 @@ class Assembly:
             # The joint's frame at coordinate 0, which lies `zero` before the pose that the file describes.
             place = pose @ joint.displaced(-joint.zero) @ shift(joint.anchor)
             parent = body.name if body else None
+            self._check_turns(joint, role)
             body = Body(name, parent, tree_joint(joint, role), place, Inertial(), link.element, joint.element)
             self.bodies.append(body)
             pose = shift(-joint.anchor)
@@ -175,6 +178,13 @@ class Assembly:
             self.faults.append(Fault(f"{link.element.place}: {link.element.label}", link.why))
         else:
             body.inertial = body.inertial + link.inertial.seen_from(pose)
+
+    def _check_turns(self, joint: Joint, role: Role) -> None:
+        low, high = role.limits or (0.0, 0.0)
+        if joint.kind == "hinge" and (degrees_hint("rad", low) or degrees_hint("rad", high)):
+            meant = f"in degrees they would be {math.radians(low):.4g} to {math.radians(high):.4g} rad"
+            sentence = f"limits {low:g} to {high:g} rad reach beyond two turns and are cut there; {meant}"
+            self.warnings.append(f"{joint.element.place}: {joint.element.label}: {sentence}")
 
     def _find_end_point(self) -> tuple[str, Pose]:
         """Body and pose of the frame that the overlay names."""

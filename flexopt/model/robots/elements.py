@@ -5,6 +5,7 @@ Document type declarations are refused, so that a file can neither expand entiti
 
 from __future__ import annotations
 
+import difflib
 import math
 import xml.parsers.expat
 from collections.abc import Callable, Iterator, Sequence
@@ -15,9 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, ModelError
+from flexopt.model.faults import ALIKE
 
 FILE_SIZE_MAX = 16_000_000
 DEPTH_MAX = 200
+ELEMENTS_MAX = 200_000
+ATTRIBUTES_MAX = 200
 # Far beyond any machine; products of a few such numbers stay finite.
 NUMBER_MAX = 1e30
 
@@ -43,7 +47,7 @@ class Element:
     def label(self) -> str:
         """The element in words: `joint 'elbow'`."""
         name = self.attributes.get("name")
-        return self.tag if name is None else f"{self.tag} {name!r}"
+        return cut(self.tag) if name is None else f"{cut(self.tag)} {cut(name)!r}"
 
     def all(self, *tags: str) -> Iterator[Element]:
         """The children of these tags, in the order of the file."""
@@ -97,13 +101,13 @@ class Faults:
         if len(words) not in counts:
             wanted = " or ".join(map(str, counts))
             sentence = f"needs {wanted} number{'s' if counts != (1,) else ''} separated by spaces, not {len(words)}"
-            self.faults.append(Fault(f"{element.place}: {owner} {key}", sentence, _cut(text)))
+            self.faults.append(Fault(f"{element.place}: {owner} {key}", sentence, cut(text)))
             return default
         numbers = [value for value in values if value is not None]
         if len(numbers) < len(values):
             wrong = next(word for word, value in zip(words, values, strict=True) if value is None)
-            sentence = f"{_cut(wrong)!r} is no number between ±{NUMBER_MAX:g}"
-            self.faults.append(Fault(f"{element.place}: {owner} {key}", sentence, _cut(text)))
+            sentence = f"{cut(wrong)!r} is no number between ±{NUMBER_MAX:g}"
+            self.faults.append(Fault(f"{element.place}: {owner} {key}", sentence, cut(text)))
             return default
         return np.array(numbers)
 
@@ -126,8 +130,12 @@ def parse(path: Path, name: str) -> Element:
         ModelError: the file cannot be read, is no well-formed XML, or has a document type declaration.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise ModelError(f"{name}: cannot be read (it is no file)")
         with path.open("rb") as stream:
             content = stream.read(FILE_SIZE_MAX + 1)
+    except ModelError:
+        raise
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ModelError(f"{name}: cannot be read ({reason})") from None
@@ -141,8 +149,16 @@ def parse_bytes(content: bytes, name: str) -> Element:
     parser = xml.parsers.expat.ParserCreate()
     open_elements: list[Element] = []
     roots: list[Element] = []
+    count = 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if count > ELEMENTS_MAX:
+            raise ModelError(f"{name}: has more than {ELEMENTS_MAX} elements; this is no robot description")
+        if len(attributes) > ATTRIBUTES_MAX:
+            place = f"{name}:{parser.CurrentLineNumber}"
+            raise ModelError(f"{place}: an element has {len(attributes)} attributes; at most {ATTRIBUTES_MAX} are read")
         element = Element(tag, attributes, name, parser.CurrentLineNumber)
         if open_elements:
             open_elements[-1].children.append(element)
@@ -166,6 +182,8 @@ def parse_bytes(content: bytes, name: str) -> Element:
     except xml.parsers.expat.ExpatError as error:
         reason = xml.parsers.expat.errors.messages[error.code]
         raise ModelError(f"{name}:{error.lineno}: is not well-formed XML: {reason}") from None
+    except ModelError:
+        raise
     except (LookupError, ValueError) as error:
         raise ModelError(f"{name}: cannot be decoded: {error}") from None
     return roots[0]
@@ -175,9 +193,18 @@ def check_text(faults: Faults, element: Element, key: str, choices: Sequence[str
     """One of a few words."""
     text = element.attributes.get(key, stand_in)
     if text not in choices:
-        faults.add(element, f"{key} must be {' or '.join(choices)}", value=repr(_cut(text)))
+        faults.add(element, f"{key} must be {' or '.join(choices)}", value=repr(cut(text)))
         return stand_in
     return text
+
+
+def closest(word: str, valid: Sequence[str], alike: float = ALIKE) -> tuple[str, str]:
+    """The valid word that is nearest, if any is near, and the end of a sentence about a word that is not known."""
+    close = difflib.get_close_matches(word, valid, n=1, cutoff=alike)
+    if close:
+        return close[0], f"; did you mean {close[0]!r}?"
+    shown = ", ".join(valid[:12]) + (", …" if len(valid) > 12 else "")
+    return "", f"; there are {shown}" if valid else ""
 
 
 def unique(faults: Faults, elements: Sequence[Element], what: str, name: Callable[[Element], str]) -> None:
@@ -203,6 +230,7 @@ def _number(word: str) -> float | None:
     return value if abs(value) <= NUMBER_MAX else None
 
 
-def _cut(text: str) -> str:
+def cut(text: str) -> str:
+    """A text as messages quote it."""
     text = " ".join(text.split())
     return text if len(text) <= 60 else text[:57] + "..."

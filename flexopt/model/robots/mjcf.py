@@ -20,30 +20,30 @@ from flexopt.model.robots.collisions import Solid, mjcf_solid
 from flexopt.model.robots.description import Description, Frame, Joint, Link, check_inertial
 from flexopt.model.robots.elements import Element, Faults, unique
 from flexopt.model.robots.geometry import Array, Inertial, Pose, tensor
+from flexopt.model.robots.known import check_known
 from flexopt.model.robots.mjcf_actuators import drive_efforts
 from flexopt.model.robots.mjcf_geoms import geom_inertial
 from flexopt.model.robots.mjcf_joints import read_joint
 from flexopt.model.robots.mjcf_settings import MAIN, Settings, read_settings, with_includes
 
-SECTIONS = (
-    "compiler", "option", "size", "statistic", "visual", "default", "asset", "custom", "extension", "worldbody",
-    "contact", "tendon", "equality", "actuator", "sensor", "keyframe", "deformable",
-)  # fmt: skip
 LEFT_OUT = ("contact", "actuator", "sensor", "keyframe", "extension")
 IN_A_BODY = ("body", "frame", "inertial", "joint", "freejoint", "geom", "site", "camera", "light")
 PULLS = ("stiffness", "damping", "frictionloss", "armature", "range")
 
 
-def read_mjcf(root: Element, folder: Path, faults: Faults) -> Description:
-    """The robot below <mujoco>; what is wrong is added to `faults`. Included files are looked for from `folder`.
+def read_mjcf(root: Element, folder: Path, faults: Faults, *, strict: bool = True) -> Description:
+    """The robot below <mujoco>; what is wrong is added to `faults`.
+
+    Args:
+        root: the root element.
+        folder: where paths of included files start.
+        faults: takes faults and warnings.
+        strict: whether words that MJCF does not have are faults.
 
     Raises:
         ModelError: an included file cannot be read or is no XML.
     """
-    root = with_includes(root, folder, faults)
-    for section in root.children:
-        if section.tag not in SECTIONS:
-            faults.add(section, "is no section of an MJCF model")
+    root = check_known(with_includes(root, folder, faults), "mjcf", faults, strict=strict)
     reader = _Reader(read_settings(root, faults))
     for world in root.all("worldbody"):
         reader.children(world, None, Pose(), world.attributes.get("childclass", MAIN), _Body())

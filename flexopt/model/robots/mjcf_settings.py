@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from flexopt.model.robots.elements import Element, Faults, check_text, parse
+from flexopt.errors import ModelError
+from flexopt.model.robots.elements import DEPTH_MAX, ELEMENTS_MAX, Element, Faults, check_text, parse
 from flexopt.model.robots.geometry import (
     Array,
     Pose,
@@ -22,6 +23,8 @@ from flexopt.model.robots.geometry import (
 
 ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 MAIN = "main"
+# Far more than any model in use has.
+INCLUDES_MAX = 500
 
 Defaults = dict[str, dict[str, dict[str, str]]]
 
@@ -29,28 +32,64 @@ Defaults = dict[str, dict[str, dict[str, str]]]
 def with_includes(root: Element, folder: Path, faults: Faults) -> Element:
     """The tree with each <include> replaced by the children of the file's root; paths start from `folder`.
 
+    As in MuJoCo, a model includes a file once, however its path is spelt; so the reading ends.
+
     Raises:
-        ModelError: an included file cannot be read or is no XML.
+        ModelError: an included file cannot be read or is no XML, or there are too many of them.
     """
-    return _spliced(root, folder, faults, {root.file})
+    return _Includes(root, folder, faults).spliced(root, 1)
 
 
-def _spliced(element: Element, folder: Path, faults: Faults, seen: set[str]) -> Element:
-    children: list[Element] = []
-    for child in element.children:
-        if child.tag != "include":
-            children.append(_spliced(child, folder, faults, seen))
-            continue
-        name = faults.required(child, "file")
+class _Includes:
+    def __init__(self, root: Element, folder: Path, faults: Faults) -> None:
+        self.folder = folder
+        self.faults = faults
+        self.count = 0
+        self.elements = sum(1 for _ in root.walk())
+        self.seen = {identity(folder / Path(root.file).name)}
+
+    def spliced(self, element: Element, depth: int) -> Element:
+        if depth > DEPTH_MAX:
+            raise ModelError(f"{element.place}: elements are nested more than {DEPTH_MAX} deep, with included files")
+        children: list[Element] = []
+        for child in element.children:
+            if child.tag != "include":
+                children.append(self.spliced(child, depth + 1))
+                continue
+            included = self._included(child)
+            if included is not None:
+                children += self.spliced(included, depth).children
+        return replace(element, children=children)
+
+    def _included(self, child: Element) -> Element | None:
+        """The root of the file that an <include> names; None after a fault."""
+        name = self.faults.required(child, "file")
         if not name:
-            continue
+            return None
+        path = self.folder / name
+        known = identity(path)
+        if known in self.seen:
+            self.faults.add(child, f"file {name!r} is included twice, or includes itself")
+            return None
+        self.seen.add(known)
+        self.count += 1
+        if self.count > INCLUDES_MAX:
+            raise ModelError(f"{child.place}: the model includes more than {INCLUDES_MAX} files")
         label = str(Path(child.file).parent / name) if not Path(name).is_absolute() else name
-        if label in seen:
-            faults.add(child, f"file {name!r} is included twice, or includes itself")
-            continue
-        seen.add(label)
-        children += _spliced(parse(folder / name, label), folder, faults, seen).children
-    return replace(element, children=children)
+        included = parse(path, label)
+        self.elements += sum(1 for _ in included.walk())
+        if self.elements > ELEMENTS_MAX:
+            raise ModelError(f"{child.place}: with the included files the model has more than {ELEMENTS_MAX} elements")
+        return included
+
+
+def identity(path: Path) -> object:
+    """What is the same for two spellings of one file; the path itself where there is none."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return str(path)
+    return status.st_dev, status.st_ino
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field
 
 from flexopt.errors import Fault
-from flexopt.model.faults import ALIKE
 from flexopt.model.hydraulics import Cylinder
 from flexopt.model.quantities import Acceleration, Length, check_number, check_schema, checked
+from flexopt.model.robots.elements import closest
 from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
 from flexopt.model.tables import FileModel, Payload, Polygon
 from flexopt.model.tree import UNTURNED, Placement, Row
@@ -27,7 +26,7 @@ from flexopt.model.tree_quantities import (
 )
 
 DIRECTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
-Ignorable = Literal["armature", "equality", "tendon", "gravcomp"]
+Ignorable = Literal["armature", "equality", "tendon", "gravcomp", "unknown"]
 
 ByDirection = dict[str, float]
 Matrix = tuple[tuple[float, ...], ...]
@@ -172,9 +171,4 @@ class Overlay(FileModel):
 
 def nearest(word: str, valid: Iterable[str]) -> str:
     """The end of a sentence about a word that is not known."""
-    words = list(valid)
-    close = difflib.get_close_matches(word, words, n=1, cutoff=ALIKE)
-    if close:
-        return f"; did you mean {close[0]!r}?"
-    shown = ", ".join(words[:12]) + (", …" if len(words) > 12 else "")
-    return f"; there are {shown}" if words else ""
+    return closest(word, list(valid))[1]

@@ -50,8 +50,9 @@ The machine file is TOML. An arm on an elastic undercarriage:
 
 Further keys: `root` (the link to start from: what carries it, and other machines in the file, are left out),
 `lock_others = true` (every joint that is neither actuated nor has a spring is locked where the file has it: at 0, or
-`ref`), `gravity` (m/s², along −z; the MJCF file's or 9.81 where left out), and `ignore`, which reads an MJCF robot
-without things that change its dynamics: `["armature", "equality", "tendon", "gravcomp"]`. `base.stiffness` and
+`ref`), `gravity` (m/s², along −z; the MJCF file's or 9.81 where left out), and `ignore`, which reads a robot without
+things that change its dynamics: `["armature", "equality", "tendon", "gravcomp"]` of MJCF, and `"unknown"`, what the
+format does not know (without this word a fault, for it may be misspelt). `base.stiffness` and
 `base.damping` also take six numbers (x, y, z, roll, pitch, yaw) or a symmetric 6 × 6 matrix, about `point`, in the axes
 of the anchor frame. A free joint of the root link gives way to [base]; a mimic joint follows a locked joint, and is
 refused where that moves. Effort and speed come from URDF's <limit effort=… velocity=…> (0 is none), or from MJCF's
@@ -63,27 +64,32 @@ all, are warned of.
 from __future__ import annotations
 
 import os
-import tomllib
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
 from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
-from flexopt.model.faults import Table, validated
+from flexopt.model.boundary import path as named
+from flexopt.model.boundary import public
+from flexopt.model.faults import Table, read_table, validated
+from flexopt.model.files import read_toml
 from flexopt.model.robots.assembly import Assembly
 from flexopt.model.robots.description import Description
 from flexopt.model.robots.elements import Faults, parse
+from flexopt.model.robots.known import UNKNOWN
 from flexopt.model.robots.mjcf import read_mjcf
 from flexopt.model.robots.overlay import Overlay
 from flexopt.model.robots.urdf import read_urdf
 from flexopt.model.tree import Tree, tree_from_dict
 
 WARNINGS_SHOWN = 5
+# Moving and locked; `BODIES_MAX` bounds those that move.
+JOINTS_MAX = 1000
 # In place of [[capsules]]: those round the robot file's collision geometry.
 COLLISION = "collision"
 
 
+@public(error=ModelError, path=named())
 def load_robot(path: str | os.PathLike[str]) -> Tree:
     """Read a spatial machine file and the robot file it names.
 
@@ -98,10 +104,9 @@ def load_robot(path: str | os.PathLike[str]) -> Tree:
     """
     path = Path(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        reason = error.strerror if isinstance(error, OSError) else f"is not valid TOML: {error}"
-        raise ModelError(f"{path}: {reason}") from None
+        data = read_toml(path)
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
     return _read(data, path.parent, str(path))
 
 
@@ -120,7 +125,7 @@ def robot_from_dict(data: Table, *, folder: str | os.PathLike[str], origin: str 
 
 
 def _read(data: Table, folder: Path, origin: str) -> Tree:
-    frozen = cast(dict[str, Any], _frozen(data))
+    frozen = read_table(data, origin, "a spatial machine file")
     faults: list[Fault] = []
     overlay: Overlay | None = None
     robot: Description | None = None
@@ -135,8 +140,10 @@ def _read(data: Table, folder: Path, origin: str) -> Tree:
     name = frozen.get("robot")
     if isinstance(name, str) and name:
         try:
-            robot, found = read_description(folder / name, name)
+            ignored = cast(tuple[Any, ...], words) if isinstance(words := frozen.get("ignore"), tuple) else ()
+            robot, found = read_description(folder / name, name, strict=UNKNOWN not in ignored)
             faults += found
+            faults += _many(robot)
         except ModelError as error:
             faults += error.faults or [Fault("robot", str(error), repr(name))]
     raise_if_any(ModelError, origin, faults)
@@ -153,8 +160,18 @@ def _read(data: Table, folder: Path, origin: str) -> Tree:
     return tree
 
 
-def read_description(path: Path, name: str) -> tuple[Description, list[Fault]]:
+def _many(robot: Description) -> list[Fault]:
+    count = sum(len(link.joints) for link in robot.links)
+    return [] if count <= JOINTS_MAX else [Fault("robot", f"has {count} joints; at most {JOINTS_MAX} are read")]
+
+
+def read_description(path: Path, name: str, *, strict: bool = True) -> tuple[Description, list[Fault]]:
     """A URDF or MJCF file, whichever its root element says, and its faults.
+
+    Args:
+        path: the file.
+        name: what messages call it.
+        strict: whether elements and attributes that the format does not know are faults, or only warned of.
 
     Raises:
         ModelError: nothing of the file can be read.
@@ -162,9 +179,9 @@ def read_description(path: Path, name: str) -> tuple[Description, list[Fault]]:
     root = parse(path, name)
     faults = Faults()
     if root.tag == "robot":
-        return read_urdf(root, faults), faults.faults
+        return read_urdf(root, faults, strict=strict), faults.faults
     if root.tag == "mujoco":
-        return read_mjcf(root, path.parent, faults), faults.faults
+        return read_mjcf(root, path.parent, faults, strict=strict), faults.faults
     hint = "; convert SDF to URDF first" if root.tag == "sdf" else ""
     raise ModelError(f"{root.place}: its root element is <{root.tag}>, not <robot> (URDF) or <mujoco> (MJCF){hint}")
 
@@ -175,12 +192,3 @@ def _warn(origin: str, sentences: tuple[str, ...]) -> None:
     more = len(sentences) - WARNINGS_SHOWN
     listed = [*sentences[:WARNINGS_SHOWN], *([f"and {more} more"] if more > 0 else [])]
     warnings.warn(f"{origin}: " + "; ".join(listed), FlexoptWarning, stacklevel=4)
-
-
-def _frozen(value: Any) -> Any:
-    """Lists as tuples, all the way down."""
-    if isinstance(value, Mapping):
-        return {key: _frozen(part) for key, part in cast(Mapping[str, Any], value).items()}
-    if isinstance(value, list | tuple):
-        return tuple(_frozen(part) for part in cast(list[Any], value))
-    return value

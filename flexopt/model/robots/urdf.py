@@ -1,8 +1,9 @@
 """URDF in, a `Description` out.
 
 A link without <inertial> is massless, a joint without <origin> stands at its parent's frame, without <axis> along x;
-meshes, visuals, transmissions and simulator tags are not looked at. Floating joints are kept for the
-overlay to replace (root link) or refuse; planar ones are refused.
+meshes and visuals are not looked at, what stands there for other programs (gazebo, transmission, left-over macros) is
+left out with a warning, what URDF does not know is a fault. Floating joints are kept for the overlay to replace (root
+link) or refuse; planar ones are refused.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from flexopt.errors import ModelError
 from flexopt.model.robots.collisions import urdf_solids
 from flexopt.model.robots.description import Description, Joint, Kind, Link, Mimic, check_inertial, unit_axis
 from flexopt.model.robots.elements import Element, Faults, unique
-from flexopt.model.robots.geometry import Inertial, Pose, from_rpy, tensor
+from flexopt.model.robots.geometry import Inertial, Pose, from_quaternion, from_rpy, tensor
+from flexopt.model.robots.known import check_known
 from flexopt.model.table_quantities import EFFORT_MAX, SPEED_MAX
 
 KINDS: dict[str, Kind | None] = {
@@ -24,16 +26,24 @@ KINDS: dict[str, Kind | None] = {
 }  # fmt: skip
 # Bounds beyond these are none.
 BEYOND = {"effort": EFFORT_MAX, "velocity": SPEED_MAX}
+XACRO = "is xacro, a macro language; expand it to URDF first: xacro robot.urdf.xacro > robot.urdf"
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
-def read_urdf(root: Element, faults: Faults) -> Description:
+def read_urdf(root: Element, faults: Faults, *, strict: bool = True) -> Description:
     """The robot below <robot>; what is wrong is added to `faults`.
 
+    Args:
+        root: the root element.
+        faults: takes faults and warnings.
+        strict: whether words that URDF does not have are faults.
+
     Raises:
-        ModelError: the file is a xacro macro file.
+        ModelError: a value is a macro's.
     """
-    _refuse_xacro(root)
+    written = root
+    root = check_known(root, "urdf", faults, strict=strict)
+    _refuse_macros(root)
     links, joints = list(root.all("link")), list(root.all("joint"))
     for element in (*links, *joints):
         faults.required(element, "name")
@@ -44,7 +54,10 @@ def read_urdf(root: Element, faults: Faults) -> Description:
     above = _parents(faults, links, joints)
     order = _topological(faults, root, links, above)
     read = [_link(faults, link, above.get(_name(link))) for link in order]
-    kept: Counter[str] = Counter(child.tag for child in root.children if child.tag not in ("link", "joint", "material"))
+    if faults.faults:
+        for macro in [element for element in written.walk() if element.tag.startswith("xacro:")][:1]:
+            faults.add(macro, XACRO)
+    kept = Counter(child.tag for child in written.children if child.tag not in ("link", "joint", "material"))
     notes = tuple(f"<{tag}> ({count}) not read" for tag, count in kept.items())
     return Description(root.attributes.get("name", ""), tuple(read), {}, notes=notes, warnings=tuple(faults.warnings))
 
@@ -53,13 +66,10 @@ def _name(element: Element) -> str:
     return element.attributes.get("name", "").strip()
 
 
-def _refuse_xacro(root: Element) -> None:
+def _refuse_macros(root: Element) -> None:
     for element in root.walk():
-        if element.tag.startswith("xacro:") or any("${" in text for text in element.attributes.values()):
-            raise ModelError(
-                f"{element.place}: {element.label}: is xacro, a macro language; expand it to URDF first: "
-                "xacro robot.urdf.xacro > robot.urdf"
-            )
+        if any("${" in text for text in element.attributes.values()):
+            raise ModelError(f"{element.place}: {element.label}: {XACRO}")
 
 
 def _end(faults: Faults, joint: Element, tag: str) -> str:
@@ -136,6 +146,14 @@ def _origin(faults: Faults, holder: Element, of: Element) -> Pose:
     if origin is None:
         return Pose()
     position = faults.numbers(origin, "xyz", 3, (0.0, 0.0, 0.0), of)
+    if "quat_xyzw" in origin.attributes:
+        if "rpy" in origin.attributes:
+            faults.add(origin, "has rpy and quat_xyzw: one orientation is enough", of=of)
+        x, y, z, w = faults.numbers(origin, "quat_xyzw", 4, (0.0, 0.0, 0.0, 1.0), of)
+        if x == y == z == w == 0:
+            faults.add(origin, "quat_xyzw tells no orientation: it is zero", of=of)
+            return Pose(position)
+        return Pose(position, from_quaternion(np.array([w, x, y, z])))
     return Pose(position, from_rpy(faults.numbers(origin, "rpy", 3, (0.0, 0.0, 0.0), of)))
 
 

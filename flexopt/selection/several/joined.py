@@ -7,13 +7,13 @@ violate.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from flexopt.model.arguments import Vector
 from flexopt.selection.check import row_gradients
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.programs import Bounds, Local, run
 from flexopt.selection.several.postures import value_of
 from flexopt.selection.several.program import Goal, Joint, build_joint_solver, layout
 
@@ -110,19 +110,44 @@ class Joined:
         if self.goal == "worst":
             x0 = np.append(x0, self.values(x0).min() / self.size)
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
-        result = solver(
-            x0=x0,
-            p=self._parameters(),
-            lbx=lower,
-            ubx=upper,
-            lbg=np.concatenate([at_least, -self.steps, np.zeros(more)]),
-            ubg=np.concatenate([at_most, self.steps, np.full(more, np.inf)]),
+        bounds = Bounds(
+            lower,
+            upper,
+            np.concatenate([at_least, -self.steps, np.zeros(more)]),
+            np.concatenate([at_most, self.steps, np.full(more, np.inf)]),
         )
-        statistics: dict[str, Any] = solver.stats()
-        x = result["x"].full().ravel()[: self.joint.n_x]
+        reached = run(solver, self._stated, x0, self._parameters(), bounds)
+        x = reached.x[: self.joint.n_x]
         if not self.joint.pairs:
             x = self.packed(list(self.first.wrapped(np.array([self.of(x, k) for k in range(self.joint.count)]))))
-        return np.clip(x, *self.bounds()), int(statistics["iter_count"]), str(statistics["return_status"])
+        return np.clip(x, *self.bounds()), reached.iterations, reached.status
+
+    def _stated(self, x: Vector) -> Local:
+        """The program that IPOPT climbs, at its x, by functions that it does not use."""
+        n_x, scales = self.joint.n_x, np.array([row.scale for row in self.first.constraints])
+        values, steps = self.values(x[:n_x]) / self.size, np.zeros((len(self.joint.pairs), n_x))
+        for row, (i, j) in enumerate(self.joint.pairs):
+            steps[row, i], steps[row, j] = -1.0, 1.0
+        g: list[Vector] = []
+        jacobian: list[Vector] = []
+        for k, problem in enumerate(self.problems):
+            z, slopes = self.of(x, k), np.zeros((scales.size, n_x))
+            wanted = np.concatenate([problem.target, np.zeros(scales.size - problem.target.size)])
+            slopes[:, list(self.joint.places[k])] = row_gradients(problem, z) * self.first.scale / scales[:, None]
+            g.append((problem.rows(z) - wanted) / scales)
+            jacobian.append(slopes)
+        of_values = np.array([self._value_gradient(x, k) for k in range(self.joint.count)])
+        g, jacobian = [*g, steps @ x[:n_x]], [*jacobian, steps]
+        if self.goal == "weighted":
+            return Local(-float(self.share @ values), -self.share @ of_values, np.concatenate(g), np.vstack(jacobian))
+        level = float(x[-1]) if self.goal == "worst" else self.level
+        g, every = [*g, values - level], np.vstack([*jacobian, of_values])
+        if self.goal == "motion":
+            away = steps @ x
+            return Local(float(away @ away) / 2, steps.T @ away, np.concatenate(g), every)
+        of_level = np.concatenate([np.zeros(len(every) - values.size), np.full(values.size, -1.0)])
+        down = np.append(np.zeros(n_x), -1.0)
+        return Local(-level, down, np.concatenate(g), np.column_stack([every, of_level]))
 
     def _parameters(self) -> Vector:
         first = self.first

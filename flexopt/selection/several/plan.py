@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -18,21 +17,24 @@ import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import number, numbers, public, targets
 from flexopt.model.constraints import Constraints
 from flexopt.model.documents import provenance
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control
-from flexopt.model.quantities import check_number, check_numbers
+from flexopt.model.targets import RATE_MAX, TIME_MAX
 from flexopt.plant.reaching import solve_postures
-from flexopt.selection.parallel import check_workers
+from flexopt.robustness.plausibility import warn_implausible
+from flexopt.selection.build import only_notes
+from flexopt.selection.parallel import available_cores
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.joined import Joined
 from flexopt.selection.several.postures import EDGE, Reached, reached_from, value_of
 from flexopt.selection.several.program import Joint
 from flexopt.selection.several.results import BasePlan, Still
-from flexopt.selection.several.solving import End, Progress, end_from, ends_from, places_at, verified
+from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, places_at, verified
 from flexopt.selection.several.standing import best_placements, one_placement
-from flexopt.selection.several.targets import build_problems, entries, read_targets, sample_bases
+from flexopt.selection.several.targets import build_problems, sample_bases
 from flexopt.selection.several.ways import coarse_ways, nodes_of
 from flexopt.selection.solve import solve_selection
 
@@ -50,6 +52,36 @@ BETWEEN = 8
 BASE_RATE, DURATION = 0.25, 10.0
 
 
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    only_notes(arguments, given)
+    machine, path, times = arguments.of, given["path"], given["times"]
+    if times is not None:
+        if given["duration"] is not None:
+            arguments.note("duration", "goes without times only", given["duration"])
+        if path is not None and len(times) != len(path):
+            arguments.note("times", f"needs {len(path)} numbers, one for each target", times)
+        elif times[0] != 0.0 or any(later <= earlier for earlier, later in pairwise(times)):
+            arguments.note("times", "must increase from 0, in s", times)
+    if machine is not None:
+        if not machine.base_coordinates:
+            arguments.faults.append(Fault("machine", "has no placement coordinate that could move"))
+        for field, names in (("max_base_rate", machine.base_coordinates), ("max_joint_rate", machine.joints)):
+            rates = given[field]
+            if rates is not None and len(rates) not in (1, len(names)):
+                arguments.note(field, f"must be one number or {len(names)}: {', '.join(names)}", rates)
+
+
+_RATES = numbers("m/s or rad/s", low=0.0, high=RATE_MAX)
+
+
+@public(
+    path=targets(2),
+    times=numbers("s", low=0.0, high=TIME_MAX),
+    duration=number("s", above=0.0, high=TIME_MAX),
+    max_base_rate=_RATES,
+    max_joint_rate=_RATES,
+    together=_together,
+)
 def plan_base(
     machine: AnyMachine,
     path: Any,
@@ -99,18 +131,12 @@ def plan_base(
 
     Source: the wish that ends ASME Letters in Dynamic Systems and Control 1(2), 021001, section 6.
     """
-    arguments = Arguments("plan_base")
-    machine = arguments.machine(machine)
-    points = read_targets(arguments, machine, path, "path", 2)
-    due = _times(arguments, times, duration, len(points))
-    default = (BASE_RATE,) * len(machine.base_coordinates)
-    base_rates = _rates(arguments, "max_base_rate", max_base_rate, machine.base_coordinates, default)
-    joint_rates = _rates(arguments, "max_joint_rate", max_joint_rate, machine.joints, machine.speeds)
-    begin = None if start is None else arguments.base(machine, start, "start")
-    if not machine.base_coordinates:
-        arguments.faults.append(Fault("machine", "has no placement coordinate that could move"))
-    count = check_workers(arguments, workers)
-    arguments.done()
+    warn_implausible(machine)
+    points, begin, count = path, start, workers or available_cores()
+    even = np.linspace(0.0, DURATION if duration is None else duration, len(points))
+    due = even if times is None else np.array(times)
+    base_rates = np.resize(BASE_RATE if max_base_rate is None else max_base_rate, len(machine.base_coordinates))
+    joint_rates = np.resize(machine.speeds if max_joint_rate is None else max_joint_rate, len(machine.joints))
     options: dict[str, Any] = {"objective": objective, "control": control, "weights": weights, "gravity": gravity}
     options |= {"base": base, "posture": posture, "base_range": base_range, "constraints": constraints}
     options |= {"singularity_margin_deg": singularity_margin_deg, "seed": seed}
@@ -131,7 +157,7 @@ def plan_base(
         sentence = "with these rates no configurations of neighbouring targets are near enough"
         raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
     ends = ends_from(joined, begins, count, progress)
-    good = verified(joined, ends, "way")
+    good = not_below(joined, verified(joined, ends, "way"), begins, "way")
     best, stationarity = _shortest(joined, good)
     places = places_at(joined, best)
     stated = {"path": points.tolist(), "times": due.tolist(), "max_base_rate": base_rates.tolist()}
@@ -147,41 +173,6 @@ def plan_base(
         problems=problems,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=control, seed=seed),
     )
-
-
-def _times(arguments: Arguments, times: Any, duration: Any, count: int) -> Vector:
-    even = np.linspace(0.0, DURATION, count)
-    if times is None:
-        seconds = DURATION if duration is None else duration
-        check = partial(check_number, unit="s", above=0.0, high=1e6)
-        return np.linspace(0.0, arguments.checked("duration", seconds, check, DURATION), count)
-    if duration is not None:
-        arguments.faults.append(Fault("duration", "goes without times only", shown(duration)))
-    values = entries(times)
-    if len(values) != count:
-        arguments.faults.append(Fault("times", f"needs {count} numbers, one for each target", shown(times)))
-        return even
-    names = [f"entry {k + 1}" for k in range(count)]
-    numbers = arguments.checked("times", values, lambda v: check_numbers(v, names, "s", low=0.0, high=1e6), None)
-    if numbers is None:
-        return even
-    if numbers[0] != 0.0 or any(later <= earlier for earlier, later in pairwise(numbers)):
-        arguments.faults.append(Fault("times", "must increase from 0, in s", shown(times)))
-        return even
-    return np.array(numbers)
-
-
-def _rates(arguments: Arguments, field: str, value: Any, names: tuple[str, ...], default: tuple[float, ...]) -> Vector:
-    if value is None:
-        return np.array(default)
-    parts = entries(value) or [value]
-    parts = parts * len(names) if len(parts) == 1 else parts
-    if len(parts) != len(names):
-        sentence = f"must be one number or {len(names)}: {', '.join(names)}"
-        arguments.faults.append(Fault(field, sentence, shown(value)))
-        return np.ones(len(names))
-    check = partial(check_numbers, names=list(names), unit="m/s or rad/s", low=0.0, high=1e3)
-    return np.array(arguments.checked(field, parts, check, (1.0,) * len(names)))
 
 
 def _check_start(problem: SelectionProblem, begin: Vector) -> None:

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.selection.nlp import IPOPT_OPTIONS, Configuration, Parameters
+from flexopt.selection.programs import make_solver
 
 # "worst": max min_k V_k;  "weighted": max Σ share_k V_k;  "motion": the shortest way that keeps every V_k at a level.
 Goal = Literal["worst", "weighted", "motion"]
@@ -114,7 +115,7 @@ def build_joint_solver(configuration: Configuration, joint: Joint, goal: Goal) -
         ),
     }  # fmt: skip
     options = IPOPT_OPTIONS | given | {"ipopt": IPOPT_OPTIONS["ipopt"] | OPTIONS}
-    return ca.nlpsol("several", "ipopt", {"x": x, "p": parameters, "f": f, "g": g}, options)
+    return make_solver("several", "ipopt", {"x": x, "p": parameters, "f": f, "g": g}, options)
 
 
 def _part(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexopt.model.arguments import Vector
+from flexopt.model.boundary import public
 from flexopt.model.documents import json_ready
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
@@ -122,6 +123,7 @@ class Stand(Together):
         own = {"base": self.base, "worth": self.worth, "alternatives": others}
         return self._document(self.status, own, "targets")
 
+    @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the machine at every target, and V and w at each.
 
@@ -216,6 +218,7 @@ class BasePlan(Together):
         own |= {"travelled": {"m": self.travelled[0], "rad": self.travelled[1]}}
         return self._document(self.status, own, "path")
 
+    @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the machine at every target; over time V, moving and standing still, and the placement.
 

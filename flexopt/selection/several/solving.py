@@ -20,6 +20,8 @@ from flexopt.selection.several.results import Place
 from flexopt.selection.solve import constraint_values, evaluated
 
 Progress = Callable[[int, int], None]
+# By how much, of the objective's scale, a point that was seen counts as better than an optimum; how many are tried.
+BETTER, TRIED = 2e-8, 4
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,10 @@ def ends_from(joined: Joined, starts: list[Vector], workers: int, progress: Prog
         if progress is not None:
             progress(done, len(starts))
 
-    return in_parallel(partial(_numbered, joined, starts), len(starts), workers, tell)
+    def lost(number: int, sentence: str) -> End:
+        return End(starts[number], {"solver": np.inf}, np.inf, sentence)
+
+    return in_parallel(partial(_numbered, joined, starts), len(starts), workers, tell, lost=lost)
 
 
 def _numbered(joined: Joined, starts: list[Vector], number: int) -> End:
@@ -90,6 +95,35 @@ def verified(joined: Joined, ends: list[End], what: str) -> list[End]:
         violations=nearest.violations,
         iterate=iterate,
     )
+
+
+def not_below(joined: Joined, good: list[End], seen: list[Vector], what: str) -> list[End]:
+    """The verified ends, and those of solves from points that were seen and are better than all of them.
+
+    Args:
+        joined: the problem.
+        good: from `verified`.
+        seen: points x, feasible or not.
+        what: is looked for.
+
+    Raises:
+        NoSolutionFound: a feasible point is better than every end.
+    """
+    least = joined.worth(good[0].x) + BETTER * joined.size
+    better = [x for x in seen if joined.worth(x) > least and not joined.violations(x)]
+    better = sorted(better, key=lambda x: -joined.worth(x))[:TRIED]
+    if not better:
+        return good
+    found = verified(joined, [*good, *(end_from(joined, x) for x in better)], what)
+    short = joined.worth(better[0]) - joined.worth(found[0].x)
+    if short > BETTER * joined.size:
+        raise NoSolutionFound(
+            f"the best {what} found, V = {joined.worth(found[0].x):.6g}, is worse than a feasible one seen, by "
+            f"{short:.3g}, from which no solve came to a point that passes the checks",
+            violations={"below what was seen": short},
+            iterate={},
+        )
+    return found
 
 
 def places_at(joined: Joined, x: Vector) -> tuple[Place, ...]:

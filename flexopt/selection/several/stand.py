@@ -7,26 +7,42 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.errors import Fault
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector, shown
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.boundary import numbers, public, words
+from flexopt.model.boundary import targets as several_targets
 from flexopt.model.constraints import Constraints
 from flexopt.model.documents import provenance
 from flexopt.model.problem import COMBINES, SINGULARITY_MARGIN_DEG, Control
-from flexopt.model.quantities import check_number
-from flexopt.selection.parallel import check_workers
+from flexopt.model.targets import SHARE_MAX
+from flexopt.robustness.plausibility import warn_implausible
+from flexopt.selection.build import only_notes
+from flexopt.selection.parallel import available_cores
 from flexopt.selection.several.joined import Joined
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import Progress, places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement
-from flexopt.selection.several.targets import build_problems, entries, none_reaches_all, read_targets, sample_bases
+from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases
 
 # Placements that are looked at, for one coordinate and for more.
 BASES = 401, 512
 SAME_BASE = 1e-4
 
 
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    only_notes(arguments, given)
+    shares, targets = given["shares"], given["targets"]
+    if shares is not None and given["combine"] == "worst":
+        arguments.note("shares", "go with combine = 'weighted' only", shares)
+    elif shares is not None and targets is not None and len(shares) != len(targets):
+        arguments.note("shares", f"needs {len(targets)} numbers, one for each target", shares)
+
+
+_SHARES = numbers("", above=0.0, high=SHARE_MAX)
+
+
+@public(targets=several_targets(1), combine=words(*COMBINES), shares=_SHARES, together=_together)
 def select_stand(
     machine: AnyMachine,
     targets: Any,
@@ -66,13 +82,9 @@ def select_stand(
         UnreachableTarget: a target cannot be reached, or no placement reaches all; says which.
         NoSolutionFound: no start led to a point that passes the checks.
     """
-    arguments = Arguments("select_stand")
-    machine = arguments.machine(machine)
-    points = read_targets(arguments, machine, targets, "targets", 1)
-    combine = arguments.choice("combine", combine, COMBINES)
-    share = _shares(arguments, shares, combine, len(points))
-    count = check_workers(arguments, workers)
-    arguments.done()
+    warn_implausible(machine)
+    points, count = targets, workers or available_cores()
+    share = np.full(len(points), 1 / len(points)) if shares is None else np.array(shares) / sum(shares)
     options: dict[str, Any] = {"objective": objective, "control": control, "weights": weights, "gravity": gravity}
     options |= {"base": base, "posture": posture, "base_range": base_range, "constraints": constraints}
     options |= {"singularity_margin_deg": singularity_margin_deg, "starts": starts, "seed": seed}
@@ -95,24 +107,6 @@ def select_stand(
         problems=problems,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=control, seed=seed),
     )
-
-
-def _shares(arguments: Arguments, shares: Any, combine: str, count: int) -> Vector:
-    even = np.full(count, 1 / count)
-    if shares is None:
-        return even
-    if combine != "weighted":
-        arguments.faults.append(Fault("shares", "go with combine = 'weighted' only", shown(shares)))
-        return even
-    values = entries(shares)
-    if len(values) != count:
-        arguments.faults.append(Fault("shares", f"needs {count} numbers, one for each target", shown(shares)))
-        return even
-    numbers = [
-        arguments.checked(f"shares[{k}]", x, lambda v: check_number(v, "", above=0.0, high=1e6), 1.0)
-        for k, x in enumerate(values)
-    ]
-    return np.array(numbers) / sum(numbers)
 
 
 def _alternatives(joined: Joined, points: list[Vector]) -> list[tuple[float, Vector]]:

@@ -15,7 +15,7 @@ from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.joined import Joined
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.program import Joint
-from flexopt.selection.several.solving import End, Progress, end_from, ends_from, verified
+from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, verified
 from flexopt.selection.several.targets import none_reaches_all
 
 Numbers = NDArray[np.int64]
@@ -29,6 +29,8 @@ NEAREST = 1e-3
 AGAIN, FINER = 2, 6
 # Of the optima found so many have their postures exchanged; what that must gain, relative to the objective's scale.
 EXCHANGED, GAIN = 2, 1e-7
+# Placements, the best that were looked at, that no answer may be worse than.
+SEEN = 32
 
 
 def one_placement(problems: tuple[SelectionProblem, ...], share: Vector, *, weighted: bool) -> Joined:
@@ -61,13 +63,18 @@ def best_placements(
         UnreachableTarget: from none of the placements all targets are reached.
         NoSolutionFound: no start led to a point that passes the checks.
     """
-    ends = ends_from(joined, _starts(joined, bases, found, starts, seed), workers, progress)
+    begins = _starts(joined, bases, found, starts, seed)
+    ends = ends_from(joined, begins, workers, progress)
     good = verified(joined, ends, "placement")
     for end in good[:EXCHANGED]:
         better = _exchanged(joined, end.x, seed)
         if better is not None:
             ends.append(end_from(joined, better))
-    return verified(joined, ends, "placement"), len(ends)
+    picks = [_picks(reached) for reached in found]
+    best = np.argsort(-_worth(joined, found), kind="stable")[:SEEN]
+    seen = [joined.packed([r.z[:, j, pick[j]] for r, pick in zip(found, picks, strict=True)]) for j in best]
+    good = verified(joined, ends, "placement")
+    return not_below(joined, good, [*begins, *seen], "placement"), len(ends)
 
 
 def _starts(joined: Joined, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:

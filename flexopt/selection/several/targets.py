@@ -6,34 +6,17 @@ In: arguments. Out: a `SelectionProblem` for each target, and placements to look
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from flexopt.errors import Fault, UnreachableTarget, sentence_list
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector, shown
-from flexopt.model.targets import TARGETS_MAX
+from flexopt.model.arguments import Arguments, Vector
+from flexopt.model.plain import shown
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.build import build_selection
 from flexopt.selection.problem import SelectionProblem
-
-
-def entries(value: Any) -> list[Any]:
-    """The entries of a list, tuple or array; none of anything else."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()  # pyright: ignore[reportUnknownMemberType]
-    return list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
-
-
-def read_targets(arguments: Arguments, machine: AnyMachine, value: Any, field: str, least: int) -> Vector:
-    """Targets (K, n_task); faults go to `arguments`."""
-    rows = entries(value)
-    if not least <= len(rows) <= TARGETS_MAX:
-        sentence = f"must be a list of {least} to {TARGETS_MAX} targets"
-        arguments.faults.append(Fault(field, sentence, shown(value)))
-        return np.zeros((least, len(machine.task_rows)))
-    return np.array([arguments.point(row, f"{field}[{k}]", machine) for k, row in enumerate(rows)])
 
 
 def build_problems(

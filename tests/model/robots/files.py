@@ -101,7 +101,7 @@ URDF = """<?xml version="1.0"?>
     <origin xyz="0.9 0 0" rpy="0 1 0.5"/>
   </joint>
   <link name="tool"/>
-  <transmission name="drive"><type>simple</type></transmission>
+  <material name="paint"><color rgba="1 1 0 1"/></material>
 </robot>
 """
 

@@ -115,7 +115,7 @@ MJCF_FAULTS: dict[str, tuple[str, str, str | None, list[str]]] = {
     "class twice": ("</default>\n  <worldbody>", '<default class="heavy"/></default>\n  <worldbody>', 'class="heavy"/>', ["twice"]),
     "default without class": ('<default class="heavy">', "<default>", "    <default>", ["default: needs the attribute class"]),
     "replicate": ('<geom type="box"', '<replicate count="3"/><geom type="box"', "<replicate", ["<replicate> is not read"]),
-    "unknown section": ("<keyframe>", "<keyframes/><keyframe>", "<keyframes/>", ["no section of an MJCF model"]),
+    "unknown section": ("<keyframe>", "<keyframes/><keyframe>", "<keyframes/>", ["mujoco: unknown element <keyframes>", "did you mean 'keyframe'?"]),
     "no body": (MJCF[MJCF.index('    <body name="chassis"') : MJCF.index("  </worldbody>")], "", "<mujoco", ["has no <body>"]),
     "body names": ('body name="stick"', 'body name="boom"', '<body name="boom" pos="2 0 0"', ["taken by the body of line"]),
     "joint names": ('name="twist"', 'name="slew"', 'name="slew" axis', ["taken by the joint of line"]),
@@ -186,7 +186,7 @@ MACHINE_FAULTS: dict[str, tuple[dict[str, Any], list[str]]] = {
     "unknown placement": ({"placement": ["x", "z"]}, ["placement[1]", "x, y or yaw"]),
     "unknown root": ({"root": "chasis"}, ["root = 'chasis'", "did you mean 'chassis'?"]),
     "joint above the root": ({"root": "boom_link"}, ["actuated = 'slew': is no joint below the root link"]),
-    "unknown word to ignore": ({"ignore": ["friction"]}, ["ignore[0]", "armature, equality, tendon or gravcomp"]),
+    "unknown word to ignore": ({"ignore": ["friction"]}, ["ignore[0]", "armature, equality, tendon, gravcomp or unknown"]),
     "rotation that is none": ({"base/rotation": [[1.0, 0.0, 0.0]] * 3}, ["base.rotation", "is no rotation"]),
     "schema of tomorrow": ({"schema": 2}, ["schema = 2", "version 1"]),
     "both files faulty": ({"robot": "none.urdf", "gravity": -1.0}, ["2 faults", "none.urdf", "gravity = -1.0"]),
@@ -243,7 +243,7 @@ def test_one_change_is_one_fault(tmp_path: Path) -> None:
     [
         (None, ["machine.toml", "No such file"]),
         (b"name = ", ["is not valid TOML"]),
-        (b"\xff\xfe", ["is not valid TOML", "utf-8"]),
+        (b"\xff\xfe", ["is not valid TOML", "UTF-8"]),
         (b"x = " + b"[" * 5000, ["is not valid TOML"]),
     ],
 )

@@ -112,7 +112,7 @@ def test_constraints_hold_at_every_target(excavator: flexopt.Machine) -> None:
         ({"combine": "best"}, "combine"),
         ({"shares": [1, 2, 3]}, "shares"),
         ({"combine": "weighted", "shares": [1, 2]}, "needs 3 numbers"),
-        ({"combine": "weighted", "shares": [1, 0, 2]}, "shares[1]"),
+        ({"combine": "weighted", "shares": [1, 0, 2]}, "entry 2"),
         ({"objective": "epsilon_max"}, "without ε_max"),
         ({"objective": "w1,w2"}, "a single one"),
         ({"workers": 0}, "workers"),

@@ -42,7 +42,7 @@ $guard_pointers
   kernel = target_ticks() - start;
   start = target_ticks();
   for (k = 0; k < CALLS; ++k) {
-    if (${prefix}_torque_inverse(&in, ${pass}&out, workspace, ${PREFIX}_TORQUE_INVERSE_WORKSPACE) != ${PREFIX}_OK) {
+    if (!${prefix}_has_output(${prefix}_torque_inverse(&in, ${pass}&out, workspace, ${PREFIX}_TORQUE_INVERSE_WORKSPACE))) {
       return 1;
     }
   }

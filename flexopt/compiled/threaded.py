@@ -1,7 +1,6 @@
-"""A large Function at many points by CasADi's virtual machine, on several threads.
+"""A Function at many points by CasADi's virtual machine, on several threads.
 
-In: a dense Function; for each input an array with one column for each point. Out: for each output the like. For graphs
-whose compilation would take longer than the map: the virtual machine needs some 3 ns for each instruction and point.
+In: a dense Function; for each input an array with one column for each point. Out: for each output the like.
 """
 
 from __future__ import annotations
@@ -12,18 +11,17 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from flexopt.compiled.interpreted import Interpreted
-from flexopt.model.arguments import Vector
+from flexopt.compiled.interpreted import Array, Interpreted
 
 
 class Interpreter:
-    """Evaluates a Function at N points; called like a `compiled.Batch`, with the same results to rounding."""
+    """Evaluates a Function at N points; called like a `Batch`, with the same results to rounding."""
 
     def __init__(self, function: ca.Function) -> None:
         self.function = function
         self._workers: list[Interpreted] = []
 
-    def __call__(self, *arrays: Vector, threads: int = 1) -> list[Vector]:
+    def __call__(self, *arrays: Array, threads: int = 1) -> list[Array]:
         """The outputs at N points, each (rows_out, N).
 
         Args:
@@ -32,7 +30,8 @@ class Interpreter:
         """
         given = [np.asarray(array, dtype=np.float64) for array in arrays]
         inputs = [array.reshape(-1, 1) if array.ndim < 2 else array for array in given]
-        count = max(array.shape[1] for array in inputs)
+        lengths = {array.shape[1] for array in inputs} - {1}
+        count = lengths.pop() if lengths else 1
         function = self.function
         outputs = [np.empty((function.numel_out(k), count)) for k in range(function.n_out())]
         edges = [count * k // threads for k in range(threads + 1)]

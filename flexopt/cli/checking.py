@@ -1,0 +1,28 @@
+"""`flexopt check`."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from flexopt.cli.common import BAD_INPUT, JSON, print_json
+from flexopt.robustness import check
+
+
+@click.command("check", short_help="Faults of a file, and numbers that are hardly meant.")
+@click.argument("file")
+@JSON
+def check_command(as_json: bool, file: str) -> None:
+    """Every fault of FILE, and every number of its machine that is allowed but hardly meant: kN for N, mm for m.
+
+    FILE is a machine, a problem or an experiment (name or file), or a URDF or MJCF file. Ends with 2 where there are
+    faults, with 0 where there are only warnings.
+    """
+    result = check(file)
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        click.echo(repr(result))
+    if result.faults:
+        sys.exit(BAD_INPUT)

@@ -1,0 +1,119 @@
+"""What a caller passes as plain Python: NumPy's numbers and arrays, and any object at all, read without a raw error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+
+# More lists and tables than this, deeper ones, or the same ones more often, are nothing that anybody means.
+PARTS_MAX, DEPTH_MAX, REPEATS_MAX = 1_000_000, 64, 10_000
+SHOWN = 60
+
+
+class Unreadable:
+    """Stands where a part of a table could not be read; `sentence` says why."""
+
+    def __init__(self, sentence: str) -> None:
+        self.sentence = sentence
+
+    def __repr__(self) -> str:
+        return f"<{self.sentence}>"
+
+
+def plain(value: Any) -> Any:
+    """Numbers, lists, tuples and dictionaries of Python's own from those and NumPy's, all the way down; else `value`.
+
+    Raises:
+        ValueError: it contains itself, is too deep or too large, or cannot be read; the sentence says which.
+    """
+    if value is None or isinstance(value, bool | int | float | str):
+        return value.item() if isinstance(value, np.generic) else value
+    reader = _Reader()
+    read = reader.read(value)
+    if reader.sentences:
+        raise ValueError(reader.sentences[0])
+    return read
+
+
+def plain_table(value: Any) -> Any:
+    """As `plain`, with lists as tuples, as frozen tables hold them, and `Unreadable` in place of what is."""
+    return _Reader(tuples=True).read(value)
+
+
+class _TooMuchError(Exception):
+    """Of lists and tables."""
+
+
+class _Reader:
+    """Remembers in what it is, counts, and notes what it cannot read."""
+
+    def __init__(self, *, tuples: bool = False, most: int = PARTS_MAX) -> None:
+        self.tuples, self.most = tuples, most
+        self.inside: list[int] = []
+        self.parts, self.seen = 0, set[int]()
+        self.sentences: list[str] = []
+
+    def read(self, value: Any) -> Any:
+        try:
+            return self._read(value)
+        except _TooMuchError:
+            if self.inside:
+                raise
+            return self._unreadable("holds too many lists and tables, or too deep ones")
+        except Exception as error:  # noqa: BLE001, RUF100  # a foreign object's own methods raise whatever they like
+            return self._unreadable(f"cannot be read ({type(error).__name__})")
+
+    def _unreadable(self, sentence: str) -> Unreadable:
+        self.sentences.append(sentence)
+        return Unreadable(sentence)
+
+    def _read(self, value: Any) -> Any:
+        if isinstance(value, np.ndarray | np.generic):
+            objects = value.dtype.kind == "O"
+            value = cast(Any, value).tolist()
+            if isinstance(value, np.floating):  # extended precision
+                return float(cast(Any, value))
+            if not objects:
+                return _tuples(value) if self.tuples else value
+        table = isinstance(value, Mapping)
+        # Named tuples and the like are objects of their own.
+        if not table and not isinstance(value, list) and type(value) is not tuple:
+            return value
+        if id(value) in self.inside:
+            return self._unreadable("contains itself")
+        self.parts += 1
+        self.seen.add(id(value))
+        if len(self.inside) == DEPTH_MAX or self.parts > min(self.most, len(self.seen) + REPEATS_MAX):
+            raise _TooMuchError
+        self.inside.append(id(value))
+        try:
+            if table:
+                return self._table(dict(cast(Mapping[Any, Any], value)))
+            parts = [self.read(part) for part in cast(list[Any], value)]
+            return parts if isinstance(value, list) and not self.tuples else tuple(parts)
+        finally:
+            self.inside.pop()
+
+    def _table(self, table: dict[Any, Any]) -> Any:
+        for key in table:
+            if not isinstance(key, str):
+                return self._unreadable(f"has a key that is no text: {shown(key)}")
+        return {key: self.read(part) for key, part in table.items()}
+
+
+def _tuples(value: Any) -> Any:
+    """An array's lists as tuples."""
+    return tuple(map(_tuples, cast(list[Any], value))) if isinstance(value, list) else value
+
+
+def shown(value: Any) -> str:
+    """A value as it is quoted in a message."""
+    try:
+        if isinstance(value, list | tuple | np.ndarray) and len(cast(list[Any], value)) > SHOWN:
+            value = cast(list[Any], value)[:SHOWN]
+        text = repr(_Reader(most=10 * SHOWN).read(value))
+    except Exception:  # noqa: BLE001, RUF100  # whatever it is, the message about it must come out
+        text = f"<{type(value).__name__}>"
+    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."

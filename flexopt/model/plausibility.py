@@ -1,0 +1,393 @@
+"""Numbers of a machine that are allowed but hardly meant: kN for N, mm for m, tonnes, degrees, inertia about the pivot.
+
+In: a validated machine. Out: a `Finding` for each such number, with what was probably meant. The bounds are orders of
+magnitude that hold for machines of any size: lengths against each other, inertia against length, weight against springs
+and drives, mass against the square of the reach. `flexopt.robustness.plausibility` adds what needs the modes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.model.machine import AnyMachine, Machine
+from flexopt.model.tree import Tree, TreeBody
+
+Array = NDArray[np.float64]
+
+REACH_MAX = 100.0  # m: the longest booms are about as long
+FAR = 10.0  # a centre of mass so many lengths away
+LONGER = 100.0  # a length so many times the others' median
+WIDE = 4.0  # radius of gyration over what is known of a body's size
+MASS_PER_AREA = (0.7, 2e4)  # kg/m²: total mass over the square of the reach
+SAG = 0.1  # of the reach, under the machine's own weight
+TILT = 0.7  # rad, under its weight at full reach
+WEAK = 0.01  # of the torque or force that holds the weight beyond a joint at full reach
+TIP_SPEED_MAX = 100.0  # m/s
+GRAVITY = (0.5, 30.0)  # m/s², where there is any
+HEAVY = 10.0  # payload over the machine's own mass
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A number that is allowed but hardly meant.
+
+    Attributes:
+        field: where it stands, with the name of the link, body or joint.
+        value: the number with its unit.
+        sentence: why it is not plausible.
+        meant: what was probably meant.
+    """
+
+    field: str
+    value: str
+    sentence: str
+    meant: str
+
+    def __str__(self) -> str:
+        return f"{self.field} = {self.value}: {self.sentence}; {self.meant}"
+
+    def to_dict(self) -> dict[str, str]:
+        """JSON-ready."""
+        return {"field": self.field, "value": self.value, "sentence": self.sentence, "meant": self.meant}
+
+
+@dataclass
+class Part:
+    """One body as the checks see it; joints and springs of the body that it moves with. SI.
+
+    Attributes:
+        where: its field and name.
+        length: to the farthest joint or the end-point that it carries; 0 where it carries none.
+        size: the farthest that anything is known to be from its joint.
+        com: distance of its centre of mass;  along: the same along `length`;  aside: across it.
+        variance: ∫ x² dm / m of its mass about its centre, along `length` (in the plane all of it);  across: the
+            largest across it (0 in the plane).
+        path: from its parent's joint to its own at most.
+        link: whether it is a link between joints, whose mass lies along it.
+        hinge: whether its joint turns;  spring: its stiffness;  drive: effort and speed (infinite: none);  limits: of
+            the joint, and its rest value.
+    """
+
+    where: str
+    length: float
+    size: float
+    com: float
+    along: float
+    aside: float
+    mass: float
+    inertia: float
+    variance: float
+    across: float
+    path: float
+    link: bool
+    hinge: bool = True
+    springs: dict[str, tuple[bool, float]] = field(default_factory=dict[str, tuple[bool, float]])
+    effort: float = math.inf
+    speed: float = math.inf
+    limits: tuple[float, float] | None = None
+    rest: tuple[str, float] | None = None
+    joint: str = ""
+    children: list[Part] = field(default_factory=list["Part"])
+
+    def outward(self, start: float = 0.0) -> Iterator[tuple[Part, float]]:
+        """This body and those it carries, with the farthest that each one's joint can be from this one's."""
+        waiting = [(self, start)]
+        while waiting:
+            part, path = waiting.pop()
+            yield part, path
+            waiting += [(child, path + child.path) for child in part.children]
+
+    @property
+    def weight(self) -> tuple[float, float]:
+        """Mass carried, kg, and its largest first moment about the joint, kg m."""
+        carried = [(part.mass, part.mass * (path + part.com)) for part, path in self.outward()]
+        return sum(mass for mass, _ in carried), sum(moment for _, moment in carried)
+
+
+def implausible_numbers(machine: AnyMachine) -> tuple[Finding, ...]:
+    """Every number of the machine's file that is hardly meant, in the order of the bodies."""
+    parts, reach = _parts(machine)
+    lengths = list(_lengths(machine, parts, reach))
+    found = [*lengths, *_angles(parts)]
+    if not lengths:
+        # What follows compares with lengths.
+        for part in parts:
+            found += [*_inertia(part, reach), *_springs(part, machine.gravity, reach), *_drives(part, machine, reach)]
+        found += _totals(machine, parts, reach)
+    if machine.gravity and not GRAVITY[0] < machine.gravity < GRAVITY[1]:
+        found.append(Finding("gravity", f"{machine.gravity:g} m/s²", "is far from 9.81 m/s²", "in other units?"))
+    return tuple(found)
+
+
+def _lengths(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterator[Finding]:
+    given = [part.length for part in parts if part.length > 0]
+    for part in parts:
+        others = median([length for length in given if length != part.length] or given or [0.0])
+        if len(given) > 1 and part.length > LONGER * others:
+            yield Finding(
+                f"{part.where}.length",
+                f"{part.length:g} m",
+                f"is {part.length / others:.0f} times as long as the other bodies",
+                f"probably in mm: {part.length / 1000:g} m",
+            )
+        if part.com > FAR * max(part.length, part.size, 0.02 * reach):
+            yield Finding(
+                f"{part.where}.com",
+                f"{part.com:g} m",
+                f"the centre of mass lies {part.com / max(part.length, 1e-3):.0f} lengths away from the joint",
+                f"probably in mm: {part.com / 1000:g} m",
+            )
+    if reach > REACH_MAX:
+        longest = max(parts, key=lambda part: part.path)
+        yield Finding(
+            "end-point",
+            f"up to {reach:.0f} m",
+            f"machine {machine.name!r} reaches beyond {REACH_MAX:g} m, the longest step at {longest.where}",
+            "lengths are probably in mm, not m",
+        )
+
+
+def _angles(parts: Sequence[Part]) -> Iterator[Finding]:
+    for part in parts:
+        if part.hinge and part.limits is not None and max(map(abs, part.limits)) > 2 * math.pi + 0.01:
+            low, high = part.limits
+            yield Finding(
+                f"{part.joint}.limits",
+                f"[{low:g}, {high:g}] rad",
+                "reach beyond a whole turn",
+                f"probably degrees: [{math.radians(low):.4g}, {math.radians(high):.4g}] rad",
+            )
+        if part.rest is not None and abs(part.rest[1]) > math.pi + 0.01:
+            yield Finding(
+                part.rest[0],
+                f"{part.rest[1]:g} rad",
+                "is more than half a turn",
+                f"probably degrees: {math.radians(part.rest[1]):.4g} rad",
+            )
+
+
+def _inertia(part: Part, reach: float) -> Iterator[Finding]:
+    if part.mass <= 0 or part.variance <= 0:
+        return
+    radius = math.sqrt(part.variance + part.across)
+    given = f"{part.inertia:g} kg m² at {part.mass:g} kg"
+    size = max(part.length, part.size, 2 * part.com)
+    if not part.link:
+        size = max(size, 0.25 * reach)
+    if part.link and part.length > 0 and part.across < part.variance / 3 and part.variance > _most_variance(part):
+        words = f"the radius of gyration, {radius:.3g} m, is beyond what a link of {part.length:.3g} m has"
+        pivot = part.variance - part.along**2 - (part.aside**2 if part.across == 0 else 0.0)
+        if pivot > (0.02 * part.length) ** 2 and radius < WIDE * size:
+            about_centre = part.inertia * pivot / part.variance
+            meant = f"probably about the pivot, not the centre of mass, about which it is some {about_centre:.3g} kg m²"
+            yield Finding(f"{part.where}.inertia", given, words, meant)
+            return
+        yield Finding(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius))
+    elif radius > WIDE * size > 0:
+        words = f"the radius of gyration, {radius:.3g} m, is {radius / size:.0f} times the size of the body"
+        yield Finding(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius))
+
+
+def _most_variance(part: Part) -> float:
+    """Of mass between the joints x = 0 and L with its centre at c: c (L − c); c² where it reaches beyond, to 2 c."""
+    length, centre = part.length, part.along
+    most = max(centre * (length - centre), length**2 / 6)
+    if centre > 0:
+        most = max(most, 1.1 * centre**2)
+    return most + part.aside**2
+
+
+def _unit_of_inertia(part: Part, radius: float) -> str:
+    size = max(part.length, part.size, part.com)
+    for factor, sentence in (
+        (1e3, f"the mass is probably in tonnes: {1000 * part.mass:g} kg"),
+        (1e4, f"the inertia is probably in kg cm²: {part.inertia / 1e4:g} kg m²"),
+        (1e6, f"the inertia is probably in kg mm²: {part.inertia / 1e6:g} kg m²"),
+    ):
+        if radius / math.sqrt(factor) < 0.6 * size or (size == 0 and factor == 1e3):
+            return sentence
+    return "mass and inertia are probably in different units"
+
+
+def _springs(part: Part, gravity: float, reach: float) -> Iterator[Finding]:
+    mass, moment = part.weight
+    g = gravity or 9.81
+    for name, (turns, stiffness) in part.springs.items():
+        unit, hint = ("N m/rad", "kN m/rad") if turns else ("N/m", "kN/m or N/mm")
+        give = moment * g / stiffness if turns else mass * g / stiffness
+        if give > (TILT if turns else SAG * reach):
+            what = f"turns by {give:.3g} rad" if turns else f"gives by {give:.3g} m"
+            yield Finding(
+                name,
+                f"{stiffness:g} {unit}",
+                f"the spring {what} under the {mass:.4g} kg that it carries",
+                f"probably in {hint}: {1000 * stiffness:g} {unit}",
+            )
+
+
+def _drives(part: Part, machine: AnyMachine, reach: float) -> Iterator[Finding]:
+    mass, moment = part.weight
+    needed = (moment if part.hinge else mass) * (machine.gravity or 9.81)
+    if part.effort < WEAK * needed:
+        unit = "N m" if part.hinge else "N"
+        yield Finding(
+            f"{part.joint}.effort",
+            f"{part.effort:g} {unit}",
+            f"holding what the joint carries takes up to {needed:.3g} {unit}",
+            f"probably in k{unit}: {1000 * part.effort:g} {unit}",
+        )
+    tip = part.speed * (reach if part.hinge else 1.0)
+    if math.isfinite(part.speed) and tip > TIP_SPEED_MAX:
+        unit, meant = ("rad/s", "degrees") if part.hinge else ("m/s", "mm")
+        speed = math.radians(part.speed) if part.hinge else part.speed / 1000
+        yield Finding(
+            f"{part.joint}.speed",
+            f"{part.speed:g} {unit}",
+            f"the end-point would move at up to {tip:.0f} m/s",
+            f"probably in {meant}/s: {speed:.4g} {unit}",
+        )
+
+
+def _totals(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterator[Finding]:
+    payload = next(p.value for p in machine.parameters if p.name == "payload.mass")
+    total = sum(part.mass for part in parts)
+    low, high = (bound * reach**2 for bound in MASS_PER_AREA)
+    if 0 < total < low:
+        meant = f"probably in tonnes: {1000 * total:g} kg"
+        yield Finding("mass", f"{total:g} kg in all", f"is little for a machine that reaches {reach:.3g} m", meant)
+    if total > high:
+        meant = f"probably in g: {total / 1000:g} kg"
+        yield Finding("mass", f"{total:g} kg in all", f"is much for a machine that reaches {reach:.3g} m", meant)
+    if payload > HEAVY * total:
+        meant = f"probably in g: {payload / 1000:g} kg"
+        yield Finding("payload.mass", f"{payload:g} kg", f"is {payload / total:.0f} times the machine's mass", meant)
+
+
+def _parts(machine: AnyMachine) -> tuple[list[Part], float]:
+    if isinstance(machine, Machine):
+        return _planar(machine)
+    assert isinstance(machine, Tree)
+    return _spatial(machine)
+
+
+def _planar(machine: Machine) -> tuple[list[Part], float]:
+    """Bodies of a planar machine from the base outwards, and how far the end-point can be from the ground point."""
+    base = machine.base
+    springs = {
+        f"base.stiffness.{d}": (d == "rotation", float(getattr(base.stiffness, d)))
+        for d in machine.free_base_directions
+    }
+    part = Part(
+        where="base", length=base.length, size=_capsules(machine, "base"), com=math.hypot(base.com, base.com_offset),
+        along=base.com, aside=abs(base.com_offset), mass=base.mass, inertia=base.inertia,
+        variance=base.inertia / base.mass, across=0.0, path=0.0, link=False, springs=springs,
+        rest=("base.rest_angle", base.rest_angle), joint="base",
+    )  # fmt: skip
+    parts = [part]
+    for index, link in enumerate(machine.links):
+        where = f"links[{index}] ({link.name})"
+        inner = Part(
+            where=where, length=link.length, size=_capsules(machine, link.name),
+            com=math.hypot(link.com, link.com_offset), along=link.com, aside=abs(link.com_offset), mass=link.mass,
+            inertia=link.inertia, variance=link.inertia / link.mass, across=0.0, path=parts[-1].length, link=True,
+            springs={f"{where}.stiffness": (True, link.stiffness)} if link.passive and link.stiffness else {},
+            effort=link.effort or math.inf, speed=link.speed or math.inf, limits=link.limits,
+            rest=(f"{where}.rest", link.rest) if link.passive else None, joint=where,
+        )  # fmt: skip
+        parts[-1].children.append(inner)
+        parts.append(inner)
+    _load(parts[-1], machine.payload.mass, parts[-1].length)
+    return parts, sum(part.length for part in parts)
+
+
+def _load(part: Part, mass: float, distance: float) -> None:
+    """Hang the payload on the end-point's body."""
+    if mass:
+        load = Part(
+            where="payload", length=0.0, size=0.0, com=0.0, along=0.0, aside=0.0, mass=mass, inertia=0.0, variance=0.0,
+            across=0.0, path=distance, link=False,
+        )  # fmt: skip
+        part.children.append(load)
+
+
+def _capsules(machine: AnyMachine, body: str) -> float:
+    """How far the body's capsules reach from its joint."""
+    ends = [(end, c.radius) for c in machine.capsules if c.body == body for end in (c.start, c.end)]
+    return max((math.hypot(*end) + radius for end, radius in ends), default=0.0)
+
+
+def _spatial(machine: Tree) -> tuple[list[Part], float]:
+    """Bodies of a spatial machine, and how far the end-point can be from the first body that has mass."""
+    children: dict[str, list[TreeBody]] = {body.name: [] for body in machine.bodies}
+    for body in machine.bodies:
+        if body.parent is not None:
+            children[body.parent].append(body)
+    coupled = machine.stiffness_matrix
+    stiff = {} if coupled is None else {n: coupled.matrix[k][k] for k, n in enumerate(coupled.joints)}
+    parts: dict[str, Part] = {}
+    actuated: set[str] = set()
+    for body in machine.bodies:
+        carried = [_farthest(child) for child in children[body.name]]
+        carried += [np.array(machine.end_point.position)] if machine.end_point.body == body.name else []
+        part = _body(machine, body, carried, stiff.get(body.joint.name, body.joint.stiffness))
+        moved = body.parent in actuated
+        if not body.joint.passive or moved:
+            actuated.add(body.name)
+        # An arm's links are those on driven joints and beyond.
+        part.link = body.name in actuated
+        parts[body.name] = part
+        if body.parent is not None:
+            parts[body.parent].children.append(part)
+    end = parts[machine.end_point.body]
+    _load(end, machine.payload.mass, float(np.linalg.norm(machine.end_point.position)))
+    reach, name = float(np.linalg.norm(machine.end_point.position)), machine.end_point.body
+    above = {body.name: body.parent for body in machine.bodies}
+    while above[name] is not None:
+        reach += parts[name].path
+        name = str(above[name])
+    return list(parts.values()), max(reach, 1e-3, *(part.com for part in parts.values()))
+
+
+def _farthest(child: TreeBody) -> Array:
+    """Where its joint has it at most, in the parent's frame."""
+    place, joint = np.array(child.position), child.joint
+    if joint.kind == "hinge" or joint.limits is None:
+        return place
+    axis = np.array(child.rotation) @ np.array(joint.axis)
+    return max((place + end * axis for end in joint.limits), key=lambda point: float(np.linalg.norm(point)))
+
+
+def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: float | None) -> Part:
+    far = max(carried, key=lambda point: float(np.linalg.norm(point)), default=np.zeros(3))
+    com, length = np.array(body.com), float(np.linalg.norm(far))
+    tensor = _tensor(body.inertia)
+    # Second moments of the mass about its centre, per kg: tr(I)/2 · 1 − I.
+    spread = (np.trace(tensor) / 2 * np.eye(3) - tensor) / body.mass if body.mass else np.zeros((3, 3))
+    along: Array = far / length if length > 0 else np.linalg.eigh(spread)[1][:, -1]
+    aside = com - (com @ along) * along
+    projector = np.eye(3) - np.outer(along, along)
+    joint = body.joint
+    hinge = joint.kind == "hinge"
+    travel = 0.0 if hinge or joint.limits is None else max(map(abs, joint.limits))
+    where, moved = f"body {body.name!r}", f"joint {joint.name!r}"
+    return Part(
+        where=where, length=length, size=_capsules(machine, body.name), com=float(np.linalg.norm(com)),
+        along=float(com @ along), aside=float(np.linalg.norm(aside)), mass=body.mass,
+        inertia=float(np.linalg.eigvalsh(tensor)[-1]), variance=max(float(along @ spread @ along), 0.0),
+        across=max(float(np.linalg.eigvalsh(projector @ spread @ projector)[-1]), 0.0),
+        path=float(np.linalg.norm(body.position)) + travel, link=False, hinge=hinge,
+        springs={f"{moved}.stiffness": (hinge, stiffness)} if joint.passive and stiffness else {},
+        effort=joint.effort or math.inf, speed=joint.speed or math.inf, limits=joint.limits,
+        rest=(f"{moved}.rest", joint.rest) if joint.passive and hinge else None, joint=moved,
+    )  # fmt: skip
+
+
+def _tensor(six: tuple[float, ...]) -> Array:
+    xx, yy, zz, xy, xz, yz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

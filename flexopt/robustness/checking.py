@@ -1,0 +1,168 @@
+"""A machine, problem or experiment looked over before anything is computed: its faults, and what is hardly meant."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from flexopt.errors import Fault, FlexoptWarning, ModelError
+from flexopt.model import AnyMachine, Experiment, Problem, load_file
+from flexopt.model.arguments import Arguments
+from flexopt.model.boundary import TABLE, instance, path, public
+from flexopt.model.documents import provenance
+from flexopt.model.files import ROBOT_SUFFIXES
+from flexopt.model.plausibility import REACH_MAX, Finding
+from flexopt.robustness.plausibility import implausibilities
+
+# A start displacement beyond this, rad, is a quarter turn: hardly a disturbance.
+OFFSET_MAX = math.pi / 2
+
+
+@dataclass(frozen=True)
+class Check:
+    """What `flexopt.check` found.
+
+    Attributes:
+        name: of what was looked at, or the path that was given.
+        kind: `"machine"`, `"problem"`, `"experiment"` or `"robot"` (a URDF or MJCF file); None where it could not be
+            told.
+        machine: the machine's name; None where it could not be read.
+        faults: what must be mended before anything can be computed.
+        findings: numbers that are allowed but hardly meant.
+        warnings: sentences of the reader about what it left out or found odd.
+    """
+
+    name: str
+    kind: str | None
+    machine: str | None
+    faults: tuple[Fault, ...]
+    findings: tuple[Finding, ...]
+    warnings: tuple[str, ...]
+    provenance: dict[str, Any] = field(repr=False)
+
+    @property
+    def status(self) -> str:
+        """`"faults"`, `"warnings"` or `"good"`."""
+        return "faults" if self.faults else "warnings" if self.findings or self.warnings else "good"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary."""
+        return {
+            "status": self.status,
+            "name": self.name,
+            "kind": self.kind,
+            "machine": self.machine,
+            "faults": [{"field": f.field, "value": f.value, "sentence": f.sentence} for f in self.faults],
+            "findings": [finding.to_dict() for finding in self.findings],
+            "warnings": list(self.warnings),
+            "provenance": self.provenance,
+        }
+
+    def __repr__(self) -> str:
+        counts = (
+            (len(self.faults), "{0} fault{2}"),
+            (len(self.findings), "{0} number{2} that {1} hardly meant"),
+            (len(self.warnings), "{0} warning{2}"),
+        )
+        told = ", ".join(_plural(count, word) for count, word in counts if count) or "nothing to mend"
+        lines = [f"{self.kind or 'file'} {self.name!r}: {told}"]
+        lines += [f"  fault: {fault}" for fault in self.faults]
+        lines += [f"  hardly meant: {finding}" for finding in self.findings]
+        return "\n".join([*lines, *(f"  warning: {sentence}" for sentence in self.warnings)])
+
+
+def _plural(count: int, word: str) -> str:
+    return word.format(count, *(("is", "") if count == 1 else ("are", "s")))
+
+
+def _given(arguments: Arguments, field: str, value: Any) -> Any:
+    if isinstance(value, str | os.PathLike):
+        return path(limited=False)(arguments, field, value)
+    if isinstance(value, Problem | Experiment):
+        return TABLE["problem" if isinstance(value, Problem) else "experiment"](arguments, field, value)
+    return instance(AnyMachine, "a machine, a problem or an experiment, or the name or path of one")(
+        arguments, field, value
+    )
+
+
+@public(machine_or_path=_given)
+def check(machine_or_path: AnyMachine | Problem | Experiment | str | os.PathLike[str]) -> Check:
+    """Every fault of a file, and every number of its machine that is allowed but hardly meant.
+
+    Looked for are slips of unit: kN for N, mm for m, tonnes and grams, degrees, inertia about the pivot. A link's
+    radius of gyration is compared with its length, springs and drives with the weight that they carry, the total mass
+    with the square of the reach, the first mode with 0.1 to 100 Hz, modal damping with the critical one, the reach with
+    100 m.
+
+    Args:
+        machine_or_path: a machine, problem or experiment, or the name or path of one; a URDF or MJCF file, too.
+
+    Raises:
+        InputError: it is none of these. Faults of a file are no error here but part of the result.
+
+    Example:
+        >>> import flexopt
+        >>> flexopt.check("excavator")
+        machine 'excavator': nothing to mend
+    """
+    if isinstance(machine_or_path, AnyMachine | Problem | Experiment):
+        return _checked(machine_or_path, ())
+    name = os.fsdecode(machine_or_path)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", FlexoptWarning)
+        try:
+            if name.lower().endswith(ROBOT_SUFFIXES):
+                return _checked_robot(name)
+            loaded = load_file(machine_or_path)
+        except ModelError as error:
+            faults = error.faults or (Fault(name, str(error).removeprefix(f"{name}: ")),)
+            return Check(name, None, None, tuple(faults), (), _sentences(caught), provenance())
+    return _checked(loaded, _sentences(caught))
+
+
+def _sentences(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:
+    return tuple(str(warning.message) for warning in caught if issubclass(warning.category, FlexoptWarning))
+
+
+def _checked_robot(name: str) -> Check:
+    """A robot file alone: what it says, not yet a machine."""
+    from flexopt.model.robots.reading import read_description  # noqa: PLC0415  (readers that few machines need)
+
+    robot, faults = read_description(Path(name), Path(name).name)
+    return Check(robot.name or name, "robot", None, tuple(faults), (), robot.warnings, provenance())
+
+
+def _checked(loaded: AnyMachine | Problem | Experiment, sentences: tuple[str, ...]) -> Check:
+    machine = loaded if isinstance(loaded, AnyMachine) else loaded.loaded_machine
+    kind = "machine" if loaded is machine else "problem" if isinstance(loaded, Problem) else "experiment"
+    found = [*implausibilities(machine)]
+    if isinstance(loaded, Problem):
+        found += _targets(loaded)
+    elif isinstance(loaded, Experiment):
+        found += _offsets(loaded)
+    return Check(loaded.name, kind, machine.name, (), tuple(found), sentences, provenance(machine))
+
+
+def _targets(problem: Problem) -> Iterator[Finding]:
+    target = problem.target
+    given = getattr(target, target.kind)
+    points: list[tuple[float, ...]] = [given] if target.kind == "end_point" else list(given)
+    for point in points:
+        if max(map(abs, point)) > REACH_MAX:
+            text = f"[{', '.join(f'{x:g}' for x in point)}] m"
+            yield Finding(f"target.{target.kind}", text, f"lies beyond {REACH_MAX:g} m", "probably in mm, not m")
+            return
+
+
+def _offsets(experiment: Experiment) -> Iterator[Finding]:
+    machine = experiment.loaded_machine
+    offset = experiment.simulation.offset or ()
+    for joint, unit, value in zip(machine.joints, machine.joint_units, offset, strict=False):
+        if unit == "rad" and abs(value) > OFFSET_MAX:
+            meant = f"probably degrees: {math.radians(value):.4g} rad"
+            yield Finding(f"simulation.offset ({joint})", f"{value:g} rad", "is more than a quarter turn", meant)

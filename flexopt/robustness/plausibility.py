@@ -1,0 +1,105 @@
+"""Whether a machine's numbers are plausible, its modes included, and the warning that says so where results are made.
+
+In: a validated machine. Out: findings, those of `flexopt.model.plausibility` and of the modes: a first mode or a
+damping that no machine on a base has.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from functools import lru_cache
+
+import numpy as np
+
+from flexopt.errors import ImplausibleMachine
+from flexopt.model import AnyMachine
+from flexopt.model.plausibility import Array, Finding, implausible_numbers
+from flexopt.plant import Plant, build_plant
+
+FIRST_MODE = (0.1, 100.0)  # Hz
+POSTURES = 4
+
+
+@lru_cache(maxsize=64)
+def implausibilities(machine: AnyMachine) -> tuple[Finding, ...]:
+    """Everything about the machine that is allowed but hardly meant."""
+    found = implausible_numbers(machine)
+    # Where springs, masses or lengths are off by their units, so are the modes, by the same slip.
+    return found if any("stiffness" in finding.field for finding in found) else (*found, *_of_modes(machine))
+
+
+def warn_implausible(machine: AnyMachine, *, stacklevel: int = 4) -> None:
+    """One `ImplausibleMachine` warning, where there is anything to tell."""
+    found = implausibilities(machine)
+    if not found:
+        return
+    count = "a number is" if len(found) == 1 else f"{len(found)} numbers are"
+    more = "" if len(found) == 1 else f"; and {len(found) - 1} more"
+    sentence = f"machine {machine.name!r}: {count} not plausible (`flexopt check` tells all): {found[0]}{more}"
+    warnings.warn(sentence, ImplausibleMachine, stacklevel=stacklevel)
+
+
+def _of_modes(machine: AnyMachine) -> tuple[Finding, ...]:
+    plant = build_plant(machine)
+    try:
+        modes = [_modes(plant, posture) for posture in _postures(machine)]
+    except np.linalg.LinAlgError:
+        return ()
+    frequencies, ratios = (np.array(part) for part in zip(*modes, strict=True))
+    found: list[Finding] = []
+    first = frequencies[:, 0]
+    if first.max() < FIRST_MODE[0] or first.min() > FIRST_MODE[1]:
+        low, meant = first.max() < FIRST_MODE[0], "stiffnesses are probably in kN/m and kN m/rad"
+        found.append(
+            Finding(
+                "first mode",
+                f"{first[0]:.3g} Hz",
+                f"a machine on its base swings at {FIRST_MODE[0]:g} to {FIRST_MODE[1]:g} Hz",
+                meant if low else "stiffnesses are too large, or masses in tonnes",
+            )
+        )
+    damped = ratios.min(axis=0)
+    for mode in np.flatnonzero(damped > 1.0).tolist():
+        value = float(damped[mode])
+        found.append(
+            Finding(
+                f"damping of mode {mode + 1}",
+                f"{value:.3g} of critical",
+                f"at {frequencies[0, mode]:.3g} Hz the machine would not swing at all",
+                "dampers are probably too large by their unit (N s/m, N m s/rad), or the stiffness is in kN",
+            )
+        )
+    return tuple(found)
+
+
+def _modes(plant: Plant, posture: Array) -> tuple[Array, Array]:
+    """Frequencies, Hz, ascending, and damping ratios φᵀDφ / (2 ω), with the joints free as in `robustness.modes`."""
+    m, p = plant.n_passive, plant.parameter_values
+    base = np.zeros(plant.n_base)
+    q = plant.rest(base, posture, p)
+    mass: Array = plant.mass(q, base, p).full()
+    stiffness: Array = plant.stiffness(p).full()
+    damping: Array = plant.damping(p).full()
+    with np.errstate(all="ignore"):
+        follow = -np.linalg.solve(mass[m:, m:], mass[m:, :m])
+        lower = np.linalg.cholesky(stiffness[:m, :m])
+        compliance = np.linalg.solve(mass[:m, :m] + mass[:m, m:] @ follow, lower)
+        symmetric = lower.T @ compliance
+        values, z = np.linalg.eigh((symmetric + symmetric.T) / 2)
+        omega = np.sqrt(np.maximum(values, 0.0))
+        shapes = np.vstack([np.eye(m), follow]) @ (compliance @ z / omega)
+        ratios = np.diag(shapes.T @ damping @ shapes) / (2 * omega)
+        return np.asarray(omega / (2 * math.pi), float), np.nan_to_num(ratios)
+
+
+def _postures(machine: AnyMachine) -> list[Array]:
+    """The middle of the joints' limits and some postures about it, always the same."""
+    reach = {"rad": math.pi, "m": 1.0}
+    units = [reach[unit] for unit in machine.joint_units]
+    low = np.array([max(limits[0], -r) for limits, r in zip(machine.limits, units, strict=True)])
+    high = np.array([min(limits[1], r) for limits, r in zip(machine.limits, units, strict=True)])
+    low, high = np.minimum(low, high), np.maximum(low, high)
+    # Spread evenly by multiples of irrational numbers, as random ones would be: numpy.random takes longer to import.
+    irrational = np.sqrt(2.0 + np.arange(len(low)) * 3.0)
+    return [(low + high) / 2, *(low + (high - low) * np.modf(k * irrational)[0] for k in range(1, POSTURES))]

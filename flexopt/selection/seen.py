@@ -1,0 +1,111 @@
+"""What was seen before anything was solved: feasible points of the scan that no answer may be worse than.
+
+In: a problem and what its solves found. Out: points z that keep everything and are better, on the rows to rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.model.arguments import Vector
+from flexopt.selection.check import row_gradients
+from flexopt.selection.objective import Objective
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.scan import peaks
+from flexopt.selection.starts import FEASIBLE
+
+# By how much, of the objective's scale, a point counts as better: far above what a converged solve leaves.
+BETTER = 2e-8
+# Steps onto the rows, and how near they lead, in units of the rows' scales.
+STEPS, ON_ROWS = 12, 1e-9
+# Points tried to be moved onto the rows, the best first.
+TRIED = 8
+# Further starts of a later objective.
+PEAKS = 16
+
+
+def seen_values(problem: SelectionProblem) -> Vector:
+    """V of the objective being solved at all points of the scan (N,), the cost of travel taken off.
+
+    −∞ where a point breaks a constraint or does not keep an earlier objective.
+    """
+    scan = problem.scan
+    z = np.vstack([scan.base, scan.posture])
+    allowed = scan.violation <= FEASIBLE
+    for objective, kept in zip(problem.objectives, problem.kept, strict=False):
+        allowed[allowed] = _values(problem, objective, z, allowed) >= kept
+    values = np.full(scan.size, -np.inf)
+    found = _values(problem, problem.objective, z, allowed)
+    values[allowed] = np.where(np.isfinite(found), found, -np.inf)
+    return values
+
+
+def kept_peaks(problem: SelectionProblem) -> list[Vector]:
+    """Points of the scan that keep the earlier objectives and are local maxima of the one being solved."""
+    values, scan = seen_values(problem), problem.scan
+    z = np.vstack([scan.base, scan.posture])
+    return [z[:, k] for k in peaks(scan, values, np.isfinite(values))[:PEAKS]]
+
+
+def _values(problem: SelectionProblem, objective: Objective, z: Vector, among: NDArray[np.bool_]) -> Vector:
+    """V of an objective at some of the scan's points."""
+    scan = problem.scan
+    values = np.array(objective.alpha) @ scan.w[:, among]
+    if objective.has_kinks and among.any():
+        epsilon = scan.epsilon[among]
+        unknown = np.flatnonzero(np.isnan(epsilon))
+        if unknown.size:
+            margin, p = problem.quantities.margin, problem.measures.plant.parameter_values
+            at = [scan.base[:, among][:, unknown], scan.posture[:, among][:, unknown], p, problem.gain]
+            epsilon[unknown] = margin.values.call(at)[0].full()[0]
+        values = values + objective.beta * epsilon
+    return values - problem.travel_cost(objective, z[:, among].T)[0]
+
+
+def better_than(problem: SelectionProblem, value: float, values: Vector) -> Vector | None:
+    """The best point of the scan that is better than `value`, on the rows; None where none is.
+
+    Args:
+        problem: the problem.
+        value: V of the best that was found, −∞ where nothing was.
+        values: from `seen_values`.
+    """
+    least = value + BETTER * problem.objective_scale
+    z = np.vstack([problem.scan.base, problem.scan.posture])
+    order = np.argsort(-values, kind="stable")[:TRIED]
+    points = (settled(problem, z[:, k]) for k in order if values[k] > least)
+    good = [point for point in points if point is not None and _keeps(problem, point)]
+    best = max(good, key=lambda point: _value(problem, point), default=None)
+    return best if best is not None and _value(problem, best) > least else None
+
+
+def _value(problem: SelectionProblem, z: Vector) -> float:
+    return float(problem.branches(problem.objective, z)[0][0])
+
+
+def _keeps(problem: SelectionProblem, z: Vector) -> bool:
+    earlier = problem.objectives[: len(problem.kept)]
+    values = [problem.branches(objective, z)[0][0] for objective in earlier]
+    return all(value >= kept for value, kept in zip(values, problem.kept, strict=True))
+
+
+def settled(problem: SelectionProblem, z: Vector) -> Vector | None:
+    """A point near z on the rows, to rounding, by the shortest steps; None where they do not lead there.
+
+    A scan's points are feasible to its own tolerance, and with the passive joints at rest.
+    """
+    scales = np.array([constraint.scale for constraint in problem.constraints])
+    lower, upper = (np.array([getattr(c, end) for c in problem.constraints]) for end in ("lower", "upper"))
+    freed = np.where(problem.lower == problem.upper, 0.0, problem.scale)
+    for _ in range(STEPS):
+        rows = problem.rows(z)
+        wrong = (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scales
+        if not np.isfinite(wrong).all():
+            return None
+        if np.abs(wrong).max() <= ON_ROWS:
+            return z
+        pulls = (wrong != 0) | (lower == upper)
+        slopes = (row_gradients(problem, z) / scales[:, None])[pulls] * freed
+        z = np.clip(z - freed * (np.linalg.pinv(slopes) @ wrong[pulls]), problem.lower, problem.upper)
+    return None

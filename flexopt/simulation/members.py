@@ -1,0 +1,115 @@
+"""The members of an ensemble: what varies from one to the next, where each starts, the linear loop of each.
+
+In: a scenario, and checked arrays with one row for each member. Out: constants, start states and signals of groups of
+members, and their `SampledLoop`s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from flexopt.compiled import batch
+from flexopt.errors import FlexoptError
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Vector
+from flexopt.plant.machine_motion import constant_names, constants
+from flexopt.simulation.linear import SampledLoop, bare_scenario
+from flexopt.simulation.run import signals_at_end
+from flexopt.simulation.scenario import Scenario, start_states
+from flexopt.simulation.verdict import about
+
+Keep = Literal["measures", "trajectories"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What every group of members needs."""
+
+    scenario: Scenario
+    zeros: frozenset[str] | None
+    varied: dict[str, Vector]
+    motion: dict[str, Vector]
+    n: int
+    keep: Keep
+
+    def parts(self, rows: slice) -> dict[str, Any]:
+        """Constants by name, (size, members) where they vary."""
+        return dict(self.scenario.parts) | self.varying(rows)
+
+    def varying(self, rows: slice) -> dict[str, Vector]:
+        """Those that vary, (size, members)."""
+        parts: dict[str, Vector] = {name: values[rows][None, :] for name, values in self.motion.items()}
+        n_task = self.scenario.loop.structure.n_task
+        for name in ("kp", "kv", "ki"):
+            if name in self.varied:
+                parts[name] = np.broadcast_to(self.varied[name].reshape(self.n, -1).T[:, rows], (n_task, count(rows)))
+        return parts
+
+    def start(self, rows: slice) -> Vector:
+        """States x (n_x, members)."""
+        s, width = self.scenario, count(rows)
+        m = len(s.q_design) - len(s.posture)
+        q = np.repeat(s.q_design[:, None], width, axis=1)
+        q[m:] += self.varied["offset"][rows].T if "offset" in self.varied else s.offset[:, None]
+        if "deflection" in self.varied:
+            q[:m] += self.varied["deflection"][rows].T
+        x = start_states(s.machine, s.loop, s.parts, q)
+        if "rates" in self.varied:
+            x[s.loop.states.slices["w"]] = np.linalg.solve(s.loop.to_q, self.varied["rates"][rows].T)
+        return x
+
+    def signals(self, rows: slice) -> Vector | None:
+        """Signals e (steps, n_e) or (steps, n_e, members): noise of its own for every member."""
+        s = self.scenario
+        if "noise" not in s.loop.signals.sizes:
+            return s.signals()
+        each = [s.signals(np.random.default_rng([s.options.seed, k])) for k in range(rows.start, rows.stop)]
+        return np.stack(cast(list[Vector], each), axis=2)
+
+
+def count(rows: slice) -> int:
+    """How many."""
+    return rows.stop - rows.start
+
+
+def member_loops(plan: Plan, ends: Vector | None) -> list[SampledLoop | str]:
+    """The linear loop of every member; members that differ in their start alone share one."""
+    s, loops = plan.scenario, dict[bytes, SampledLoop | str]()
+    try:
+        bare = bare_scenario(s.machine, s.options, plan.zeros, paths=ends is not None)
+    except FlexoptError as error:
+        return [str(error)] * plan.n
+    e, x = np.zeros(bare.loop.signals.total), bare.resting
+    if ends is not None:
+        signals = s.signals()
+        assert signals is not None
+        e = signals_at_end(s, signals)[0, : len(e)]
+    varying, found = plan.varying(slice(0, plan.n)), list[SampledLoop | str]()
+    for k in range(plan.n):
+        own = {name: np.ascontiguousarray(values[:, k]) for name, values in varying.items()}
+        x = x if ends is None else ends[:, k]
+        key = b"".join([*(value.tobytes() for value in own.values()), b"" if ends is None else x.tobytes()])
+        if key not in loops:
+            loops[key] = about(bare, x, e, own)
+        found.append(loops[key])
+    return found
+
+
+def motion_constants(
+    machine: AnyMachine, varied: Mapping[str, Vector], n: int
+) -> tuple[frozenset[str] | None, dict[str, Vector]]:
+    """Constants of the motion that vary, (N,) each, and those that are zero for all; None where none varies."""
+    if not varied:
+        return None, {}
+    function = constants(machine)
+    p = np.repeat(np.array([[parameter.value] for parameter in machine.parameters]), n, axis=1)
+    names = [parameter.name for parameter in machine.parameters]
+    for name, values in varied.items():
+        p[names.index(name)] = values
+    columns = dict(zip(constant_names(machine), batch(function)(p)[0], strict=True))
+    zeros = frozenset(name for name, value in columns.items() if not np.any(value))
+    return zeros, {name: value for name, value in columns.items() if name not in zeros}

@@ -1,0 +1,142 @@
+"""The verdict on a run: what it shows, beside the eigenvalues of the linear loop about the place where it ends.
+
+In: measures of a run, and the loop that was run. Out: one word and the sentence that says why. A run alone can be too
+short for a slow mode, and its integrator can damp a mode by itself; eigenvalues alone know small motions only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+
+from flexopt.errors import FlexoptError
+from flexopt.model import AnyMachine
+from flexopt.model.arguments import Vector
+from flexopt.model.simulation import SimulationOptions
+from flexopt.simulation.behaviour import Shown
+from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly, linearised
+from flexopt.simulation.scenario import Scenario
+from flexopt.simulation.tangent import at_rest
+
+Verdict = Literal["converges", "grows", "undecided"]
+NO_REST = "near its end the loop rests nowhere"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict and what it rests on.
+
+    Attributes:
+        verdict: `"converges"` or `"grows"` where run and eigenvalues say the same, else `"undecided"`.
+        reason: both, in a sentence.
+    """
+
+    verdict: Verdict
+    reason: str
+
+
+@dataclass(frozen=True)
+class Ended:
+    """The loop that was run, and where it came to.
+
+    Attributes:
+        machine, options: of the run, checked.
+        x, e: states and signals at its end where base or target were moved; else None: it goes on about its design.
+    """
+
+    machine: AnyMachine
+    options: SimulationOptions
+    x: Vector | None = None
+    e: Vector | None = None
+
+    def linear(self) -> SampledLoop | str:
+        """The linear loop about rest, exact between the samples; a sentence where there is none."""
+        if self.x is None or self.e is None:
+            return _about_design(self.machine, _essential(self.options))  # pyright: ignore[reportArgumentType]
+        try:
+            bare = bare_scenario(self.machine, self.options, paths=True)
+            return about(bare, self.x, self.e[: bare.loop.signals.total])
+        except FlexoptError as error:
+            return str(error)
+
+    def integrated(self) -> float | None:
+        """Growth rate of the linear loop as the run's integrator makes it, 1/s; None where it is not to be had."""
+        if self.x is not None:
+            return None
+        try:
+            return linearised(bare_scenario(self.machine, self.options, exact=False)).growth_rate
+        except FlexoptError:
+            return None
+
+
+def _essential(options: SimulationOptions) -> SimulationOptions:
+    """The options without those that the linear loop does not depend on."""
+    start = {"duration": 10.0, "offset": None, "seed": 0, "baked": False, "integrator": "rk4", "substeps": None}
+    return options.model_copy(update=start)
+
+
+@lru_cache(maxsize=256)
+def _about_design(machine: AnyMachine, options: SimulationOptions) -> SampledLoop | str:
+    try:
+        bare = bare_scenario(machine, options)
+        return about(bare, bare.resting, np.zeros(bare.loop.signals.total))
+    except FlexoptError as error:
+        return str(error)
+
+
+def about(bare: Scenario, x: Vector, e: Vector, parts: Mapping[str, Any] | None = None) -> SampledLoop | str:
+    """The linear loop about the rest that is found from a state; `parts` in place of the scenario's constants."""
+    scenario = bare if parts is None else replace(bare, parts={**bare.parts, **parts})
+    if not np.all(np.isfinite(x)):
+        return NO_REST
+    found = at_rest(scenario.loop.structure, x, e, scenario.constants)
+    try:
+        return NO_REST if found is None else exactly(scenario, found[1])
+    except FlexoptError as error:
+        return str(error)
+
+
+def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> Judgement:
+    """The verdict; with `ended` the reason can name an integrator that hides what the loop does."""
+    said = f"the run of {run.duration:g} s {_words(run)}"
+    if isinstance(linear, str):
+        word: Verdict = "undecided" if run.short or not run.significant else run.word
+        return Judgement(word, f"{said}; there are no eigenvalues beside it: {linear}")
+    rate, known = linear.growth_rate, abs(linear.growth_rate) > linear.rounding
+    eigenvalues: Verdict = ("grows" if rate > 0 else "converges") if known else "undecided"
+    verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
+    other = f"the linear loop {verb} ({rate:+.4g}/s at {linear.frequency_hz:.4g} Hz)"
+    other += "".join(f", the arm's self-motion drifts ({own:+.3g}/s)" for own in linear.drift[:1] if own > 0)
+    if run.short and not (run.ended < run.duration and eigenvalues == "grows"):
+        needed = f"four periods of the slowest mode, {run.slowest_hz:.4g} Hz, undisturbed"
+        return Judgement("undecided", f"{said}, too short to tell: it takes {needed}; {other}")
+    if eigenvalues == run.word:
+        return Judgement(run.word, f"{said}; {other}")
+    if eigenvalues == "undecided":
+        return Judgement("undecided", f"{said}, but {other}, to rounding")
+    return Judgement("undecided", f"{said}, but {other}: {_why(linear, ended)}")
+
+
+def _why(linear: SampledLoop, ended: Ended | None) -> str:
+    """What sets run and eigenvalues apart."""
+    own = None if ended is None else ended.integrated()
+    if own is None or ended is None:
+        return "the run is too short to show it, too large for a linear loop, or damped by its own integrator"
+    if (own > 0) != (linear.growth_rate > 0):
+        integrator = ended.options.integrator
+        return f"the integrator {integrator} makes it {own:+.4g}/s by itself; more substeps or another show the loop"
+    return "the run is too short to show it, or too large for a linear loop"
+
+
+def _words(run: Shown) -> str:
+    if run.ended < run.duration:
+        return f"grows out of the finite numbers at {run.ended:.4g} s"
+    if math.isnan(run.rate):
+        return "never moves the base"
+    verb = "grows" if run.word == "grows" else "decays"
+    return f"{verb} ({run.rate:+.4g}/s ± {run.error:.1g})"

@@ -1,0 +1,287 @@
+"""One good call of every public function, constructor and method: small, so that all of them run in seconds.
+
+`FUNCTIONS` has an entry for each function of `flexopt.__all__`, `CONSTRUCTORS` for each class that users make objects
+of, `OBJECTS` an object of every other class; `METHODS` the arguments of methods that need some.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+import flexopt
+from flexopt.model.hydraulics import Cylinder
+
+POSTURE, TARGET = [1.0, -2.0], [0.0, 1.6]
+LOOP = {"kp": 1e4, "kv": 1e3, "duration": 0.5, "rate": 100.0}
+STATE_SPACE = {"A": [[-1.0, 1.0], [0.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "D": [[0.0]], "dt": 0.0}
+PLANTS = tuple(np.array(STATE_SPACE[name]) for name in "ABCD")
+
+
+@cache
+def excavator() -> flexopt.Machine | flexopt.Tree:
+    return flexopt.load("excavator")
+
+
+@cache
+def hydraulic() -> flexopt.Machine | flexopt.Tree:
+    """A machine with cylinders."""
+    return flexopt.load("boom-stick-bucket")
+
+
+@cache
+def tree() -> flexopt.Machine | flexopt.Tree:
+    """A machine in space, with cylinders."""
+    return flexopt.load("slewing-excavator")
+
+
+@cache
+def selection() -> flexopt.Selection:
+    return flexopt.select(excavator(), TARGET, starts=1, workers=1)
+
+
+@cache
+def problem() -> flexopt.Problem:
+    data = {"name": "small", "machine": "excavator", "target": {"end_point": TARGET}, "selection": {"starts": 1}}
+    return flexopt.Problem(**data).with_machine(excavator())
+
+
+@cache
+def experiment() -> flexopt.Experiment:
+    simulation = {"posture": POSTURE, **LOOP}
+    return flexopt.Experiment(name="small", machine="excavator", simulation=simulation).with_machine(excavator())
+
+
+@cache
+def trajectory() -> flexopt.Trajectory:
+    return flexopt.simulate(excavator(), POSTURE, **LOOP)
+
+
+@cache
+def workspace() -> flexopt.WorkspaceMap:
+    return flexopt.map_workspace(excavator(), points=(4, 4), epsilon_max=False, threads=1)
+
+
+@cache
+def state_space() -> flexopt.StateSpace:
+    return flexopt.StateSpace(**STATE_SPACE)
+
+
+@cache
+def report() -> flexopt.Report:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return flexopt.report(problem(), points=3, simulation=LOOP)
+
+
+def _machine(**given: Any) -> dict[str, Any]:
+    return {"machine": excavator(), **given}
+
+
+SELECT = {
+    "objective": "V", "control": "inverse", "weights": [1.0, 0.0, 0.0], "gravity": False, "base": 0.0,
+    "posture": POSTURE, "base_range": (-4.0, 4.0), "constraints": {"joint_margin": 0.01},
+    "singularity_margin_deg": 10.0, "starts": 1, "seed": 0,
+}  # fmt: skip
+RUN = {"workers": 1, "progress": print}
+SIMULATE = {
+    "end_point": None, "elbow": None, "base": 0.0, "control": "inverse", "feedback": "pid", "kp": 1e4, "kv": [1e3, 1e3],
+    "ki": 1.0, "integral_limit": 1e6, "gain": 5e5, "offset": [0.01, -0.01], "duration": 0.02, "rate": 100.0, "hold": True,
+    "integrator": "rk4", "substeps": 2, "gravity": False, "gravity_compensation": True, "nullspace_damping": 0.0,
+    "sensor": {"noise": 0.0}, "actuator": {"torque_limit": 1e6}, "base_path": {"times": [0, 1], "points": [[0.0], [0.1]]},
+    "target_path": None, "seed": 0, "baked": False,
+}  # fmt: skip
+
+# Name -> arguments; None stands for an argument that is left out, of which another takes the place.
+FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
+    "build_hydraulics": _machine,
+    "build_measures": lambda: _machine(control="inverse", gravity=False),
+    "build_plant": _machine,
+    "build_selection": lambda: _machine(target=TARGET, gain=5e5, elbow="up", **SELECT),
+    "evaluate": lambda: _machine(posture=POSTURE, base=0.0, control="inverse", gain=5e5, damped=False, gravity=False),
+    "evaluate_w": lambda: {
+        "measures": flexopt.build_measures(excavator()), "bases": [0.0], "postures": [[1.0, 1.1], [-2.0, -1.9]],
+        "threads": 1, "gradient": False,
+    },  # fmt: skip
+    "export_c": lambda: _machine(
+        folder="bundle", parts=["kinematics"], real="double", control="inverse", gain=5e5, baked=False,
+        singularity_margin_deg=1.0, limit_allowance_deg=1.0, limit_allowance_m=0.01, prefix="small", overwrite=True,
+    ),  # fmt: skip
+    "export_fmu": lambda: _machine(path="small.fmu", posture=POSTURE, version="2.0", kind="co-simulation", options=LOOP),
+    "gap": lambda: {"P1": PLANTS, "P2": PLANTS},
+    "inverse_kinematics": lambda: _machine(target=TARGET, base=0.5, gravity=False, elbow="up", seed=0),
+    "load": lambda: {"name_or_path": "excavator"},
+    "load_experiment": lambda: {"name_or_path": "article-a"},
+    "load_problem": lambda: {"name_or_path": "article"},
+    "load_robot": lambda: {"path": "truck-crane.toml"},
+    "machine_from_dict": lambda: {"data": excavator().to_dict(), "origin": "here"},
+    "map_workspace": lambda: _machine(
+        control="inverse", gain=5e5, gravity=False, over="posture", joints=["boom", "stick"], rows=None, coordinates=None,
+        posture=None, end_point=None, base=0.0, x_range=(0.5, 1.0), y_range=(-2.0, -1.0), points=(3, 3), elbow="up",
+        measures=True, epsilon_max=False, threads=1, progress=print,
+    ),  # fmt: skip
+    "ncf_margin": lambda: {"P": PLANTS, "K": 0.1, "sign": -1},
+    "nu_gap": lambda: {"P1": PLANTS, "P2": PLANTS},
+    "nullspace_trajectory": lambda: _machine(
+        posture=POSTURE, base=0.0, objective="V", weights=[1.0, 0.0, 0.0], control="inverse", gain=5e5, gravity=False,
+        step_gain=1.0, metric=[1.0, 1.0, 1.0], rate=100.0, max_base_rate=0.25, max_turn_rate=0.25, max_joint_rate=1.0,
+        max_base_acceleration=1.0, base_range=(-1.0, 1.0), singularity_margin_deg=10.0, min_gain=1e-9, duration=0.05,
+        on_descent="stop",
+    ),  # fmt: skip
+    "optimal_controller": lambda: STATE_SPACE,
+    "plan_base": lambda: _machine(
+        path=[[0.0, 1.6], [0.1, 1.6]], times=[0.0, 5.0], duration=None, max_base_rate=0.5, max_joint_rate=[1.0, 1.0],
+        start=None, **SELECT, **RUN,
+    ),  # fmt: skip
+    "report": lambda: {
+        "problem": problem(), "experiment": experiment(), "simulation": {"duration": 0.1}, "points": 3, "progress": print,
+    },  # fmt: skip
+    "robust_margin": lambda: STATE_SPACE,
+    "run_experiment": lambda: {"experiment": experiment(), "overrides": {"duration": 0.02}},
+    "sampled_loop": lambda: _machine(posture=POSTURE, options=LOOP),
+    "select": lambda: _machine(target=TARGET, gain=5e5, elbow="up", **SELECT, **RUN),
+    "select_stand": lambda: _machine(
+        targets=[TARGET, [0.1, 1.6]], combine="weighted", shares=[1.0, 1.0], **SELECT, **RUN
+    ),
+    "simulate": lambda: _machine(posture=POSTURE, **SIMULATE),
+    "simulate_ensemble": lambda: _machine(
+        posture=POSTURE, vary={"kp": [1e4, 2e4]}, keep="measures", threads=1, progress=print, options=LOOP
+    ),
+    "solve_problem": lambda: {"problem": problem(), **RUN},
+    "solve_selection": lambda: {"problem": selection().problem, **RUN},
+    "stability_border": lambda: _machine(posture=POSTURE, ratio=0.01, options=LOOP),
+    "tree_from_dict": lambda: {"data": tree().to_dict(), "origin": "here"},
+    "verify_bundle": lambda: {
+        "folder": "bundle", "target": "host", "inputs": 1, "fuzz_calls": 1, "progress": print,
+    },  # fmt: skip
+}
+
+# Their good calls take minutes; they run in the tests of their own rooms.
+LONG = ("verify_bundle",)
+
+CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
+    "Actuator": lambda: {
+        "torque_limit": 1e4, "dead_band": 1.0, "bandwidth_hz": 5.0, "rate_limit": 1e5, "levers": None, "servo_gain": 1.0,
+    },  # fmt: skip
+    "Experiment": lambda: {
+        "schema": 1, "name": "small", "description": "", "source": "", "machine": "excavator",
+        "simulation": {"posture": POSTURE}, "nullspace": None,
+    },  # fmt: skip
+    "Hydraulics": lambda: {"plant": flexopt.build_plant(hydraulic())},
+    "Machine": lambda: {
+        "schema": 1, "description": "", "source": "", "gravity": 9.81, "capsules": (), "cylinders": (),
+        "payload": {"mass": 0.0}, "support": None,
+    } | excavator().to_dict(),  # fmt: skip
+    "Measures": lambda: {"plant": flexopt.build_plant(excavator()), "control": "inverse", "gravity": False},
+    "Path": lambda: {"times": [0.0, 1.0], "points": [[0.0], [1.0]]},
+    "Plant": lambda: {"machine": excavator(), "graph": flexopt.build_plant(excavator()).graph},
+    "Problem": lambda: {
+        "schema": 1, "name": "small", "description": "", "source": "", "machine": "excavator",
+        "target": {"end_point": TARGET}, "motion": None, "selection": {"starts": 1}, "constraints": None,
+    },  # fmt: skip
+    "Sensor": lambda: {
+        "noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0, "delay": 0.0
+    },
+    "StateSpace": lambda: STATE_SPACE,
+    "Tree": lambda: {
+        "schema": 1, "description": "", "source": "", "gravity": 9.81, "capsules": (), "cylinders": (),
+        "stiffness_matrix": None, "damping_matrix": None, "payload": {"mass": 0.0}, "support": None,
+        "placement": ["x", "y", "yaw"],
+    } | tree().to_dict(),  # fmt: skip
+}
+
+# An object of each class that has methods.
+OBJECTS: dict[str, Callable[[], Any]] = {
+    "BasePlan": lambda: flexopt.plan_base(excavator(), [[0.0, 1.6], [0.1, 1.6]], starts=1, workers=1),
+    "BaseTrajectory": lambda: flexopt.nullspace_trajectory(excavator(), POSTURE, duration=0.05),
+    "Candidate": lambda: selection().best,
+    "Ensemble": lambda: flexopt.simulate_ensemble(excavator(), POSTURE, vary={"kp": [1e4, 2e4]}, threads=1, **LOOP),
+    "Evaluation": lambda: flexopt.evaluate(excavator(), POSTURE),
+    "Experiment": experiment,
+    "ExportReport": lambda: flexopt.export_c(excavator(), "bundle", parts=["kinematics"], overwrite=True),
+    "FmuReport": lambda: flexopt.export_fmu(excavator(), "small.fmu", POSTURE, **LOOP),
+    "Hydraulics": lambda: flexopt.build_hydraulics(hydraulic()),
+    "Machine": excavator,
+    "Measures": lambda: flexopt.build_measures(excavator()),
+    "Path": lambda: flexopt.Path(times=[0.0, 1.0], points=[[0.0], [1.0]]),
+    "Plant": lambda: flexopt.build_plant(excavator()),
+    "Problem": problem,
+    "Report": report,
+    "RobustMargin": lambda: flexopt.robust_margin(state_space()),
+    "Selection": selection,
+    "SelectionProblem": lambda: selection().problem,
+    "Sensor": flexopt.Sensor,
+    "Actuator": flexopt.Actuator,
+    "Stand": lambda: flexopt.select_stand(excavator(), [TARGET, [0.1, 1.6]], starts=1, workers=1),
+    "StateSpace": state_space,
+    "Trajectory": trajectory,
+    "Tree": tree,
+    "WorkspaceMap": workspace,
+}
+
+
+def _graph(name: str) -> ca.SX:
+    return getattr(flexopt.build_plant(excavator()).graph, name)
+
+
+def _z() -> list[float]:
+    return selection().best.z.tolist()
+
+
+def _objective() -> Any:
+    return selection().problem.objective
+
+
+def _pin() -> Cylinder:
+    return hydraulic().cylinders[0]
+
+
+METHODS: dict[str, Callable[[], dict[str, Any]]] = {
+    "BasePlan.plot": lambda: {"path": "plan.png"},
+    "BaseTrajectory.plot": lambda: {"path": "base.png"},
+    "Ensemble.to_netcdf": lambda: {"path": "ensemble.nc"},
+    "Experiment.with_machine": _machine,
+    "Hydraulics.driven": lambda: {"saturation": "each"},
+    "Hydraulics.lever_map": lambda: {"saturation": "each"},
+    "Hydraulics.states": lambda: {
+        "q": [0.0] * flexopt.build_plant(hydraulic()).n_coordinates,
+        "base": [0.0] * len(hydraulic().base_coordinates),
+    },
+    "Machine.beyond_stroke": lambda: {"joint": "boom", "q": 0.0},
+    "Machine.joint_frame": lambda: {"joint": "boom"},
+    "Machine.travel": lambda: {"cylinder": _pin()},
+    "Path.at": lambda: {"times": [0.0, 0.5]},
+    "Plant.linearisation": lambda: {"control": "inverse", "gravity": False},
+    "Plant.operating_point": lambda: {
+        "base": _graph("base"), "posture": _graph("posture"), "p": _graph("p"), "deflection": None
+    },
+    "Problem.with_machine": _machine,
+    "Report.mode_shares": lambda: {"stand": report().stands["chosen"]},
+    "Report.write": lambda: {"folder": "report"},
+    "Selection.plot": lambda: {"path": "selection.png"},
+    "SelectionProblem.branches": lambda: {"objective": _objective(), "z": _z()},
+    "SelectionProblem.rows": lambda: {"z": _z()},
+    "SelectionProblem.solver": lambda: {"quick": False},
+    "SelectionProblem.travel_cost": lambda: {"objective": _objective(), "z": _z()},
+    "SelectionProblem.wrapped": lambda: {"z": _z()},
+    "Stand.plot": lambda: {"path": "stand.png"},
+    "StateSpace.at": lambda: {"points": [1j, 2j]},
+    "Trajectory.animate": lambda: {"path": "run.gif", "speed": 1.0, "magnify": 1.0},
+    "Trajectory.plot": lambda: {"path": "run.png"},
+    "Trajectory.skeletons": lambda: {"q": trajectory().q[:2], "base": trajectory().base[:2]},
+    "Trajectory.to_csv": lambda: {"path": "run.csv"},
+    "Trajectory.to_netcdf": lambda: {"path": "run.nc"},
+    "Tree.beyond_stroke": lambda: {"joint": tree().joints[0], "q": 0.0},
+    "Tree.joint_frame": lambda: {"joint": tree().joints[0]},
+    "Tree.travel": lambda: {"cylinder": tree().cylinders[0]},
+    "WorkspaceMap.array": lambda: {"name": "w"},
+    "WorkspaceMap.fraction": lambda: {"mask": np.ones((4, 4), dtype=bool)},
+    "WorkspaceMap.in_phase_fraction": lambda: {"modes": (1, 2), "strict": False},
+    "WorkspaceMap.plot": lambda: {"path": "map.png", "marks": {"here": (0.0, 1.0)}},
+    "WorkspaceMap.to_netcdf": lambda: {"path": "map.nc"},
+}

@@ -1,0 +1,67 @@
+"""What is computed at many points or over many steps for shipped machines runs compiled, in the form made for that.
+
+A graph that no longer compiles gives the same results a hundred times more slowly: only this test would tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+import flexopt
+from flexopt.compiled import Batch, batch, find_compiler, recurrence
+from flexopt.model import AnyMachine, shipped_names
+from flexopt.plant import build_plant
+from flexopt.robustness.margin import build_margin
+from flexopt.simulation import run
+from flexopt.study import follow, points
+from tests.compiled.comparison import QUIET
+from tests.model.test_shipped_machines import POSTURES
+
+pytestmark = pytest.mark.filterwarnings(QUIET)
+
+MACHINES = shipped_names("models")
+REGULAR = {"excavator": (0.9929, -2.6306)} | POSTURES
+
+
+BATCHED: dict[str, Callable[[AnyMachine], Batch]] = {
+    "w": lambda machine: flexopt.build_measures(machine).quick_batch,
+    "w with gradient": lambda machine: flexopt.build_measures(machine).quick_batch_with_gradient,
+    "distance from singularity": lambda machine: batch(build_plant(machine).singularity_sine_squared),
+    "measures of maps": lambda machine: batch(points._measure_function(flexopt.build_measures(machine))),
+    "task at rest": follow._task_at_rest,
+}
+
+
+@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("what", BATCHED)
+def test_at_many_points(name: str, what: str) -> None:
+    assert BATCHED[what](flexopt.load(name)).compiled == (find_compiler() is not None)
+
+
+@pytest.mark.parametrize(("name", "control"), [*((name, "inverse") for name in MACHINES), ("excavator", "transpose")])
+def test_margin_is_the_compact_form(name: str, control: str) -> None:
+    margin = build_margin(flexopt.load(name), control)
+    compact, used = replace(margin, compact=True).values, margin.batched
+    if find_compiler() is None:
+        assert not used.compiled
+        return
+    assert used.compiled
+    assert used.function.n_instructions() == compact.n_instructions()
+    assert used.function.serialize() == compact.serialize()
+    assert used.function.serialize() != margin.values.serialize()
+
+
+@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+def test_closed_loop(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    for maker in (batch, recurrence):
+        keep = lambda *given, maker=maker, **options: made.append(maker(*given, **options)) or made[-1]  # noqa: E731
+        monkeypatch.setattr(run, maker.__name__, keep)
+    run._runner.cache_clear()
+    flexopt.simulate(flexopt.load(name), REGULAR[name], duration=0.1)
+    assert len(made) >= 2
+    assert [each.compiled for each in made] == [find_compiler() is not None] * len(made)

@@ -1,0 +1,181 @@
+"""Verdicts: run and eigenvalues together, undecided where they differ; of single runs, ensembles and driven bases."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import flexopt
+from benchmarks import verdicts
+from flexopt.simulation.behaviour import Shown
+from flexopt.simulation.linear import SampledLoop
+from flexopt.simulation.verdict import judge
+from tests.oracles.sampled_loop import growth_rate
+from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+THIRD = (0.992, -1.4056)
+SLOW = {"kp": 1e3, "kv": 2e3, "sensor": {"delay": 0.02}}
+DIGGER, STAND = flexopt.load("slewing-excavator"), (0.2, 0.5, -1.2, -0.5)
+HEAVY = {"kp": 3e6, "kv": 6e5}
+
+
+def shown(**changes) -> Shown:
+    """A run of 10 s that decays clearly."""
+    usual = {
+        "word": "converges", "rate": -0.5, "error": 0.01, "ended": 10.0, "significant": True, "short": False,
+        "slowest_hz": 3.0, "duration": 10.0,
+    }  # fmt: skip
+    return Shown(**usual | changes)
+
+
+def loop(rate: float, rounding: float = 1e-10) -> SampledLoop:
+    return SampledLoop(np.array([np.exp(0.005 * (rate + 20j))]), 0.005, rounding=rounding)
+
+
+GROWN = {"word": "grows", "rate": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("run", "linear", "verdict", "words"),
+    [
+        ({}, loop(-0.5), "converges", "the linear loop decays (-0.5/s"),
+        (GROWN, loop(0.4), "grows", "the linear loop grows (+0.4/s"),
+        ({}, loop(1e-3), "undecided", "but the linear loop grows"),
+        (GROWN, loop(-0.1), "undecided", "but the linear loop decays"),
+        ({"short": True}, loop(-0.5), "undecided", "too short to tell: it takes four periods"),
+        (GROWN | {"short": True, "ended": 0.4}, loop(9.0), "grows", "out of the finite numbers at 0.4 s"),
+        (GROWN | {"ended": 4.0}, loop(-0.1), "undecided", "out of the finite numbers"),
+        ({}, loop(-1e-12), "undecided", "neither grows nor decays"),
+        ({"rate": np.nan, "error": np.nan}, loop(0.1), "undecided", "never moves the base"),
+        ({"rate": np.nan, "error": np.nan}, loop(-0.1), "converges", "never moves the base"),
+        ({}, "nothing rests", "converges", "no eigenvalues beside it: nothing rests"),
+        ({"significant": False}, "nothing rests", "undecided", "nothing rests"),
+        ({"short": True}, "nothing rests", "undecided", "nothing rests"),
+    ],
+)
+def test_every_pair_of_run_and_eigenvalues(run, linear, verdict, words):
+    judged = judge(shown(**run), linear)
+    assert judged.verdict == verdict
+    assert words in judged.reason
+
+
+def test_a_mode_that_ten_seconds_do_not_show():
+    """The loop grows by 0.0086/s at 13 Hz, which RK4 makes 0.0012; the run decays first, by a faster mode."""
+    truth = growth_rate(EXCAVATOR, np.array(THIRD), control="inverse", kp=1e3, kv=2e3, period=0.005, dead_time=0.02)
+    assert truth > 0
+    short, long = (flexopt.simulate(EXCAVATOR, THIRD, duration=seconds, **SLOW) for seconds in (10.0, 60.0))
+    assert (short.run.word, short.verdict) == ("converges", "undecided")
+    assert (long.run.word, long.verdict) == ("grows", "grows")
+    for run in (short, long):
+        assert run.linear_growth_rate == pytest.approx(truth, rel=1e-9)
+        assert run.to_dict()["verdict"] == run.verdict
+    assert "undecided: the run of 10 s decays" in repr(short)
+    assert short.verdict_reason.endswith("the run is too short to show it, or too large for a linear loop")
+    assert pickle.loads(pickle.dumps(short)).verdict == "undecided"
+
+
+def test_self_motion_is_no_oscillation():
+    """It bends the base slowly, ever more; the end-point settles in 2.2 s and the base is still."""
+    for seconds in (10.0, 60.0):
+        run = flexopt.simulate(DIGGER, STAND, duration=seconds, **HEAVY)
+        assert run.verdict == "converges"
+        assert run.growth_rate == pytest.approx(-1.4, abs=0.05)
+        assert run.settling_time == pytest.approx(2.18, abs=0.01)
+        assert run.self_motion_rate > 0.01
+    assert flexopt.simulate(DIGGER, STAND, nullspace_damping=1e4, **HEAVY).self_motion_rate < 1e-6
+    assert flexopt.simulate(EXCAVATOR, POSTURE_B, duration=1.0).self_motion_rate is None
+
+
+def test_an_integrator_that_damps_a_growing_loop_decides_nothing():
+    """At B, Kp 1e4, Kv 1e3 and 20 ms the loop grows; a minute of RK4 decays, one of order 8 does not say either yet."""
+    late = {"kp": 1e4, "kv": 1e3, "sensor": {"delay": 0.02}, "offset": (1e-4, -1e-4), "duration": 60.0}
+    damped = flexopt.simulate(EXCAVATOR, POSTURE_B, **late)
+    assert (damped.run.word, damped.verdict) == ("converges", "undecided")
+    assert "the integrator rk4 makes it -0.004774/s by itself" in damped.verdict_reason
+    assert flexopt.simulate(EXCAVATOR, POSTURE_B, integrator="dop853", **late | {"duration": 2000.0}).verdict == "grows"
+
+
+def test_a_driven_base_is_judged_where_it_ends():
+    """From A, which grows, to B, which does not."""
+    climb = flexopt.nullspace_trajectory(EXCAVATOR, POSTURE_A, base_range=(-1.5, 0.0))
+    run = flexopt.simulate(EXCAVATOR, POSTURE_A, base_path=climb.path, duration=climb.time[-1] + 10.0)
+    assert run.verdict == "converges"
+    there = flexopt.sampled_loop(EXCAVATOR, climb.posture[-1], base=climb.base[-1])
+    assert run.linear_growth_rate == pytest.approx(there.growth_rate, rel=1e-4)
+    # Driven to the last moment there is nothing undisturbed to judge.
+    driven = flexopt.simulate(EXCAVATOR, POSTURE_A, base_path=climb.path, duration=climb.time[-1])
+    assert driven.verdict == "undecided"
+    many = flexopt.simulate_ensemble(
+        EXCAVATOR, POSTURE_A, base_path=climb.path, duration=climb.time[-1] + 10.0,
+        vary={"offset": [[0.05, -0.05], [0.01, 0.02]]},
+    )  # fmt: skip
+    assert many.verdict.tolist() == ["converges", "converges"]
+    np.testing.assert_allclose(many.linear_growth_rate, there.growth_rate, rtol=1e-4)
+
+
+def test_members_are_judged_as_single_runs():
+    rng = np.random.default_rng(2)
+    kp, mass = 10 ** rng.uniform(3, 6, 12), rng.uniform(0.0, 400.0, 12)
+    many = flexopt.simulate_ensemble(EXCAVATOR, THIRD, vary={"kp": kp}, kv=1e3, duration=20.0, sensor={"delay": 0.02})
+    for k, gain in enumerate(kp):
+        one = flexopt.simulate(EXCAVATOR, THIRD, kp=gain, kv=1e3, duration=20.0, sensor={"delay": 0.02})
+        assert many.verdict[k] == one.verdict
+        assert many.linear_growth_rate[k] == pytest.approx(one.linear_growth_rate, rel=1e-9)
+    assert set(many.verdict) == {"grows", "undecided"}
+    shares = many.to_dict()["verdicts"]
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["undecided"] == many.share("undecided") > 0
+    # Where the machine is not what the controller takes it for, the loop of the true machine counts, hanging in its
+    # springs with a payload that nobody told it of.
+    loaded = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"payload.mass": mass}, duration=10.0)
+    data = EXCAVATOR.to_dict()
+    for k in (0, 5):
+        data["payload"] = {"mass": mass[k]}
+        own = flexopt.sampled_loop(flexopt.model.machine_from_dict(data), POSTURE_B)
+        assert loaded.linear_growth_rate[k] == pytest.approx(own.growth_rate, rel=1e-9)
+    hanging = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"payload.mass": mass}, duration=10.0, gravity=True)
+    assert np.all(np.isfinite(hanging.linear_growth_rate))
+
+
+def test_verdicts_are_in_the_file(tmp_path):
+    import xarray as xr  # noqa: PLC0415
+
+    many = flexopt.simulate_ensemble(EXCAVATOR, THIRD, vary={"kp": [1e3, 1e4, 1e6]}, kv=1e3, duration=5.0)
+    many.to_netcdf(tmp_path / "many.nc")
+    with xr.open_dataset(tmp_path / "many.nc") as data:
+        meanings = data["verdict"].attrs["flag_meanings"].split()
+        assert [meanings[code] for code in data["verdict"].to_numpy()] == many.verdict.tolist()
+        np.testing.assert_array_equal(data["linear_growth_rate"], many.linear_growth_rate)
+
+
+def test_eigenvalues_are_computed_when_asked_for(monkeypatch):
+    """A run costs two milliseconds; so would its eigenvalues."""
+    from flexopt.simulation import members, verdict  # noqa: PLC0415
+
+    calls = []
+    original = verdict.about
+    for module in (verdict, members):
+        monkeypatch.setattr(module, "about", lambda *given: calls.append(1) or original(*given))
+    run = flexopt.simulate(EXCAVATOR, (0.3, -1.9), duration=2.0, kp=1.234e4)
+    many = flexopt.simulate_ensemble(EXCAVATOR, (0.3, -1.9), duration=2.0, vary={"offset": [[0.1, 0.0], [0.0, 0.1]]})
+    assert calls == []
+    assert (run.verdict, run.verdict_reason, run.linear_growth_rate) is not None
+    assert len(calls) == 1
+    assert len(many.verdict) == 2
+    assert len(calls) == 2
+
+
+@pytest.mark.usefixtures("interpreted")
+def test_random_machines_are_never_contradicted():
+    """A part of `python -m benchmarks.verdicts`: against eigenvalues by SciPy and python-control, and long runs."""
+    found = verdicts.count(18)
+    assert found.contradictions == []
+    assert max(found.off) < 1e-9
+    assert found.true.keys() <= {"as the eigenvalues", "too slow to look"}
+    decided = found.verdicts["converges", "converges"] + found.verdicts["grows", "grows"]
+    assert decided > 9
+    assert found.verdicts["converges", "converges"] > 0 < found.verdicts["grows", "grows"]
+    assert found.redundant > 3
