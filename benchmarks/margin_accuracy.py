@@ -1,6 +1,9 @@
-"""How right the margins are: oracle values, random plants by other routes, and the gradient of ε_max by differences.
+"""How right the margins are: oracle values, random plants by other routes, machines in 420-bit arithmetic.
 
-Run: python -m benchmarks.margin_accuracy [--plants N] [--machines N] [--trees N]
+Run: python -m benchmarks.margin_accuracy [--plants N] [--machines N] [--trees N] [--cases N]
+
+The last table is about what `evaluate` tells: ε_max and its gradient of random machines, every fourth one extreme, and
+the bounds beside them, against ball arithmetic. It ends with an error where a number is outside its bound.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ from flexopt.robustness.margin import build_margin
 from flexopt.robustness.posture_margin import evaluate_margin
 from tests.coprime.oracles import hankel_epsilon, refined_epsilon, scipy_epsilon, slicot_epsilon
 from tests.coprime.plants import chain, random_plant
+from tests.oracles.high_precision import Comparison, compare
+from tests.oracles.margin_cases import margin_case as machine_case
 from tests.robustness.test_margin import CONTROLS, gradient_errors
 from tests.robustness.test_spatial import margin_case, scaled_plant
 
@@ -80,12 +85,15 @@ def trees(count: int) -> list[tuple[str, ...]]:
         ("states", "trees", "from SLICOT, median", "largest", "from extended precision", "SLICOT from it")
     ]
     found: dict[bool, list[tuple[float, float, float]]] = {False: [], True: []}
+    refused = 0
     for k in range(count):
         case, kr = margin_case(k)
         ours = evaluate_margin(build_margin(case.tree), case.base, case.posture, kr).epsilon_max
         plant = scaled_plant(case.tree, case.posture, case.base, kr)
         slicot, exact = slicot_epsilon(plant), refined_epsilon(plant)
-        assert ours is not None
+        if ours is None:
+            refused += 1
+            continue
         found[plant.A.shape[0] >= LARGE].append(
             (abs(ours / slicot - 1), abs(ours / exact - 1), abs(slicot / exact - 1))
         )
@@ -95,7 +103,50 @@ def trees(count: int) -> list[tuple[str, ...]]:
             numbers = [np.median(apart), apart.max(), wrong.max(), theirs.max()]
             what = f"{LARGE} to 36" if large else f"below {LARGE}"
             rows.append((what, str(len(errors)), *(f"{number:.1e}" for number in numbers)))
+    if refused:
+        rows.append(("refused", str(refused), "", "", "", ""))
     return rows
+
+
+def bounded(count: int) -> tuple[list[tuple[str, ...]], bool]:
+    """ε_max and gradients beside their bounds, by kind of machine, and whether all are within."""
+    heads = (
+        "machines",
+        "cases",
+        "without number",
+        "nothing stabilises: said / false",
+        "without gradient",
+        "outside bound",
+    )
+    rows: list[tuple[str, ...]] = [(*heads, "largest error", "bound", "largest gradient error", "bound", "in doubles")]
+    found: dict[str, list[tuple[Comparison, float]]] = {}
+    for k in range(count):
+        case = machine_case(k)
+        compared = compare(case.margin, case.base, case.posture, case.kr, k)
+        p = case.margin.plant.parameter_values
+        plain = float(case.margin.values.call([case.base, case.posture, p, case.kr])[0][0])
+        found.setdefault(case.kind, []).append((compared, abs(plain / compared.epsilon - 1)))
+    good = True
+    for kind, pairs in [*found.items(), ("all", [pair for group in found.values() for pair in group])]:
+        group = [pair[0] for pair in pairs]
+        told = [c for c in group if c.found.epsilon_max is not None and c.slopes]
+        said = [c for c in group if c.found.unstabilizable]
+        outside = sum(not c.within for c in group)
+        good &= outside == 0
+        # Gradients beside ε_max, per radian, metre or relative change.
+        slopes = [slope for c in told for slope in c.slopes if np.isfinite(slope[0])]
+        counts = [len(group), sum(c.found.epsilon_max is None for c in group)]
+        numbers = [
+            max((c.error / c.epsilon for c in told), default=math.nan),
+            max((c.found.error / c.epsilon for c in told), default=math.nan),
+            max((slope[1] for slope in slopes), default=math.nan),
+            max((slope[2] for slope in slopes), default=math.nan),
+            np.nanmax([pair[1] for pair in pairs], initial=0.0),
+        ]
+        texts = [str(n) for n in counts] + [f"{len(said)} / {sum(c.epsilon > 1e-12 for c in said)}"]
+        texts += [str(sum(not c.complete and c.found.epsilon_max is not None for c in group)), str(outside)]
+        rows.append((kind, *texts, *(f"{x:.1e}" for x in numbers)))
+    return rows, good
 
 
 def gradients(count: int) -> list[tuple[str, ...]]:
@@ -114,13 +165,18 @@ def main() -> None:
     parser.add_argument("--plants", type=int, default=400)
     parser.add_argument("--machines", type=int, default=135)
     parser.add_argument("--trees", type=int, default=36)
+    parser.add_argument("--cases", type=int, default=200)
     options = parser.parse_args()
     warnings.simplefilter("ignore", FlexoptWarning)
     print(table("Known values", oracle_values()))
     print(table("Random plants, stable and unstable, with D", random_plants(options.plants)))
     title = "Trees in space, up to 12 passive coordinates and 6 task rows, gains over five decades"
     print(table(title, trees(options.trees)))
-    print(table("Gradient of ε_max by posture, random machines, relative to its size", gradients(options.machines)))
+    print(table("Gradient of ε_max by posture, in doubles, relative to its size", gradients(options.machines)))
+    rows, good = bounded(options.cases)
+    print(table("ε_max and its gradient as `evaluate` tells them, by 420-bit arithmetic (ε_max relative)", rows))
+    if not good:
+        raise SystemExit("a number is outside its bound")
 
 
 if __name__ == "__main__":

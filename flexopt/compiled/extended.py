@@ -8,6 +8,7 @@ many digits in double precision; a graph of a thousand instructions takes some m
 from __future__ import annotations
 
 import decimal
+import math
 import operator
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -91,6 +92,23 @@ def _pi(precision: int) -> Decimal:
         return +(16 * arctangent_of_inverse(5) - 4 * arctangent_of_inverse(239))
 
 
+def _arctangent(y: Decimal, x: Decimal) -> Decimal:
+    """The angle of (x, y), from the double's by steps that cube its error."""
+    if not (x.is_finite() and y.is_finite()) or not (x or y):
+        return _ZERO if x.is_finite() and y.is_finite() else Decimal("NaN")
+    size = max(abs(x), abs(y))
+    angle = Decimal(math.atan2(float(y / size), float(x / size)))
+    for _ in range(2 + decimal.getcontext().prec // 50):
+        sine, cosine = _sine_cosine(angle)
+        angle += (y * cosine - x * sine) / (x * cosine + y * sine)
+    return angle
+
+
+def _of_arctangent(y: Decimal, x: Decimal, value: Decimal) -> tuple[Decimal, Decimal]:  # noqa: ARG001
+    square = x * x + y * y
+    return x / square, -y / square
+
+
 def _choose(condition: Decimal, value: Decimal) -> Decimal:
     return value if condition else _ZERO
 
@@ -112,30 +130,31 @@ Partials = Callable[[Decimal, Decimal, Decimal], tuple[Decimal, Decimal]]
 # For each operation its value from both operands (a single one is given twice), and the partial derivatives by them
 # from operands and value.
 OPERATIONS: dict[int, tuple[Value, Partials]] = {
-    ca.OP_ASSIGN: (lambda a, b: a, lambda a, b, v: (_ONE, _ZERO)),
-    ca.OP_ADD: (operator.add, lambda a, b, v: (_ONE, _ONE)),
-    ca.OP_SUB: (operator.sub, lambda a, b, v: (_ONE, -_ONE)),
-    ca.OP_MUL: (operator.mul, lambda a, b, v: (b, a)),
-    ca.OP_DIV: (operator.truediv, lambda a, b, v: (_ONE / b, -v / b)),
-    ca.OP_NEG: (lambda a, b: -a, lambda a, b, v: (-_ONE, _ZERO)),
-    ca.OP_SQ: (lambda a, b: a * a, lambda a, b, v: (a + a, _ZERO)),
-    ca.OP_TWICE: (lambda a, b: a + a, lambda a, b, v: (_ONE + _ONE, _ZERO)),
-    ca.OP_INV: (lambda a, b: _ONE / a, lambda a, b, v: (-v * v, _ZERO)),
-    ca.OP_SQRT: (lambda a, b: a.sqrt(), lambda a, b, v: (_ONE / (v + v), _ZERO)),
-    ca.OP_SIN: (lambda a, b: _sine_cosine(a)[0], lambda a, b, v: (_sine_cosine(a)[1], _ZERO)),
-    ca.OP_COS: (lambda a, b: _sine_cosine(a)[1], lambda a, b, v: (-_sine_cosine(a)[0], _ZERO)),
-    ca.OP_FABS: (lambda a, b: abs(a), lambda a, b, v: (_sign(a), _ZERO)),
-    ca.OP_SIGN: (lambda a, b: _sign(a), _flat),
-    ca.OP_FMIN: (min, lambda a, b, v: (_ONE, _ZERO) if a <= b else (_ZERO, _ONE)),
-    ca.OP_FMAX: (max, lambda a, b, v: (_ONE, _ZERO) if a >= b else (_ZERO, _ONE)),
+    ca.OP_ASSIGN: (lambda a, _b: a, lambda _a, _b, _v: (_ONE, _ZERO)),
+    ca.OP_ADD: (operator.add, lambda _a, _b, _v: (_ONE, _ONE)),
+    ca.OP_SUB: (operator.sub, lambda _a, _b, _v: (_ONE, -_ONE)),
+    ca.OP_MUL: (operator.mul, lambda a, b, _v: (b, a)),
+    ca.OP_DIV: (lambda a, b: a / b, lambda _a, b, v: (_ONE / b, -v / b)),
+    ca.OP_NEG: (lambda a, _b: -a, lambda _a, _b, _v: (-_ONE, _ZERO)),
+    ca.OP_SQ: (lambda a, _b: a * a, lambda a, _b, _v: (a + a, _ZERO)),
+    ca.OP_TWICE: (lambda a, _b: a + a, lambda _a, _b, _v: (_ONE + _ONE, _ZERO)),
+    ca.OP_INV: (lambda a, _b: _ONE / a, lambda _a, _b, v: (-v * v, _ZERO)),
+    ca.OP_SQRT: (lambda a, _b: a.sqrt(), lambda _a, _b, v: (_ONE / (v + v), _ZERO)),
+    ca.OP_SIN: (lambda a, _b: _sine_cosine(a)[0], lambda a, _b, _v: (_sine_cosine(a)[1], _ZERO)),
+    ca.OP_COS: (lambda a, _b: _sine_cosine(a)[1], lambda a, _b, _v: (-_sine_cosine(a)[0], _ZERO)),
+    ca.OP_ATAN2: (_arctangent, _of_arctangent),
+    ca.OP_FABS: (lambda a, _b: abs(a), lambda a, _b, _v: (_sign(a), _ZERO)),
+    ca.OP_SIGN: (lambda a, _b: _sign(a), _flat),
+    ca.OP_FMIN: (min, lambda a, b, _v: (_ONE, _ZERO) if a <= b else (_ZERO, _ONE)),
+    ca.OP_FMAX: (max, lambda a, b, _v: (_ONE, _ZERO) if a >= b else (_ZERO, _ONE)),
     ca.OP_LT: (_test(operator.lt), _flat),
     ca.OP_LE: (_test(operator.le), _flat),
     ca.OP_EQ: (_test(operator.eq), _flat),
     ca.OP_NE: (_test(operator.ne), _flat),
-    ca.OP_NOT: (_test(lambda a, b: not a), _flat),
+    ca.OP_NOT: (_test(lambda a, _b: not a), _flat),
     ca.OP_AND: (_test(lambda a, b: bool(a and b)), _flat),
     ca.OP_OR: (_test(lambda a, b: bool(a or b)), _flat),
-    ca.OP_IF_ELSE_ZERO: (_choose, lambda a, b, v: (_ZERO, _ONE if a else _ZERO)),
+    ca.OP_IF_ELSE_ZERO: (_choose, lambda a, _b, _v: (_ZERO, _ONE if a else _ZERO)),
 }
 
 

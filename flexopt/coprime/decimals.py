@@ -1,12 +1,14 @@
-"""Dense linear algebra on arrays of decimals: elimination, Cholesky factors, small symmetric eigenproblems."""
+"""Dense linear algebra on arrays of decimals, real and complex: elimination, Cholesky factors, small eigenproblems."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from decimal import Decimal, getcontext
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flexopt.compiled.extended import Exact, exact
+from flexopt.compiled.extended import Exact, exact, largest
 
 SWEEPS = 60
 
@@ -95,3 +97,79 @@ def symmetric_eigen(matrix: Exact) -> tuple[Exact, Exact]:
     values = S.diagonal().copy()
     order = sorted(range(k), key=lambda i: -values[i])
     return values[order], turn[:, order]
+
+
+@dataclass(frozen=True, eq=False)
+class Complex:
+    """A complex array of decimals."""
+
+    re: Exact
+    im: Exact
+
+    @classmethod
+    def of(cls, values: NDArray[np.complex128]) -> Complex:
+        """From doubles."""
+        return cls(exact(values.real), exact(values.imag))
+
+    def __add__(self, other: Complex) -> Complex:
+        return Complex(self.re + other.re, self.im + other.im)
+
+    def __mul__(self, other: Complex) -> Complex:
+        return Complex(self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re)
+
+    def times(self, factor: Exact | Decimal | int) -> Complex:
+        """Each part times real numbers."""
+        return Complex(self.re * factor, self.im * factor)
+
+    def conjugate(self) -> Complex:
+        """The conjugate."""
+        return Complex(self.re, -self.im)
+
+    def left(self, matrix: Exact) -> Complex:
+        """A real matrix times self."""
+        return Complex(matrix @ self.re, matrix @ self.im)
+
+    def outer(self, other: Complex) -> Complex:
+        """Outer product, self otherᵀ."""
+        product = np.multiply.outer
+        real = product(self.re, other.re) - product(self.im, other.im)
+        return Complex(real, product(self.re, other.im) + product(self.im, other.re))
+
+    def dot(self, other: Complex) -> Complex:
+        """Product selfᵀ other, nothing conjugated."""
+        return Complex(self.re @ other.re - self.im @ other.im, self.re @ other.im + self.im @ other.re)
+
+
+def solve_complex(matrix: Complex, right: Complex) -> Complex:
+    """matrix⁻¹ right of a complex symmetric matrix, real and imaginary parts side by side, rows and columns scaled."""
+    sizes: list[Decimal] = [
+        max(sum((abs(x) for x in (*a, *b)), Decimal(0)), Decimal("1e-300"))
+        for a, b in zip(matrix.re, matrix.im, strict=True)
+    ]
+    by = np.array([1 / size.sqrt() for size in sizes], dtype=object)
+    re, im = (by[:, None] * part * by for part in (matrix.re, matrix.im))
+    whole = np.block([[re, -im], [im, re]])
+    found = solve(whole, np.concatenate([right.re * by, right.im * by])[:, None])[:, 0]
+    k = len(by)
+    return Complex(found[:k] * by, found[k:] * by)
+
+
+def refined_mode(A: Exact, value: complex, vector: NDArray[np.complex128]) -> tuple[Complex, Complex]:
+    """A simple eigenvalue of A and its vector, from approximate ones, by Newton's method; else LinAlgError."""
+    n, zero = A.shape[0], A * 0
+    fixed = Complex.of(np.asarray(np.conj(vector) / np.vdot(vector, vector).real, dtype=np.complex128))
+    lam, x = Complex.of(np.array([value], dtype=np.complex128)), Complex.of(vector)
+    for _ in range(8):
+        shifted = Complex(A - unit(n) * lam.re[0], zero - unit(n) * lam.im[0])
+        bordered = [np.full((n + 1, n + 1), Decimal(0), dtype=object) for _ in range(2)]
+        for whole, inner, edge, row in zip(
+            bordered, (shifted.re, shifted.im), (x.re, x.im), (fixed.re, fixed.im), strict=True
+        ):
+            whole[:n, :n], whole[:n, n], whole[n, :n] = inner, -edge, row
+        image = x.left(A) + (lam * x).times(-1)
+        off = Complex(np.append(image.re, fixed.dot(x).re - 1), np.append(image.im, fixed.dot(x).im))
+        step = solve_complex(Complex(*bordered), off.times(-1))
+        x, lam = x + Complex(step.re[:n], step.im[:n]), lam + Complex(step.re[n:], step.im[n:])
+        if max(largest(step.re), largest(step.im)) <= 10.0 ** (12 - getcontext().prec):
+            return lam, x
+    raise np.linalg.LinAlgError("the mode does not converge")

@@ -3,9 +3,9 @@
 In: an approximate X̃, its closed loop and its residual. Out: δ and W with X̃ − δW ≤ X ≤ X̃ + δW in the order of
 symmetric matrices, and from two such pairs a bound on the error of λmax(XZ).
 
-The stabilizing solution X is the largest of all S with Ric(S) = FᵀS + SF − SGS + H ≥ 0 (the discrete case likewise), and
-lies below every S with Ric(S) ≤ 0 whose feedback stabilises: X is the cost of the best feedback, S bounds that of its
-own. With A_x = F − GX̃ and A_xᵀW + WA_x ≤ −¾I, W > 0, Ric(X̃ ± δW) = Ric(X̃) ± δ(A_xᵀW + WA_x) − δ²WGW, so that
+The stabilizing solution X is the largest of all S with Ric(S) = FᵀS + SF − SGS + H ≥ 0 (the discrete case likewise),
+and lies below every S with Ric(S) ≤ 0 whose feedback stabilises: X is the cost of the best feedback, S bounds that of
+its own. With A_x = F − GX̃ and A_xᵀW + WA_x ≤ −¾I, W > 0, Ric(X̃ ± δW) = Ric(X̃) ± δ(A_xᵀW + WA_x) − δ²WGW, so that
 δ ≥ 2‖Ric(X̃)‖ and δ‖WGW‖ ≤ ¼ give both inequalities; W also proves that F − GX̃ and F − G(X̃ + δW) are stable, so that
 the plant can be stabilised. Source: Lancaster and Rodman, Algebraic Riccati Equations, 1995, theorems 9.1.1 and 9.1.3.
 """

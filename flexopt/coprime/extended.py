@@ -102,18 +102,18 @@ class Solution:
 
     def adjoint(self, Q: Exact) -> tuple[Exact, float]:
         """P of A_x P + P A_xᵀ + Q = 0 for the closed loop A_x, and the last correction relative to P."""
-        P, error, correction = Q * Decimal(0), Q, math.inf
+        found, error, correction = Q * Decimal(0), Q, math.inf
         for _ in range(STEPS):
             step = self.lyapunov.correct(error, transposed=True)
-            before, correction = correction, largest(step) / (largest(P + step) or 1.0)
+            before, correction = correction, largest(step) / (largest(found + step) or 1.0)
             if not correction < 0.5 * before:
                 break
-            P = P + step
+            found = found + step
             if correction <= goal():
                 break
-            AP = self.loop @ P
-            error = AP @ self.loop.T - P + Q if self.equation.discrete else AP + AP.T + Q
-        return P, correction
+            AP = self.loop @ found
+            error = AP @ self.loop.T - found + Q if self.equation.discrete else AP + AP.T + Q
+        return found, correction
 
 
 def goal() -> float:
@@ -128,13 +128,14 @@ def newton(equation: Equation, X: Exact, *, steps: int = STEPS, in_decimals: boo
         NotConverged: X does not stabilise.
     """
     best: Solution | None = None
+    current = X
     correction = 1.0
     for _ in range(steps + 1):
-        residual, size = equation.residual(X)
+        residual, size = equation.residual(current)
         relative = largest(residual) / size if size > 0 else 0.0
         if best is not None and not relative < 0.5 * best.relative_residual:
             break
-        loop = equation.loop(X)
+        loop = equation.loop(current)
         try:
             lyapunov = (
                 ExactLyapunov(loop, discrete=equation.discrete)
@@ -145,12 +146,12 @@ def newton(equation: Equation, X: Exact, *, steps: int = STEPS, in_decimals: boo
             if best is None:
                 raise
             break
-        best = Solution(equation, X, loop, lyapunov, residual, relative, correction)
+        best = Solution(equation, current, loop, lyapunov, residual, relative, correction)
         if relative <= goal():
             break
         step = lyapunov.correct(residual)
-        X = X + step
-        correction = largest(step) / (largest(X) or 1.0)
+        current = current + step
+        correction = largest(step) / (largest(current) or 1.0)
     assert best is not None
     return best
 
@@ -161,14 +162,15 @@ def refine(equation: Equation, X: Exact) -> Solution:
     Raises:
         NotConverged: X does not stabilise, or the residual stays above 1e-25 of the terms.
     """
+    start = X
     try:
         found = newton(equation, X)
-        X = found.X
+        start = found.X
         if found.relative_residual <= FAIR:
             return found
     except NotConverged:
         pass
-    found = newton(equation, X, in_decimals=True)
+    found = newton(equation, start, in_decimals=True)
     if not found.relative_residual <= FAIR:
         raise NotConverged("Newton's method stopped early")
     return found
@@ -177,7 +179,7 @@ def refine(equation: Equation, X: Exact) -> Solution:
 def doubled(equation: Equation) -> tuple[Exact, Exact]:
     """X and Z by doubling in decimals, see `riccati.doubling`.
 
-    The iterates H_k and G_k grow towards X and Z in the order of symmetric matrices, so λmax(H_k G_k), which is at least
+    The iterates H_k and G_k grow towards X and Z in the order of symmetric matrices, so λmax(H_k G_k), at least
     trace(H_k G_k)/n, is a lower bound on λmax(XZ): once it passes 1e24, ε_max < 1e-12 is proven.
 
     Raises:
@@ -258,8 +260,8 @@ def solve_pair(equation: Equation, starts: Iterable[tuple[Matrix, Matrix]]) -> E
         except np.linalg.LinAlgError:
             continue
     try:
-        X, Z = doubled(equation)
-        return _bounded(refine(equation, X), refine(equation.dual, Z))
+        primal, dual = doubled(equation)
+        return _bounded(refine(equation, primal), refine(equation.dual, dual))
     except NotConverged:
         raise
     except np.linalg.LinAlgError as error:
@@ -299,16 +301,16 @@ def seeds(pair: ExactPair, value: Decimal, first: Exact, second: Exact) -> Seeds
     XP, ZP = (X @ x.loop @ P_x, Z @ z.loop @ P_z) if e.discrete else (X @ P_x, Z @ P_z)
     if e.discrete:
         XPX, ZPZ = XP @ x.loop.T @ X, ZP @ z.loop.T @ Z
-        B, C = -2 * (XPX @ e.B) + 2 * (P_z @ e.B), 2 * (e.C @ P_x) - 2 * (e.C @ ZPZ)
+        by_b, by_c = -2 * (XPX @ e.B) + 2 * (P_z @ e.B), 2 * (e.C @ P_x) - 2 * (e.C @ ZPZ)
     else:
-        B = -2 * (XP @ (X @ e.B)) + 2 * (P_z @ e.B)
-        C = 2 * (e.C @ P_x) - 2 * ((e.C @ ZP) @ Z)
+        by_b = -2 * (XP @ (X @ e.B)) + 2 * (P_z @ e.B)
+        by_c = 2 * (e.C @ P_x) - 2 * ((e.C @ ZP) @ Z)
     x_abs, z_abs, a, b, c, d = (np.abs(rounded(M)) for M in (X, Z, P_x, P_z, e.B, e.C))
     if e.discrete:
         x_abs, z_abs = x_abs @ np.abs(rounded(x.loop)), z_abs @ np.abs(rounded(z.loop))
     xp, zp = x_abs @ a, z_abs @ b
     sizes = 2 * (xp + zp.T), 2 * (xp @ (x_abs.T @ c) + b @ c), 2 * (d @ a + d @ zp @ z_abs.T)
-    return Seeds(2 * (XP + ZP.T), B, C, sizes, max(wrong_x, wrong_z))
+    return Seeds(2 * (XP + ZP.T), by_b, by_c, sizes, max(wrong_x, wrong_z))
 
 
 def moved_by_rounding(pair: ExactPair, top: TopPairs) -> float:
@@ -348,12 +350,12 @@ def top_pairs(X: Exact, Z: Exact) -> TopPairs:
     count = min(n, 2)
     while count < n and lambdas[count] > TOGETHER * lambdas[count - 1]:
         count += 1
-    V, correction = exact(Rx.T @ left[:, :count]), math.inf
+    span, correction = exact(Rx.T @ left[:, :count]), math.inf
     for _ in range(STEPS):
-        V, values = _ritz(X, Z, V)
-        ZV = Z @ V
-        residual = X @ ZV - V * values
-        step = np.full(V.shape, Decimal(0), dtype=object)
+        span, values = _ritz(X, Z, span)
+        ZV = Z @ span
+        residual = X @ ZV - span * values
+        step = np.full(span.shape, Decimal(0), dtype=object)
         border = rounded(ZV / Decimal(largest(ZV)))
         scale = largest(values)
         for i in range(count):
@@ -363,16 +365,16 @@ def top_pairs(X: Exact, Z: Exact) -> TopPairs:
                 matrix = np.block([[inner, border], [border.T, np.zeros((count, count))]])
                 right = np.append(rounded(residual[:, i] / Decimal(size)), np.zeros(count))
                 step[:, i] = exact(np.linalg.solve(matrix, -right)[:n]) * Decimal(size / scale)
-        before, correction = correction, max(largest(step[:, i]) / largest(V[:, i]) for i in range(min(2, count)))
+        before, correction = correction, max(largest(step[:, i]) / largest(span[:, i]) for i in range(min(2, count)))
         if not correction < 0.5 * before:
             break
-        V = V + step
+        span = span + step
         if correction <= goal():
             break
-    V, values = _ritz(X, Z, V)
-    first = X @ (Z @ V[:, 0]) - V[:, 0] * values[0]
+    span, values = _ritz(X, Z, span)
+    first = X @ (Z @ span[:, 0]) - span[:, 0] * values[0]
     residual_norm = float(abs(first @ (Z @ first)).sqrt())
-    return TopPairs((values[0], values[1] if count > 1 else Decimal(0)), V[:, :2], residual_norm, correction)
+    return TopPairs((values[0], values[1] if count > 1 else Decimal(0)), span[:, :2], residual_norm, correction)
 
 
 def _ritz(X: Exact, Z: Exact, V: Exact) -> tuple[Exact, Exact]:

@@ -36,8 +36,9 @@ class Lyapunov:
     """
 
     def __init__(self, A: Matrix, *, discrete: bool) -> None:
-        values = np.linalg.eigvals(A) if np.all(np.isfinite(A)) else np.array([np.nan])
-        if not np.all(np.abs(values) < 1 if discrete else values.real < 0):
+        finite = bool(np.all(np.isfinite(A)))
+        values = np.asarray(np.linalg.eigvals(A if finite else 0 * A), dtype=np.complex128)
+        if not finite or not np.all(np.abs(values) < 1 if discrete else np.real(values) < 0):
             raise NotConverged("the closed loop is not stable")
         self.discrete = discrete
         moduli = np.abs(values)
@@ -68,14 +69,14 @@ class Lyapunov:
         return exact(self.solve(rounded(Q / by), transposed=transposed)) * by
 
     def _sum(self, Q: Any, twice: Any, *, transposed: bool) -> Any:
-        P = Q
+        found = Q
         if not self.discrete:
             S = self.resolvent if transposed else self.resolvent.T
-            P = S @ P @ S.T * twice
+            found = S @ found @ S.T * twice
         for power in self.powers:
             left = power if transposed else power.T
-            P = P + left @ P @ left.T
-        return (P + P.T) / 2
+            found = found + left @ found @ left.T
+        return (found + found.T) / 2
 
 
 class ExactLyapunov(Lyapunov):

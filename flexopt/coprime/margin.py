@@ -1,7 +1,7 @@
 """The largest robust stability margin ε_max that any controller can give a plant.
 
-In: a plant (A, B, C, D). Out: `RobustMargin` with both Riccati solutions, a bound on the error of ε_max that follows from
-their residuals, and how far two independent routes agree.
+In: a plant (A, B, C, D). Out: `RobustMargin` with both Riccati solutions, a bound on the error of ε_max from their
+residuals, and how far two independent routes agree.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class RobustMargin:
         agreement: relative difference of ε_max between doubling and Schur vectors; None where one of them failed.
         condition: bound on the relative change of X and Z per relative change of the scaled plant.
         method: `"doubling"` or `"schur"`, or `"extended"` where both were refined in extended precision.
-        error_bound: |ε_max − the exact one of these A, B, C, D| is at most this: it follows from the residuals, computed
-            in extended precision, by the order of solutions of Riccati inequalities; see `flexopt.coprime.enclosure`.
+        error_bound: |ε_max − the exact one of these A, B, C, D| is at most this. It follows from the residuals, in
+            extended precision, by the order of solutions of Riccati inequalities; see `flexopt.coprime.enclosure`.
         warnings: sentences on what needs care.
     """
 
@@ -147,9 +147,9 @@ def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: An
 
     With S = I + DᵀD, R = I + DDᵀ, Ã = A − B S⁻¹DᵀC, G = B S⁻¹Bᵀ and H = CᵀR⁻¹C, X and Z are the stabilizing solutions
     of ÃᵀX + XÃ − XGX + H = 0 and ÃZ + ZÃᵀ − ZHZ + G = 0, or in discrete time of X = ÃᵀX(I + GX)⁻¹Ã + H and
-    Z = ÃZ(I + HZ)⁻¹Ãᵀ + G. Time and states are scaled first; doubling and Schur vectors are run independently. Where the
-    bound that follows from their residuals is above 1e-9 of ε_max, Newton's method with residuals in extended precision
-    goes on from them, or doubling in extended precision where neither led to a solution.
+    Z = ÃZ(I + HZ)⁻¹Ãᵀ + G. Time and states are scaled first; doubling and Schur vectors are run independently. Where
+    the bound that follows from their residuals is above 1e-9 of ε_max, Newton's method with residuals in extended
+    precision goes on from them, or doubling in extended precision where neither led to a solution.
 
     Args:
         A: (n, n); or a whole system (see `state_space`) when B and C are left out.
@@ -160,8 +160,8 @@ def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: An
 
     Raises:
         InputError: a matrix is not usable (all faults in one message).
-        NotStabilizable: within rounding of each element of the plant a mode that does not decay escapes the inputs or the
-            outputs (Popov–Belevitch–Hautus test; it is named). Where that is so only within rounding of the largest
+        NotStabilizable: within rounding of each element of the plant a mode that does not decay escapes the inputs or
+            the outputs (Popov–Belevitch–Hautus test; it is named). Where that is so only within rounding of the largest
             elements, it is said if in extended precision, too, the Riccati equations have no solution, or one with
             ε_max < 1e-12, or one that rounding moves by a tenth or more.
         MarginNotComputed: the bound on the error of ε_max stays above 1e-6 of it.

@@ -1,7 +1,7 @@
 """Which modes escape the inputs or the outputs: the Popov–Belevitch–Hautus test with tolerances.
 
-In: a scaled plant. Out: the modes that escape, up to what rounding leaves in doubt. A mode in doubt proves nothing: only
-where the Riccati equations confirm it does `raise_escapes` say that no controller stabilises the plant.
+In: a scaled plant. Out: the modes that escape, up to what rounding leaves in doubt. A mode in doubt proves nothing:
+only where the Riccati equations confirm it does `raise_escapes` say that no controller stabilises the plant.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _within_rounding(A: Matrix, B: Matrix, mode: complex, *, discrete: bool) -> 
     import scipy.linalg as sla  # noqa: PLC0415  # slow to import
 
     eig: Any = sla.eig
-    values, left, right = eig(A, left=True, right=True)
+    values, left, right = (np.asarray(part, dtype=complex) for part in eig(A, left=True, right=True))
     k = int(np.argmin(np.abs(values - mode)))
     y, x, share = left[:, k], right[:, k], 8 * A.shape[0] * EPS
     moved = share * float(np.abs(y) @ np.abs(A) @ np.abs(x)) / max(float(np.abs(np.vdot(y, x))), 1e-300)

@@ -4,8 +4,8 @@ M, D and K are symmetric, so a mode u of (λ² M + λ D + K) u = 0, scaled to u�
 and the residue of P(s) at λ is ρ = (J u) b(u)ᵀ. A complex pair contributes (N1 s + N0)/(s² + 2 ζ ω s + ω²) with
 N1 = 2 Re ρ and N0 = −2 Re(ρ λ̄); without damping N0 = R_i and N1 = 0. The measure is λmin(N0 + N0ᵀ).
 
-Where poles come close, modes turn fast, and doubles lose the digits of ∂w and even its sign. So poles and modes found in
-doubles are refined in decimals, by Newton's method on the bordered system
+Where poles come close, modes turn fast, and doubles lose the digits of ∂w and even its sign. So poles and modes found
+in doubles are refined in decimals, by Newton's method on the bordered system
 
     [[Q, v], [vᵀ, uᵀMu]] [du; dλ] = −[Q u; (uᵀv − 1)/2],    Q = λ² M + λ D + K,    v = (2 λ M + D) u,
 
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, largest, rounded
-from flexopt.coprime.decimals import solve, symmetric, symmetric_eigen
+from flexopt.coprime.decimals import Complex, solve_complex, symmetric, symmetric_eigen
 from flexopt.errors import InputError, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -109,10 +109,11 @@ def _refined(graphs: _Graphs, base: Vector, posture: Vector, lowest_frequency: f
             f"damping: {m - len(upper)} of {m} vibration modes are overdamped and have no complex pair of poles; "
             "lower the damping of the passive coordinates, or use the undamped measures"
         )
-    modes = [_newton(evaluated.outputs, values[k], by * vectors[n:, k]) for k in upper]
+    modes = [_newton(evaluated.outputs, complex(values[k]), by * vectors[n:, k]) for k in upper]
     poles = np.array([mode.pole for mode in modes])
     n0, n1 = (
-        np.array([rounded(x) for x in each]).reshape(m, r, r) for each in zip(*(mode.numerators for mode in modes))
+        np.array([rounded(x) for x in each]).reshape(m, r, r)
+        for each in zip(*(mode.numerators for mode in modes), strict=True)
     )
     groups = _clusters(poles)
     _check_distinct(poles, values[upper])
@@ -165,47 +166,6 @@ def _clusters(poles: NDArray[np.complex128]) -> list[tuple[int, ...]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Complex:
-    """A complex array of decimals."""
-
-    re: Exact
-    im: Exact
-
-    @classmethod
-    def of(cls, values: NDArray[np.complex128]) -> Complex:
-        """From doubles."""
-        return cls(exact(values.real), exact(values.imag))
-
-    def __add__(self, other: Complex) -> Complex:
-        return Complex(self.re + other.re, self.im + other.im)
-
-    def __mul__(self, other: Complex) -> Complex:
-        return Complex(self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re)
-
-    def times(self, factor: Exact | Decimal | int) -> Complex:
-        """Each part times real numbers."""
-        return Complex(self.re * factor, self.im * factor)
-
-    def conjugate(self) -> Complex:
-        """The conjugate."""
-        return Complex(self.re, -self.im)
-
-    def left(self, matrix: Exact) -> Complex:
-        """matrix @ self for a real matrix."""
-        return Complex(matrix @ self.re, matrix @ self.im)
-
-    def outer(self, other: Complex) -> Complex:
-        """self otherᵀ."""
-        product = np.multiply.outer
-        real = product(self.re, other.re) - product(self.im, other.im)
-        return Complex(real, product(self.re, other.im) + product(self.im, other.re))
-
-    def dot(self, other: Complex) -> Complex:
-        """selfᵀ other, nothing conjugated."""
-        return Complex(self.re @ other.re - self.im @ other.im, self.re @ other.im + self.im @ other.re)
-
-
-@dataclass(frozen=True, eq=False)
 class _Mode:
     """A refined pole λ and mode u; `correction` is how far they may be off, relative."""
 
@@ -242,7 +202,7 @@ class _Mode:
         by_lam = (s * t).conjugate().times(-4)
         by_u = (conj * t * Complex(seen, seen * 0)) + (conj * s * Complex(spread, spread * 0))
         right = Complex(np.append(by_u.re, by_lam.re), np.append(by_u.im, by_lam.im))
-        solution = _solve(_bordered(self.outputs, lam, u)[0], right)
+        solution = solve_complex(_bordered(self.outputs, lam, u)[0], right)
         y, eta = Complex(solution.re[:n], solution.im[:n]), Complex(solution.re[n], solution.im[n])
         yu, uu = _symmetric_part(y.outer(u)), u.outer(u)
         seeds = [
@@ -272,7 +232,7 @@ def _bordered(outputs: Sequence[Exact], lam: Complex, u: Complex) -> tuple[Compl
     mu = u.left(mass)
     v = (lam * mu).times(2) + u.left(damping)
     corner, left = u.dot(mu), u.dot(v)
-    matrix = []
+    matrix: list[Exact] = []
     for block, edge, end in ((Q.re, v.re, corner.re), (Q.im, v.im, corner.im)):
         whole = np.full((n + 1, n + 1), Decimal(0), dtype=object)
         whole[:n, :n], whole[:n, n], whole[n, :n], whole[n, n] = block, edge, edge, end
@@ -280,17 +240,6 @@ def _bordered(outputs: Sequence[Exact], lam: Complex, u: Complex) -> tuple[Compl
     q = Complex(Q.re @ u.re - Q.im @ u.im, Q.re @ u.im + Q.im @ u.re)
     rest = Complex(np.append(q.re, (left.re - 1) / 2), np.append(q.im, left.im / 2))
     return Complex(*matrix), rest
-
-
-def _solve(matrix: Complex, right: Complex) -> Complex:
-    """matrix⁻¹ right of a complex symmetric matrix, real and imaginary parts side by side, rows and columns scaled."""
-    size = [max(sum(abs(x) for x in (*a, *b)), Decimal("1e-300")) for a, b in zip(matrix.re, matrix.im, strict=True)]
-    by = np.array([1 / x.sqrt() for x in size], dtype=object)
-    re, im = (by[:, None] * part * by for part in (matrix.re, matrix.im))
-    whole = np.block([[re, -im], [im, re]])
-    found = solve(whole, np.concatenate([right.re * by, right.im * by])[:, None])[:, 0]
-    k = len(by)
-    return Complex(found[:k] * by, found[k:] * by)
 
 
 def _newton(outputs: Sequence[Exact], pole: complex, vector: NDArray[np.complex128]) -> _Mode:
@@ -305,7 +254,7 @@ def _newton(outputs: Sequence[Exact], pole: complex, vector: NDArray[np.complex1
     lam = Complex(lam.re[()], lam.im[()])
     for _ in range(NEWTON_STEPS):
         matrix, rest = _bordered(outputs, lam, u)
-        step = _solve(matrix, rest.times(-1))
+        step = solve_complex(matrix, rest.times(-1))
         u = u + Complex(step.re[:-1], step.im[:-1])
         lam = lam + Complex(step.re[-1], step.im[-1])
         before = relative

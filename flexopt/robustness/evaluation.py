@@ -95,8 +95,8 @@ class Evaluation:
             end-point neither sees nor controls.
         epsilon_max: ε_max of the damped plant with the servo gain `gain`, Appendix A; None where `epsilon_max_status`
             says so.
-        epsilon_max_error: bound on its error: what the residuals of its Riccati equations prove, and to first order what
-            evaluating the plant in double precision would change; NaN without ε_max.
+        epsilon_max_error: bound on its error: what the residuals of its Riccati equations prove, and to first order
+            what evaluating the plant in double precision would change; NaN without ε_max.
         epsilon_max_status: `"computed"`; `"not stabilizable"` where no feedback of the end-point stabilises the plant
             (proven: ε_max < 1e-12, or a mode at 0 that no input reaches or no output sees, to thirty digits);
             `"not computed"` where no bound below 1e-6 was reached, which says nothing about the plant.

@@ -197,7 +197,7 @@ class Margin:
 
     @cached_property
     def coordinates(self) -> ca.Function:
-        """held -> deflection (m,), time scale, and T (n_states, n_states) with physical state = T · scaled state."""
+        """From held: deflection (m,), time scale, and T (n_states, n_states), physical state = T · scaled state."""
         held = ca.SX.sym("held", sum(self._held_sizes))
         deflection, rate, forward, _ = self._scaling(held)
         return ca.Function("coordinates", [held], [deflection, rate, ca.densify(forward)])

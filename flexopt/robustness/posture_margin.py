@@ -1,8 +1,9 @@
 """ε_max of single postures and its gradient, as numbers with bounds on their errors.
 
 In: a `Margin`, a posture, the servo gain. Out: `PostureMargin`. The plant is evaluated in decimals from the machine's
-numbers, its Riccati equations are solved in doubles and refined in decimals (`flexopt.coprime.extended`), and so are the
-adjoint Lyapunov equations of the gradient, which is one reverse sweep through the plant's graph, in decimals as well.
+numbers; its Riccati equations are solved in doubles and refined in decimals (`flexopt.coprime.extended`), and so are
+the adjoint Lyapunov equations of the gradient, which is one reverse sweep through the plant's graph, in decimals
+as well.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from dataclasses import dataclass, replace
 from decimal import Decimal, getcontext
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, rounded
+from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, largest, rounded
 from flexopt.coprime import StateSpace, riccati
-from flexopt.coprime.decimals import null_space, solve, unit
+from flexopt.coprime.decimals import null_space, refined_mode, solve, unit
 from flexopt.coprime.extended import (
     HOPELESS,
     Equation,
@@ -31,6 +33,7 @@ from flexopt.coprime.lyapunov import NotConverged
 from flexopt.coprime.margin import TOLD, epsilon_error
 from flexopt.coprime.scaling import Scaled, scale_for_riccati
 from flexopt.coprime.stabilizability import REACH, Escape, escaping_modes, pole_text
+from flexopt.coprime.system import Matrix
 from flexopt.model.arguments import Vector
 from flexopt.robustness.margin import Margin
 
@@ -41,6 +44,8 @@ GRADIENT_TOLERANCE = 1e-7
 DIGITS = (50, 100)
 # Pivots that are so small beside others are zeros that rounding has touched.
 RANK = Decimal(10) ** -30
+# How close doubles must be to that for it to be looked at in decimals.
+CLOSE = 1e-7
 
 
 @dataclass(frozen=True)
@@ -131,8 +136,8 @@ class _Unseen:
     W: Exact
 
     @property
-    def Q(self) -> Exact:
-        """(n − k, n)."""
+    def onto_kept(self) -> Exact:
+        """Q (n − k, n)."""
         Q = np.full((len(self.kept), len(self.plant.F)), Decimal(0), dtype=object)
         Q[:, self.kept], Q[:, self.left_out] = unit(len(self.kept)), self.W
         return Q
@@ -140,12 +145,12 @@ class _Unseen:
     @property
     def reduced(self) -> Equation:
         """The plant without them."""
-        e, Q = self.plant, self.Q
+        e, Q = self.plant, self.onto_kept
         return Equation(Q @ e.F[:, self.kept], Q @ e.B, e.C[:, self.kept])
 
     def whole(self, F: Exact, B: Exact, C: Exact) -> tuple[Exact, Exact, Exact]:
         """Derivatives by the whole plant's A, B, C from those by the reduced one's."""
-        e, Q, n = self.plant, self.Q, len(self.plant.F)
+        e, Q, n = self.plant, self.onto_kept, len(self.plant.F)
         seen = np.concatenate([e.F, e.C])[:, self.kept]
         R = np.full((n, len(self.left_out)), Decimal(0), dtype=object)
         R[self.kept], R[self.left_out] = -self.W, unit(len(self.left_out))
@@ -178,7 +183,7 @@ class _ScaledPlant:
     def sizes(self, found: Seeds) -> list[Exact]:
         """Bounds on the terms that those derivatives are sums of; of what `unseen` adds, itself."""
         F, B, C = (np.abs(rounded(M)) for M in self.unseen.whole(found.F, found.B, found.C))
-        Q, kept, (f, b, c) = np.abs(rounded(self.unseen.Q)), self.unseen.kept, found.sizes
+        Q, kept, (f, b, c) = np.abs(rounded(self.unseen.onto_kept)), self.unseen.kept, found.sizes
         F[:, kept] += Q.T @ f
         C[:, kept] += c
         back, forth = np.abs(rounded(self.backward)).T, np.abs(rounded(self.forward)).T
@@ -209,7 +214,7 @@ def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _Scaled
     return _ScaledPlant(evaluated, unseen, unseen.reduced, T, back, speed, gain)
 
 
-def _starts(equation: Equation) -> Iterator[tuple[Vector, Vector]]:
+def _starts(equation: Equation) -> Iterator[tuple[Matrix, Matrix]]:
     """Approximate solutions in doubles, the quickest way first."""
     F, B, C = (rounded(M) for M in (equation.F, equation.B, equation.C))
     G, H = B @ B.T, C.T @ C
@@ -231,16 +236,16 @@ def _evaluated(margin: Margin, base: Vector, posture: Vector, kr: float, *, grad
         if error.hopeless or any(e.certain for e in escapes):
             raise NotConverged(_named(plant, escapes) or str(error), hopeless=True) from None
         raise
-    largest = float(top.values[0])
-    if largest > HOPELESS:
+    top_value = float(top.values[0])
+    if top_value > HOPELESS:
         raise NotConverged(_named(plant, _escapes(plant)) or "ε_max is below 1e-12", hopeless=True)
     found = seeds(pair, top.values[0], top.vectors[:, 0], top.vectors[:, 0])
     by_input, moved = plant.evaluated.gradient(plant.to_physical(found))
-    epsilon = 1.0 / math.sqrt(1.0 + largest)
+    epsilon = 1.0 / math.sqrt(1.0 + top_value)
     proven = pair.eigenvalue_bound() + top.residual
-    if not epsilon_error(largest, proven) <= TOLD * epsilon:
-        raise NotConverged(f"the bound on its error is {epsilon_error(largest, proven):.1e}")
-    error = epsilon_error(largest, proven + moved)
+    if not epsilon_error(top_value, proven) <= TOLD * epsilon:
+        raise NotConverged(f"the bound on its error is {epsilon_error(top_value, proven):.1e}")
+    error = epsilon_error(top_value, proven + moved)
     second = 1.0 / math.sqrt(1.0 + float(top.values[1]))
     n_z, n_p = base.size + posture.size, _n_p(margin)
     unknown = np.full(n_z + n_p + 1, np.nan)
@@ -304,23 +309,45 @@ def _scaled_system(plant: _ScaledPlant) -> Scaled:
 def _escapes(plant: _ScaledPlant) -> list[Escape]:
     """Modes that do not decay and escape, within rounding, the inputs or the outputs.
 
-    Certain are those at exactly 0: A with B beside it, or C below it, has lost rank, to thirty digits.
+    Certain are those at exactly 0 where A with B beside it, or C below it, has lost rank, and the simple ones of which
+    nothing arrives at B or C and whose real part is not negative, all to thirty digits.
     """
     e, scaled = plant.equation, _scaled_system(plant)
     found = [replace(escape, certain=False) for escape in escaping_modes(scaled)]
     n = len(e.F)
-    for kind, matrix in (("stabilizable", np.hstack([e.F, e.B])), ("detectable", np.hstack([e.F.T, e.C.T]))):
-        if len(null_space(matrix, RANK)[0]) < n:
+    for kind, A, B in (("stabilizable", e.F, e.B), ("detectable", e.F.T, e.C.T)):
+        if len(null_space(np.concatenate([A, B], axis=1), RANK)[0]) < n:
             found.insert(0, Escape(0j, 0.0, 0.0, kind, certain=True))
+        values, vectors = np.linalg.eig(rounded(A.T))
+        size = float(np.max(np.abs(values)))
+        for value, vector in zip(values, vectors.T, strict=True):
+            reached = np.linalg.norm(vector @ rounded(B)) <= CLOSE * np.linalg.norm(rounded(B))
+            if value.imag > 0 and value.real >= -CLOSE * size and reached:
+                found = _confirmed(A, B, complex(value), vector.astype(complex), kind) + found
     return found
 
 
+def _confirmed(A: Exact, B: Exact, value: complex, vector: NDArray[np.complex128], kind: str) -> list[Escape]:
+    """The mode, if in decimals, too, it does not decay and B does not reach it."""
+    try:
+        mode, left = refined_mode(A.T, value, vector)
+    except np.linalg.LinAlgError:
+        return []
+    arrives = left.left(B.T)
+    escapes = max(largest(arrives.re), largest(arrives.im)) <= float(RANK) * largest(B)
+    pole = complex(float(mode.re[0]), float(mode.im[0]))
+    if not (escapes and pole.real >= -float(RANK) * abs(pole) and abs(pole - value) <= CLOSE * abs(value)):
+        return []
+    pole = complex(0.0, pole.imag) if abs(pole.real) < abs(pole) * CLOSE else pole
+    return [Escape(pole, 0.0, 0.0, kind, certain=True)]
+
+
 def _named(plant: _ScaledPlant, escapes: list[Escape]) -> str:
-    """The modes that escape as text; empty where there are none."""
+    """The modes that escape as text, those in doubt only where none is certain; empty where there are none."""
     scaled = _scaled_system(plant)
     modes = [
-        f"mode = {pole_text(scaled.pole(escape.mode), discrete=False)}: {REACH[escape.kind]}"
-        for escape in escapes
+        f"mode = {pole_text(scaled.pole(escape.mode), discrete=False)}: does not decay and {REACH[escape.kind]}"
+        for escape in [e for e in escapes if e.certain] or escapes
         if escape.mode.imag >= 0
     ]
     return "; ".join(dict.fromkeys(modes))

@@ -43,8 +43,8 @@ class PointValues:
         least_diagonal: the smallest diagonal element of R_i, (m, N): strictly in-phase where not negative.
         rigid: λmin(R_0 + R_0ᵀ), (N,).
         condition: cond Jv, (N,), of singular postures too.
-        epsilon_max: (N,), NaN where it was not asked for, no feedback of the end-point stabilises the plant, or it could
-            not be computed.
+        epsilon_max: (N,), NaN where it was not asked for, no feedback of the end-point stabilises the plant, or it
+            could not be computed.
     """
 
     frequency_hz: Vector

@@ -6,11 +6,17 @@ from its eigenvalues, derivatives from differences over a step of 1e-50.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import casadi as ca
 import flint
 import numpy as np
 import scipy.linalg
 from flint import acb_mat, arb, arb_mat
+
+from flexopt.robustness.margin import Margin
+from flexopt.robustness.posture_margin import PostureMargin, evaluate_margin
 
 BITS = 420
 flint.ctx.prec = BITS
@@ -28,6 +34,7 @@ OPERATIONS = {
     ca.OP_SIN: lambda a, b: a.sin(),
     ca.OP_COS: lambda a, b: a.cos(),
     ca.OP_FABS: lambda a, b: abs(a),
+    ca.OP_ATAN2: arb.atan2,
 }
 
 
@@ -40,7 +47,11 @@ def evaluate_graph(function: ca.Function, inputs: list[list[arb]]) -> list[arb_m
     work: dict[int, arb] = {}
     outputs = [[arb(0)] * function.numel_out(k) for k in range(function.n_out())]
     for k in range(function.n_instructions()):
-        operation, out, given = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        operation, out, given = (
+            function.instruction_id(k),
+            function.instruction_output(k),
+            function.instruction_input(k),
+        )
         if operation == ca.OP_INPUT:
             work[out[0]] = inputs[given[0]][given[1]]
         elif operation == ca.OP_CONST:
@@ -65,7 +76,7 @@ def _largest(matrix: arb_mat) -> float:
 
 
 def _blocks(rows: list[list[arb_mat]]) -> arb_mat:
-    return arb_mat([sum((m.tolist()[i] for m in row), []) for row in rows for i in range(row[0].nrows())])
+    return arb_mat([[x for m in row for x in m.tolist()[i]] for row in rows for i in range(row[0].nrows())])
 
 
 def _sign(matrix: arb_mat) -> arb_mat:
@@ -155,3 +166,56 @@ class MarginOracle:
     def slope(self, here: arb, shift: list[np.ndarray]) -> float:
         """Derivative along `shift`."""
         return float(((self.value(shift) - here) / STEP).mid())
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What `evaluate_margin` gives beside the oracle: errors and bounds of ε_max, and of two directional derivatives.
+
+    `epsilon` is the oracle's, NaN where it has none; `found` is flexopt's answer.
+    """
+
+    found: PostureMargin
+    epsilon: float
+    error: float
+    slopes: tuple[tuple[float, float, float], ...]  # derivative, its error, its bound
+
+    @property
+    def within(self) -> bool:
+        """Whether every number told is within its bound; what the oracle itself rounds to a double is allowed."""
+        if self.found.epsilon_max is None:
+            return not self.found.unstabilizable or not self.epsilon > 1e-12
+        told = [(e, bound, value) for value, e, bound in self.slopes if np.isfinite(value)]
+        return self.error <= self.found.error and all(e <= bound + 2.0**-52 * abs(value) for e, bound, value in told)
+
+    @property
+    def complete(self) -> bool:
+        """Whether ε_max and its gradient are there."""
+        return self.found.epsilon_max is not None and bool(np.all(np.isfinite(self.found.z)))
+
+
+def compare(margin: Margin, base, posture, kr: float, seed: int) -> Comparison:
+    """flexopt's answer and the oracle's; derivatives along a random direction of placement and joints, and of p and kr."""
+    found = evaluate_margin(margin, base, posture, kr)
+    oracle = MarginOracle(margin, base, posture, kr)
+    try:
+        here = oracle.value()
+    except (ZeroDivisionError, ArithmeticError):
+        return Comparison(found, math.nan, math.nan, ())
+    if found.epsilon_max is None:
+        return Comparison(found, float(here), math.nan, ())
+    rng = np.random.default_rng(seed)
+    p = margin.plant.parameter_values.full().ravel()
+    none = [np.zeros(len(base)), np.zeros(len(posture)), np.zeros(len(p)), np.zeros(1)]
+    z = [rng.normal(size=len(base)), rng.normal(size=len(posture)), *none[2:]]
+    by_p = [*none[:2], p * rng.normal(size=len(p)), np.array([kr])]
+    slopes = []
+    gradient = np.concatenate([found.z, found.p, [found.kr]])
+    errors = np.concatenate([found.z_error, found.p_error, [found.kr_error]])
+    for shift in (z, by_p):
+        along = np.concatenate(shift)
+        value, bound = float(gradient @ along), float(errors @ np.abs(along))
+        # The sum itself is rounded.
+        bound += 2.0**-50 * float(np.abs(gradient) @ np.abs(along))
+        slopes.append((value, abs(value - oracle.slope(here, shift)), bound))
+    return Comparison(found, float(here), abs(float((here - found.epsilon_max).mid())), tuple(slopes))

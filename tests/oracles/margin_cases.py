@@ -55,14 +55,14 @@ def _scale(data: dict[str, Any], rng: np.random.Generator, stiffness: tuple[floa
 
 def _make_extreme(data: dict[str, Any], kind: str, rng: np.random.Generator) -> None:
     if kind == "stiff":
-        _scale(data, rng, (4, 8), 1.0)
+        _scale(data, rng, (0, 9), 1.0)
     elif kind == "soft":
-        _scale(data, rng, (-6, -3), 1.0)
+        _scale(data, rng, (-8, 0), 1.0)
     elif kind == "light damping":
-        _scale(data, rng, (0, 0), 10.0 ** rng.uniform(-8, -4))
+        _scale(data, rng, (0, 0), 10.0 ** rng.uniform(-12, -3))
     elif kind == "heavy":
         for body in data.get("bodies", data.get("links")):
-            by = 10.0 ** rng.uniform(-4, 4)
+            by = 10.0 ** rng.uniform(-6, 6)
             body["mass"] *= by
             body["inertia"] = (np.array(body["inertia"]) * by).tolist()
     elif kind == "repeated":
@@ -99,6 +99,6 @@ def margin_case(k: int) -> MarginCase:
             continue
         # The gain that puts the rigid part's crossing near the first mode, and some decades about it.
         natural = float(v["omega_squared"][0]) / float(np.linalg.norm(v["rigid"].full()))
-        decades = 5.0 if kind == "far gain" else 1.5
+        decades = 6.0 if kind == "far gain" else 1.5
         return MarginCase(margin, base, posture, natural * 10.0 ** rng.uniform(-decades, decades), kind)
     raise AssertionError("no regular posture found")
