@@ -315,7 +315,7 @@ class Measures:
     ) -> ca.Function:
         """The Function of (base, posture, p) in which `held` is computed.
 
-        `{"cse": False}` for what is called once a posture: to search for equal parts would take longer than they do.
+        `{"cse": False}` for what is called once for a posture: to search for equal parts takes longer than they do.
         """
         return self._behind_hold(self._function(name, [self.held], outputs, {"cse": False}), dict(options))
 

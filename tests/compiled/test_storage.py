@@ -40,7 +40,7 @@ e, c = ca.SX.sym("e", 0), ca.SX.sym("c")
 step = ca.Function("step", [x, e, c], [ca.vertcat(c * x[1], x[2], ca.cos(x[0])), x[0]])
 points = np.random.default_rng(0).normal(size=(3, 100))
 start = time.perf_counter()
-b, twin, run = batch(f), accelerate(f), recurrence(step)
+b, twin, run = batch(f), accelerate(f), recurrence(step, many=True)
 seconds = time.perf_counter() - start
 expected = np.sin(points[0]) * points[1] + np.sqrt(np.abs(points[2]))
 assert np.allclose(b(points)[0][0], expected, rtol=1e-13)
