@@ -19,15 +19,17 @@ _SPELLED = {
     "−": "-", "–": "-", "—": "-", "‐": "-", "‑": "-", "·": "*", "×": "x", "÷": "/", "≤": "<=", "≥": ">=", "≠": "!=",
     "±": "+-", "∞": "inf", "→": "->", "←": "<-", "‖": "||", "∂": "d", "√": "sqrt", "∫": "int", "∈": "in", "∝": "~",
     "∘": "o", "°": "deg", "′": "'", "″": '"', "‘": "'", "’": "'", "“": '"', "”": '"', "„": '"', "ß": "ss", "ø": "o",
-    "Ø": "O", "æ": "ae", "Æ": "AE", "µ": "u", "≈": "~", "✓": "ok", "⁄": "/",
+    "Ø": "O", "æ": "ae", "Æ": "AE", "µ": "u", "≈": "~", "✓": "ok", "⁄": "/", "⟨": "<", "⟩": ">",
+    "∑": "sum", "∏": "prod", "∇": "grad", "≪": "<<", "≫": ">>", "∩": "and", "∪": "or", "∀": "all", "⇒": "=>",
+    "↔": "<->",
 }  # fmt: skip
 TERMINAL = "flexopt.terminal"
 # What stands where a font has no letter.
 _NO_GLYPH = "\N{WHITE SQUARE}"
 # Looks like a backslash, and is none to mathtext.
 _BACKSLASH = "\N{SET MINUS}"
-# More letters leave a picture no room, and a legend of several names.
-PICTURE_MAX, LEGEND_MAX = 40, 16
+# More letters leave a picture no room: of a name, of one of several in a legend, of a whole title.
+PICTURE_MAX, LEGEND_MAX, TITLE_MAX = 40, 16, 100
 
 
 def one_line(text: str) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from flexopt.escapes import mathtext
+from flexopt.escapes import TITLE_MAX, mathtext
 from flexopt.plotting.fields import Plane, Values, draw_field, draw_marks, draw_regions, label_plane
 from flexopt.plotting.files import write
 
@@ -23,7 +23,8 @@ def dataset_plane(dataset: Any) -> Plane:
     if columns == "x" and dataset.attrs["frame"].startswith("workspace"):
         return Plane(_array(dataset, "x"), _array(dataset, "y"), "x, m (workspace frame)", "y, m (workspace frame)")
     labels = [
-        f"{mathtext(dataset[name].attrs['long_name'])}, {dataset[name].attrs['units']}" for name in (columns, rows)
+        f"{mathtext(dataset[name].attrs['long_name'], TITLE_MAX)}, {dataset[name].attrs['units']}"
+        for name in (columns, rows)
     ]
     return Plane(_array(dataset, columns), _array(dataset, rows), *labels)
 
@@ -61,7 +62,9 @@ def plot_workspace(
             label_plane(axes, plane, title, left=column == 0, bottom=row == len(panels) - 1)
     if shown:
         figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=8.5)
-    figure.suptitle(f"{mathtext(dataset.attrs['title'])}, kr = {float(dataset.attrs['gain']):.3g}", fontsize=11)
+    figure.suptitle(
+        f"{mathtext(dataset.attrs['title'], TITLE_MAX)}, kr = {float(dataset.attrs['gain']):.3g}", fontsize=11
+    )
     write("plot_workspace", figure, path, dpi=150)
     return figure
 
