@@ -194,7 +194,7 @@ def as_array(value: Any, kinds: str = "iuf") -> NDArray[Any]:
     if found.dtype.kind == "O" and all(type(part) is int for part in found.ravel()):
         raise ValueError("must be numbers that fit into double precision")
     if found.dtype.kind not in kinds:
-        raise ValueError("must be real numbers" if "c" not in kinds else "must be numbers")
+        raise ValueError("must be numbers" + ("" if "c" in kinds else ", real ones"))
     return found.astype(complex if "c" in kinds else float, copy=False)
 
 
@@ -311,7 +311,7 @@ TABLE: dict[str, Check] = {
     "threads": whole(1, WORKERS_MAX),
     "progress": callback,
     "origin": by(check_text),
-    "path": path(*PICTURES, parent=True),
+    "path": path(*PICTURES),
     "folder": path(),
     "name_or_path": path(limited=False),  # a long one is answered with the names that there are
 }

@@ -58,7 +58,7 @@ def _alive(trajectory: Trajectory) -> NDArray[np.int64]:
 
 @public(
     trajectory=instance(Trajectory, "a Trajectory, from flexopt.simulate for example"),
-    path=path(".gif", ".html", parent=True),
+    path=path(".gif", ".html"),
     speed=number("", above=0.0, high=1e9),
     magnify=number("", low=0.0, high=1e6),
     together=_lasts,

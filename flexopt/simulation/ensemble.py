@@ -121,7 +121,7 @@ class Ensemble:
         finite = values[np.isfinite(values)]
         return np.percentile(finite, [5, 50, 95]).tolist() if finite.size else [math.nan] * 3
 
-    @public(path=path(parent=True))
+    @public(path=path())
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset and the provenance to a netCDF file.
 
@@ -169,7 +169,7 @@ def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
         shapes = [("members",) if width == 0 else ("members", width) for width in widths[name]]
         array = array_of(*shapes)(arguments, where, given)
         if array is not None and not len(array):
-            arguments.note(where, "must have one row for each member", given)
+            arguments.note(where, "must have the shape (members, …), with at least one member", given)
         elif array is not None:
             arguments.faults += _range_faults(machine, name, array)
             arrays[name] = array

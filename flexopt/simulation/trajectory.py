@@ -197,7 +197,7 @@ class Trajectory:
         }  # fmt: skip
         return cast(dict[str, Any], json_ready(document))
 
-    @public(path=path(parent=True))
+    @public(path=path())
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write every sample, the measures and the provenance to a netCDF file.
 
@@ -210,7 +210,7 @@ class Trajectory:
         data.attrs["flexopt"] = json.dumps(self.to_dict())
         write_netcdf(path, data)
 
-    @public(path=path(parent=True))
+    @public(path=path())
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write every sample as a line: time, q, v, end-point, error, torque, energy; the header names them.
 

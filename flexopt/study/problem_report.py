@@ -198,8 +198,11 @@ def _reported(arguments: Arguments, field: str, value: Any) -> Any:
     if isinstance(value, SelectionProblem):
         arguments.of = value.machine
         return value
-    value = TABLE["problem"](arguments, field, value)
-    if isinstance(value, Problem) and value.target.kind != "end_point":
+    if not isinstance(value, Problem):
+        arguments.note(field, "must be a problem, from flexopt.load_problem or flexopt.build_selection", value)
+        return value
+    TABLE["problem"](arguments, field, value)
+    if value.target.kind != "end_point":
         sentence = f"must have one target, target.end_point, not target.{value.target.kind}"
         arguments.faults.append(Fault(field, sentence, value.name))
     return value

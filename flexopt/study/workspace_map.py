@@ -112,7 +112,7 @@ class WorkspaceMap:
         in_phase = self.array("in_phase_strict" if strict else "in_phase")
         return self.fraction(np.all(in_phase[[mode - 1 for mode in modes]] == 1, axis=0))
 
-    @public(path=path(".nc", parent=True))
+    @public(path=path(".nc"))
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write a netCDF 3 file, which needs nothing but SciPy to be written or read.
 

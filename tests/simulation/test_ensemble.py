@@ -108,7 +108,7 @@ BAD = [
     ({}, "must be a dictionary"),
     (None, "must be a dictionary"),
     ({"kq": [1.0]}, "is not something that varies"),
-    ({"kp": [1.0, math.nan]}, "row 1 is not"),
+    ({"kp": [1.0, math.nan]}, "is not at [1]"),
     ({"kp": [-1.0]}, "must not be negative"),
     ({"kp": []}, "must have the shape"),
     ({"kp": "many"}, "must be numbers"),
