@@ -36,6 +36,13 @@ _OPTIONS = (
 )
 
 
+# What `simulate` alone offers.
+_OF_SIMULATE: dict[str, Any] = {
+    "seed": None, "integral_limit": None, "nullspace_damping": None, "uncompensated": False, "sensor": (),
+    "actuator": (),
+}  # fmt: skip
+
+
 def fmu_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options of an FMU but --control and --gain, which `export` has."""
     for each in reversed(_OPTIONS):
@@ -47,7 +54,7 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     """Write the FMU that `options` (with `control` and `gain`) ask for, and say what was written."""
     from flexopt.export.fmu import export_fmu  # noqa: PLC0415  (only this command needs it)
 
-    loaded, given = read(load, machine), simulate_arguments(options | {"seed": None})
+    loaded, given = read(load, machine), simulate_arguments(_OF_SIMULATE | options)
     if "posture" not in given and "end_point" not in given:
         raise InputError("export: an FMU needs --posture or --end-point")
     named = {"version": options["fmi"], "kind": options["kind"]}

@@ -89,7 +89,7 @@ def singular_points(plant: Plant, control: Control, screen: Vector, jv: Vector, 
 
 def conditions(stacked: Vector, n_actuated: int) -> tuple[Vector, Vector]:
     """Ratio of the extreme singular values of each of N Jacobians, stacked by columns, and the largest, (N,)."""
-    jacobians = stacked.T.reshape(stacked.shape[1], n_actuated, -1)
+    jacobians = stacked.T.reshape(stacked.shape[1], n_actuated, stacked.shape[0] // n_actuated)
     finite = np.all(np.isfinite(jacobians), axis=(1, 2))
     values = np.linalg.svd(np.where(finite[:, None, None], jacobians, 0.0), compute_uv=False)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from flexopt.writing import write_file
+
 # Program -> what brings it on Debian and Ubuntu.
 PACKAGES = {
     "gcc": "gcc", "g++": "g++", "clang": "clang", "clang++": "clang", "make": "make", "cmake": "cmake",
@@ -93,7 +95,7 @@ def sanitizing_compiler(flags: Sequence[str], folder: Path) -> str:
         ToolMissing: neither is.
     """
     source = folder / "sanitizers.c"
-    source.write_text("int main(void) { return 0; }\n", encoding="utf-8")
+    write_file(source, "int main(void) { return 0; }\n")
     for compiler in ("clang", "gcc"):
         try:
             run([compiler, *flags, source, "-o", folder / "sanitizers"], folder=folder)
