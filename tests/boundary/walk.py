@@ -74,6 +74,8 @@ def signature(call: Call) -> Mapping[str, inspect.Parameter]:
     if "." in call.name:
         owner, method = call.name.split(".")
         function = getattr(getattr(flexopt, owner), method)
+    if hasattr(function, "model_rebuild"):
+        function.model_rebuild()  # Pydantic tells the fields once the class is in use
     found = dict(inspect.signature(function).parameters)
     found.pop("self", None)
     return found
