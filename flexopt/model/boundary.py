@@ -225,7 +225,7 @@ def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
 
     def check(value: Any) -> Any:
         try:
-            text: Any = os.fspath(cast(Any, value)) if isinstance(value, str | os.PathLike) else None
+            text: Any = os.fspath(cast("os.PathLike[str]", value)) if isinstance(value, str | os.PathLike) else None
         except Exception:  # noqa: BLE001, RUF100  # somebody else's __fspath__
             text = None
         if not isinstance(text, str):

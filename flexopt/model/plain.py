@@ -114,8 +114,8 @@ def _tuples(value: Any) -> Any:
 def shown(value: Any) -> str:
     """A value as it is quoted in a message."""
     try:
-        long = cast(Any, value)
-        value = long[:SHOWN] if isinstance(value, list | tuple | np.ndarray) and len(long) > SHOWN else long
+        if isinstance(value, list | tuple | np.ndarray):
+            value = cast(Sequence[Any], value)[:SHOWN]
         text = repr(_Reader(most=10 * SHOWN).read(value))
     except Exception:  # noqa: BLE001, RUF100  # whatever it is, the message about it must come out
         text = f"<{type(value).__name__}>"
