@@ -22,8 +22,10 @@ from flexopt.robustness.residues import measure, rank_one_measure
 NAMES = ["base", "posture", "p", "held", "alpha"]
 # `held` is a constant to CasADi but changes with the posture: a derivative taken of such a Function would be wrong, so
 # that none can be taken.
-NO_DERIVATIVES: dict[str, Any] = {"never_inline": True, "enable_forward": False, "enable_reverse": False}
-NO_DERIVATIVES |= {"enable_jacobian": False, "enable_fd": False}
+NO_DERIVATIVES: dict[str, Any] = {
+    "never_inline": True,
+    **dict.fromkeys(("enable_forward", "enable_reverse", "enable_jacobian", "enable_fd"), False),
+}
 
 
 @dataclass(frozen=True)
