@@ -24,10 +24,7 @@ NAMES = ["base", "posture", "p", "held", "alpha"]
 # that none can be taken.
 NO_DERIVATIVES: dict[str, Any] = {
     "never_inline": True,
-    "enable_forward": False,
-    "enable_reverse": False,
-    "enable_jacobian": False,
-    "enable_fd": False,
+    **dict.fromkeys(("enable_forward", "enable_reverse", "enable_jacobian", "enable_fd"), False),
 }
 
 
