@@ -114,9 +114,8 @@ def _tuples(value: Any) -> Any:
 def shown(value: Any) -> str:
     """A value as it is quoted in a message."""
     try:
-        if isinstance(value, list | tuple | np.ndarray):
-            value = cast(Sequence[Any], value)[:SHOWN]
-        text = repr(_Reader(most=10 * SHOWN).read(value))
+        start: Any = cast(Any, value)[:SHOWN] if isinstance(value, list | tuple | np.ndarray) else value
+        text = repr(_Reader(most=10 * SHOWN).read(start))
     except Exception:  # noqa: BLE001, RUF100  # whatever it is, the message about it must come out
-        text = f"<{type(value).__name__}>"
+        text = f"<{type(cast(object, value)).__name__}>"
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
