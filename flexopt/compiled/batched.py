@@ -93,7 +93,8 @@ class Batch:
                              f"got {len(arrays)}")  # fmt: skip
         # A caller without types may pass anything.
         if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:  # pyright: ignore
-            raise InputError(f"{function.name()}: threads must be a whole number of at least 1")
+            fault = Fault("threads", "must be a whole number of at least 1", repr(threads))
+            raise InputError(f"{function.name()}: {fault}", [fault], function.name())
         values: list[Array] = []
         faults: list[Fault] = []
         for name, layout, given in zip(function.name_in(), self._in, arrays, strict=True):

@@ -335,7 +335,7 @@ def test_text_of_evaluate_lists_every_mode(command: Command) -> None:
 
 
 def test_failed_solve_tells_constraint_and_iterate(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    def lose(problem: flexopt.SelectionProblem, start: np.ndarray) -> tuple[np.ndarray, int, str]:
+    def lose(problem: flexopt.SelectionProblem, start: np.ndarray, **how: float) -> tuple[np.ndarray, int, str]:
         return start + np.array([0.1, 0.0, 0.0]), 200, "Maximum_Iterations_Exceeded"
 
     monkeypatch.setattr("flexopt.selection.optima.run_solver", lose)

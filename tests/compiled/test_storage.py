@@ -23,8 +23,8 @@ from tests.compiled.comparison import QUIET
 
 pytestmark = pytest.mark.filterwarnings(QUIET)
 
-# The batch, the twin, and the recurrence in narrow and in wide registers.
-LIBRARIES = 4
+# The batch, the twin, and the recurrence in wide registers.
+LIBRARIES = 3
 PROGRAM = """
 import sys, time, warnings
 import casadi as ca, numpy as np
