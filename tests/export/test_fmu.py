@@ -566,7 +566,7 @@ def test_every_fault_of_a_call_is_named(tmp_path: Path) -> None:
         )
     for words in ("version", "2.0 or 3.0", "hold", "seed", "there is no folder"):
         assert words in str(caught.value)
-    with pytest.raises(InputError, match=r"ends in \.fmu"):
+    with pytest.raises(InputError, match=r"must end in \.fmu"):
         flexopt.export_fmu(EXCAVATOR, tmp_path / "model.zip", POSTURE)
     with pytest.raises(InputError, match="kp"):
         export(tmp_path, kp=-1.0)
@@ -593,7 +593,7 @@ def test_without_a_compiler_the_sources_remain(tmp_path: Path, monkeypatch: pyte
 def test_the_library_runs_on_any_processor_of_its_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arguments: list[list[str]] = []
     real = compilers._run
-    monkeypatch.setattr(compilers, "_run", lambda a, seconds: (arguments.append(a), real(a, seconds))[1])
+    monkeypatch.setattr(compilers, "_run", lambda a, *rest: (arguments.append(a), real(a, *rest))[1])
     export(tmp_path, duration=0.5)
     built = [a for a in arguments if any(str(part).endswith("source.c") for part in a)]
     assert built
