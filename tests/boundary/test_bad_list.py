@@ -67,7 +67,6 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("*.to_netcdf", "path", ("text",), "a file may have any name"),
     ("Report.write", "folder", ("text",), "a folder may have any name"),
     ("export_c", "folder", ("text",), "a folder may have any name"),
-    ("check", "machine_or_path", ("text", "million *"), "what is wrong with a file is part of the result"),
 ]
 
 # Classes whose objects come from functions alone, as the results of computing: nobody passes them numbers.
