@@ -219,8 +219,9 @@ def _growth(
         spread = np.sum(dt**2, axis=0)
         rate = np.sum(dt * dy, axis=0) / spread
         residual = np.sum((dy - rate * dt) ** 2, axis=0)
+        error: Vector = np.sqrt(residual / np.maximum(n - 2, 1) / spread)
         # A line goes through two points whatever they are.
-        error = np.where(n < FEWEST_FITTED, np.abs(rate), np.sqrt(residual / np.maximum(n - 2, 1) / spread))
+        error = np.where(n < FEWEST_FITTED, np.abs(rate), error)
         # What sets in later is compared with where the fit begins: it may have been pushed.
         start = np.where(begin == 0, 0, fitted)
         first, last = (
