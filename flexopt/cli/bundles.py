@@ -101,7 +101,7 @@ def _check_kind(options: dict[str, Any]) -> None:
     faults = [
         Fault(f"--{name.replace('_', '-')}", sentence, "given" if value is True else repr(value))
         for name, value in options.items()
-        if name in other and value not in (None, False)
+        if name in other and value not in (None, False, ())
     ]
     raise_if_any(InputError, "export", faults)
 

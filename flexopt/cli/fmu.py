@@ -26,6 +26,7 @@ _OPTIONS = (
     option("--kp", metavar="KP", help="With --fmu, as of simulate."),
     option("--kv", metavar="KV", help="With --fmu, as of simulate."),
     option("--ki", metavar="KI", help="With --fmu, as of simulate."),
+    option("--integral-limit", metavar="N", help="With --fmu, as of simulate."),
     option("--duration", metavar="S", help="With --fmu: of the reference trajectory, s."),
     option("--rate", metavar="HZ", help="With --fmu: sampling rate (200 by default)."),
     option("--continuous", is_flag=True, help="With --fmu: a continuous controller."),
@@ -33,14 +34,15 @@ _OPTIONS = (
     option("--integrator", metavar="rk4|dop853|gauss", help="With --fmu: integration method."),
     option("--substeps", metavar="N", help="With --fmu: integration steps in a sample."),
     option("--gravity", is_flag=True, help="With --fmu: the weight acts."),
+    option("--uncompensated", is_flag=True, help="With --fmu, as of simulate."),
+    option("--nullspace-damping", metavar="C", help="With --fmu, as of simulate."),
+    option("--sensor", metavar="NAME=VALUE", multiple=True, help="With --fmu, as of simulate."),
+    option("--actuator", metavar="NAME=VALUE[,…]", multiple=True, help="With --fmu, as of simulate."),
 )
 
 
-# What `simulate` alone offers.
-_OF_SIMULATE: dict[str, Any] = {
-    "seed": None, "integral_limit": None, "nullspace_damping": None, "uncompensated": False, "sensor": (),
-    "actuator": (),
-}  # fmt: skip
+# What `simulate` alone offers: the noise of an FMU comes in through its inputs.
+_OF_SIMULATE: dict[str, Any] = {"seed": None}
 
 
 def fmu_options(command: Callable[..., None]) -> Callable[..., None]:

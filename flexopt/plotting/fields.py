@@ -19,6 +19,8 @@ IN_PHASE, OUT_OF_PHASE = "#f5d327", "#27509b"
 POSTURE = "#d81b1b"
 # Near singular postures the measures fall without end: colours and axes start at this fraction of the points.
 LOWEST_SHOWN = 0.05
+# Share of a field by which its values differ from rounding alone.
+SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Plane:
 
 
 def draw_field(axes: Axes, plane: Plane, values: Values, *, label: str, clipped: bool = False) -> None:
-    """A field (n_y, n_x) with its colour bar; NaN stays white.
+    """A field (n_y, n_x) with its colour bar; NaN stays white, what is the same everywhere has one colour.
 
     Args:
         axes: to draw on.
@@ -54,7 +56,10 @@ def draw_field(axes: Axes, plane: Plane, values: Values, *, label: str, clipped:
         clipped: let the colours begin at the lowest twentieth of the values, marked by an arrow.
     """
     finite = values[np.isfinite(values)]
-    low = float(np.quantile(finite, LOWEST_SHOWN)) if clipped and finite.size else None
+    low, high = float(np.quantile(finite, LOWEST_SHOWN)) if clipped and finite.size else None, None
+    if finite.size and np.ptp(finite) <= SAME * np.max(np.abs(finite)):
+        middle = float(np.mean(finite))
+        low, high, clipped = *sorted((0.9 * middle, 1.1 * middle)), False
     image = axes.imshow(
         values,
         extent=plane.extent,
@@ -63,10 +68,11 @@ def draw_field(axes: Axes, plane: Plane, values: Values, *, label: str, clipped:
         aspect=plane.aspect,
         cmap="viridis",
         vmin=low,
+        vmax=high,
     )
     figure = axes.get_figure()
     assert figure is not None
-    bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="neither" if low is None else "min")
+    bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="min" if clipped and finite.size else "neither")
     bar.set_label(label, fontsize=8.5)
     bar.ax.tick_params(labelsize=7.5)
     bar.formatter.set_powerlimits((-2, 3))  # pyright: ignore[reportAttributeAccessIssue]

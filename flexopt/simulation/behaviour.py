@@ -23,6 +23,8 @@ ROUNDING = 1e-20
 # So is what moves by less than this, m and rad.
 STILL = 1e-12
 FEWEST_WINDOWS = 4
+# Periods in a fit of which the error can be told.
+FEWEST_FITTED = 3
 # A mode whose kinetic energy stays below this share of its elastic one is bent slowly: a hundredth of its frequency.
 QUASI_STATIC = 1e-4
 # An amplitude that ends so many times larger than it began has grown, whatever it does in the end.
@@ -38,9 +40,10 @@ class Behaviour:
             exceeds twice its standard error, or it ends three times as large as it began, or no smaller and without a
             decay of twice that error. A mode at rest at the start is taken to begin in the middle of its motion.
         growth_rate: the largest of the modes' growth rates, 1/s: half the slope of the logarithm of the mode's energy,
-            maxima over periods of the slowest mode, least squares over the second half of the run (N,); NaN where the
-            base never moved.
-        growth_rate_error: standard error of that slope (N,).
+            maxima over periods of the slowest mode, least squares over the second half of the run, three at least
+            (N,); NaN where the base never moved.
+        growth_rate_error: standard error of that slope (N,); as large as the rate where a mode moves for two periods
+            alone.
         settling_time: after which the end-point error stays below 2 % of what it was at the start, s; NaN where it does
             not (N,).
         peak_error, end_error: largest and last |e|, m (N,).
@@ -205,7 +208,8 @@ def _growth(
     begun = np.logical_or.accumulate(above, axis=0)
     whole = begun & ~np.logical_or.accumulate(begun & ~above, axis=0)
     begin, length = np.argmax(whole, axis=0), np.sum(whole, axis=0)
-    used = whole & (np.arange(len(peaks))[:, None, None] >= begin + length // 2)
+    fitted = begin + np.minimum(length // 2, np.maximum(length - FEWEST_FITTED, 0))
+    used = whole & (np.arange(len(peaks))[:, None, None] >= fitted)
     n = np.sum(used, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.where(used, 0.5 * np.log(peaks), 0.0)
@@ -215,9 +219,11 @@ def _growth(
         spread = np.sum(dt**2, axis=0)
         rate = np.sum(dt * dy, axis=0) / spread
         residual = np.sum((dy - rate * dt) ** 2, axis=0)
-        error = np.sqrt(residual / np.maximum(n - 2, 1) / spread)
+        error: Vector = np.sqrt(residual / np.maximum(n - 2, 1) / spread)
+        # A line goes through two points whatever they are.
+        error = np.where(n < FEWEST_FITTED, np.abs(rate), error)
         # What sets in later is compared with where the fit begins: it may have been pushed.
-        start = np.where(begin == 0, 0, begin + length // 2)
+        start = np.where(begin == 0, 0, fitted)
         first, last = (
             np.sqrt(np.take_along_axis(peaks, at[None], axis=0)[0]) for at in (start, begin + np.maximum(length - 1, 0))
         )

@@ -138,5 +138,9 @@ def _words(run: Shown) -> str:
         return f"grows out of the finite numbers at {run.ended:.4g} s"
     if math.isnan(run.rate):
         return "never moves the base"
-    verb = "grows" if run.word == "grows" else "decays"
+    if run.word == "grows":
+        # A rate that does not grow: the amplitude ends far above its start, or nothing clear is to be seen.
+        verb = "grows" if run.rate > 0 else "ends far above its start" if run.significant else "does not clearly decay"
+    else:
+        verb = "decays" if run.rate < 0 else "does not clearly grow"
     return f"{verb} ({run.rate:+.4g}/s ± {run.error:.1g})"

@@ -103,6 +103,6 @@ def _compiler() -> Check:
     return Check(
         "C compiler",
         found is not None,
-        f"{found or 'none'} (optional: with one, maps are about a hundred times faster)",
+        f"{found or 'none'} (optional: with one, large maps and simulations are ten to a hundred times faster)",
         required=False,
     )

@@ -10,6 +10,7 @@ import xarray as xr
 
 import flexopt
 from flexopt.cli import main
+from flexopt.cli.bundles import export_command
 from flexopt.cli.simulation import ELSEWHERE, simulate_arguments, simulate_command
 from flexopt.errors import ModelError
 from flexopt.model.files import shipped_folder, shipped_names
@@ -82,6 +83,13 @@ def test_every_argument_of_simulate_is_an_option_or_named_as_none(command: Comma
     }  # fmt: skip
     # What the options say arrives at the call.
     assert set(simulate_arguments(everything | given)) == arguments - set(ELSEWHERE)
+
+
+def test_an_fmu_takes_what_simulate_takes() -> None:
+    """All but what is of one run: its noise and its files."""
+    of_fmu = {parameter.name for parameter in export_command.params}
+    of_simulate = {parameter.name for parameter in simulate_command.params}
+    assert of_simulate - of_fmu == {"seed", "plot", "animate"}
 
 
 def test_tables_of_sensor_and_actuator(command: Command) -> None:

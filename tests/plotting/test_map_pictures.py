@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import flexopt
 from flexopt.plotting import article, plot_workspace
+from flexopt.plotting.fields import Plane, draw_field
 from flexopt.study import curve, sweep_gaps
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
@@ -118,3 +120,17 @@ def test_gap_picture(excavator):
     for axes, values in zip(figure.axes, (sweep.nu_gap, sweep.epsilon_max), strict=True):
         for line, row in zip(axes.lines, values, strict=False):
             np.testing.assert_array_equal(line.get_xydata(), np.column_stack([sweep.factors, row]))
+
+
+def test_rounding_is_drawn_in_one_colour():
+    """The rigid part of a slewed crane does not depend on slew and lift but for rounding."""
+    rounding = 3.5e-5 * (1 + 1e-15 * np.random.default_rng(1).normal(size=(6, 5)))
+    plane = Plane(np.arange(5.0), np.arange(6.0), "x", "y")
+    fields = {"rounding": rounding, "negative": -rounding, "nothing": 0 * rounding, "field": rounding.cumsum(axis=0)}
+    for clipped in (True, False):
+        for name, values in fields.items():
+            axes = Figure().add_subplot()
+            draw_field(axes, plane, values, label="", clipped=clipped)
+            image = axes.images[0]
+            spread = np.ptp(image.norm(image.get_array()))
+            assert spread == pytest.approx(1.0, abs=0.2) if name == "field" else spread < 1e-12

@@ -18,13 +18,13 @@ TIMES = np.arange(2001) * STEP
 AT = TIMES[:-1]
 
 
-def judged(*energies, error=None, rotation=None, times=TIMES, end=None, still=0.0):
+def judged(*energies, error=None, rotation=None, times=TIMES, end=None, still=0.0, slowest=SLOWEST):
     """Behaviour of one member whose modes have these energies."""
     n = len(times) - 1
     error = np.exp(-times[:-1]) if error is None else error
     rotation = np.zeros(n) if rotation is None else rotation
     monitors = np.stack([error**2, rotation**2, *energies], axis=1)[:, :, None]
-    return behaviour(times, monitors, np.array([abs(error[-1]) if end is None else end]), Grounds(SLOWEST, True, still))
+    return behaviour(times, monitors, np.array([abs(error[-1]) if end is None else end]), Grounds(slowest, True, still))
 
 
 def amplitude(rate, frequency=SLOWEST, phase=0.0, wobble=0.0):
@@ -64,6 +64,25 @@ def test_the_fit_is_a_linear_regression():
     expected = linregress(0.25 * np.arange(20), logarithms[20:])
     assert result.growth_rate[0] == pytest.approx(expected.slope, rel=1e-10)
     assert result.growth_rate_error[0] == pytest.approx(expected.stderr, rel=1e-10)
+
+
+@pytest.mark.parametrize("periods", [4, 5])
+def test_a_fit_takes_three_periods_at_least(periods):
+    """A line through two points has no residual, which would be an error of 0."""
+    logarithms = np.array([0.3, 0.1, 0.5, 0.2, 0.4])[:periods]
+    times, energy = np.arange(50 * periods + 1) * STEP, np.repeat(np.exp(2 * logarithms), 50)
+    result = judged(energy, times=times, error=np.ones(50 * periods), slowest=4.0)
+    expected = linregress(0.25 * np.arange(3), logarithms[-3:])
+    assert result.growth_rate[0] == pytest.approx(expected.slope, rel=1e-10)
+    assert result.growth_rate_error[0] == pytest.approx(expected.stderr, rel=1e-10)
+    assert not result.significant[0]
+
+
+def test_of_two_periods_no_error_is_known():
+    energy = np.repeat([0.0, 0.0, 1.0, 4.0], 50)
+    result = judged(energy, times=np.arange(201) * STEP, error=np.ones(200), slowest=4.0)
+    assert result.growth_rate[0] == pytest.approx(math.log(2.0) / 0.25, rel=1e-10)
+    assert result.growth_rate_error[0] == result.growth_rate[0]
 
 
 def test_periods_hide_what_happens_within_them():
