@@ -164,7 +164,7 @@ def condition(F: Matrix, G: Matrix, H: Matrix, X: Matrix, *, discrete: bool) -> 
     The 2-norm of the inverse Lyapunov operator is that of its solution for the identity (after Byers, Linear Algebra
     and its Applications 66, 1985).
     """
-    size = float(np.linalg.norm(X, 2))
+    size = float(np.linalg.norm(X, 2)) if X.size else 0.0  # NumPy 1 refuses the norm of an empty matrix
     if size == 0.0:
         return 1.0
     try:

@@ -160,11 +160,11 @@ def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:
 
 def _distinct(postures: list[Vector], tolerance: float = 1e-7) -> list[Vector]:
     """The same list without repeats (both elbows agree where the arm is straight)."""
-    kept: list[Vector] = []
-    for posture in postures:
-        if all(np.abs(posture - other).max() > tolerance for other in kept):
-            kept.append(posture)
-    return kept
+    points, kept = np.array(postures), np.ones(len(postures), dtype=bool)
+    for i in range(len(postures)):
+        if kept[i]:
+            kept[i + 1 :] &= np.abs(points[i + 1 :] - points[i]).max(axis=1) > tolerance
+    return [posture for posture, keep in zip(postures, kept, strict=True) if keep]
 
 
 def _least_squares(matrix: Vector, right: Vector) -> Vector:
