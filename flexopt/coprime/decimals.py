@@ -23,6 +23,16 @@ def symmetric(matrix: Exact) -> Exact:
     return (matrix + matrix.T) / 2
 
 
+def times(left: Exact, right: Exact) -> Exact:
+    """The product of matrices in which many elements are 0: those cost as much as others."""
+    product = np.full((left.shape[0], right.shape[1]), Decimal(0), dtype=object)
+    columns, rows = left.T.astype(bool), right.astype(bool)
+    for k in range(left.shape[1]):
+        i, j = np.flatnonzero(columns[k]), np.flatnonzero(rows[k])
+        product[np.ix_(i, j)] += np.multiply.outer(left[i, k], right[k, j])
+    return product
+
+
 def solve(matrix: Exact, right: Exact) -> Exact:
     """matrix⁻¹ right (n, k), by elimination with pivots; LinAlgError where it is singular."""
     n = matrix.shape[0]
@@ -34,9 +44,12 @@ def solve(matrix: Exact, right: Exact) -> Exact:
         if pivot != k:
             a[[k, pivot]] = a[[pivot, k]]
         a[k, k + 1 :] = a[k, k + 1 :] / a[k, k]
-        a[k + 1 :, k + 1 :] -= np.multiply.outer(a[k + 1 :, k], a[k, k + 1 :])
+        # Most matrices here have many zeros, which cost as much as other numbers.
+        rows, columns = k + 1 + np.flatnonzero(a[k + 1 :, k]), k + 1 + np.flatnonzero(a[k, k + 1 :])
+        a[np.ix_(rows, columns)] -= np.multiply.outer(a[rows, k], a[k, columns])
     for k in range(n - 1, 0, -1):
-        a[:k, n:] -= np.multiply.outer(a[:k, k], a[k, n:])
+        rows, columns = np.flatnonzero(a[:k, k]), n + np.flatnonzero(a[k, n:])
+        a[np.ix_(rows, columns)] -= np.multiply.outer(a[rows, k], a[k, columns])
     return a[:, n:]
 
 

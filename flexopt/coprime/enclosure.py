@@ -35,10 +35,11 @@ class Enclosure:
     W: Matrix
 
 
-def enclose(loop: Exact, B: Exact, residual: Exact, lyapunov: Lyapunov, *, discrete: bool) -> Enclosure:
-    """The bound for a closed loop F − GX̃ (or (I + GX̃)⁻¹F), G = BBᵀ, and Ric(X̃), all in decimals.
+def enclose(loop: Exact, B: Exact, residual: float, lyapunov: Lyapunov, off: float, *, discrete: bool) -> Enclosure:
+    """The bound for a closed loop F − GX̃ (or (I + GX̃)⁻¹F), G = BBᵀ, in decimals, and a bound on ‖Ric(X̃)‖.
 
-    W comes from double precision where that is good enough, else from decimals.
+    W comes from double precision where that is good enough, else from decimals. In continuous time the loop may be
+    `off` (2-norm) from that of `lyapunov`.
 
     Raises:
         NotConverged: the residual is too large for the plant's conditioning, or the loop is not stable.
@@ -46,16 +47,16 @@ def enclose(loop: Exact, B: Exact, residual: Exact, lyapunov: Lyapunov, *, discr
     n = loop.shape[0]
     if n == 0:
         return Enclosure(0.0, np.zeros((0, 0)))
-    delta = 2 * max(float(max(sum(abs(x) for x in row) for row in residual)), SMALLEST)
+    delta = 2 * max(residual, SMALLEST)
     if not np.isfinite(delta):
         raise NotConverged("the residual is not finite")
     W = lyapunov.solve(np.eye(n))
-    plain, root = rounded(loop), rounded(B)
+    plain, root = rounded(loop) if discrete or off == 0.0 else lyapunov.A, rounded(B)
     size, rounding = float(np.linalg.norm(plain)), 8 * (n + 4) * EPS
     if discrete:
         defect, rounding = plain.T @ W @ plain - W + np.eye(n), rounding * (size**2 + 1) * float(np.linalg.norm(W))
     else:
-        defect, rounding = plain.T @ W + W @ plain + np.eye(n), rounding * 2 * size * float(np.linalg.norm(W))
+        defect, rounding = plain.T @ W + W @ plain + np.eye(n), 2 * (rounding * size + off) * float(np.linalg.norm(W))
     bent = root.T @ W @ (plain if discrete else np.eye(n))
     curved = delta * float(np.linalg.norm(bent)) ** 2 * (2 if discrete else 1)
     positive = np.linalg.eigvalsh(W)[0] > n * EPS * float(np.linalg.norm(W))

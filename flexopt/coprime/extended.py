@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from decimal import Decimal, getcontext
+from functools import cached_property
 
 import numpy as np
 
@@ -23,11 +24,15 @@ from flexopt.coprime.lyapunov import ExactLyapunov, Lyapunov, NotConverged
 from flexopt.coprime.system import Matrix, StateSpace
 
 STEPS = 12
+# A residual, relative, from which on closed loops are alike in doubles.
+SETTLED = 1e-9
 DOUBLINGS = 150
 # Share of the digits carried to which residuals and corrections are brought.
 SHARE = 0.7
 # A relative residual that is good enough where the goal is not reached.
 FAIR = 1e-25
+# Corrections of vectors and adjoint solutions go no further than this, relative, where the bounds allow it.
+ENOUGH = 1e-20
 HOPELESS = 1e24  # λmax(XZ) beyond this puts ε_max below 1e-12, where rounding of the data decides
 # Eigenvalues of XZ within this of one another, downwards from the first, are found together.
 TOGETHER = 0.9
@@ -83,34 +88,47 @@ class Solution:
     Attributes:
         equation, X, loop: what it solves, itself, and its closed loop.
         lyapunov: solver of the closed loop's Lyapunov equations.
-        residual, relative_residual: what is left over, as it is and relative to the equation's terms.
-        correction: the last correction relative to X; what is still wrong is less. 1 where there was none.
+        residual, relative_residual: bounds on what is left over, 2-norm, and relative to the equation's terms.
+        off: how far the loop may be from the one that `lyapunov` is made of, 2-norm.
     """
 
     equation: Equation
     X: Exact
     loop: Exact
     lyapunov: Lyapunov
-    residual: Exact
+    residual: float
     relative_residual: float
-    correction: float
+
+    off: float
+
+    @cached_property
+    def plain(self) -> Matrix:
+        """X in doubles."""
+        return rounded(self.X)
 
     def enclosure(self) -> Enclosure:
         """Proven bounds on the exact solution; `NotConverged` where there are none."""
         e = self.equation
-        return enclose(self.loop, e.B, self.residual, self.lyapunov, discrete=e.discrete)
+        return enclose(self.loop, e.B, self.residual, self.lyapunov, self.off, discrete=e.discrete)
 
-    def adjoint(self, Q: Exact) -> tuple[Exact, float]:
-        """P of A_x P + P A_xᵀ + Q = 0 for the closed loop A_x, and the last correction relative to P."""
+    def adjoint(self, Q: Exact, target: float) -> tuple[Exact, float]:
+        """P of A_x P + P A_xᵀ + Q = 0 for the closed loop A_x, and how far it may be off, relative.
+
+        That is a bound from what the equation leaves over, where there is one that meets `target`, or else the last
+        correction.
+        """
         found, error, correction = Q * Decimal(0), Q, math.inf
         for _ in range(STEPS):
-            step = self.lyapunov.correct(error, transposed=True)
-            before, correction = correction, largest(step) / (largest(found + step) or 1.0)
+            step, left = self.lyapunov.corrected(error, transposed=True, off=self.off)
+            size = largest(found + step) or 1.0
+            before, correction = correction, largest(step) / size
             if not correction < 0.5 * before:
                 break
             found = found + step
-            if correction <= goal():
+            if correction <= target:
                 break
+            if (bound := left * self.lyapunov.inverse_norm / size) <= target:
+                return found, bound
             AP = self.loop @ found
             error = AP @ self.loop.T - found + Q if self.equation.discrete else AP + AP.T + Q
         return found, correction
@@ -124,34 +142,42 @@ def goal() -> float:
 def newton(equation: Equation, X: Exact, *, steps: int = STEPS, in_decimals: bool = False) -> Solution:
     """Newton's method (Kleinman 1968, Hewer 1971) from a stabilizing X, as long as each step halves the residual.
 
+    In continuous time a step E leaves Ric(X + E) = [Ric(X) + A_xᵀE + EA_x] − EGE, which is bounded in doubles: where
+    that is small enough it is not computed. Once the closed loop hardly changes its Lyapunov solver is kept.
+
     Raises:
         NotConverged: X does not stabilise.
     """
     best: Solution | None = None
-    current = X
-    correction = 1.0
-    for _ in range(steps + 1):
+    current, lyapunov, off = X, None, 0.0
+    width = float(np.linalg.norm(rounded(equation.B)))
+    for count in range(steps + 1):
         residual, size = equation.residual(current)
         relative = largest(residual) / size if size > 0 else 0.0
         if best is not None and not relative < 0.5 * best.relative_residual:
             break
         loop = equation.loop(current)
         try:
-            lyapunov = (
-                ExactLyapunov(loop, discrete=equation.discrete)
-                if in_decimals
-                else Lyapunov(rounded(loop), discrete=equation.discrete)
-            )
+            if in_decimals:
+                lyapunov = ExactLyapunov(loop, discrete=equation.discrete)
+            elif lyapunov is None or relative > SETTLED or equation.discrete:
+                lyapunov = Lyapunov(rounded(loop), discrete=equation.discrete)
+                off = EPS * float(np.linalg.norm(lyapunov.A))
         except NotConverged:
             if best is None:
                 raise
             break
-        best = Solution(equation, current, loop, lyapunov, residual, relative, correction)
-        if relative <= goal():
+        assert lyapunov is not None
+        total = max((float(sum(map(abs, row))) for row in residual.tolist()), default=0.0)
+        best = Solution(equation, current, loop, lyapunov, total, relative, off)
+        if relative <= goal() or count == steps:
             break
-        step = lyapunov.correct(residual)
+        step, left = lyapunov.corrected(residual, transposed=False, off=off)
         current = current + step
-        correction = largest(step) / (largest(current) or 1.0)
+        bent = 1.01 * float(np.linalg.norm(rounded(step @ equation.B)))
+        left, off = left + bent**2, off + bent * width
+        if left <= goal() * size:
+            return Solution(equation, current, equation.loop(current), lyapunov, left, left / size, off)
     assert best is not None
     return best
 
@@ -232,7 +258,7 @@ class ExactPair:
         worst = 0.0
         gap = float(abs(top.values[0] - top.values[1])) or 1e-300
         for s, within in ((self.x, self.within_x), (self.z, self.within_z)):
-            X, B = rounded(s.X), rounded(s.equation.B)
+            X, B = s.plain, rounded(s.equation.B)
             off = within.delta * float(np.linalg.norm(within.W))
             bent = float(np.linalg.norm(within.W)) * float(np.linalg.norm(B)) ** 2
             worst += off * (bent + (1.0 + float(top.values[0]) / gap) / max(float(np.linalg.norm(X)), 1e-300))
@@ -240,7 +266,7 @@ class ExactPair:
 
     def eigenvalue_bound(self) -> float:
         """How far λmax of the exact XZ may lie from that of the product of these."""
-        return eigenvalue_bound(rounded(self.x.X), rounded(self.z.X), self.within_x, self.within_z)
+        return eigenvalue_bound(self.x.plain, self.z.plain, self.within_x, self.within_z)
 
 
 def measured(equation: Equation, X: Matrix, Z: Matrix) -> ExactPair:
@@ -276,7 +302,7 @@ def _bounded(x: Solution, z: Solution) -> ExactPair:
 class Seeds:
     """Derivatives of an eigenvalue of XZ by F, B and C; the sums of the absolute values of their terms.
 
-    `correction` is the last correction of the adjoint solutions, relative.
+    `correction` is how far the adjoint solutions may be off, relative.
     """
 
     F: Exact
@@ -286,7 +312,7 @@ class Seeds:
     correction: float
 
 
-def seeds(pair: ExactPair, value: Decimal, first: Exact, second: Exact) -> Seeds:
+def seeds(pair: ExactPair, value: Decimal, first: Exact, second: Exact, target: float) -> Seeds:
     """Derivatives of rᵀZ(XZ)r at fixed r = `first` = `second`, by two adjoint Lyapunov equations.
 
     With X Z r = λ r, rᵀZr = 1, l = Z r it is dλ = lᵀ dX l + λ rᵀ dZ r = tr(P_x dRic_x) + tr(P_z dRic_z) with X, Z, P
@@ -296,8 +322,9 @@ def seeds(pair: ExactPair, value: Decimal, first: Exact, second: Exact) -> Seeds
     x, z = pair.x, pair.z
     e, X, Z = x.equation, x.X, z.X
     both = symmetric(np.multiply.outer(first, second))
-    P_x, wrong_x = x.adjoint(Z @ both @ Z)
-    P_z, wrong_z = z.adjoint(both * value)
+    ahead = symmetric(np.multiply.outer(Z @ first, Z @ second))
+    P_x, wrong_x = x.adjoint(ahead, target)
+    P_z, wrong_z = z.adjoint(both * value, target)
     XP, ZP = (X @ x.loop @ P_x, Z @ z.loop @ P_z) if e.discrete else (X @ P_x, Z @ P_z)
     if e.discrete:
         XPX, ZPZ = XP @ x.loop.T @ X, ZP @ z.loop.T @ Z
@@ -305,7 +332,7 @@ def seeds(pair: ExactPair, value: Decimal, first: Exact, second: Exact) -> Seeds
     else:
         by_b = -2 * (XP @ (X @ e.B)) + 2 * (P_z @ e.B)
         by_c = 2 * (e.C @ P_x) - 2 * ((e.C @ ZP) @ Z)
-    x_abs, z_abs, a, b, c, d = (np.abs(rounded(M)) for M in (X, Z, P_x, P_z, e.B, e.C))
+    x_abs, z_abs, a, b, c, d = (np.abs(M) for M in (x.plain, z.plain, *map(rounded, (P_x, P_z, e.B, e.C))))
     if e.discrete:
         x_abs, z_abs = x_abs @ np.abs(rounded(x.loop)), z_abs @ np.abs(rounded(z.loop))
     xp, zp = x_abs @ a, z_abs @ b
@@ -315,7 +342,7 @@ def seeds(pair: ExactPair, value: Decimal, first: Exact, second: Exact) -> Seeds
 
 def moved_by_rounding(pair: ExactPair, top: TopPairs) -> float:
     """How far λmax(XZ) moves, to first order, where every element of F, B and C changes by 8 n ε of itself."""
-    found = seeds(pair, top.values[0], top.vectors[:, 0], top.vectors[:, 0])
+    found = seeds(pair, top.values[0], top.vectors[:, 0], top.vectors[:, 0], goal())
     e = pair.x.equation
     products = ((found.F, e.F), (found.B, e.B), (found.C, e.C))
     return 8 * len(e.F) * EPS * sum(float(np.sum(np.abs(seed * given))) for seed, given in products)
@@ -338,12 +365,14 @@ class TopPairs:
     correction: float
 
 
-def top_pairs(X: Exact, Z: Exact) -> TopPairs:
+def top_pairs(pair: ExactPair, target: float | None = None) -> TopPairs:
     """By Newton steps on the span of all eigenvectors near the top, and the small problem within it.
 
     Where several eigenvalues nearly meet, only their span is well defined in doubles.
     """
-    n, plain_x, plain_z = X.shape[0], rounded(X), rounded(Z)
+    target = goal() if target is None else target
+    X, Z, plain_x, plain_z = pair.x.X, pair.z.X, pair.x.plain, pair.z.plain
+    n = X.shape[0]
     Rx, Rz = factor(plain_x), factor(plain_z)
     left, sigma, _ = np.linalg.svd(Rx @ Rz.T)
     lambdas = sigma**2
@@ -351,10 +380,9 @@ def top_pairs(X: Exact, Z: Exact) -> TopPairs:
     while count < n and lambdas[count] > TOGETHER * lambdas[count - 1]:
         count += 1
     span, correction = exact(Rx.T @ left[:, :count]), math.inf
-    for _ in range(STEPS):
-        span, values = _ritz(X, Z, span)
-        ZV = Z @ span
-        residual = X @ ZV - span * values
+    while True:
+        span, values, ZV, XZV = _ritz(X, Z, span)
+        residual = XZV - span * values
         step = np.full(span.shape, Decimal(0), dtype=object)
         border = rounded(ZV / Decimal(largest(ZV)))
         scale = largest(values)
@@ -366,21 +394,21 @@ def top_pairs(X: Exact, Z: Exact) -> TopPairs:
                 right = np.append(rounded(residual[:, i] / Decimal(size)), np.zeros(count))
                 step[:, i] = exact(np.linalg.solve(matrix, -right)[:n]) * Decimal(size / scale)
         before, correction = correction, max(largest(step[:, i]) / largest(span[:, i]) for i in range(min(2, count)))
-        if not correction < 0.5 * before:
+        # The next step is how far these vectors are off.
+        if correction <= target or not correction < 0.5 * before:
             break
         span = span + step
-        if correction <= goal():
-            break
-    span, values = _ritz(X, Z, span)
-    first = X @ (Z @ span[:, 0]) - span[:, 0] * values[0]
+    first = residual[:, 0]
     residual_norm = float(abs(first @ (Z @ first)).sqrt())
     return TopPairs((values[0], values[1] if count > 1 else Decimal(0)), span[:, :2], residual_norm, correction)
 
 
-def _ritz(X: Exact, Z: Exact, V: Exact) -> tuple[Exact, Exact]:
-    """Ritz vectors of XZ within the span of V, orthonormal in Z, and Ritz values, descending."""
+def _ritz(X: Exact, Z: Exact, V: Exact) -> tuple[Exact, Exact, Exact, Exact]:
+    """Ritz vectors of XZ within the span of V, orthonormal in Z, Ritz values, descending, and Z and XZ times them."""
     ZV = Z @ V
+    XZV = X @ ZV
     L = cholesky(symmetric(V.T @ ZV))
-    inner = solve(L, solve(L, symmetric(ZV.T @ X @ ZV)).T)
+    inner = solve(L, solve(L, symmetric(ZV.T @ XZV)).T)
     values, turn = symmetric_eigen(symmetric(inner))
-    return V @ solve(L.T, turn), values
+    by = solve(L.T, turn)
+    return V @ by, values, ZV @ by, XZV @ by

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from decimal import Decimal, getcontext
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -16,6 +17,7 @@ from flexopt.coprime.decimals import solve, unit
 from flexopt.coprime.system import Matrix
 
 DOUBLINGS = 80
+EPS = float(np.finfo(float).eps)
 
 
 class NotConverged(np.linalg.LinAlgError):
@@ -40,7 +42,7 @@ class Lyapunov:
         values = np.asarray(np.linalg.eigvals(A if finite else 0 * A), dtype=np.complex128)
         if not finite or not np.all(np.abs(values) < 1 if discrete else np.real(values) < 0):
             raise NotConverged("the closed loop is not stable")
-        self.discrete = discrete
+        self.discrete, self.A = discrete, A
         moduli = np.abs(values)
         mean = 0.5 * np.log2(moduli.min() * moduli.max()) if values.size else 0.0
         self.gamma = float(2.0 ** np.round(mean))
@@ -62,11 +64,44 @@ class Lyapunov:
 
     def correct(self, Q: Exact, *, transposed: bool = False) -> Exact:
         """`solve` for a Q in decimals, whose size may be beyond a double's; as good as a double."""
+        return self.corrected(Q, transposed=transposed, off=0.0)[0]
+
+    def corrected(self, Q: Exact, *, transposed: bool, off: float) -> tuple[Exact, float]:
+        """`correct`, and a bound on the 2-norm of what it leaves of AᵀP + PA + Q; infinite in sampled time.
+
+        The bound is for any A within `off` (2-norm) of the one that the powers are made of.
+        """
         size = largest(Q)
         if not size > 0:
-            return Q * Decimal(0)
-        by = Decimal(2) ** math.frexp(size)[1]
-        return exact(self.solve(rounded(Q / by), transposed=transposed)) * by
+            return Q * Decimal(0), 0.0
+        exponent = math.frexp(size)[1]
+        by, scaled = Decimal(2) ** exponent, abs(exponent) > 600
+        right = rounded(Q / by) if scaled else rounded(Q) * 2.0**-exponent
+        found = self.solve(right, transposed=transposed)
+        if self.discrete:
+            return exact(found) * by, math.inf
+        A = self.A if transposed else self.A.T
+        left = A @ found
+        norms = float(np.linalg.norm(found)), float(np.linalg.norm(right))
+        rounding = 2 * norms[0] * (off + 8 * (len(A) + 4) * EPS * float(np.linalg.norm(A))) + 8 * EPS * norms[1]
+        bound = 1.01 * (float(np.linalg.norm(left + left.T + right)) + rounding)
+        if scaled:
+            return exact(found) * by, float(Decimal(bound) * by)
+        return exact(found * 2.0**exponent), bound * 2.0**exponent
+
+    @cached_property
+    def inverse_norm(self) -> float:
+        """Bound on ‖P‖ / ‖Q‖ (2-norms) of AP + PAᵀ + Q = 0 for a stable A; infinite where there is none.
+
+        P lies between ±2 ‖Q‖ W where A W + W Aᵀ ≤ −½ I; a quarter of that is left for A that are a little off.
+        """
+        if self.discrete:
+            return math.inf
+        W, eye = self.solve(np.eye(len(self.A)), transposed=True), np.eye(len(self.A))
+        left = self.A @ W
+        rounding = 16 * (len(eye) + 4) * EPS * float(np.linalg.norm(self.A) * np.linalg.norm(W))
+        good = float(np.linalg.norm(left + left.T + eye)) + rounding <= 0.25
+        return 2 * float(np.linalg.norm(W)) if good else math.inf
 
     def _sum(self, Q: Any, twice: Any, *, transposed: bool) -> Any:
         found = Q
@@ -103,3 +138,12 @@ class ExactLyapunov(Lyapunov):
     def correct(self, Q: Exact, *, transposed: bool = False) -> Exact:
         """`solve`, in decimals throughout."""
         return self._sum(Q, Decimal(2 * self.gamma), transposed=transposed)
+
+    def corrected(self, Q: Exact, *, transposed: bool, off: float) -> tuple[Exact, float]:  # noqa: ARG002
+        """`correct`, no bound."""
+        return self.correct(Q, transposed=transposed), math.inf
+
+    @cached_property
+    def inverse_norm(self) -> float:
+        """No bound."""
+        return math.inf

@@ -226,7 +226,7 @@ def _told(scaled: Scaled, pairs: list[Pair], call: str, doubtful: list[Escape]) 
     if scaled.system.n_states <= STATES_MAX:
         try:
             exact_pair = solve_pair(equation, [(p.X, p.Z) for p in pairs])
-            top = top_pairs(exact_pair.x.X, exact_pair.z.X)
+            top = top_pairs(exact_pair)
             bounded.insert(0, of_exact(exact_pair, top))
             largest = float(top.values[0])
             escapes = largest > HOPELESS or moved_by_rounding(exact_pair, top) > 0.1 * largest

@@ -78,18 +78,18 @@ def _shift(F: Matrix, G: Matrix, H: Matrix, values: NDArray[np.complexfloating[A
     kept = moduli[moduli > 1e-10 * np.max(moduli, initial=0.0)]
     low, high = (float(kept.min()), float(kept.max())) if kept.size else (1.0, 1.0)
     stable = values[values.real < 0]
-    best, chosen = np.inf, high
-    for gamma in np.geomspace(low, 4.0 * high, 13):
-        shifted: Matrix = F - float(gamma) * np.eye(F.shape[0])
-        if np.linalg.cond(shifted) > 1e12:
-            continue
-        start: Matrix = shifted.T + H @ np.linalg.solve(shifted, G)
-        rate = float(np.max(np.abs((stable + gamma) / (stable - gamma)), initial=0.0))
-        steps = np.log2(1.0 + 36.0 / max(-np.log(min(rate, 1 - 1e-15)), 1e-15)) if rate > 0 else 1.0
-        cost = float(steps + 2.0 * np.log10(np.linalg.cond(shifted)) + 2.0 * np.log10(np.linalg.cond(start)))
-        if cost < best:
-            best, chosen = cost, float(gamma)
-    return chosen
+    gammas = np.geomspace(low, 4.0 * high, 13)
+    shifted = F - gammas[:, None, None] * np.eye(F.shape[0])
+    conditions = np.linalg.cond(shifted)
+    usable = conditions <= 1e12
+    if not usable.any():
+        return high
+    gammas, shifted, conditions = gammas[usable], shifted[usable], conditions[usable]
+    starts = np.linalg.cond(shifted.transpose(0, 2, 1) + H @ np.linalg.solve(shifted, np.broadcast_to(G, shifted.shape)))
+    rates = np.max(np.abs((stable + gammas[:, None]) / (stable - gammas[:, None])), axis=1, initial=0.0)
+    slowness = np.maximum(-np.log(np.clip(rates, 1e-300, 1 - 1e-15)), 1e-15)
+    costs = np.log2(1.0 + 36.0 / slowness) + 2.0 * np.log10(conditions) + 2.0 * np.log10(starts)
+    return float(gammas[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))])
 
 
 def subspace(F: Matrix, G: Matrix, H: Matrix, *, discrete: bool) -> Matrix | None:

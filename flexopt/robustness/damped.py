@@ -214,7 +214,7 @@ class _Mode:
         ]
         by_input, _ = evaluated.gradient(seeds)
         row = rounded(np.concatenate(by_input[:3]))
-        off = np.concatenate(evaluated.influence(seeds)[:3])
+        off = np.concatenate(evaluated.influence([rounded(seed) for seed in seeds])[:3])
         return row, 100 * self.correction * off + ROUNDING * np.abs(row)
 
 

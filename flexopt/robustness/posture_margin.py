@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, largest, rounded
 from flexopt.coprime import StateSpace, riccati
-from flexopt.coprime.decimals import null_space, refined_mode, solve, unit
+from flexopt.coprime.decimals import null_space, refined_mode, solve, times, unit
 from flexopt.coprime.extended import (
+    ENOUGH,
     HOPELESS,
     Equation,
     ExactPair,
     Seeds,
+    goal,
     TopPairs,
     seeds,
     solve_pair,
@@ -145,11 +147,15 @@ class _Unseen:
     @property
     def reduced(self) -> Equation:
         """The plant without them."""
+        if not self.left_out:
+            return self.plant
         e, Q = self.plant, self.onto_kept
         return Equation(Q @ e.F[:, self.kept], Q @ e.B, e.C[:, self.kept])
 
     def whole(self, F: Exact, B: Exact, C: Exact) -> tuple[Exact, Exact, Exact]:
         """Derivatives by the whole plant's A, B, C from those by the reduced one's."""
+        if not self.left_out:
+            return F, B, C
         e, Q, n = self.plant, self.onto_kept, len(self.plant.F)
         seen = np.concatenate([e.F, e.C])[:, self.kept]
         R = np.full((n, len(self.left_out)), Decimal(0), dtype=object)
@@ -177,18 +183,22 @@ class _ScaledPlant:
     def to_physical(self, found: Seeds) -> list[Exact]:
         """Derivatives by the physical A, B and C."""
         F, B, C = self.unseen.whole(found.F, found.B, found.C)
-        by_a = self.backward.T @ F @ self.forward.T / self.rate
+        by_a = times(times(F, self.forward.T).T, self.backward).T / self.rate
         return [by_a, self.backward.T @ B * (self.kr / self.rate), C @ self.forward.T]
 
-    def sizes(self, found: Seeds) -> list[Exact]:
+    def sizes(self, found: Seeds) -> list[Matrix]:
         """Bounds on the terms that those derivatives are sums of; of what `unseen` adds, itself."""
         F, B, C = (np.abs(rounded(M)) for M in self.unseen.whole(found.F, found.B, found.C))
-        Q, kept, (f, b, c) = np.abs(rounded(self.unseen.onto_kept)), self.unseen.kept, found.sizes
-        F[:, kept] += Q.T @ f
-        C[:, kept] += c
+        f, b, c = found.sizes
+        if self.unseen.left_out:
+            Q, kept = np.abs(rounded(self.unseen.onto_kept)), self.unseen.kept
+            F[:, kept] += Q.T @ f
+            C[:, kept] += c
+            B = B + Q.T @ b
+        else:
+            F, B, C = F + f, B + b, C + c
         back, forth = np.abs(rounded(self.backward)).T, np.abs(rounded(self.forward)).T
-        of_a, of_b = back @ F @ forth / float(self.rate), back @ (B + Q.T @ b) * float(abs(self.kr) / self.rate)
-        return [exact(x) for x in (of_a, of_b, C @ forth)]
+        return [back @ F @ forth / float(self.rate), back @ B * float(abs(self.kr) / self.rate), C @ forth]
 
 
 def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _ScaledPlant:
@@ -206,7 +216,7 @@ def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _Scaled
         forward, rate = np.diag(scaled.states), np.array([[scaled.rate]])
     T, speed, gain = exact(forward), Decimal(float(rate[0, 0])), Decimal(kr)
     back = solve(T, unit(len(T)))
-    whole = Equation(back @ (A @ T) / speed, back @ B * (gain / speed), C @ T)
+    whole = Equation(times(back, times(A, T)) / speed, back @ B * (gain / speed), C @ T)
     unseen = _Unseen(whole, list(range(len(T))), [], np.zeros((len(T), 0), dtype=object))
     if margin.keeps_joint_rates:
         kept, left_out, W = null_space(np.concatenate([whole.F, whole.C]), RANK)
@@ -230,16 +240,26 @@ def _evaluated(margin: Margin, base: Vector, posture: Vector, kr: float, *, grad
     plant = _scaled(margin, base, posture, kr)
     try:
         pair = solve_pair(plant.equation, _starts(plant.equation))
-        top = top_pairs(pair.x.X, pair.z.X)
+        top = top_pairs(pair, ENOUGH)
     except NotConverged as error:
         escapes = _escapes(plant)
         if error.hopeless or any(e.certain for e in escapes):
             raise NotConverged(_named(plant, escapes) or str(error), hopeless=True) from None
         raise
-    top_value = float(top.values[0])
-    if top_value > HOPELESS:
+    if top.values[0] > HOPELESS:
         raise NotConverged(_named(plant, _escapes(plant)) or "ε_max is below 1e-12", hopeless=True)
-    found = seeds(pair, top.values[0], top.vectors[:, 0], top.vectors[:, 0])
+    try:
+        return _told(margin, plant, pair, top, ENOUGH, gradient=gradient)
+    except NotConverged:
+        return _told(margin, plant, pair, top_pairs(pair, goal()), goal(), gradient=gradient)
+
+
+def _told(
+    margin: Margin, plant: _ScaledPlant, pair: ExactPair, top: TopPairs, target: float, *, gradient: bool
+) -> PostureMargin:
+    """Numbers and bounds from a pair; `NotConverged` where those are not small enough."""
+    top_value = float(top.values[0])
+    found = seeds(pair, top.values[0], top.vectors[:, 0], top.vectors[:, 0], target)
     by_input, moved = plant.evaluated.gradient(plant.to_physical(found))
     epsilon = 1.0 / math.sqrt(1.0 + top_value)
     proven = pair.eigenvalue_bound() + top.residual
@@ -247,7 +267,7 @@ def _evaluated(margin: Margin, base: Vector, posture: Vector, kr: float, *, grad
         raise NotConverged(f"the bound on its error is {epsilon_error(top_value, proven):.1e}")
     error = epsilon_error(top_value, proven + moved)
     second = 1.0 / math.sqrt(1.0 + float(top.values[1]))
-    n_z, n_p = base.size + posture.size, _n_p(margin)
+    n_z, n_p = margin.plant.n_base + margin.plant.n_actuated, _n_p(margin)
     unknown = np.full(n_z + n_p + 1, np.nan)
     rows, errors, kink, sentence = unknown, unknown, None, ""
     if gradient:
@@ -256,9 +276,9 @@ def _evaluated(margin: Margin, base: Vector, posture: Vector, kr: float, *, grad
             sentence = "ε_max has a kink here: the two largest eigenvalues of XZ meet, and each has its own gradient"
             kink = np.vstack([rows, *_others(plant, pair, top)])[:, :n_z]
         elif not _good(rows[:n_z], errors[:n_z], 1.0) or not _good(
-            rows[n_z:], errors[n_z:], np.append(margin.plant.parameter_values.full().ravel(), kr)
+            rows[n_z:], errors[n_z:], np.append(margin.plant.parameter_values.full().ravel(), float(plant.kr))
         ):
-            if getcontext().prec < DIGITS[-1]:
+            if target == ENOUGH or getcontext().prec < DIGITS[-1]:
                 raise NotConverged("the bound on its gradient's error is too large")
             rows, errors = unknown, unknown
             sentence = "the gradient of ε_max could not be computed to 1e-7"
@@ -294,7 +314,7 @@ def _others(plant: _ScaledPlant, pair: ExactPair, top: TopPairs) -> list[Vector]
     """The second and the mixed branch's rows, g_22 and g_12."""
     rows: list[Vector] = []
     for value, (i, j) in ((top.values[1], (1, 1)), ((top.values[0] + top.values[1]) / 2, (0, 1))):
-        found = seeds(pair, value, top.vectors[:, i], top.vectors[:, j])
+        found = seeds(pair, value, top.vectors[:, i], top.vectors[:, j], goal())
         by_input, _ = plant.evaluated.gradient(plant.to_physical(found))
         rows.append(_row(plant, pair, top, found, by_input, value)[0])
     return rows
