@@ -129,7 +129,7 @@ class Context:
     def placement(self) -> Field:
         """Where the base stands, as an input; only for machines that can be placed."""
         units = self.machine.base_units
-        limit = tuple(self.counted_max(unit) for unit in units)
+        limit = self._stored(*(self.counted_max(unit) for unit in units))
         near = _transposed([_near(unit, -high, high) for unit, high in zip(units, limit, strict=True)])
         turning = tuple(unit == "rad" for unit in units)
         text = "where the base stands, inertial frame"
@@ -147,7 +147,8 @@ class Context:
         middle = np.mean(joints.sample, axis=0)
         rest = plant.rest.call([ca.DM.zeros(plant.n_base, 1), ca.DM(middle), plant.parameter_values])[0]
         passive = [float(x) for x in rest.full().ravel()[:m]]
-        high = (*(coordinate_max(unit) for unit in units[:m]), *(self.counted_max(unit) for unit in units[m:]))
+        free = (*(coordinate_max(unit) for unit in units[:m]), *(self.counted_max(unit) for unit in units[m:]))
+        high = self._stored(*free)
         low, design, turning = tuple(-x for x in high), None, ()
         if measured:
             assert joints.design is not None

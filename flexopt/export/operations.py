@@ -192,8 +192,10 @@ class Operation:
             empty = np.zeros((0, sum(field.length for field in self.outputs)))
             return Samples(rows, empty, empty, np.zeros(0, bool), np.zeros(0, bool))
         parts = self.split(rows)
-        own = zip(self.inputs, parts, strict=False)
-        beyond = ~np.all([field.within(part, design=True) for field, part in own], axis=0)
+        measured = [(field, part) for field, part in zip(self.inputs, parts, strict=False) if field.design is not None]
+        beyond = np.zeros(len(rows), bool)
+        for field, part in measured:
+            beyond |= ~field.within(part, design=True)
         arguments = [ca.DM(field.unwound(part).T) for field, part in zip(self.inputs, parts, strict=False)]
         arguments += [ca.DM(part.T) for part in parts[len(self.inputs) :]]
         results = _mapped(self.kernel, arguments, len(rows))

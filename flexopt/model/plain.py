@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Any, cast
 
 import numpy as np
@@ -112,7 +113,10 @@ def _tuples(value: Any) -> Any:
 
 
 def shown(value: Any) -> str:
-    """A value as it is quoted in a message."""
+    """A value as it is quoted in a message; of a long path its end."""
+    if isinstance(value, PurePath):
+        text = repr(str(value))
+        return text if len(text) <= SHOWN else "'..." + text[4 - SHOWN :]
     try:
         start: Any = cast(Any, value)[:SHOWN] if isinstance(value, list | tuple | np.ndarray) else value
         text = repr(_Reader(most=10 * SHOWN).read(start))
