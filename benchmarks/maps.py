@@ -24,6 +24,7 @@ import scipy.linalg
 import flexopt
 from benchmarks.batches import peers
 from benchmarks.timing import table
+from flexopt.compiled.turns import available_cores
 from flexopt.robustness.margin import build_margin
 from flexopt.study import points
 
@@ -112,7 +113,7 @@ def main() -> None:
     base = each["flexopt, all of a map"]
     rows: list[tuple[str, ...]] = [("who", "µs a posture", "ratio to flexopt")]
     rows += [(name, f"{1e6 * value:.2f}", f"{value / base:.2f}") for name, value in each.items()]
-    print(table(f"A posture of a map, {points.default_threads()} threads for flexopt", rows))
+    print(table(f"A posture of a map, {available_cores()} threads for flexopt", rows))
     print(f"map of {WHOLE[0]} × {WHOLE[1]} points, {mapped} of them reached: {whole:.2f} s")
     for size in (SMALL, WHOLE):
         print(f"first map of {size[0]} × {size[1]} points in a new process, with an empty cache: {first_map(size)}")

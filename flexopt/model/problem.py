@@ -139,11 +139,6 @@ def check_slack(value: Any) -> float:
     return check_number(value, "", low=1e-7, high=1.0)
 
 
-def check_base(value: Any) -> tuple[float, ...]:
-    """A placement of a planar machine: one number x in m (alone or in a list)."""
-    return check_placement(value, ("x",), ("m",))
-
-
 def check_placement(
     value: Any, names: Sequence[str], units: Sequence[str], *, what: str = "placed"
 ) -> tuple[float, ...]:

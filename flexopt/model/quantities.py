@@ -59,7 +59,8 @@ def degrees_hint(unit: str, value: float) -> str:
     return "; is it in degrees?" if unit == "rad" and ANGLE_MAX < abs(value) <= DEGREES_MAX else ""
 
 
-def _quantity(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> BeforeValidator:
+def quantity(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> BeforeValidator:
+    """A number in a range, as the annotation of a field."""
     return checked(lambda value: check_number(value, unit, above=above, low=low, high=high))
 
 
@@ -77,22 +78,21 @@ def checked(check: Callable[[Any], Any]) -> BeforeValidator:
 
 # The upper ends are far beyond any machine; they keep squares and products of the numbers finite.
 LENGTH_MAX = 1e4
-Length = Annotated[float, _quantity("m", above=0.0, high=LENGTH_MAX)]
-LengthOrZero = Annotated[float, _quantity("m", low=0.0, high=LENGTH_MAX)]
-Offset = Annotated[float, _quantity("m", low=-LENGTH_MAX, high=LENGTH_MAX)]
-Mass = Annotated[float, _quantity("kg", above=0.0, high=1e9)]
-MassOrZero = Annotated[float, _quantity("kg", low=0.0, high=1e9)]
-Inertia = Annotated[float, _quantity("kg m²", above=0.0, high=1e15)]
-Stiffness = Annotated[float, _quantity("N/m", above=0.0, high=1e15)]
-RotationalStiffness = Annotated[float, _quantity("N m/rad", above=0.0, high=1e15)]
-Damping = Annotated[float, _quantity("N s/m", low=0.0, high=1e12)]
-RotationalDamping = Annotated[float, _quantity("N m s/rad", low=0.0, high=1e12)]
-Torque = Annotated[float, _quantity("N m", above=0.0, high=1e15)]
-AngularSpeed = Annotated[float, _quantity("rad/s", above=0.0, high=1e6)]
-Angle = Annotated[float, _quantity("rad", low=-ANGLE_MAX, high=ANGLE_MAX)]
-Acceleration = Annotated[float, _quantity("m/s²", low=0.0, high=1e3)]
+Length = Annotated[float, quantity("m", above=0.0, high=LENGTH_MAX)]
+LengthOrZero = Annotated[float, quantity("m", low=0.0, high=LENGTH_MAX)]
+Offset = Annotated[float, quantity("m", low=-LENGTH_MAX, high=LENGTH_MAX)]
+Mass = Annotated[float, quantity("kg", above=0.0, high=1e9)]
+MassOrZero = Annotated[float, quantity("kg", low=0.0, high=1e9)]
+Inertia = Annotated[float, quantity("kg m²", above=0.0, high=1e15)]
+Stiffness = Annotated[float, quantity("N/m", above=0.0, high=1e15)]
+RotationalStiffness = Annotated[float, quantity("N m/rad", above=0.0, high=1e15)]
+Damping = Annotated[float, quantity("N s/m", low=0.0, high=1e12)]
+RotationalDamping = Annotated[float, quantity("N m s/rad", low=0.0, high=1e12)]
+Torque = Annotated[float, quantity("N m", above=0.0, high=1e15)]
+AngularSpeed = Annotated[float, quantity("rad/s", above=0.0, high=1e6)]
+Angle = Annotated[float, quantity("rad", low=-ANGLE_MAX, high=ANGLE_MAX)]
+Acceleration = Annotated[float, quantity("m/s²", low=0.0, high=1e3)]
 COORDINATE_MAX = 1e6
-Coordinate = Annotated[float, _quantity("m", low=-COORDINATE_MAX, high=COORDINATE_MAX)]
 
 
 def coordinate_max(unit: str) -> float:

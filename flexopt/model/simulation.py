@@ -28,17 +28,16 @@ from flexopt.model.problem import (
 from flexopt.model.quantities import (
     COORDINATE_MAX,
     BaseRange,
-    check_number,
     check_numbers,
     check_schema,
     check_whole,
     checked,
+    quantity,
 )
 from flexopt.model.tables import BuiltByCall
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
-FEEDBACKS: tuple[Feedback, ...] = ("pd", "pid", "robust", "none")
 METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
 SAMPLES_MAX = 10_000_000
 DELAY_MAX = 100  # samples
@@ -77,10 +76,6 @@ def _check_points(value: Any) -> tuple[Numbers, ...]:
     return tuple(points)
 
 
-def _number(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Any:
-    return checked(lambda value: check_number(value, unit, above=above, low=low, high=high))
-
-
 def _whole(value: Any) -> int:
     return check_whole(value, 1, 1000)
 
@@ -100,11 +95,11 @@ class Sensor(BuiltByCall):
         delay: from measurement to command, s; a whole number of samples.
     """
 
-    noise: Annotated[float, _number("m", low=0.0, high=1e3)] = 0.0
-    rate_noise: Annotated[float, _number("m/s", low=0.0, high=1e3)] = 0.0
-    resolution: Annotated[float, _number("m", low=0.0, high=1e3)] = 0.0
-    rate_resolution: Annotated[float, _number("m/s", low=0.0, high=1e3)] = 0.0
-    delay: Annotated[float, _number("s", low=0.0, high=10.0)] = 0.0
+    noise: Annotated[float, quantity("m", low=0.0, high=1e3)] = 0.0
+    rate_noise: Annotated[float, quantity("m/s", low=0.0, high=1e3)] = 0.0
+    resolution: Annotated[float, quantity("m", low=0.0, high=1e3)] = 0.0
+    rate_resolution: Annotated[float, quantity("m/s", low=0.0, high=1e3)] = 0.0
+    delay: Annotated[float, quantity("s", low=0.0, high=10.0)] = 0.0
 
 
 class Actuator(BuiltByCall):
@@ -128,7 +123,7 @@ class Actuator(BuiltByCall):
     bandwidth_hz: Annotated[Numbers, checked(_list_of("Hz", low=1e-3, high=1e6))] | None = None
     rate_limit: Torques | None = None
     levers: Literal["each", "uniform"] | None = None
-    servo_gain: Annotated[float, _number("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
+    servo_gain: Annotated[float, quantity("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
 
 
 class Path(BuiltByCall):
@@ -184,17 +179,17 @@ class SimulationOptions(FileModel):
     kp: Gains = (1e5,)
     kv: Gains = (2e3,)
     ki: Gains = (0.0,)
-    integral_limit: Annotated[float, _number("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
+    integral_limit: Annotated[float, quantity("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
     gain: Annotated[float, checked(check_gain)] = 5e5
     offset: Coordinates | None = None
-    duration: Annotated[float, _number("s", above=0.0, high=1e6)] = 10.0
-    rate: Annotated[float, _number("Hz", above=0.0, high=1e6)] = 200.0
+    duration: Annotated[float, quantity("s", above=0.0, high=1e6)] = 10.0
+    rate: Annotated[float, quantity("Hz", above=0.0, high=1e6)] = 200.0
     hold: bool = True
     integrator: Method = "rk4"
     substeps: Annotated[int, checked(_whole)] | None = None
     gravity: bool = False
     gravity_compensation: bool = True
-    nullspace_damping: Annotated[float, _number("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
+    nullspace_damping: Annotated[float, quantity("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
     base_path: Path | None = None
@@ -297,9 +292,9 @@ class NullspaceOptions(FileModel):
     objective: Annotated[str, checked(check_objective)] = "w1"
     weights: Annotated[tuple[float, ...], checked(check_weights)] | None = None
     base_range: BaseRange | None = None
-    max_base_rate: Annotated[float, _number("m/s", above=0.0, high=1e3)] = 0.25
-    max_base_acceleration: Annotated[float, _number("m/s²", above=0.0, high=1e6)] | None = None
-    duration: Annotated[float, _number("s", above=0.0, high=1e6)] = 60.0
+    max_base_rate: Annotated[float, quantity("m/s", above=0.0, high=1e3)] = 0.25
+    max_base_acceleration: Annotated[float, quantity("m/s²", above=0.0, high=1e6)] | None = None
+    duration: Annotated[float, quantity("s", above=0.0, high=1e6)] = 60.0
 
 
 class Experiment(BuiltByCall):

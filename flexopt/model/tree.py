@@ -38,7 +38,6 @@ from flexopt.model.tree_quantities import (
 
 Row = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 Placement = Literal["x", "y", "yaw"]
-POSITION_ROWS: tuple[Row, ...] = ("x", "y", "z")
 ORIENTATION_ROWS: tuple[Row, ...] = ("roll", "pitch", "yaw")
 INERTIA_ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
 UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

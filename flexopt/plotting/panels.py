@@ -20,6 +20,8 @@ from flexopt.simulation.behaviour import ROUNDING
 COLORS = ("#3b6ea5", "#d95f02", "#1b9e77", "#7570b3", "#222222", "#9aa0a6")
 STYLES = ("-", "--", "-.", ":")
 ENVELOPE = "#5f6368"
+# Letters that a legend has room for in a row, and what a line beside its name takes of them.
+ROW, HANDLE = 48, 5
 # A line has at most twice as many points: more than a column of print has dots.
 BINS = 1200
 # A run that ends so many times larger than it mostly was leaves its axes at the second of these multiples.
@@ -77,9 +79,10 @@ def draw_panel(axes: Axes, panel: Panel, *, legend: bool = True) -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     if legend and len(panel.lines) > 1:
+        columns = max(1, ROW // (max(len(name) for name, _, _ in panel.lines) + HANDLE))
         axes.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6, fontsize=7.5, frameon=False, borderaxespad=0.0,
-            borderpad=0.0, handlelength=1.4, columnspacing=1.0,
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, fontsize=7.5, frameon=False,
+            borderaxespad=0.0, borderpad=0.0, handlelength=1.4, columnspacing=1.0,
         )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from flexopt.selection.parallel import in_parallel
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.programs import Bounds, run
 from flexopt.selection.result import Attempt, Kept
-from flexopt.selection.seen import better_than, kept_peaks, seen_values
+from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
 
 SAME_POINT = 1e-4
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
@@ -65,8 +65,8 @@ def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) 
     """
     near = [*starts, *kept_peaks(problem)]
     found, attempts, failures = _attempted(problem, near, workers, None, _solve_start)
-    best = max((_value(problem, z) for z, _, _ in found), default=-np.inf)
-    proofs = [(z, prove(problem, z)) for z in starts if _value(problem, z) > best]
+    best = max((value_at(problem, z) for z, _, _ in found), default=-np.inf)
+    proofs = [(z, prove(problem, z)) for z in starts if value_at(problem, z) > best]
     found += [(z, proof, 0) for z, proof in proofs if proof.holds and _is_new(problem, z, found)]
     for round_number, distance in enumerate(AROUND):
         if found:
@@ -89,14 +89,14 @@ def _not_below_seen(
         NoSolutionFound: there is none, or such a point leads to none that is as good.
     """
     values, tried = seen_values(problem), 0
-    best = max((_value(problem, z) for z, _, _ in found), default=-np.inf)
+    best = max((value_at(problem, z) for z, _, _ in found), default=-np.inf)
     while (point := better_than(problem, best, values)) is not None:
         if tried == len(WITHIN):
             raise _below(problem, best, point, len(attempts)) if found else _no_solution(problem, attempts, failures)
         more, others, failed = _attempted(problem, [point], 1, None, partial(_climbed, WITHIN[tried]))
         found += [item for item in more if _is_new(problem, item[0], found)]
         attempts, failures = attempts + others, failures + failed
-        better = max((_value(problem, z) for z, _, _ in more), default=-np.inf)
+        better = max((value_at(problem, z) for z, _, _ in more), default=-np.inf)
         tried, best = (0, better) if better > best else (tried + 1, best)
     if not found:
         raise _no_solution(problem, attempts, failures)
@@ -106,7 +106,7 @@ def _not_below_seen(
 def _below(problem: SelectionProblem, best: float, point: Vector, starts: int) -> NoSolutionFound:
     iterate = _named(problem, point)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
-    short = _value(problem, point) - best
+    short = value_at(problem, point) - best
     return NoSolutionFound(
         f"the best optimum of {problem.objective.name} from {starts} starts, {best:.6g}, is below {best + short:.6g} "
         f"of a configuration that was seen ({where}) and leads to no verified optimum",
@@ -213,7 +213,7 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
         total += iterations
         if not np.all(np.isfinite(there)):
             break
-        ahead, proof = _value(problem, there) > _value(problem, z), prove(problem, there)
+        ahead, proof = value_at(problem, there) > value_at(problem, z), prove(problem, there)
         z = there
         if proof.holds or not ahead:
             break
@@ -239,13 +239,9 @@ def _promising(problem: SelectionProblem, solved: list[Solved]) -> list[int]:
     if not _hurried(problem):
         return []
     good = [z for z, proof, _, status in solved if proof is not None and _accepted(problem, proof, status)]
-    best = max((_value(problem, z) for z in good), default=-np.inf)
+    best = max((value_at(problem, z) for z in good), default=-np.inf)
     short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
-    return [k for k in short if not good or (_near(problem, solved[k][0]) and _value(problem, solved[k][0]) > best)]
-
-
-def _value(problem: SelectionProblem, z: Vector) -> float:
-    return float(problem.branches(problem.objective, z)[0][0])
+    return [k for k in short if not good or (_near(problem, solved[k][0]) and value_at(problem, solved[k][0]) > best)]
 
 
 def _near(problem: SelectionProblem, z: Vector) -> bool:
@@ -258,7 +254,7 @@ def _near(problem: SelectionProblem, z: Vector) -> bool:
 
 def next_stage(problem: SelectionProblem, found: list[Found]) -> tuple[SelectionProblem, Kept]:
     """The problem of the next objective, with the best value of the present one to be kept; and what that is."""
-    values = [_value(problem, z) for z, _, _ in found]
+    values = [value_at(problem, z) for z, _, _ in found]
     best = max(values)
     kept = Kept(problem.objective.name, best, best - problem.given_up(best))
     found[:] = [item for item, value in zip(found, values, strict=True) if value >= kept.at_least]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
 import signal
 import sys
 import time
@@ -36,11 +35,6 @@ TRIES = 2
 
 class ProcessLost(FlexoptError):
     """A process was ended from outside, as the system does for lack of memory, and so was the one that took over."""
-
-
-def available_cores() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def in_parallel(

@@ -76,11 +76,12 @@ def better_than(problem: SelectionProblem, value: float, values: Vector) -> Vect
     order = np.argsort(-values, kind="stable")[:TRIED]
     points = (settled(problem, z[:, k]) for k in order if values[k] > least)
     good = [point for point in points if point is not None and _keeps(problem, point)]
-    best = max(good, key=lambda point: _value(problem, point), default=None)
-    return best if best is not None and _value(problem, best) > least else None
+    best = max(good, key=lambda point: value_at(problem, point), default=None)
+    return best if best is not None and value_at(problem, best) > least else None
 
 
-def _value(problem: SelectionProblem, z: Vector) -> float:
+def value_at(problem: SelectionProblem, z: Vector) -> float:
+    """V of the objective being solved at z, the lower branch of ε_max, the cost of travel taken off."""
     return float(problem.branches(problem.objective, z)[0][0])
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import available_cores
 from flexopt.errors import FlexoptError
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
@@ -21,7 +22,6 @@ from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.continua import grouped
 from flexopt.selection.optima import Found, Progress, first_optima, later_optima, next_stage
-from flexopt.selection.parallel import available_cores
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Candidate, ConstraintValue, Kept, Selection
 from flexopt.selection.starts import starting_points

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence
+from flexopt.compiled.turns import available_cores
 from flexopt.errors import Fault, InputError
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
@@ -216,7 +217,7 @@ def simulate_ensemble(
     s = build_scenario(machine, checked, zeros, watched=True)
     plan = Plan(s, zeros, varied, motion, n, keep)
     _check_room(plan)
-    shares = _run(plan, threads or _cores(), progress)
+    shares = _run(plan, threads or available_cores(), progress)
     given = {name: list(np.shape(value)) for name, value in varied.items()}
     settings = checked.model_dump(exclude_unset=True)
     return Ensemble(
@@ -343,10 +344,6 @@ def _dataset(plan: Plan, varied: Mapping[str, Vector], shares: list[_Share]) -> 
         coordinates["time"] = ("time", s.times, {"units": "s"})
     used = {dim for entry in variables.values() for dim in ([entry[0]] if isinstance(entry[0], str) else entry[0])}
     return xr.Dataset(variables, {name: value for name, value in coordinates.items() if name in used})
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _range_faults(machine: AnyMachine, name: str, array: Vector) -> list[Fault]:

@@ -274,5 +274,6 @@ class Trajectory:
         if self.verdict == "undecided":
             lines.insert(1, f"  undecided: {self.verdict_reason}")
         if self.self_motion_rate is not None:
-            lines.append(f"  self-motion of the arm at the end: {self.self_motion_rate:.3g} rad/s or m/s")
+            units = " or ".join(dict.fromkeys(f"{unit}/s" for unit in self.model.joint_units))
+            lines.append(f"  self-motion of the arm at the end: {self.self_motion_rate:.3g} {units}")
         return "\n".join([*lines, *(f"  warning: {warning}" for warning in self.warnings)])

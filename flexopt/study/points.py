@@ -6,7 +6,6 @@ In: a machine, postures and placements as columns. Out: arrays with one column f
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,6 +15,7 @@ import numpy as np
 
 from flexopt.algebra import symmetric_eigen
 from flexopt.compiled import Economical
+from flexopt.compiled.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
@@ -57,11 +57,6 @@ class PointValues:
     epsilon_max: Vector
 
 
-def default_threads() -> int:
-    """The processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def evaluate_points(
     machine: AnyMachine,
     postures: Vector,
@@ -78,7 +73,7 @@ def evaluate_points(
 
     The arguments are taken as they are; `map_workspace` checks them.
     """
-    threads = default_threads() if threads is None else threads
+    threads = available_cores() if threads is None else threads
     count = postures.shape[1]
     batches = expect_points(count, machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
     placed = np.zeros((len(machine.base_coordinates), count)) if bases is None else bases

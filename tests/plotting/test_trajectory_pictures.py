@@ -326,3 +326,16 @@ def test_no_display_and_no_settings():
         "assert all(after[k] == before[k] for k in before if k != 'backend')"
     )
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True)
+
+
+def test_legends_stay_inside_the_picture():
+    """The names of six joints take two rows above their panel."""
+    arm = flexopt.load("mobile-manipulator")
+    run = flexopt.simulate(arm, [0.1, -0.8, 1.2, -0.4, 0.3, 0.2], kp=1e3, kv=2e2, nullspace_damping=10.0, duration=0.1)
+    figure = run.plot()
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        if legend is not None:
+            box = legend.get_window_extent()
+            assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1

@@ -88,6 +88,7 @@ def test_self_motion_is_no_oscillation():
         assert run.growth_rate == pytest.approx(-1.4, abs=0.05)
         assert run.settling_time == pytest.approx(2.18, abs=0.01)
         assert run.self_motion_rate > 0.01
+        assert f"{run.self_motion_rate:.3g} rad/s\n" in repr(run)
     assert flexopt.simulate(DIGGER, STAND, nullspace_damping=1e4, **HEAVY).self_motion_rate < 1e-6
     assert flexopt.simulate(EXCAVATOR, POSTURE_B, duration=1.0).self_motion_rate is None
 

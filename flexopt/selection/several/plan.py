@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import available_cores
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
@@ -26,7 +27,6 @@ from flexopt.model.targets import RATE_MAX, TIME_MAX
 from flexopt.plant.reaching import solve_postures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
-from flexopt.selection.parallel import available_cores
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.joined import Joined
 from flexopt.selection.several.postures import EDGE, Reached, reached_from, value_of

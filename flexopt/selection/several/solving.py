@@ -15,13 +15,14 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.model.arguments import Vector
 from flexopt.selection.parallel import in_parallel
+from flexopt.selection.seen import BETTER
 from flexopt.selection.several.joined import SOLVED, STATIONARITY_TOLERANCE, Joined
 from flexopt.selection.several.results import Place
 from flexopt.selection.solve import constraint_values, evaluated
 
 Progress = Callable[[int, int], None]
-# By how much, of the objective's scale, a point that was seen counts as better than an optimum; how many are tried.
-BETTER, TRIED = 2e-8, 4
+# Points that were seen and are better than every optimum: how many are tried.
+TRIED = 4
 
 
 @dataclass(frozen=True)

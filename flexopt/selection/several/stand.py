@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.compiled.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.boundary import numbers, public, words
@@ -17,7 +18,6 @@ from flexopt.model.problem import COMBINES, SINGULARITY_MARGIN_DEG, Control
 from flexopt.model.targets import SHARE_MAX
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
-from flexopt.selection.parallel import available_cores
 from flexopt.selection.several.joined import Joined
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
