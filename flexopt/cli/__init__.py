@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import io
 import sys
+from difflib import get_close_matches
 from importlib import import_module
 
 import click
@@ -44,6 +45,15 @@ class _Commands(click.Group):
             close = difflib.get_close_matches(cmd_name, _COMMANDS, n=1)
             ctx.fail(f"No such command {cmd_name!r}." + (f" Did you mean {close[0]!r}?" if close else ""))
         return getattr(import_module(f"flexopt.cli.{_COMMANDS[cmd_name]}"), f"{cmd_name}_command")
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click, but with the commands that are spelt like an unknown one, which not every version of it names."""
+        if args[0] not in _COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            near = " or ".join(repr(name) for name in get_close_matches(args[0], _COMMANDS))
+            ctx.fail(f"No such command {args[0]!r}.{near and f' Did you mean {near}?'}")
+        return super().resolve_command(ctx, args)
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
