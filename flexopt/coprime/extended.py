@@ -164,7 +164,7 @@ def newton(equation: Equation, X: Exact, *, steps: int = STEPS, in_decimals: boo
         loop = equation.loop(current)
         try:
             if in_decimals:
-                lyapunov = ExactLyapunov(loop, discrete=equation.discrete)
+                lyapunov, off = ExactLyapunov(loop, discrete=equation.discrete), 0.0
             elif lyapunov is None or relative > SETTLED or equation.discrete:
                 lyapunov = Lyapunov(rounded(loop), discrete=equation.discrete)
                 off = EPS * float(np.linalg.norm(lyapunov.A))
