@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import casadi as ca
 import numpy as np
@@ -67,7 +67,7 @@ def plain(values: Sequence[Decimal]) -> list[float]:
 
 def largest(values: Exact) -> float:
     """Largest absolute value; NaN where one is."""
-    flat = values.ravel().tolist()
+    flat = cast(list[Decimal], values.ravel().tolist())
     if not all(map(Decimal.is_finite, flat)):
         return float("nan")
     return float(max(map(abs, flat), default=_ZERO))
@@ -244,7 +244,7 @@ class Evaluated:
         moved = float(sum(map(abs, map(operator.mul, adjoints, values))))
         return gradient, UNIT_ROUNDOFF * moved
 
-    def influence(self, seeds: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    def influence(self, seeds: Sequence[NDArray[np.floating[Any]]]) -> list[NDArray[np.float64]]:
         """Σ over all ways through the graph of |products of partial derivatives|, by each input; seeds absolute values.
 
         An upper bound on what seeds wrong by as much do to `gradient`, whatever their signs.
@@ -272,7 +272,7 @@ class Evaluated:
         """Partial derivatives of results that are neither products nor sums, by their operands."""
         values, instructions = self.values, self.function.instructions
         found: dict[int, tuple[Decimal, Decimal]] = {}
-        for node in self.function.tables.others.tolist():
+        for node in cast(list[int], self.function.tables.others.tolist()):
             operation, first, second = instructions[node]
             found[node] = OPERATIONS[operation][1](values[first], values[second], values[node])
         return found

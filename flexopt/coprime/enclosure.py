@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import cached_property
 
 import numpy as np
 
@@ -33,6 +34,11 @@ class Enclosure:
 
     delta: float
     W: Matrix
+
+    @cached_property
+    def root(self) -> Matrix:
+        """R with RᵀR = W."""
+        return factor(self.W)
 
 
 def enclose(loop: Exact, B: Exact, residual: float, lyapunov: Lyapunov, off: float, *, discrete: bool) -> Enclosure:
@@ -79,18 +85,20 @@ def _enclose_in_decimals(loop: Exact, B: Exact, delta: float, *, discrete: bool)
     return Enclosure(delta, rounded(W + unit(n) * Decimal(largest(W) * EPS)))
 
 
-def eigenvalue_bound(X: Matrix, Z: Matrix, of_x: Enclosure, of_z: Enclosure) -> float:
-    """Bound on |λmax(XZ) − λmax(X̃Z̃)|: λmax of a product of positive semidefinite matrices grows with either.
+def eigenvalue_bound(factor_x: Matrix, factor_z: Matrix, of_x: Enclosure, of_z: Enclosure) -> float:
+    """Bound on |λmax(XZ) − λmax(X̃Z̃)|, X̃ and Z̃ by their factors.
+
+    λmax of a product of positive semidefinite matrices grows with either, so that
 
     λmax((X̃ + δW)(Z̃ + δ'W')) ≤ λmax(X̃Z̃) + δ' λmax(X̃W') + δ λmax(WZ̃) + δδ' λmax(WW'), and the same from below.
     """
-    first = of_z.delta * _top(X, of_z.W) + of_x.delta * _top(of_x.W, Z)
-    return 1.01 * (first + of_x.delta * of_z.delta * _top(of_x.W, of_z.W))
+    first = of_z.delta * _top(factor_x, of_z.root) + of_x.delta * _top(of_x.root, factor_z)
+    return 1.01 * (first + of_x.delta * of_z.delta * _top(of_x.root, of_z.root))
 
 
 def _top(first: Matrix, second: Matrix) -> float:
-    """λmax of the product of two positive semidefinite matrices."""
-    return float(np.linalg.norm(factor(first) @ factor(second).T, 2)) ** 2 if first.size else 0.0
+    """λmax of the product of two positive semidefinite matrices, given by their factors."""
+    return float(np.linalg.norm(first @ second.T, 2)) ** 2 if first.size else 0.0
 
 
 def factor(X: Matrix) -> Matrix:

@@ -106,6 +106,11 @@ class Solution:
         """X in doubles."""
         return rounded(self.X)
 
+    @cached_property
+    def root(self) -> Matrix:
+        """R with RᵀR = X, in doubles."""
+        return factor(self.plain)
+
     def enclosure(self) -> Enclosure:
         """Proven bounds on the exact solution; `NotConverged` where there are none."""
         e = self.equation
@@ -159,7 +164,7 @@ def newton(equation: Equation, X: Exact, *, steps: int = STEPS, in_decimals: boo
         loop = equation.loop(current)
         try:
             if in_decimals:
-                lyapunov = ExactLyapunov(loop, discrete=equation.discrete)
+                lyapunov, off = ExactLyapunov(loop, discrete=equation.discrete), 0.0
             elif lyapunov is None or relative > SETTLED or equation.discrete:
                 lyapunov = Lyapunov(rounded(loop), discrete=equation.discrete)
                 off = EPS * float(np.linalg.norm(lyapunov.A))
@@ -266,7 +271,7 @@ class ExactPair:
 
     def eigenvalue_bound(self) -> float:
         """How far λmax of the exact XZ may lie from that of the product of these."""
-        return eigenvalue_bound(self.x.plain, self.z.plain, self.within_x, self.within_z)
+        return eigenvalue_bound(self.x.root, self.z.root, self.within_x, self.within_z)
 
 
 def measured(equation: Equation, X: Matrix, Z: Matrix) -> ExactPair:
@@ -373,7 +378,7 @@ def top_pairs(pair: ExactPair, target: float | None = None) -> TopPairs:
     target = goal() if target is None else target
     X, Z, plain_x, plain_z = pair.x.X, pair.z.X, pair.x.plain, pair.z.plain
     n = X.shape[0]
-    Rx, Rz = factor(plain_x), factor(plain_z)
+    Rx, Rz = pair.x.root, pair.z.root
     left, sigma, _ = np.linalg.svd(Rx @ Rz.T)
     lambdas = sigma**2
     count = min(n, 2)

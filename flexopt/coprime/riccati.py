@@ -85,7 +85,9 @@ def _shift(F: Matrix, G: Matrix, H: Matrix, values: NDArray[np.complexfloating[A
     if not usable.any():
         return high
     gammas, shifted, conditions = gammas[usable], shifted[usable], conditions[usable]
-    starts = np.linalg.cond(shifted.transpose(0, 2, 1) + H @ np.linalg.solve(shifted, np.broadcast_to(G, shifted.shape)))
+    starts = np.linalg.cond(
+        shifted.transpose(0, 2, 1) + H @ np.linalg.solve(shifted, np.broadcast_to(G, shifted.shape))
+    )
     rates = np.max(np.abs((stable + gammas[:, None]) / (stable - gammas[:, None])), axis=1, initial=0.0)
     slowness = np.maximum(-np.log(np.clip(rates, 1e-300, 1 - 1e-15)), 1e-15)
     costs = np.log2(1.0 + 36.0 / slowness) + 2.0 * np.log10(conditions) + 2.0 * np.log10(starts)

@@ -82,11 +82,15 @@ def damped_modes(
 
     Raises:
         InputError: a mode is overdamped, so that it has no complex pair.
-        NoSolutionFound: Newton's method does not converge to a pole found in doubles.
+        NoSolutionFound: Newton's method does not converge to a pole found in doubles, or a linear system is singular.
     """
     graphs = _build(machine, control, gravity)
-    with digits():
-        return _refined(graphs, base, posture, lowest_frequency)
+    try:
+        with digits():
+            return _refined(graphs, base, posture, lowest_frequency)
+    except np.linalg.LinAlgError as error:
+        reason = f"the damped modes could not be computed ({error})"
+        raise NoSolutionFound(reason, violations={}, iterate={}) from None
 
 
 def _refined(graphs: _Graphs, base: Vector, posture: Vector, lowest_frequency: float) -> DampedModes:

@@ -25,8 +25,8 @@ from flexopt.coprime.extended import (
     Equation,
     ExactPair,
     Seeds,
-    goal,
     TopPairs,
+    goal,
     seeds,
     solve_pair,
     top_pairs,
@@ -188,17 +188,16 @@ class _ScaledPlant:
 
     def sizes(self, found: Seeds) -> list[Matrix]:
         """Bounds on the terms that those derivatives are sums of; of what `unseen` adds, itself."""
-        F, B, C = (np.abs(rounded(M)) for M in self.unseen.whole(found.F, found.B, found.C))
-        f, b, c = found.sizes
+        of_f, of_b, of_c = (np.abs(rounded(M)) for M in self.unseen.whole(found.F, found.B, found.C))
+        kept, (by_f, by_b, by_c) = self.unseen.kept, found.sizes
         if self.unseen.left_out:
-            Q, kept = np.abs(rounded(self.unseen.onto_kept)), self.unseen.kept
-            F[:, kept] += Q.T @ f
-            C[:, kept] += c
-            B = B + Q.T @ b
-        else:
-            F, B, C = F + f, B + b, C + c
+            Q = np.abs(rounded(self.unseen.onto_kept))
+            by_f, by_b = Q.T @ by_f, Q.T @ by_b
+        of_f[:, kept] += by_f
+        of_b += by_b
+        of_c[:, kept] += by_c
         back, forth = np.abs(rounded(self.backward)).T, np.abs(rounded(self.forward)).T
-        return [back @ F @ forth / float(self.rate), back @ B * float(abs(self.kr) / self.rate), C @ forth]
+        return [back @ of_f @ forth / float(self.rate), back @ of_b * float(abs(self.kr) / self.rate), of_c @ forth]
 
 
 def _scaled(margin: Margin, base: Vector, posture: Vector, kr: float) -> _ScaledPlant:
