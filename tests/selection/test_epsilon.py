@@ -36,7 +36,8 @@ def dense_scan(machine, target, control, count=1000):
 def test_never_below_a_scan_of_a_thousand_points(machine, control):
     selection = flexopt.select(machine, TARGET, objective="epsilon_max", control=control)
     assert selection.best.evaluation.epsilon_max >= dense_scan(machine, TARGET, control)
-    assert selection.best.objective == selection.best.evaluation.epsilon_max
+    # The program's graphs are in doubles, the evaluation's bound is proven beyond them.
+    assert selection.best.objective == pytest.approx(selection.best.evaluation.epsilon_max, rel=1e-10)
     assert selection.best.stationarity < 1e-6
 
 
