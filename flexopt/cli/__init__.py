@@ -6,7 +6,6 @@ go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not
 
 from __future__ import annotations
 
-import difflib
 import io
 import sys
 from difflib import get_close_matches
@@ -39,11 +38,10 @@ class _Commands(click.Group):
         """By name."""
         return sorted(_COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as click has it
         """From its module."""
         if cmd_name not in _COMMANDS:
-            close = difflib.get_close_matches(cmd_name, _COMMANDS, n=1)
-            ctx.fail(f"No such command {cmd_name!r}." + (f" Did you mean {close[0]!r}?" if close else ""))
+            return None
         return getattr(import_module(f"flexopt.cli.{_COMMANDS[cmd_name]}"), f"{cmd_name}_command")
 
     def resolve_command(
