@@ -24,8 +24,6 @@ from flexopt.coprime.lyapunov import ExactLyapunov, Lyapunov, NotConverged
 from flexopt.coprime.system import Matrix, StateSpace
 
 STEPS = 12
-# A residual, relative, from which on closed loops are alike in doubles.
-SETTLED = 1e-9
 DOUBLINGS = 150
 # Share of the digits carried to which residuals and corrections are brought.
 SHARE = 0.7
@@ -148,13 +146,13 @@ def newton(equation: Equation, X: Exact, *, steps: int = STEPS, in_decimals: boo
     """Newton's method (Kleinman 1968, Hewer 1971) from a stabilizing X, as long as each step halves the residual.
 
     In continuous time a step E leaves Ric(X + E) = [Ric(X) + A_xᵀE + EA_x] − EGE, which is bounded in doubles: where
-    that is small enough it is not computed. Once the closed loop hardly changes its Lyapunov solver is kept.
+    that is small enough it is not computed.
 
     Raises:
         NotConverged: X does not stabilise.
     """
     best: Solution | None = None
-    current, lyapunov, off = X, None, 0.0
+    current = X
     width = float(np.linalg.norm(rounded(equation.B)))
     for count in range(steps + 1):
         residual, size = equation.residual(current)
@@ -165,14 +163,13 @@ def newton(equation: Equation, X: Exact, *, steps: int = STEPS, in_decimals: boo
         try:
             if in_decimals:
                 lyapunov, off = ExactLyapunov(loop, discrete=equation.discrete), 0.0
-            elif lyapunov is None or relative > SETTLED or equation.discrete:
+            else:
                 lyapunov = Lyapunov(rounded(loop), discrete=equation.discrete)
                 off = EPS * float(np.linalg.norm(lyapunov.A))
         except NotConverged:
             if best is None:
                 raise
             break
-        assert lyapunov is not None
         total = max((float(sum(map(abs, row))) for row in residual.tolist()), default=0.0)
         best = Solution(equation, current, loop, lyapunov, total, relative, off)
         if relative <= goal() or count == steps:
