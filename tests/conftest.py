@@ -16,7 +16,7 @@ WITHOUT = {"win32": ("pinocchio", "example_robot_data"), "darwin": ("slycot",)}
 _told = os.environ.get("FLEXOPT_TESTS_WITHOUT", "").split()
 missing: tuple[str, ...] = (*(name for name in WITHOUT.get(sys.platform, ()) if find_spec(name) is None), *_told)
 
-_IMPORT = re.compile(r"^\s*(?:from|import)\s+([\w.]+)", re.MULTILINE)
+_IMPORT = re.compile(r"^\s*(?:from|import)\s+([\w.]+)(?:\s+import\s+([\w, ]+))?", re.MULTILINE)
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
@@ -35,10 +35,11 @@ def needs(path: Path, names: tuple[str, ...]) -> bool:
         if file in seen or not file.exists():
             continue
         seen.add(file)
-        for module in _IMPORT.findall(file.read_text(encoding="utf-8")):
+        for module, parts in _IMPORT.findall(file.read_text(encoding="utf-8")):
             top, *rest = module.split(".")
             if top in names:
                 return True
             if top in {"tests", "benchmarks"}:
-                waiting.append(ROOT.joinpath(top, *rest).with_suffix(".py"))
+                place = ROOT.joinpath(top, *rest)
+                waiting += [place.with_suffix(".py"), *(place / f"{part.strip()}.py" for part in parts.split(","))]
     return False

@@ -170,7 +170,8 @@ def _against_plain(bench: Bench, board: Board) -> Finding:
         guard_pointers="\n".join(guards), **{"pass": "" if library.baked else "&parameters, "},
     )  # fmt: skip
     write_file(bench.scratch / "compare.c", text)
-    sources = [bench.scratch / "compare.c", bench.scratch / "plain.c"]
+    common = next(source for source in bench.sources if source.stem == f"{library.prefix}_common")
+    sources = [bench.scratch / "compare.c", bench.scratch / "plain.c", common]
     program = _program(bench, board, "compare", sources, extra=[f"-I{bench.scratch}"])
     said = _emulate(bench, board, program, []).out
     found = {name: int(value) for name, value in re.findall(r"(\w+) (\d+)", said)}
