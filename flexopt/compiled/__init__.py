@@ -4,15 +4,43 @@ In: CasADi Functions. Out: their compiled twins (`accelerate`), with derivatives
 evaluation at many points (`batch`; `Economical`: compiled once that pays) or over many steps (`recurrence`) in one
 call. Without a compiler all give the same results, more slowly, and one `CompilerNotFound` warning for each process.
 Libraries are kept in `cache_folder()`, shared by processes, and may be deleted at any time.
+
+Each name is imported when it is first asked for: what compiles nothing does not load what compiles.
 """
 
-from flexopt.compiled.accelerated import accelerate as accelerate
-from flexopt.compiled.batched import Batch as Batch
-from flexopt.compiled.batched import batch as batch
-from flexopt.compiled.compilers import Compiler as Compiler
-from flexopt.compiled.compilers import find_compiler as find_compiler
-from flexopt.compiled.economical import Economical as Economical
-from flexopt.compiled.recurrence import Records as Records
-from flexopt.compiled.recurrence import Recurrence as Recurrence
-from flexopt.compiled.recurrence import recurrence as recurrence
-from flexopt.compiled.storage import cache_folder as cache_folder
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flexopt.compiled.accelerated import accelerate as accelerate
+    from flexopt.compiled.batched import Batch as Batch
+    from flexopt.compiled.batched import batch as batch
+    from flexopt.compiled.compilers import Compiler as Compiler
+    from flexopt.compiled.compilers import find_compiler as find_compiler
+    from flexopt.compiled.economical import Economical as Economical
+    from flexopt.compiled.recurrences import Records as Records
+    from flexopt.compiled.recurrences import Recurrence as Recurrence
+    from flexopt.compiled.recurrences import recurrence as recurrence
+    from flexopt.compiled.storage import cache_folder as cache_folder
+
+_LATER = {
+    "Batch": "batched",
+    "Compiler": "compilers",
+    "Economical": "economical",
+    "Records": "recurrences",
+    "Recurrence": "recurrences",
+    "accelerate": "accelerated",
+    "batch": "batched",
+    "cache_folder": "storage",
+    "find_compiler": "compilers",
+    "recurrence": "recurrences",
+}
+
+
+def __getattr__(name: str) -> object:
+    """A name of this room, imported when it is first asked for."""
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+    globals()[name] = found
+    return found

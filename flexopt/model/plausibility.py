@@ -8,6 +8,7 @@ and drives, mass against the square of the reach. `flexopt.robustness.plausibili
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -127,7 +128,7 @@ def implausible_numbers(machine: AnyMachine) -> tuple[Finding, ...]:
 def _lengths(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterator[Finding]:
     given = [part.length for part in parts if part.length > 0]
     for part in parts:
-        others = float(np.median([length for length in given if length != part.length] or given or [0.0]))
+        others = statistics.median([length for length in given if length != part.length] or given or [0.0])
         if len(given) > 1 and part.length > LONGER * others:
             yield Finding(
                 f"{part.where}.length",

@@ -23,9 +23,9 @@ from itertools import accumulate, pairwise
 
 import casadi as ca
 
+from flexopt import compiled
 from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
 from flexopt.algebra.riccati import DOUBLINGS, lyapunov, riccati_pair, top_eigenpairs
-from flexopt.compiled import Batch, batch
 from flexopt.model import AnyMachine
 from flexopt.model.problem import Control
 from flexopt.plant.control import task_to_joints
@@ -219,10 +219,10 @@ class Margin:
         )
 
     @cached_property
-    def batched(self) -> Batch:
+    def batched(self) -> compiled.Batch:
         """`values` at many points at once, (rows, N) each: the form made for C, or this one where nothing compiles."""
-        compact = batch(replace(self, compact=True).values)
-        return compact if compact.compiled else batch(self.values)
+        compact = compiled.batch(replace(self, compact=True).values)
+        return compact if compact.compiled else compiled.batch(self.values)
 
     @cached_property
     def gradients(self) -> ca.Function:

@@ -16,8 +16,8 @@ from typing import Any
 
 import casadi as ca
 
+from flexopt import compiled
 from flexopt.algebra import called_eigen, turned_vectors
-from flexopt.compiled import Batch, batch
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import instance, public, public_class
 from flexopt.model.problem import Control
@@ -260,17 +260,17 @@ class Measures:
         return self._function("quick_with_gradient", [], outputs, {})
 
     @cached_property
-    def quick_batch(self) -> Batch:
+    def quick_batch(self) -> compiled.Batch:
         """`quick` at many points."""
-        return batch(self.quick)
+        return compiled.batch(self.quick)
 
     @cached_property
-    def quick_batch_with_gradient(self) -> Batch:
+    def quick_batch_with_gradient(self) -> compiled.Batch:
         """`quick_with_gradient` at many points."""
-        return batch(self.quick_with_gradient)
+        return compiled.batch(self.quick_with_gradient)
 
     @cached_property
-    def sound_batch(self) -> Batch:
+    def sound_batch(self) -> compiled.Batch:
         """What tells the points that have no measures, for many at once; see `flexopt.robustness.batches`.
 
         Outputs of `flexopt.plant.singularity.screened`; under gravity also `left_over`, of the static deflection
@@ -284,7 +284,7 @@ class Measures:
             weight = ca.norm_inf(plant.gravity(at.q, g.base, g.p)[:m])
             outputs["left_over"] = ca.norm_inf(at.static_residual) / (1 + weight)
             outputs["least_pivot"] = ca.mmin(ca.ldl(ca.densify(at.stiffness[:m, :m]))[0])
-        return batch(self._function("sound", [], outputs, {}))
+        return compiled.batch(self._function("sound", [], outputs, {}))
 
     def _quickly(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """The w_i (m, 1), the gap, and what `hold` would give."""

@@ -35,7 +35,7 @@ if "cached" in sys.argv:
     def refuse(*_):
         raise AssertionError("C generated again")
     accelerated._source = batched.kernel_source = refuse
-    sys.modules["flexopt.compiled.recurrence"].recurrence_source = refuse
+    sys.modules["flexopt.compiled.recurrences"].recurrence_source = refuse
 x = ca.SX.sym("x", 3)
 f = ca.Function("f", [x], [ca.sin(x[0]) * x[1] + ca.sqrt(ca.fabs(x[2]))])
 e, c = ca.SX.sym("e", 0), ca.SX.sym("c")
