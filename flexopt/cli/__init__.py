@@ -6,6 +6,7 @@ go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not
 
 from __future__ import annotations
 
+import gc
 import io
 import sys
 from difflib import get_close_matches
@@ -62,6 +63,8 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the `flexopt` command."""
+    # Graphs are many small objects that live as long as the command: a search for garbage in them finds none.
+    gc.set_threshold(100_000)
     given = sys.argv[1:] if arguments is None else arguments
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
