@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from flexopt.export import verify_bundle as verify_bundle
     from flexopt.export.fmu import FmuReport as FmuReport
     from flexopt.export.fmu import export_fmu as export_fmu
-    from flexopt.model import Experiment as Experiment
     from flexopt.model import Machine as Machine
     from flexopt.model import Problem as Problem
     from flexopt.model import Tree as Tree
@@ -41,18 +40,19 @@ if TYPE_CHECKING:
     from flexopt.model import machine_from_dict as machine_from_dict
     from flexopt.model import tree_from_dict as tree_from_dict
     from flexopt.model.robots import load_robot as load_robot
+    from flexopt.model.simulation import Experiment as Experiment
     from flexopt.plant import Hydraulics as Hydraulics
     from flexopt.plant import Plant as Plant
     from flexopt.plant import build_hydraulics as build_hydraulics
     from flexopt.plant import build_plant as build_plant
     from flexopt.plant import inverse_kinematics as inverse_kinematics
-    from flexopt.robustness import Check as Check
     from flexopt.robustness import Evaluation as Evaluation
     from flexopt.robustness import Measures as Measures
     from flexopt.robustness import build_measures as build_measures
-    from flexopt.robustness import check as check
     from flexopt.robustness import evaluate as evaluate
     from flexopt.robustness import evaluate_w as evaluate_w
+    from flexopt.robustness.checking import Check as Check
+    from flexopt.robustness.checking import check as check
     from flexopt.selection import BasePlan as BasePlan
     from flexopt.selection import BaseTrajectory as BaseTrajectory
     from flexopt.selection import Candidate as Candidate
@@ -165,10 +165,10 @@ _LATER: dict[str, str] = {
     "BasePlan": "selection",
     "BaseTrajectory": "selection",
     "Candidate": "selection",
-    "Check": "robustness",
+    "Check": "robustness.checking",
     "Ensemble": "simulation",
     "Evaluation": "robustness",
-    "Experiment": "model",
+    "Experiment": "model.simulation",
     "ExportReport": "export",
     "FmuReport": "export.fmu",
     "Hydraulics": "plant",
@@ -192,7 +192,7 @@ _LATER: dict[str, str] = {
     "build_measures": "robustness",
     "build_plant": "plant",
     "build_selection": "selection",
-    "check": "robustness",
+    "check": "robustness.checking",
     "evaluate": "robustness",
     "evaluate_w": "robustness",
     "export_c": "export",

@@ -7,7 +7,6 @@ A machine may be called `rig $x_{$`, `???/` or `掘削機-2`; whoever puts a nam
 from __future__ import annotations
 
 import codecs
-import html
 import re
 import unicodedata
 from functools import cache
@@ -64,7 +63,9 @@ def c_identifier(text: str) -> str:
 
 def markup(text: str) -> str:
     """Text inside XML or HTML, in an attribute or between tags."""
-    return html.escape(one_line(text))
+    from html import escape  # noqa: PLC0415  (its table of names is large, and few texts are HTML)
+
+    return escape(one_line(text))
 
 
 def terminal(text: str) -> str:

@@ -27,11 +27,10 @@ def symmetric_eigen(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:
     no branches.
     """
     size = matrix.shape[0]
-    sweep, order = _steps(size)
-    state = [ca.densify(matrix), ca.densify(ca.SX(ca.DM.eye(size)))]
-    for k in range(_sweeps(size)):
-        # The first one folds the zeros of the unit matrix.
-        state = sweep.call(state) if k else _sweep(*state)
+    first, sweep, order = _steps(size)
+    state = first.call([ca.densify(matrix)])
+    for _ in range(1, _sweeps(size)):
+        state = sweep.call(state)
     values, vectors = order.call(state)
     return values, vectors
 
@@ -64,7 +63,7 @@ def called_eigen_near(size: int) -> ca.Function:
 
 def _swept(size: int, state: list[ca.MX], least: int) -> list[ca.MX]:
     """Eigenvalues and vectors from a matrix and vectors, by `least` sweeps and as many more as are needed."""
-    sweep, order = _steps(size)
+    _, sweep, order = _steps(size)
     a, vectors = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
     settled = ca.Function("settled", [a], [_settled(a)])
     as_it_is = ca.Function("as_it_is", [a, vectors], [a, vectors])
@@ -75,12 +74,15 @@ def _swept(size: int, state: list[ca.MX], least: int) -> list[ca.MX]:
 
 
 @lru_cache(maxsize=8)
-def _steps(size: int) -> tuple[ca.Function, ca.Function]:
-    """A matrix and vectors -> the same after one sweep; and -> eigenvalues and vectors in order."""
+def _steps(size: int) -> tuple[ca.Function, ca.Function, ca.Function]:
+    """A matrix -> itself and the unit matrix after one sweep; with vectors -> the same; and -> both in order."""
     a, vectors = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
+    # It folds the zeros of the unit matrix.
+    started = _sweep(a, ca.densify(ca.SX(ca.DM.eye(size)))) if size > 1 else (a, ca.SX.ones(1, 1))
+    first = ca.Function("first_sweep", [a], [ca.densify(x) for x in started], {"cse": True})
     sweep = ca.Function("sweep", [a, vectors], [ca.densify(x) for x in _sweep(a, vectors)], {"cse": True})
     order = ca.Function("ascending", [a, vectors], list(_sorted(ca.diag(a), vectors)), {"cse": True})
-    return sweep, order
+    return first, sweep, order
 
 
 def _sweeps(size: int) -> int:

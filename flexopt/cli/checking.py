@@ -7,7 +7,7 @@ import sys
 import click
 
 from flexopt.cli.common import BAD_INPUT, JSON, print_json, say
-from flexopt.robustness import check
+from flexopt.robustness.checking import check
 
 
 @click.command("check", short_help="Faults of a file, and numbers that are hardly meant.")

@@ -29,7 +29,8 @@ from flexopt.cli.common import (
     write_output,
 )
 from flexopt.errors import InputError
-from flexopt.model import Experiment, load_simulated
+from flexopt.model import load_simulated
+from flexopt.model.simulation import Experiment
 from flexopt.simulation import run_experiment, simulate
 
 FILMS = (".gif", ".html")

@@ -17,8 +17,6 @@ from flexopt.model.reading import load_file as load_file
 from flexopt.model.reading import load_problem as load_problem
 from flexopt.model.reading import load_simulated as load_simulated
 from flexopt.model.reading import machine_from_dict as machine_from_dict
-from flexopt.model.simulation import Experiment as Experiment
-from flexopt.model.simulation import SimulationOptions as SimulationOptions
 from flexopt.model.tables import Capsule as Capsule
 from flexopt.model.tree import Tree as Tree
 from flexopt.model.tree import tree_from_dict as tree_from_dict

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.model.boundary import public
@@ -13,9 +13,11 @@ from flexopt.model.faults import Table, check_extent, machine_faults, problem_fa
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.machine import Machine
 from flexopt.model.problem import Problem, check_placement, check_task
-from flexopt.model.simulation import Experiment
 from flexopt.model.targets import target_faults
 from flexopt.model.tree import Tree
+
+if TYPE_CHECKING:
+    from flexopt.model.simulation import Experiment
 
 
 @public(error=ModelError)
@@ -121,6 +123,8 @@ def _machine(source: Source) -> Machine | Tree:
 
 
 def _experiment(source: Source) -> Experiment:
+    from flexopt.model.simulation import Experiment  # noqa: PLC0415  (what no file asks for is not loaded)
+
     if "simulation" not in source.data:
         raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
     experiment = validated(Experiment, source.data, source.name, ())

@@ -6,8 +6,6 @@ derivatives, as Functions (`measures`) or as numbers: one posture in full (`eval
 
 from flexopt.robustness.batches import BatchedW as BatchedW
 from flexopt.robustness.batches import evaluate_w as evaluate_w
-from flexopt.robustness.checking import Check as Check
-from flexopt.robustness.checking import check as check
 from flexopt.robustness.evaluation import Evaluation as Evaluation
 from flexopt.robustness.evaluation import evaluate as evaluate
 from flexopt.robustness.measures import Measures as Measures

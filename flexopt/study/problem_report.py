@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
-from flexopt.model import AnyMachine, Experiment, Problem
+from flexopt.model import AnyMachine, Problem
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.boundary import TABLE, instance, public, table, whole
 from flexopt.model.documents import json_ready, provenance
 from flexopt.model.plain import shown
-from flexopt.model.simulation import SimulationOptions
+from flexopt.model.simulation import Experiment, SimulationOptions
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
