@@ -191,9 +191,9 @@ class Plant:
     def singularity_sine_squared(self) -> ca.Function:
         """Distance from singular postures at rest: 0 where Jv loses rank, at most 1.
 
-        In the plane the mean sin² of the angles between the arm's segments, sin² θ3 for two links; in space the square
-        of the conditioning index of Jv, of two rows sin² of twice the angle whose tangent is 1/cond Jv. Inputs base,
-        posture, p.
+        The mean sin² of the angles by which what each body of the arm does to the end-point, alone, leaves what the
+        others do: in the plane of the angles between the arm's segments, sin² θ3 for two links. See
+        `singular_distance`. Inputs base, posture, p.
         """
         g = self.graph
         at_rest = ca.substitute(g.singularity_sine_squared, g.q, g.rest)

@@ -17,7 +17,8 @@ import numpy as np
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.model.tree import Tree
 from flexopt.plant.planar import ChainGraph
-from flexopt.plant.tree_algebra import ZERO
+from flexopt.plant.singular_distance import singularity_sine_squared
+from flexopt.plant.tree_algebra import ORIGIN, ZERO
 from flexopt.plant.tree_constants import constant_graphs
 from flexopt.plant.tree_recursion import Recursion
 from flexopt.plant.tree_structure import Skeleton, skeleton
@@ -25,8 +26,6 @@ from flexopt.plant.tree_task import end_axes, points, task
 
 # Configurations at which the mass matrix is looked at, and the share of its diagonal that counts as singular.
 PROBES, SINGULAR = 4, 1e-13
-# Of products of squared singular values, relative to those of an isotropic Jacobian.
-ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -88,9 +87,7 @@ def build_spatial(tree: Tree, zeros: Sequence[str] = ()) -> SpatialGraph:
         end_rotation=ca.horzcat(*(ca.vertcat(*axis) for axis in end_axes(at, base))),
         segments=_segments(structure),
     )
-    object.__setattr__(
-        graph, "singularity_sine_squared", conditioning_index(ca.jacobian(graph.end_point, q)[:, n_passive:])
-    )
+    object.__setattr__(graph, "singularity_sine_squared", _from_singular(at, graph))
     _check_mass(tree, graph)
     return graph
 
@@ -121,27 +118,18 @@ def _by_order(by_body: list[ca.SX], order: list[int]) -> ca.SX:
     return ca.densify(ca.vertcat(*(by_body[i] for i in order)))
 
 
-def conditioning_index(jacobian: ca.SX) -> ca.SX:
-    """Square of the kinematic conditioning index 1/κ_F of J (p, n): p² / (‖J‖² ‖J⁺‖²), Frobenius norms; smooth.
-
-    0 where J loses rank, 1 where its singular values are equal; of two rows sin²(2 atan(s_2/s_1)), s_i the singular
-    values. With e_k the coefficients of the characteristic polynomial of J Jᵀ it is p² e_p / (e_{p−1} e_1); they are
-    found without a division by anything but whole numbers (Faddeev and LeVerrier).
-
-    Source: Angeles, Fundamentals of Robotic Mechanical Systems (condition number of the Jacobian).
-    """
-    rows = jacobian.shape[0]
-    gram = ca.densify(jacobian @ jacobian.T)
-    gram = gram / (ca.trace(gram) / rows)
-    identity = ca.SX(ca.DM.eye(rows))
-    work, coefficient, before = identity, ca.SX(1), ca.SX(1)
-    for k in range(1, rows + 1):
-        product = gram @ work
-        before, coefficient = coefficient, -ca.trace(product) / k
-        work = product + coefficient * identity
-    # The trace of the scaled matrix, e_1, is p; coefficients have alternating signs. Where two singular values vanish
-    # both are rounding.
-    return -rows * coefficient * before / (before**2 + ROUNDING**2)
+def _from_singular(at: Recursion, graph: SpatialGraph) -> ca.SX:
+    """`singularity_sine_squared` of the arm; lengths between joints are taken with the actuated hinges at zero."""
+    structure, n_passive = at.skeleton, graph.n_passive
+    along = [(ca.SX(1), ZERO) if i in structure.actuated else pair for i, pair in enumerate(at.along)]
+    still = Recursion(structure, at.value, along, at.displacement)
+    joints = [
+        (ca.vertcat(*still.point(i, ORIGIN)), ca.vertcat(*still.to_ground(i, (ZERO, ZERO, ca.SX(1)))))
+        for i in range(at.n)
+    ]
+    tip = ca.vertcat(*still.point(structure.tip, still.vector("tip")))
+    jacobian = ca.jacobian(graph.end_point, graph.q)[:, n_passive:]
+    return singularity_sine_squared(structure, jacobian, joints, tip, at.of("task_length"))
 
 
 def _check_mass(tree: Tree, graph: SpatialGraph) -> None:

@@ -7,6 +7,7 @@ E Rz(q) with a constant E; where axes are parallel E = 1, where they are at righ
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +88,27 @@ class Skeleton:
     def actuated(self) -> list[int]:
         """Bodies on actuated joints."""
         return [i for i, segment in enumerate(self.segments) if not segment.passive]
+
+    def way_to(self, body: int) -> list[int]:
+        """Bodies from the ground to one, itself included."""
+        way = [body]
+        while self.segments[way[0]].parent >= 0:
+            way.insert(0, self.segments[way[0]].parent)
+        return way
+
+    @property
+    def actuated_way(self) -> list[int]:
+        """Bodies on actuated joints between the ground and the end-point."""
+        return [i for i in self.way_to(self.tip) if not self.segments[i].passive]
+
+    def sense_along(self, inner: int, outer: int) -> float:
+        """±1 where the hinges of both bodies, and all between them, are parallel, −1 where they point apart; else 0."""
+        between = self.way_to(outer)
+        turning = [self.segments[i] for i in between[between.index(inner) + 1 :] if not self.segments[i].slide]
+        if self.segments[inner].slide or self.segments[outer].slide:
+            return 0.0
+        senses = [segment.turn[2][2] for segment in turning]
+        return math.prod(senses) if all(abs(sense) == 1 for sense in senses) else 0.0
 
     @property
     def leading_slides(self) -> list[int]:

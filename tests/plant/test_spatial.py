@@ -17,7 +17,8 @@ from flexopt.model.tree import tree_from_dict
 from flexopt.plant.machine_motion import constant_values, structure_of
 from flexopt.plant.orientation import rotation_vector
 from flexopt.plant.plant import Plant
-from flexopt.plant.spatial import build_spatial, conditioning_index
+from flexopt.plant.singular_distance import sine_squared
+from flexopt.plant.spatial import build_spatial
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.plant.tree_structure import skeleton
 from tests.oracles.machines import NumpySource, Structure, draw_machine
@@ -375,16 +376,37 @@ def test_rotation_vector_and_its_derivative(angle):
     assert np.isfinite(hessian).all()
 
 
-def test_conditioning_index_is_that_of_frobenius_norms_and_vanishes_where_rank_is_lost():
+def test_sine_squared_is_the_mean_of_the_angles_between_columns_and_vanishes_where_rank_is_lost():
     rng = np.random.default_rng(0)
-    for rows, n in ((1, 2), (2, 2), (3, 4), (6, 7)):
-        jacobian = rng.normal(size=(rows, n))
-        expected = (rows / (np.linalg.norm(jacobian) * np.linalg.norm(np.linalg.pinv(jacobian)))) ** 2
-        assert abs(float(conditioning_index(ca.SX(jacobian))) - expected) <= 1e-12
+
+    def of(columns):
+        return float(sine_squared(ca.SX(columns), [ca.SX(x) for x in np.sum(columns**2, axis=0)]))
+
+    for rows in (1, 2, 3, 6):
+        columns = rng.normal(size=(rows, rows))
+        # 1/l_i² over the distances from the span of the others, by the rows of the inverse.
+        expected = np.sum(1 / np.sum(columns**2, axis=0)) / np.sum(np.linalg.inv(columns) ** 2)
+        assert abs(of(columns) - expected) <= 1e-11
+        assert abs(of(np.linalg.qr(columns)[0] * rng.uniform(0.5, 2.0, rows)) - 1) <= 1e-12
+    for rows, n in ((1, 2), (2, 2), (2, 4), (3, 4), (6, 7)):
+        columns = rng.normal(size=(rows, n))
+        assert 0 < of(columns) <= 1 + 1e-12
         for lost in range(1, rows):
-            jacobian[-lost] = 2 * jacobian[0]
+            columns[-lost] = 2 * columns[0]
             # Of two and more lost at once what is left is rounding, 1e-14, over its floor of 1e-9.
-            assert abs(float(conditioning_index(ca.SX(jacobian)))) <= 1e-6
+            assert abs(of(columns)) <= 1e-6
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_distance_from_singular_postures_is_at_most_one_and_zero_where_rank_is_lost(seed):
+    case = Case(random_tree(seed, rows=("x", "y", "z")), seed)
+    at = [case.base, case.q[case.m :], case.plant.parameter_values]
+    value = float(case.plant.singularity_sine_squared.call(at)[0])
+    rest = case.plant.rest.call(at)[0]
+    smallest = np.linalg.svd(case.plant.rigid_jacobian.call([rest, at[0], at[2]])[0].full(), compute_uv=False)[-1]
+    assert 0 <= value + 1e-12 <= 1 + 2e-12
+    assert np.all(np.isfinite(case.plant.singularity_gradient.call(at)[0].full()))
+    assert (value > 1e-12) == (smallest > 1e-6)
 
 
 def test_skeleton_joins_the_tree():
