@@ -30,9 +30,9 @@ from benchmarks.timing import table
 from flexopt.compiled import recurrence
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant.machine_motion import constant_values, structure_of
-from flexopt.plant.planar_motion import PlanarMotion
+from flexopt.plant.chain_motion import ChainMotion
 from flexopt.plant.plant import Plant
-from flexopt.plant.spatial import build_spatial
+from flexopt.plant.graph import build_graph
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.simulation.directions import Carried, Computed, stacked
 from flexopt.simulation.integrators import State, classical_step
@@ -94,7 +94,7 @@ class _Flow:
     def rates(self, t: ca.SX, state: State, along: Any) -> State:  # noqa: ARG002 - nothing depends on time
         base = ca.SX.zeros(3, 1)
         given = (self.torque, base, base)
-        if isinstance(self.motion, PlanarMotion):
+        if isinstance(self.motion, ChainMotion):
             given = (self.torque, base[0], base[0])
         acceleration = self.motion.acceleration(state.u, state.w, along, *given, gravity=True)
         return State(state.w, acceleration, state.z)
@@ -215,7 +215,7 @@ def spatial(tree: Any, case: Case, build: Callable[..., Any] = TreeMotion) -> Ou
 def closed_form(machine: Any, case: Case) -> Ours:
     """A planar machine by its own closed form."""
     structure = structure_of(machine)
-    return Ours(lambda value: PlanarMotion(structure, value), constant_values(machine), structure.zeros, case)
+    return Ours(lambda value: ChainMotion(structure, value), constant_values(machine), structure.zeros, case)
 
 
 def case_of(plant: Any, posture: np.ndarray, base: Any, offset: float = 0.03) -> Case:
@@ -258,7 +258,7 @@ def main() -> None:
     for arm, bar in ((4, "bar: at least 5"), (7, "no bar")):
         data = grounded(arm, 0, coupled=False)
         tree = tree_from_dict(data)
-        case = case_of(Plant(tree, build_spatial(tree)), np.linspace(0.4, -0.5, arm), np.zeros(3))
+        case = case_of(Plant(tree, build_graph(tree)), np.linspace(0.4, -0.5, arm), np.zeros(3))
         rows = {"flexopt": spatial(tree, case)}
         rows |= {name: spatial(tree, case, build) for name, build in OTHERS.items()}
         try:

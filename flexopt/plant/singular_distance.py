@@ -62,7 +62,8 @@ def singularity_sine_squared(
     Column i is the motion of the task where body i turns and what hangs on it by a parallel hinge keeps its direction:
     J_i less that of the next joint where both are parallel hinges. In the plane it is the arm's i-th segment, turned by
     90°, and the result the mean sin² of the angles between segments, sin² θ3 of two links. Its length l_i is the
-    segment's; where joints beyond change it, the longest there is, slides staying where they are; of a slide the whole arm's.
+    segment's; where joints beyond change it, the longest there is, slides staying where they are; of a slide the whole
+    arm's.
 
     Args:
         structure: of the machine.

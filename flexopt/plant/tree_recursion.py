@@ -222,12 +222,13 @@ class Recursion:
 
     def forces(self, rates: Sequence[Scalar], gravity: Scalar) -> list[Scalar]:
         """What the joints must give so that none accelerates, h + g, by body."""
-        spins = self.spins(rates)
+        spins, up = self.spins(rates), self.skeleton.up
+        fall = (gravity if up == 0 else ZERO, gravity if up == 1 else ZERO, gravity if up == 2 else ZERO)
         accelerations: list[Vector] = []
         wrenches: list[Wrench] = []
         for i, segment in enumerate(self.skeleton.segments):
             parent, spin = segment.parent, spins[i]
-            before = accelerations[parent] if parent >= 0 else (ZERO, ZERO, gravity)
+            before = accelerations[parent] if parent >= 0 else fall
             if parent >= 0:
                 at = self.offset(i)
                 before = add(before, times(spins[parent].u, at))

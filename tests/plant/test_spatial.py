@@ -17,8 +17,8 @@ from flexopt.model.tree import tree_from_dict
 from flexopt.plant.machine_motion import constant_values, structure_of
 from flexopt.plant.orientation import rotation_vector
 from flexopt.plant.plant import Plant
+from flexopt.plant.graph import build_graph
 from flexopt.plant.singular_distance import sine_squared
-from flexopt.plant.spatial import build_spatial
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.plant.tree_structure import skeleton
 from tests.oracles.machines import NumpySource, Structure, draw_machine
@@ -51,7 +51,7 @@ class Case:
 
     def __init__(self, data, seed):
         self.data, self.tree = data, tree_from_dict(data)
-        self.plant = Plant(self.tree, build_spatial(self.tree))
+        self.plant = Plant(self.tree, build_graph(self.tree))
         rng = np.random.default_rng(seed)
         n = len(self.tree.bodies)
         self.n, self.m = n, self.plant.n_passive
@@ -124,7 +124,7 @@ def test_random_tree_agrees_with_pinocchio_and_mujoco(seed):
     # Rounding grows with cond M; both orders of factorisation and all constants kept.
     tolerance = RELATIVE * max(1.0, np.linalg.cond(case.of("mass")) / 1e3)
     close(oracle.forward(q, v, case.tau - case.springs), expected, relative=tolerance)
-    for structure in (None, skeleton(case.tree)):
+    for structure in (None, skeleton(case.tree.kinematic_tree)):
         close(case.acceleration(*case.motion(structure)), expected, relative=tolerance)
     motion, u, w, along = case.motion()
     weightless = case.acceleration(motion, u, w, along, gravity=False)
@@ -155,7 +155,7 @@ def test_rotors_of_ground_slides_do_not_fall(directions):
     chain.set(case.q, case.v)
     close(case.of("mass"), chain.mass())
     expected = chain.forward(case.tau)
-    for structure in (None, skeleton(case.tree)):
+    for structure in (None, skeleton(case.tree.kinematic_tree)):
         close(case.acceleration(*case.motion(structure)), expected)
 
 
@@ -299,7 +299,7 @@ def test_placement_moves_the_machine_whether_a_slide_absorbs_it_or_not(sign):
     seen = []
     for placement in (["x", "y"], ["x", "y", "yaw"]):
         case = Case(data | {"placement": placement}, 1)
-        assert set(skeleton(case.tree).absorbed) == (set() if "yaw" in placement else {"x", "y"})
+        assert set(skeleton(case.tree.kinematic_tree).absorbed) == (set() if "yaw" in placement else {"x", "y"})
         here = base[: len(placement)]
         q = column(case.plant.rest(here, posture, case.p))
         r = column(case.plant.end_point(q, here, case.p))
@@ -348,7 +348,7 @@ def test_parameters_are_symbols():
 def test_parameters_left_out_as_zero_change_nothing_but_the_size():
     tree = tree_from_dict(grounded(4, 0))
     zeros = [parameter.name for parameter in tree.parameters if parameter.value == 0]
-    whole, small = Plant(tree, build_spatial(tree)), Plant(tree, build_spatial(tree, zeros))
+    whole, small = Plant(tree, build_graph(tree)), Plant(tree, build_graph(tree, zeros))
     q, v = np.linspace(-0.4, 1.1, 10), np.linspace(1, -1, 10)
     p, base = whole.parameter_values, np.zeros(3)
     close(small.mass(q, base, p).full(), whole.mass(q, base, p).full(), relative=1e-14)
@@ -427,7 +427,7 @@ def test_dependent_slides_are_refused():
     data["bodies"][1]["parent"] = "first"
     data["end_point"]["rows"] = ["x", "z"]
     with pytest.raises(ModelError, match="mass matrix is singular"):
-        build_spatial(tree_from_dict(data))
+        build_graph(tree_from_dict(data))
 
 
 def broken(change):

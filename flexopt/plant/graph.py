@@ -1,22 +1,22 @@
-"""A tree of bodies in space: every graph of the plant, by the names and conventions of `planar.ChainGraph`.
+"""A machine's equations as graphs: a tree of bodies, in space or in a plane.
 
 q lists the passive coordinates first. Where a passive slide at the ground runs along x or y and the placement does not
-turn, it counts from the inertial origin and `base` moves its rest value, as in the plane; every other placement
-coordinate moves the anchor frame, from which q is counted, and with it the end-point. The mass matrix, h, g, K and D do
-not depend on the placement.
+turn, it counts from the inertial origin and `base` moves its rest value; every other placement coordinate moves the
+anchor frame, from which q is counted, and with it the end-point. The mass matrix, h, g, K and D do not depend on the
+placement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from flexopt.errors import Fault, ModelError, raise_if_any
-from flexopt.model.tree import Tree
-from flexopt.plant.planar import ChainGraph
+from flexopt.model import AnyMachine
+from flexopt.model.kinematic_tree import KinematicTree
 from flexopt.plant.singular_distance import singularity_sine_squared
 from flexopt.plant.tree_algebra import ORIGIN, ZERO
 from flexopt.plant.tree_constants import constant_graphs
@@ -29,85 +29,117 @@ PROBES, SINGULAR = 4, 1e-13
 
 
 @dataclass(frozen=True)
-class SpatialGraph(ChainGraph):
-    """SX graphs of a tree. Shapes as in `ChainGraph`, with p task rows; r and J in m, m/rad or 1.
+class MachineGraph:
+    """SX graphs of a machine; r and J in m, m/rad or 1.
+
+    Shapes: n_q coordinates, n_p of them passive, n_b placement coordinates, p task rows, d axes (2 in a plane).
 
     Attributes:
         end_rotation: of the end-point's frame, (3, 3), inertial axes.
-        segments: pairs of columns of `skeleton` (3, n_bodies + 2) to join by lines in a picture.
+        segments: pairs of columns of `skeleton` (d, n_points) to join by lines in a picture.
+        at: the recursions at q, from which everything comes.
     """
 
+    q: ca.SX
+    v: ca.SX
+    base: ca.SX
+    posture: ca.SX
+    p: ca.SX
+    end_point: ca.SX
+    skeleton: ca.SX
+    mass: ca.SX
+    bias: ca.SX
+    gravity: ca.SX
+    stiffness: ca.SX
+    damping: ca.SX
+    rest: ca.SX
+    singularity_sine_squared: ca.SX
+    coordinates: tuple[str, ...]
+    coordinate_units: tuple[str, ...]
+    n_passive: int
     end_rotation: ca.SX
     segments: tuple[tuple[int, int], ...]
+    at: Recursion
 
 
-def build_spatial(tree: Tree, zeros: Sequence[str] = ()) -> SpatialGraph:
-    """All graphs of a tree.
+def build_graph(machine: AnyMachine, zeros: Sequence[str] = ()) -> MachineGraph:
+    """All graphs of a machine.
 
     Args:
-        tree: from a reader or `tree_from_dict`.
+        machine: from a reader, `machine_from_dict` or `tree_from_dict`.
         zeros: names of parameters to leave out as exactly zero; graphs are smaller and do not depend on them.
 
     Raises:
         ModelError: the joints are not independent: M is singular wherever the joints stand.
     """
-    names = [parameter.name for parameter in tree.parameters]
+    tree = machine.kinematic_tree
+    names = [parameter.name for parameter in machine.parameters]
     p = ca.SX.sym("p", len(names))
     value = {name: ZERO if name in zeros else p[i] for i, name in enumerate(names)}
     structure, constant = skeleton(tree), constant_graphs(tree, value)
-    order, n = structure.order, len(tree.bodies)
-    n_passive = n - len(structure.actuated)
-    q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
-    base, posture = ca.SX.sym("base", len(structure.placement)), ca.SX.sym("posture", n - n_passive)
+    order, n_passive = structure.order, len(structure.passive)
+    q, v = ca.SX.sym("q", len(order)), ca.SX.sym("v", len(order))
+    base, posture = ca.SX.sym("base", len(structure.placement)), ca.SX.sym("posture", len(order) - n_passive)
 
-    coordinate = [q[order.index(i)] for i in range(n)]
-    rates = [v[order.index(i)] for i in range(n)]
+    coordinate = [q[order.index(i)] if i in order else constant[f"rest{i}"] for i in range(len(tree.bodies))]
+    rates = [v[order.index(i)] if i in order else ZERO for i in range(len(tree.bodies))]
     at = Recursion(structure, constant, [(ca.cos(angle), ca.sin(angle)) for angle in coordinate], coordinate)
     rest = [at.of(f"rest{i}") for i in order[:n_passive]]
     for name, (i, sign) in structure.absorbed.items():
         rest[order.index(i)] += sign * base[structure.placement.index(name)]
-    graph = SpatialGraph(
+    drawn, segments = _drawing(tree, structure)
+    axes = ["xyz".index(axis) for axis in tree.axes]
+    graph = MachineGraph(
         q=q,
         v=v,
         base=base,
         posture=posture,
         p=p,
         end_point=task(at, base),
-        skeleton=ca.densify(points(at, base)),
+        skeleton=ca.densify(points(at, base)[axes, drawn]),
         mass=_mass(at, order),
         bias=_by_order(at.forces(rates, ZERO), order),
-        gravity=_by_order(at.forces([ZERO] * n, at.of("gravity")), order),
+        gravity=_by_order(at.forces([ZERO] * at.n, at.of("gravity")), order),
         stiffness=_coupled(at, "stiffness", structure.coupled_springs, order),
         damping=_coupled(at, "damping", structure.coupled_dampers, order),
         rest=ca.vertcat(*rest, posture),
         singularity_sine_squared=ZERO,
-        coordinates=tree.coordinates,
-        coordinate_units=tree.coordinate_units,
+        coordinates=machine.coordinates,
+        coordinate_units=machine.coordinate_units,
         n_passive=n_passive,
         end_rotation=ca.horzcat(*(ca.vertcat(*axis) for axis in end_axes(at, base))),
-        segments=_segments(structure),
+        segments=segments,
+        at=at,
     )
-    object.__setattr__(graph, "singularity_sine_squared", _from_singular(at, graph))
-    _check_mass(tree, graph)
+    graph = replace(graph, singularity_sine_squared=_from_singular(at, graph))
+    _check_mass(machine, graph)
     return graph
 
 
-def _segments(structure: Skeleton) -> tuple[tuple[int, int], ...]:
-    """Ground to first bodies, body to body, last body to end-point; column 0 is the ground, 1 + i is body i."""
-    joined = [(1 + segment.parent, 1 + i) for i, segment in enumerate(structure.segments)]
-    return (*joined, (1 + structure.tip, 1 + len(structure.segments)))
+def _drawing(tree: KinematicTree, structure: Skeleton) -> tuple[list[int], tuple[tuple[int, int], ...]]:
+    """Columns of `points` to draw, and the pairs of these to join: each body with the nearest drawn one before it."""
+    kept = [-1 if i is None else i for i in tree.drawn]
+    joined: list[tuple[int, int]] = []
+    for i in kept[1:]:
+        before = structure.segments[i].parent
+        while before not in kept:
+            before = structure.segments[before].parent
+        joined.append((kept.index(before), kept.index(i)))
+    return [1 + i for i in (*kept, structure.n)], (*joined, (kept.index(structure.tip), len(kept)))
 
 
 def _mass(at: Recursion, order: list[int]) -> ca.SX:
-    mass = ca.SX.zeros(at.n, at.n)
+    mass = ca.SX.zeros(len(order), len(order))
     for (i, j), entry in at.mass.items():
+        if i not in order or j not in order:
+            continue
         a, b = order.index(i), order.index(j)
         mass[a, b] = mass[b, a] = entry
     return mass
 
 
 def _coupled(at: Recursion, word: str, pairs: tuple[tuple[int, int], ...], order: list[int]) -> ca.SX:
-    matrix = ca.SX.zeros(at.n, at.n)
+    matrix = ca.SX.zeros(len(order), len(order))
     for i, j in pairs:
         a, b = order.index(i), order.index(j)
         matrix[a, b] = matrix[b, a] = at.of(f"{word}{i}.{j}")
@@ -118,7 +150,7 @@ def _by_order(by_body: list[ca.SX], order: list[int]) -> ca.SX:
     return ca.densify(ca.vertcat(*(by_body[i] for i in order)))
 
 
-def _from_singular(at: Recursion, graph: SpatialGraph) -> ca.SX:
+def _from_singular(at: Recursion, graph: MachineGraph) -> ca.SX:
     """`singularity_sine_squared` of the arm; lengths between joints are taken with the actuated hinges at zero."""
     structure, n_passive = at.skeleton, graph.n_passive
     along = [(ca.SX(1), ZERO) if i in structure.actuated else pair for i, pair in enumerate(at.along)]
@@ -132,18 +164,18 @@ def _from_singular(at: Recursion, graph: SpatialGraph) -> ca.SX:
     return singularity_sine_squared(structure, jacobian, joints, tip, at.of("task_length"))
 
 
-def _check_mass(tree: Tree, graph: SpatialGraph) -> None:
+def _check_mass(machine: AnyMachine, graph: MachineGraph) -> None:
     """M must be regular somewhere: two slides along one line without mass between them, say, are one."""
     function = ca.Function("mass", [graph.q, graph.p], [graph.mass])
-    p = ca.DM([parameter.value for parameter in tree.parameters])
+    p = ca.DM([parameter.value for parameter in machine.parameters])
     generator = np.random.default_rng(0)
     best, weak = 0.0, 0
     for _ in range(PROBES):
-        mass = function(generator.uniform(-1.5, 1.5, len(tree.bodies)), p).full()
+        mass = function(generator.uniform(-1.5, 1.5, graph.q.shape[0]), p).full()
         scale = np.sqrt(np.maximum(np.diag(mass), np.finfo(float).tiny))
         values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
         if values[0] >= best:
             best, weak = float(values[0]), int(np.argmax(np.abs(vectors[:, 0])))
     if best <= SINGULAR:
         sentence = "moves no inertia of its own, wherever the joints stand: the mass matrix is singular"
-        raise_if_any(ModelError, tree.name, [Fault(f"joint {tree.coordinates[weak]}", sentence)])
+        raise_if_any(ModelError, machine.name, [Fault(f"joint {graph.coordinates[weak]}", sentence)])
