@@ -29,10 +29,10 @@ from benchmarks.simulation.peers import STRICT, Missing, _built, _folder
 from benchmarks.timing import table
 from flexopt.compiled import recurrence
 from flexopt.model.tree import tree_from_dict
-from flexopt.plant.machine_motion import constant_values, structure_of
 from flexopt.plant.chain_motion import ChainMotion
-from flexopt.plant.plant import Plant
 from flexopt.plant.graph import build_graph
+from flexopt.plant.machine_motion import constant_values, structure_of
+from flexopt.plant.plant import Plant
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.simulation.directions import Carried, Computed, stacked
 from flexopt.simulation.integrators import State, classical_step

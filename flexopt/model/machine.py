@@ -113,10 +113,14 @@ class AnyMachine(BuiltByCall):
     capsules: tuple[Capsule, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
 
-    @property
     @abstractmethod
+    def build_tree(self) -> KinematicTree:
+        """See `kinematic_tree`."""
+
+    @cached_property
     def kinematic_tree(self) -> KinematicTree:
         """The machine as bodies and joints: all that is computed from it starts there."""
+        return self.build_tree()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -295,8 +299,7 @@ class Machine(AnyMachine):
         """The directions in which the base gives, in the order x, y, rotation."""
         return tuple(d for d in BASE_DIRECTIONS if getattr(self.base.stiffness, d) is not None)
 
-    @cached_property
-    def kinematic_tree(self) -> KinematicTree:
+    def build_tree(self) -> KinematicTree:
         """A chain in the plane of x and y, y up: slides and a hinge of the base, then a hinge for each link.
 
         A direction in which the base is rigid has no slide; a base that cannot turn is held at its rest angle.
@@ -304,9 +307,14 @@ class Machine(AnyMachine):
         free = self.free_base_directions
         slides = [_slide(direction, self.base, free[:k]) for k, direction in enumerate(free) if direction != "rotation"]
         turns = "rotation" in free
-        spring = {"stiffness": self.base.stiffness.rotation, "damping": self.base.damping.rotation} if turns else {}
         joint = TreeJoint.model_construct(
-            name="base.rotation", kind="hinge", axis=NORMAL, passive=True, rest=self.base.rest_angle, **spring
+            name="base.rotation",
+            kind="hinge",
+            axis=NORMAL,
+            passive=True,
+            stiffness=self.base.stiffness.rotation,
+            damping=self.base.damping.rotation,
+            rest=self.base.rest_angle,
         )
         bodies = [*slides, _body("base", self.base, joint, slides[-1].name if slides else None, 0.0)]
         first = len(slides)

@@ -5,15 +5,19 @@ Readers of robot files end here. Gravity acts along −z.
 
 from __future__ import annotations
 
-from functools import cached_property
-
-from pydantic import Field
-
 from flexopt.errors import Fault, ModelError
 from flexopt.model.boundary import public
 from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, read_table, validated
-from flexopt.model.kinematic_tree import INERTIA_ENTRIES, EndPoint, JointMatrix, KinematicTree, Placement, TreeBody, TreeJoint
+from flexopt.model.kinematic_tree import (
+    INERTIA_ENTRIES,
+    EndPoint,
+    JointMatrix,
+    KinematicTree,
+    Placement,
+    TreeBody,
+    TreeJoint,
+)
 from flexopt.model.machine import AnyMachine, Parameter
 from flexopt.model.tables import Payload, Polygon
 from flexopt.model.tree_faults import tree_faults
@@ -53,8 +57,7 @@ class Tree(AnyMachine):
         """Bodies on actuated joints, in order."""
         return self.kinematic_tree.actuated
 
-    @cached_property
-    def kinematic_tree(self) -> KinematicTree:
+    def build_tree(self) -> KinematicTree:
         """The tree as it stands in the file."""
         at = {body.joint.name: i for i, body in enumerate(self.bodies)}
         springs, dampers = (

@@ -116,7 +116,7 @@ class ChainMotion(Motion):
     structure: Skeleton
     value: Mapping[str, ca.SX]
 
-    @cached_property
+    @property
     def constant_names(self) -> list[str]:
         """See `Motion`."""
         names = ["gravity", "origin_x", "origin_y", *(["total", "inverse_total"] if self.translations else [])]

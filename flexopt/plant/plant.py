@@ -12,11 +12,11 @@ from flexopt.errors import Fault, InputError
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import instance, public, public_class
 from flexopt.model.problem import Control, control_method
+from flexopt.plant.closed_form import ReachingGraph, build_reaching, has_closed_form
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.frames import Frames, build_frames
 from flexopt.plant.graph import MachineGraph, build_graph
 from flexopt.plant.mass_centre import centre_of_mass
-from flexopt.plant.closed_form import ReachingGraph, build_reaching, has_closed_form
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
@@ -210,7 +210,7 @@ class Plant:
 
     @property
     def closed_form(self) -> bool:
-        """Whether postures on a target have a closed form (`posture_at`): arms of parallel hinges, see `closed_form`."""
+        """Whether postures on a target have a closed form (`posture_at`): see `closed_form.has_closed_form`."""
         return has_closed_form(self.graph.at.skeleton)
 
     @cached_property

@@ -1,7 +1,7 @@
 """The constants of a tree's recursions as graphs of its parameters: inertia moved towards the ground.
 
-In: a `KinematicTree`. Out: named constants, of which each recursion needs few. About its frame's origin a body has mass m, first
-moment c and second moment S (the integral of r rᵀ dm, whose shifts and rotations are those of r rᵀ; inertia is
+In: a `KinematicTree`. Out: named constants, of which each recursion needs few. About its frame's origin a body has mass
+m, first moment c and second moment S (the integral of r rᵀ dm, whose shifts and rotations are those of r rᵀ; inertia is
 tr(S) 1 − S). What hangs on a hinge z and looks the same however it is turned (m, c_z, S_zz) belongs to its parent as
 well as to it: it is moved there, body by body, which leaves a body on a hinge without mass (base parameters; Khalil and
 Dombre, Modeling, Identification and Control of Robots, section 9.4). All of S is moved from a body on a slide. A body

@@ -142,7 +142,7 @@ class Skeleton:
     @property
     def across(self) -> int | None:
         """Which of x, y, z is normal to the plane of the task; None where its rows are not two positions in order."""
-        return {("y", "z"): 0, ("x", "z"): 1, ("x", "y"): 2}.get(self.rows)
+        return {"yz": 0, "xz": 1, "xy": 2}.get("".join(self.rows))
 
     def sense_across(self, body: int) -> float:
         """1 where a body's hinge, parallel to `across`, turns the first task row towards the second, else −1."""

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 
 from flexopt import build_plant, load
 from flexopt.model import machine_from_dict
-from flexopt.plant.machine_motion import constant_names, constant_values, constants, full_structure, structure_of
 from flexopt.plant.chain_motion import ChainMotion
+from flexopt.plant.machine_motion import constant_names, constant_values, constants, full_structure, structure_of
 from tests.oracles.lagrange import lagrange
 from tests.oracles.machines import NumpySource, Structure, draw_machine, machines, seeds
 from tests.oracles.mujoco_chain import mujoco_chain

@@ -14,12 +14,11 @@ from flexopt import build_plant
 from flexopt.errors import ModelError
 from flexopt.model import machine_from_dict
 from flexopt.model.tree import tree_from_dict
-from flexopt.plant.machine_motion import constant_values, structure_of
+from flexopt.plant.graph import build_graph
+from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
 from flexopt.plant.orientation import rotation_vector
 from flexopt.plant.plant import Plant
-from flexopt.plant.graph import build_graph
 from flexopt.plant.singular_distance import sine_squared
-from flexopt.plant.tree_motion import TreeMotion
 from flexopt.plant.tree_structure import skeleton
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.oracles.spatial import (
@@ -78,7 +77,7 @@ class Case:
     def motion(self, structure=None):
         values = {name: ca.SX(value) for name, value in constant_values(self.tree).items()}
         # Here u counts from where q does.
-        motion = TreeMotion(structure or replace(structure_of(self.tree), local=False), values)
+        motion = motion_of(structure or replace(structure_of(self.tree), local=False), values)
         to_u = np.linalg.inv(motion.to_q.full())
         u, w = to_u @ self.q, to_u @ self.v
         angles = u[motion.n_translations :]

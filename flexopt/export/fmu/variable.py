@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flexopt.escapes import one_line
-from flexopt.model.problem import Control
 from flexopt.model.kinematic_tree import ORIENTATION_ROWS
+from flexopt.model.problem import Control
 
 # What a joint gives, by the unit of its coordinate.
 EFFORT = {"rad": ("torque", "N m"), "m": ("force", "N")}
