@@ -54,7 +54,7 @@ def has_closed_form(structure: Skeleton) -> bool:
 
 
 def build_reaching(graph: MachineGraph) -> ReachingGraph:
-    """Postures that put the end-point on a target, passive joints at rest; angles turn the first task row to the second.
+    """Postures that put the end-point on a target, passive joints at rest; angles turn row 1 to row 2.
 
     The last two segments close the chain: with d the vector from their first joint to the target, the cosine of the
     elbow is (|d|² − L1² − L2²) / (2 L1 L2), its sign `elbow` (−1: "up", +1: "down"). Each segment of length l before

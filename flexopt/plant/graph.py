@@ -17,12 +17,12 @@ import numpy as np
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.kinematic_tree import KinematicTree
-from flexopt.plant.singular_distance import singularity_sine_squared
+from flexopt.plant.singular_distance import ArmLine, singularity_sine_squared
 from flexopt.plant.tree_algebra import ORIGIN, ZERO
 from flexopt.plant.tree_constants import constant_graphs
 from flexopt.plant.tree_recursion import Recursion
 from flexopt.plant.tree_structure import Skeleton, skeleton
-from flexopt.plant.tree_task import end_axes, points, task
+from flexopt.plant.tree_task import end_axes, in_inertial_axes, points, task
 
 # Configurations at which the mass matrix is looked at, and the share of its diagonal that counts as singular.
 PROBES, SINGULAR = 4, 1e-13
@@ -83,7 +83,9 @@ def build_graph(machine: AnyMachine, zeros: Sequence[str] = ()) -> MachineGraph:
 
     coordinate = [q[order.index(i)] if i in order else constant[f"rest{i}"] for i in range(len(tree.bodies))]
     rates = [v[order.index(i)] if i in order else ZERO for i in range(len(tree.bodies))]
-    at = Recursion(structure, constant, [(ca.cos(angle), ca.sin(angle)) for angle in coordinate], coordinate)
+    at = Recursion(
+        structure, constant, [(ca.cos(angle), ca.sin(angle)) for angle in coordinate], coordinate, coordinate
+    )
     rest = [at.of(f"rest{i}") for i in order[:n_passive]]
     for name, (i, sign) in structure.absorbed.items():
         rest[order.index(i)] += sign * base[structure.placement.index(name)]
@@ -151,17 +153,31 @@ def _by_order(by_body: list[ca.SX], order: list[int]) -> ca.SX:
 
 
 def _from_singular(at: Recursion, graph: MachineGraph) -> ca.SX:
-    """`singularity_sine_squared` of the arm; lengths between joints are taken with the actuated hinges at zero."""
-    structure, n_passive = at.skeleton, graph.n_passive
-    along = [(ca.SX(1), ZERO) if i in structure.actuated else pair for i, pair in enumerate(at.along)]
-    still = Recursion(structure, at.value, along, at.displacement)
-    joints = [
-        (ca.vertcat(*still.point(i, ORIGIN)), ca.vertcat(*still.to_ground(i, (ZERO, ZERO, ca.SX(1)))))
-        for i in range(at.n)
+    """`singularity_sine_squared` of the arm."""
+    structure, way = at.skeleton, at.skeleton.actuated_way
+    if len(way) < len(structure.rows):
+        return ZERO
+    # Lengths do not depend on how the arm stands, nor on what carries it.
+    carried = structure.way_to(way[0])
+    along = [
+        (ca.SX(1), ZERO) if i in structure.actuated or i in carried else (ca.cos(q), ca.sin(q))
+        for i, q in enumerate(at.displacement)
     ]
-    tip = ca.vertcat(*still.point(structure.tip, still.vector("tip")))
-    jacobian = ca.jacobian(graph.end_point, graph.q)[:, n_passive:]
-    return singularity_sine_squared(structure, jacobian, joints, tip, at.of("task_length"))
+    displacement = [ZERO if i in carried else part for i, part in enumerate(at.displacement)]
+    still = Recursion(structure, at.value, along, displacement)
+
+    def line(of: Recursion, base: ca.SX) -> ArmLine:
+        ends = [(i, ORIGIN) for i in way[1:]] + [(structure.tip, of.vector("tip"))]
+        steps = [of.step(i, *end) for i, end in zip(way, ends, strict=True)]
+        axes = [of.to_ground(i, of.direction(i)) for i in way]
+        inertial = [[ca.vertcat(*in_inertial_axes(of, each, base)) for each in vectors] for vectors in (steps, axes)]
+        return ArmLine(*inertial)
+
+    nowhere = ca.SX.zeros(graph.base.shape[0], 1)
+    joints = graph.q[graph.n_passive :]
+    return singularity_sine_squared(
+        structure, line(at, graph.base), line(still, nowhere), graph.end_point, joints, at.of("task_length")
+    )
 
 
 def _check_mass(machine: AnyMachine, graph: MachineGraph) -> None:

@@ -7,11 +7,13 @@ machine: it is 0 exactly where the rigid Jacobian Jv loses rank, and at most 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import casadi as ca
 
-from flexopt.algebra import safe_norm
+from flexopt.algebra import determinant, safe_norm
+from flexopt.plant.tree_constants import AXES
 from flexopt.plant.tree_structure import Skeleton
 
 # Of sums of products of squared singular values, where the mean of these is 1.
@@ -32,30 +34,44 @@ def sine_squared(columns: ca.SX, squares: Sequence[ca.SX]) -> ca.SX:
     (Marcus and Lopes, Canadian Journal of Mathematics 9, 1957) and the eigenvalues of G majorise the |s_i|². The
     coefficients are found without a division by anything but whole numbers (Faddeev and LeVerrier).
     """
-    rows = columns.shape[0]
+    rows, n = columns.shape
     mean = sum(squares, start=ca.SX(0)) / rows
-    gram = ca.densify(columns @ columns.T) / mean
     apart = [ca.SX(1), *[ca.SX(0)] * rows]
     for square in squares:
         for k in range(rows, 0, -1):
             apart[k] += apart[k - 1] * square / mean
+    gram = ca.densify(columns @ columns.T) / mean
+    # Rounding of a square matrix's determinant grows with its condition, and not with that one's square.
+    whole = determinant(columns) ** 2 / mean**rows if n == rows else determinant(gram)
     identity = ca.SX(ca.DM.eye(rows))
-    work, coefficient, before = identity, ca.SX(1), ca.SX(1)
-    for k in range(1, rows + 1):
+    work, before = identity, ca.SX(1)
+    for k in range(1, rows):
         product = gram @ work
-        before, coefficient = coefficient, -ca.trace(product) / k
-        work = product + coefficient * identity
-    # Coefficients have alternating signs. Where two singular values vanish, or too few lengths are left, both terms of
-    # a quotient are rounding.
-    return -_quotient(apart[rows - 1], apart[rows]) * _quotient(coefficient, before)
+        coefficient = ca.trace(product) / k
+        work, before = coefficient * identity - product, coefficient
+    # Where two singular values vanish, or too few lengths are left, both terms of a quotient are rounding.
+    return _quotient(apart[rows - 1], apart[rows]) * _quotient(whole, before)
 
 
 def _quotient(a: ca.SX, b: ca.SX) -> ca.SX:
     return a * b / (b**2 + ROUNDING**2)
 
 
+@dataclass(frozen=True)
+class ArmLine:
+    """The actuated joints on the way to the end-point, from the ground outwards, in one configuration.
+
+    Attributes:
+        steps: from each to the next, and from the last to the end-point, (3,), m.
+        axes: of each, (3,).
+    """
+
+    steps: Sequence[ca.SX]
+    axes: Sequence[ca.SX]
+
+
 def singularity_sine_squared(
-    structure: Skeleton, jacobian: ca.SX, joints: Sequence[tuple[ca.SX, ca.SX]], tip: ca.SX, task_length: ca.SX
+    structure: Skeleton, line: ArmLine, still: ArmLine, task: ca.SX, joints: ca.SX, task_length: ca.SX
 ) -> ca.SX:
     """`sine_squared` of what the bodies of the arm do to the task, each by itself.
 
@@ -67,29 +83,36 @@ def singularity_sine_squared(
 
     Args:
         structure: of the machine.
-        jacobian: Jv (p, n) by the actuated joints, in their order.
-        joints: of each body where its joint is and its axis, (3,), all actuated hinges at zero.
-        tip: where the end-point is then, (3,), m.
+        line: the arm, inertial axes.
+        still: the same, all actuated hinges and what carries the arm at zero, in whatever axes.
+        task: the rows r (p,) as graphs of the actuated `joints` (n,), in their order.
         task_length: by which orientation rows are multiplied, m.
     """
-    way, actuated = structure.actuated_way, structure.actuated
-    corners = [*(joints[i][0] for i in way), tip]
-    steps = [end - start for start, end in pairwise(corners)]
+    way = structure.actuated_way
+    steps, senses = still.steps, [structure.sense_along(i, k) for i, k in pairwise(way)] + [1.0]
     whole = sum((safe_norm(step) for step in steps), start=ca.SX(0))
-    turned = task_length**2 if any(row not in "xyz" for row in structure.rows) else ca.SX(0)
+    positions = [k for k, row in enumerate(structure.rows) if row in AXES]
+    turns = [k for k in range(len(structure.rows)) if k not in positions]
+    turned = task_length**2 if turns else ca.SX(0)
+    by_joint = ca.jacobian(task, joints) if turns else ca.SX(task.shape[0], joints.shape[0])
     columns: list[ca.SX] = []
     squares: list[ca.SX] = []
-    for k, i in enumerate(way):
-        column, last = jacobian[:, actuated.index(i)], k + 1 == len(way)
-        sense = 0.0 if last else structure.sense_along(i, way[k + 1])
+    for k, (i, sense) in enumerate(zip(way, senses, strict=True)):
+        last, column = k + 1 == len(way), by_joint[:, structure.actuated.index(i)]
+        moved = line.steps[k] if sense else sum(line.steps[k + 1 :], start=line.steps[k])
         if structure.segments[i].slide:
             length = ca.SX(1) if all(structure.segments[j].slide for j in way) else whole
-            column, square = column * length, length**2
-        elif sense or last:
-            column -= 0 if last else sense * jacobian[:, actuated.index(way[k + 1])]
-            square = ca.sumsqr(ca.cross(joints[i][1], steps[k])) + (turned if last else 0)
+            motion, column, square = length * line.axes[k], length * column, length**2
         else:
-            square = sum((safe_norm(step) for step in steps[k:]), start=ca.SX(0)) ** 2 + turned
+            motion = ca.cross(line.axes[k], moved)
+            if sense and not last:
+                column = column - sense * by_joint[:, structure.actuated.index(way[k + 1])]
+            if sense:
+                square = ca.sumsqr(ca.cross(still.axes[k], steps[k])) + (turned if last else 0)
+            else:
+                square = sum((safe_norm(step) for step in steps[k:]), start=ca.SX(0)) ** 2 + turned
+        for row in positions:
+            column[row] = motion[AXES.index(structure.rows[row])]
         columns.append(column)
         squares.append(square)
-    return sine_squared(ca.horzcat(*columns), squares) if len(way) >= len(structure.rows) else ca.SX(0)
+    return sine_squared(ca.horzcat(*columns), squares)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.kinematic_tree import KinematicTree
+from flexopt.model.kinematic_tree import UNTURNED, KinematicTree
 from flexopt.model.tree_quantities import axes_about
 
 Matrix = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Segment:
         axis: of a slide, in the parent's frame.
         passive: whether the joint is passive.
         held: whether it stays at its rest value and is no coordinate.
-        in_row: whether it is a hinge parallel to the last one before it: E = 1.
+        in_row: whether it is a hinge parallel to the last one before it: E = 1; in a plane also to the ground's z.
         parallel: whether it is a hinge parallel to all between it and the ground.
     """
 
@@ -281,4 +281,8 @@ def segments_and_frames(tree: KinematicTree) -> tuple[tuple[Segment, ...], list[
                 parallel=not slide and only_parallel[-1],
             )
         )
+    if all(segment.slide or segment.parallel for segment in segments):
+        # What turns about the ground's own z needs no axes of its own.
+        unturned = [not segment.slide and segment.turn == UNTURNED for segment in segments]
+        segments = [replace(s, in_row=s.in_row or same) for s, same in zip(segments, unturned, strict=True)]
     return tuple(segments), frames
