@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.machine import AnyMachine, Machine
+from flexopt.model.machine import AnyMachine
 from flexopt.model.plain import plain, shown
 from flexopt.model.problem import Control, check_control, check_placement, check_task
 from flexopt.model.quantities import check_number, coordinate_max
@@ -159,21 +159,11 @@ class Arguments:
         return self.checked("control", value, check_control, "inverse")
 
     def machine(self, value: Any) -> AnyMachine:
-        """A machine, planar or spatial; anything else cannot be checked further and raises at once."""
+        """A machine; anything else cannot be checked further and raises at once."""
         if not isinstance(value, AnyMachine):
             sentence = 'must be a Machine, from flexopt.load("excavator") for example'
             raise_if_any(InputError, self.call, [Fault("machine", sentence, shown(value))])
         return value
-
-    def planar(self, value: Any) -> Machine:
-        """A planar machine; anything else raises at once."""
-        machine = self.machine(value)
-        if not isinstance(machine, Machine):
-            sentence = f"is a spatial machine, and {self.call} takes planar machines only so far"
-            raise InputError(
-                f"{self.call}: machine {machine.name!r} {sentence}", [Fault("machine", sentence)], self.call
-            )
-        return machine
 
     def done(self) -> None:
         """Raise every fault noted so far."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled.turns import in_turn
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control, Elbow
 from flexopt.plant import build_plant
@@ -56,7 +56,7 @@ class Curve:
 
 @in_turn
 def curve(
-    machine: Machine, y: float, *, control: Control, elbow: Elbow, gain: float = 5e5, margin_deg: float = 10.0
+    machine: AnyMachine, y: float, *, control: Control, elbow: Elbow, gain: float = 5e5, margin_deg: float = 10.0
 ) -> Curve:
     """Evaluate the measures along the height y (workspace frame, m), a two-joint arm's whole reach."""
     plant = build_plant(machine)

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.robustness.margin import build_margin
 from flexopt.selection import Selection
@@ -115,7 +115,7 @@ def semidefinite(table: ArticleTable, inverse: WorkspaceMap, transpose: Workspac
     )
 
 
-def gain_independent(machine: Machine, postures: dict[str, Vector], gain: float) -> Finding:
+def gain_independent(machine: AnyMachine, postures: dict[str, Vector], gain: float) -> Finding:
     """Does ε_max depend on the servo gain?"""
     margin = build_margin(machine)
     p = margin.plant.parameter_values
@@ -144,7 +144,7 @@ def concave(curves: Sequence[Curve]) -> Finding:
     return Finding("concavity", quote, "section 4", holds, sentence, {"maxima": peaks})
 
 
-def b_is_optimal(machine: Machine, points: dict[str, Vector], inverse_up: Curve) -> Finding:
+def b_is_optimal(machine: AnyMachine, points: dict[str, Vector], inverse_up: Curve) -> Finding:
     """Is w_1 stationary along the redundancy at Table 2's posture B?"""
     from flexopt.robustness import build_measures  # noqa: PLC0415  (kept beside its only use)
 

@@ -17,7 +17,7 @@ import numpy as np
 from flexopt.compiled.turns import in_turn
 from flexopt.coprime import gap, nu_gap
 from flexopt.errors import FlexoptError
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Control
 from flexopt.robustness import build_measures
@@ -113,7 +113,7 @@ class GapSweep:
 
 @in_turn
 def sweep_gaps(
-    machine: Machine,
+    machine: AnyMachine,
     postures: Mapping[str, Vector],
     *,
     control: Control = "inverse",

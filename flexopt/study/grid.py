@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model import AnyMachine, Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.problem import Elbow
 from flexopt.plant import Plant, build_plant
@@ -102,7 +102,7 @@ def _sample(plant: Plant, base: Vector) -> list[Vector]:
     return [plant.rest.call([bases, posture, p])[0].full(), bases, p]
 
 
-def end_point_grid(machine: Machine, x_range: Range, y_range: Range, points: tuple[int, int], elbow: Elbow) -> Grid:
+def end_point_grid(machine: AnyMachine, x_range: Range, y_range: Range, points: tuple[int, int], elbow: Elbow) -> Grid:
     """Postures of a two-joint arm whose end-point at rest is on each point of the workspace frame.
 
     A row is one target seen from many placements: the posture depends on where the target is from the base alone.

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import Fault
-from flexopt.model import AnyMachine, Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Arguments, Vector
 from flexopt.model.plain import shown
 from flexopt.model.problem import Elbow
@@ -83,7 +83,7 @@ class Plane:
         if self.followed:
             make = task_grid if self.over == "end_point" else placement_grid
             return make(machine, self.ranges, points, self.varies, self.end_point, self.base, self.posture)
-        return end_point_grid(cast(Machine, machine), *self.ranges, points, elbow)
+        return end_point_grid(machine, *self.ranges, points, elbow)
 
     def options(self, elbow: Elbow) -> dict[str, Any]:
         """What a map's options and provenance say of it."""
@@ -223,7 +223,7 @@ def _read_reference(arguments: Arguments, machine: AnyMachine, plane: Plane, giv
             arguments.faults.append(Fault("posture", sentence))
             return
         wanted = "an end-point does not name one posture; give the posture to start from, or map over the posture"
-        if isinstance(machine, Machine):
+        if build_plant(machine).closed_form:
             wanted = f"needs two actuated joints, not {len(names)} ({', '.join(names)}): {wanted}"
         _note(arguments, "over", wanted, plane.over)
         return

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexopt.compiled.turns import in_turn
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.arguments import Vector
 from flexopt.model.documents import json_ready, provenance
 from flexopt.model.problem import CONTROLS, ELBOWS, Control
@@ -249,7 +249,7 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
     )
 
 
-def mean_frequencies(machine: Machine, inverse: WorkspaceMap) -> MeanFrequencies:
+def mean_frequencies(machine: AnyMachine, inverse: WorkspaceMap) -> MeanFrequencies:
     """Averages over the area and over the joint angles: the article does not say which it takes."""
     steps = round(3.0 / GRID_STEP)
     edge = (-steps * GRID_STEP, steps * GRID_STEP)
@@ -271,7 +271,7 @@ def mean_frequencies(machine: Machine, inverse: WorkspaceMap) -> MeanFrequencies
     )
 
 
-def _named_postures(machine: Machine) -> dict[str, Vector]:
+def _named_postures(machine: AnyMachine) -> dict[str, Vector]:
     return {
         "A": workspace_posture(machine, PRINTED_WORKSPACE["A"]),
         "B, printed point": workspace_posture(machine, PRINTED_WORKSPACE["B"]),
@@ -279,12 +279,12 @@ def _named_postures(machine: Machine) -> dict[str, Vector]:
     }
 
 
-def _random_postures(machine: Machine) -> Vector:
+def _random_postures(machine: AnyMachine) -> Vector:
     """Even over the joint angles, (n, RANDOM_POSTURES), rad."""
     return np.random.default_rng(0).uniform(-np.pi, np.pi, (len(machine.joints), RANDOM_POSTURES))
 
 
-def _arm(machine: Machine, posture: Vector) -> Vector:
+def _arm(machine: AnyMachine, posture: Vector) -> Vector:
     """Joints and end-point in the workspace frame, (2, n + 1), m."""
     plant = build_plant(machine)
     p, base = plant.parameter_values, np.zeros(plant.n_base)
