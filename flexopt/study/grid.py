@@ -117,7 +117,8 @@ def end_point_grid(machine: AnyMachine, x_range: Range, y_range: Range, points: 
         reachable[row] = reaches & inside_limits(machine, angles)
         posture[:, row, reachable[row]] = angles[:, reachable[row]]
     frame = "of the end-point at rest, workspace frame (origin at the first joint at rest)"
-    axes = Axis("y", y, "m", f"y {frame}"), Axis("x", x, "m", f"x {frame}")
+    across, up = machine.task_rows
+    axes = Axis(up, y, "m", f"{up} {frame}"), Axis(across, x, "m", f"{across} {frame}")
     return Grid(*axes, posture, reachable, np.zeros((plant.n_base, y.size, x.size)))
 
 

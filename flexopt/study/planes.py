@@ -128,7 +128,8 @@ def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, giv
         over: what varies; None where it is not usable.
         given: joints, rows, coordinates, posture, end_point, base, x_range, y_range as they were passed.
     """
-    followed = over == "base" or (over == "end_point" and not closed_form(machine))
+    direct = over == "end_point" and given["posture"] is None and closed_form(machine)
+    followed = over != "posture" and over is not None and not direct
     plane = Plane(over or "end_point", followed, base=np.zeros(len(machine.base_coordinates)), rows=machine.task_rows)
     if over is None:
         return plane
@@ -145,8 +146,6 @@ def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, giv
         plane.posture = _other_joints(arguments, machine, plane.varies, given["posture"])
     elif followed:
         _read_reference(arguments, machine, plane, given)
-    elif given["posture"] is not None:
-        _note(arguments, "posture", "goes with over = 'posture' only", given["posture"])
     _read_ranges(arguments, machine, plane, given)
     return plane
 
