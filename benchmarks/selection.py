@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 import flexopt
 from benchmarks.timing import median_seconds, table
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.selection.optima import run_solver
 from flexopt.selection.scan import peaks
 

@@ -23,10 +23,12 @@ from flexopt.export.naming import constants, number, text_of
 from flexopt.export.operations import Array
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
 from flexopt.export.parameters import parameter_range
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import TABLE
+from flexopt.foundation.control import Control
+from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_margin_deg, check_weights
-from flexopt.model.quantities import COORDINATE_MAX
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, check_margin_deg, check_weights
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures
@@ -123,7 +125,8 @@ def build_optimiser(
         InputError: an argument is of the wrong kind or out of range, all in one message.
     """
     arguments = Arguments("build_optimiser")
-    machine = arguments.machine(machine)
+    machine = TABLE["machine"](arguments, "machine", machine)
+    arguments.done()
     control = arguments.control(control)
     arguments.flag("gravity", gravity)
     arguments.flag("baked", baked)

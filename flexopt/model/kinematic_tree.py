@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from flexopt.model.quantities import Length, MassOrZero, checked
+from flexopt.foundation.quantities import Length, MassOrZero, checked
 from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
 from flexopt.model.tables import FileModel
 from flexopt.model.tree_quantities import (

@@ -11,10 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.hydraulics import Cylinder, JointFrame
-from flexopt.model.kinematic_tree import EndPoint, KinematicTree, TreeBody, TreeJoint, units_of
-from flexopt.model.plain import shown
-from flexopt.model.quantities import (
+from flexopt.foundation.plain import shown
+from flexopt.foundation.quantities import (
     COORDINATE_MAX,
     Acceleration,
     Angle,
@@ -34,6 +32,8 @@ from flexopt.model.quantities import (
     check_schema,
     checked,
 )
+from flexopt.model.hydraulics import Cylinder, JointFrame
+from flexopt.model.kinematic_tree import EndPoint, KinematicTree, TreeBody, TreeJoint, units_of
 from flexopt.model.strokes import Travel, usable_range
 from flexopt.model.tables import BuiltByCall, Capsule, FileModel, Payload, Span
 from flexopt.model.tree_quantities import axes_about, snapped_rows

@@ -6,7 +6,7 @@ Readers of robot files end here. Gravity acts along −z.
 from __future__ import annotations
 
 from flexopt.errors import Fault, ModelError
-from flexopt.model.boundary import public
+from flexopt.foundation.boundary import public
 from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, read_table, validated
 from flexopt.model.kinematic_tree import (

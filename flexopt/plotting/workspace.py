@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from flexopt.escapes import TITLE_MAX, mathtext
+from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.plotting.fields import Plane, Values, draw_field, draw_marks, draw_regions, label_plane
 from flexopt.plotting.files import write
 
@@ -66,7 +66,7 @@ def plot_workspace(
     figure.suptitle(
         f"{mathtext(dataset.attrs['title'], TITLE_MAX)}, kr = {float(dataset.attrs['gain']):.3g}", fontsize=11
     )
-    write("plot_workspace", figure, path, dpi=150)
+    write(figure, path, dpi=150)
     return figure
 
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.model.problem import Elbow
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from flexopt.escapes import one_line
+from flexopt.foundation.control import Control
+from flexopt.foundation.escapes import one_line
 from flexopt.model.kinematic_tree import ORIENTATION_ROWS
-from flexopt.model.problem import Control
 
 # What a joint gives, by the unit of its coordinate.
 EFFORT = {"rad": ("torque", "N m"), "m": ("force", "N")}

@@ -1,0 +1,158 @@
+"""The report of `flexopt reproduce`: one HTML file that needs no other, and one JSON file.
+
+In: a `Reproduction`. Out: `report.html` with its pictures inside, `report.json`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flexopt.article.findings import Finding
+from flexopt.foundation.escapes import markup
+from flexopt.study.gains import BorderRow
+from flexopt.study.page import page, picture, table, write_files
+
+if TYPE_CHECKING:
+    from flexopt.article.reproduction import Reproduction
+
+CAPTIONS = {
+    "figure5": "Fig. 5. In-phase (yellow) and out-of-phase (blue) regions, Jacobian inverse control: trace R_i > 0. "
+    "(d) is drawn as the intersection, which the caption's “union” must mean (see below). Red: Table 2's postures.",
+    "figure6": "Fig. 6. ε_max over the workspace with the inferred servo gain. Red: Table 2's postures.",
+    "figure7": "Fig. 7. w_i over the workspace: (a) to (c) transpose, (d) to (f) inverse control.",
+    "figure8": "Fig. 8. ε_max and w_1 along y_d, elbow up. Red lines: Table 2's end-points, and where the measures "
+    "printed for posture B are found.",
+    "figure9": "Fig. 9. Nonlinear closed loop at postures A and B of Table 2: (a), (b) end-point error, (c) to (e) "
+    "base oscillation. Gains and start are stated, not printed. The optimised posture is an addition.",
+    "figure10": "Fig. 10. The base's way by nullspace augmentation from posture A, with the article's stop and without "
+    "it: (a) the machine, (b) position and (c) rate of the base, (d) the objective.",
+    "figures11and12": "Figs. 11 and 12. End-point error (a), (b) and base oscillation (c) to (e) with base adjustment "
+    "from A to B along Fig. 10, and without at A. Gains and start are stated, not printed.",
+    "gains": "Not in the article: growth rate of the sampled linear loop over both gains, RK4 at 200 Hz, black where "
+    "it is 0; marks: nonlinear runs.",
+    "gaps": "Not in the article: ν-gap between kr R0/s² and the full plant, and ε_max, as the damping grows.",
+}
+
+
+def write_report(result: Reproduction, folder: Path) -> tuple[Path, Path]:
+    """Write both files into `folder`, made if missing."""
+    return write_files(folder, report_html(result), result.to_dict())
+
+
+def report_html(result: Reproduction) -> str:
+    """The page."""
+    pictures = {name: picture(figure, CAPTIONS[name]) for name, figure in result.figures().items()}
+    body = [
+        "<p>Configuration Optimization for End-Point Stabilization of Redundant Manipulators With Base Flexibility, "
+        "ASME Letters in Dynamic Systems and Control 1(2), 021001: its Table 2, Figs. 5 to 12, mean frequencies and "
+        "claims beside what flexopt computes.</p>",
+        "<h2>Table 2</h2>",
+        *_table2(result),
+        "<h2>Mean natural frequencies</h2>",
+        _frequencies(result),
+        "<h2>Figures</h2>",
+        *(pictures[name] for name in ("figure5", "figure6", "figure7", "figure8")),
+        "<h2>The closed loop</h2>",
+        f"<p>{markup(result.loops.sentence)}</p>",
+        _loops(result),
+        *(pictures[name] for name in ("figure9", "figure10", "figures11and12")),
+        "<h2>The gains that a posture allows</h2>",
+        _borders(result),
+        f"<p>{markup(result.gains.sentence)}</p>",
+        pictures["gains"],
+        "<h2>Where the article contradicts itself or the numbers</h2>",
+        _findings(result.contradictions),
+        "<h2>Its claims in words</h2>",
+        _findings(result.claims),
+        "<h2>The link through the gap metric</h2>",
+        f"<p>{markup(result.gaps.sentence)}</p>",
+        _gaps(result),
+        pictures["gaps"],
+    ]
+    return page("The article, computed again", body, result.to_dict()["provenance"])
+
+
+def _table2(result: Reproduction) -> list[str]:
+    gain, rows = result.table.inferred, list[tuple[str, ...]]()
+    for row in result.table.rows:
+        name = f"{row.posture}: {row.reading}"
+        for i, w in enumerate(row.evaluation.w):
+            rows.append(
+                (name if i == 0 else "", f"w{i + 1}", f"{row.printed_w[i]:.4e}", f"{w:.5e}", f"{row.deviation[i]:+.2%}")
+            )
+        difference = row.epsilon_inferred - row.printed_epsilon
+        rows.append(("", "ε_max", f"{row.printed_epsilon:.4f}", f"{row.epsilon_inferred:.5f}", f"{difference:+.1e}"))
+    sentence = (
+        f"The servo gain kr is not printed. kr = {gain.kr:.5g} gives posture A ({gain.reading}) its ε_max of "
+        f"{gain.printed}, and {gain.interval[0]:.4g} to {gain.interval[1]:.4g} round to it; A is thus no test of "
+        f"ε_max, but B is. kr = {gain.other:.4g} would suit A, too, but makes B {gain.other_epsilon_b:.4f}."
+    )
+    header = ("posture and its input", "measure", "printed", "computed", "deviation (ε_max: difference)")
+    return [f"<p>{markup(sentence)}</p>", table(header, rows), f"<p>{markup(result.table.note)}</p>"]
+
+
+def _frequencies(result: Reproduction) -> str:
+    f = result.frequencies
+    rows: list[tuple[str, ...]] = [("printed", *(f"{v:.4f}" for v in f.printed))]
+    for name, values in f.means.items():
+        rows.append((name, *(f"{v:.4f} ({d:+.2%})" for v, d in zip(values, f.deviation[name], strict=True))))
+    return table(("mean, Hz", *(f"mode {i + 1}" for i in range(len(f.printed)))), rows)
+
+
+def _findings(group: Sequence[Finding]) -> str:
+    rows = "\n".join(
+        f"<tr><td>“{markup(f.quote)}”<br><small>{markup(f.where)}</small></td>"
+        f"<td class={'holds' if f.holds else 'fails'}>{'holds' if f.holds else 'fails'}</td>"
+        f"<td>{markup(f.sentence)}</td></tr>"
+        for f in group
+    )
+    head = "<tr><th>printed</th><th>verdict</th><th>numbers</th></tr>"
+    return f"<table><thead>{head}</thead><tbody>\n{rows}\n</tbody></table>"
+
+
+def _loops(result: Reproduction) -> str:
+    """Poles and runs of every posture with both pairs of gains."""
+    rows: list[tuple[str, ...]] = []
+    for row in result.loops.rows:
+        stated, accurate = (f"{x.growth_rate:+.4f} at {x.frequency_hz:.2f} Hz" for x in (row.stated, row.accurate))
+        run = row.run
+        rate = "" if run.growth_rate is None else f" {run.growth_rate:+.4f}"
+        turn = "" if run.peak_base_rotation is None else f"{1e3 * run.peak_base_rotation:.2f}"
+        off = "" if run.end_error is None else f"{1e3 * run.end_error:.3f}"
+        words = f"{run.verdict}{rate}, {run.time[-1]:g} s"
+        rows.append((row.stand, f"{row.kp:g}", f"{row.kv:g}", stated, accurate, words, turn, off))
+    header = ("posture", "Kp", "Kv", "linear, RK4, 1/s", "linear, exact, 1/s", "nonlinear run, 1/s",
+              "largest base rotation, mrad", "end-point at the end, mm off")  # fmt: skip
+    return table(header, rows)
+
+
+def _borders(result: Reproduction) -> str:
+    """Stable Kp, a row for each posture and what is held, a column for each integrator."""
+    g = result.gains
+    methods = list(dict.fromkeys(row.integrator for row in g.borders))
+    rows = [
+        (row.stand, row.held, *(_border(g.border(row.stand, row.held, method)) for method in methods))
+        for row in g.borders
+        if row.integrator == methods[0]
+    ]
+    return table(("stable Kp", "held", *(f"{method} at 200 Hz" for method in methods)), rows)
+
+
+def _border(row: BorderRow) -> str:
+    beyond = "" if row.frequency_hz is None else f" (then {row.frequency_hz:.2f} Hz grows)"
+    return row.text + beyond
+
+
+def _gaps(result: Reproduction) -> str:
+    g = result.gaps
+    rows: list[tuple[str, ...]] = []
+    for k, name in enumerate(g.names):
+        cells = (
+            f"{n:.5f} / {w:.5f} / {e:.4f}" for n, w, e in zip(g.nu_gap[k], g.gap[k], g.epsilon_max[k], strict=True)
+        )
+        rows.append((name, f"{g.w1[k]:.3e}", *cells))
+    rows.append(("nearer than sin(π/8)", "", *(f"{n} of {len(g.names)}" for n in g.within)))
+    rows.append(("rank correlation, ν-gap with ε_max", "", *(f"{c:+.2f}" for c in g.correlation_epsilon)))
+    return table(("ν-gap / gap / ε_max", "w1", *(f"damping × {f:g}" for f in g.factors)), rows)

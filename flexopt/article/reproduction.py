@@ -1,0 +1,294 @@
+"""The article computed again: Table 2, Figs. 5 to 12, mean frequencies, its claims and its contradictions.
+
+In: nothing but the shipped machine. Out: a `Reproduction`, which writes a report (an HTML file) and its numbers (JSON).
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexopt.article import findings, loop_findings
+from flexopt.article.closed_loops import ClosedLoops, article_stands, close_loops
+from flexopt.article.curves import Curve, curve
+from flexopt.article.findings import Finding
+from flexopt.article.gaps import GapSweep, sweep_gaps
+from flexopt.article.tables import (
+    PRINTED_WORKSPACE,
+    TARGET,
+    WORKSPACE_B_OF_MEASURES,
+    ArticleTable,
+    article_machine,
+    reproduce_table2,
+    workspace_posture,
+)
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import CONTROLS, Control
+from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.turns import in_turn
+from flexopt.model import AnyMachine
+from flexopt.model.problem import ELBOWS
+from flexopt.plant import build_plant
+from flexopt.selection import Selection, select
+from flexopt.study.gains import KV_HELD, RATIOS, GainMap, map_gains
+from flexopt.study.points import Progress, evaluate_points
+from flexopt.study.workspace import map_workspace
+from flexopt.study.workspace_map import WorkspaceMap
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PRINTED_FREQUENCIES = (3.0872, 13.1392, 22.4394)
+RANDOM_POSTURES = 20_000
+GRID_STEP = 0.05
+STAGES = 9
+
+
+@dataclass(frozen=True)
+class MeanFrequencies:
+    """Mean frequencies over the workspace, Hz.
+
+    Attributes:
+        printed: caption of Fig. 7.
+        means: way of averaging -> (m,).
+    """
+
+    printed: tuple[float, ...]
+    means: dict[str, Vector]
+
+    @property
+    def deviation(self) -> dict[str, Vector]:
+        """(computed − printed) / printed."""
+        printed = np.array(self.printed)
+        return {name: (values - printed) / printed for name, values in self.means.items()}
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that `flexopt reproduce` shows.
+
+    Attributes:
+        table: Table 2, with the inferred servo gain.
+        frequencies: mean frequencies.
+        maps: control -> workspace map, elbow up, with the inferred gain.
+        curves: along y_d, by (control, elbow).
+        contradictions: printed statements that the numbers contradict, or not.
+        claims: claims in words.
+        gaps: rigid against full plant.
+        selection: local optima of w_1, Jacobian inverse control.
+        loops: closed loops, Figs. 9 to 12.
+        gains: which gains A, B and the optimised posture allow.
+        arms: postures A and B of Table 2 as points in the workspace frame, (2, k), m.
+        provenance: machine, versions and options.
+    """
+
+    table: ArticleTable
+    frequencies: MeanFrequencies
+    maps: dict[Control, WorkspaceMap] = field(repr=False)
+    curves: dict[tuple[str, str], Curve] = field(repr=False)
+    contradictions: tuple[Finding, ...]
+    claims: tuple[Finding, ...]
+    gaps: GapSweep
+    selection: Selection = field(repr=False)
+    loops: ClosedLoops = field(repr=False)
+    gains: GainMap = field(repr=False)
+    arms: dict[str, Vector] = field(repr=False)
+    provenance: dict[str, Any] = field(repr=False)
+
+    def figures(self) -> dict[str, Figure]:
+        """The article's figures by name."""
+        from flexopt.article import loop_pictures as draw_loops  # noqa: PLC0415
+        from flexopt.article import pictures as draw  # noqa: PLC0415  (matplotlib is slow to import)
+
+        transpose, inverse = (self.maps[c].dataset for c in ("transpose", "inverse"))
+        marks = {"A": PRINTED_WORKSPACE["A"][0], "B, printed point": PRINTED_WORKSPACE["B"][0]}
+        marks["B, point of its measures"] = WORKSPACE_B_OF_MEASURES[0]
+        return {
+            "figure5": draw.plot_figure5(inverse, self.arms),
+            "figure6": draw.plot_figure6(transpose, inverse, self.arms),
+            "figure7": draw.plot_figure7(transpose, inverse),
+            "figure8": draw.plot_figure8(self.curves["transpose", "up"], self.curves["inverse", "up"], marks),
+            "figure9": draw_loops.plot_figure9(self.loops.figure9),
+            "figure10": draw_loops.plot_figure10(self.loops.stopped, self.loops.climb),
+            "figures11and12": draw_loops.plot_figures11and12(self.loops.adjustment),
+            "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS),
+            "gaps": draw.plot_gaps(self.gaps),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary of every number beside the printed one.
+
+        Keys: `table2`, `mean_frequencies_hz`, `maps`, `contradictions`, `claims`, `gaps`, `provenance`; `closed_loops`
+        (see `ClosedLoops.to_dict`) and `gains` (see `GainMap.to_dict`).
+        """
+        table = self.table.to_dict()
+        return json_ready(
+            {
+                "table2": {key: table[key] for key in ("rows", "inferred_gain", "note")},
+                "mean_frequencies_hz": {
+                    "printed": self.frequencies.printed,
+                    "computed": self.frequencies.means,
+                    "deviation": self.frequencies.deviation,
+                },
+                "maps": {control: result.to_dict() for control, result in self.maps.items()},
+                "contradictions": [finding.to_dict() for finding in self.contradictions],
+                "claims": [finding.to_dict() for finding in self.claims],
+                "closed_loops": self.loops.to_dict(),
+                "gains": self.gains.to_dict(),
+                "gaps": self.gaps.to_dict(),
+                "provenance": self.provenance,
+            }
+        )
+
+    def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:
+        """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.
+
+        Raises:
+            WriteError: a file cannot be written.
+        """
+        from flexopt.article.page import write_report  # noqa: PLC0415  (imports what only reports need)
+
+        return write_report(self, Path(folder))
+
+    def __repr__(self) -> str:
+        lines = [repr(self.table), "", f"Mean frequencies, Hz: printed {_row(self.frequencies.printed)}"]
+        for name, values in self.frequencies.means.items():
+            off = ", ".join(f"{100 * d:+.2f} %" for d in self.frequencies.deviation[name])
+            lines.append(f"  {name}: {_row(values)}  ({off})")
+        for title, group in (("Contradictions", self.contradictions), ("Claims in words", self.claims)):
+            lines += ["", title]
+            lines += [f"  {'holds' if f.holds else 'fails'}: “{f.quote}” ({f.where}). {f.sentence}" for f in group]
+        lines += ["", "Closed loops", f"  {self.loops.sentence}", f"  {self.gains.sentence}"]
+        lines += [f"  {row.stand}, {row.held}, {row.integrator}: Kp {row.text}" for row in self.gains.borders]
+        return "\n".join([*lines, "", "The gap metric", f"  {self.gaps.sentence}"])
+
+
+def _row(values: Any) -> str:
+    return ", ".join(f"{value:.4f}" for value in values)
+
+
+@in_turn
+def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None = None) -> Reproduction:
+    """Compute everything.
+
+    Args:
+        points: of the workspace maps, along x and y.
+        progress: called with the number of stages done and of all.
+    """
+    done = 0
+
+    def stage() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, STAGES)
+
+    machine = article_machine()
+    table = reproduce_table2()
+    gain = table.inferred.kr
+    stage()
+    maps: dict[Control, WorkspaceMap] = {}
+    for control in CONTROLS:
+        maps[control] = map_workspace(machine, control=control, gain=gain, points=points)
+        stage()
+    frequencies = mean_frequencies(machine, maps["inverse"])
+    height = PRINTED_WORKSPACE["A"][1]
+    curves = {
+        (control, elbow): curve(machine, height, control=control, elbow=elbow, gain=gain)
+        for control in CONTROLS
+        for elbow in ELBOWS
+    }
+    stage()
+    selection = select(machine, TARGET, base=0.0)
+    random = _random_postures(machine)
+    rigid = {
+        control: evaluate_points(machine, random, control=control, epsilon_max=False).rigid for control in CONTROLS
+    }
+    stage()
+    named = _named_postures(machine)
+    optima = {f"optimum {k + 1}": c.evaluation.posture for k, c in enumerate(selection.candidates)}
+    gaps = sweep_gaps(machine, named | optima, gain=gain)
+    stage()
+    stands = article_stands(machine, selection, gain)
+    loops = close_loops(machine, stands)
+    stage()
+    gain_map = map_gains(machine, stands, loops.stated)
+    stage()
+    lines = tuple(curves.values())
+    at_b = {name: q for name, q in named.items() if name.startswith("B")}
+    contradictions = (
+        findings.posture_b(table),
+        findings.below_maximum(lines, maps["inverse"]),
+        findings.union(maps["inverse"]),
+        findings.semidefinite(table, maps["inverse"], maps["transpose"]),
+        findings.gain_independent(machine, named, gain),
+        findings.concave(lines),
+        findings.b_is_optimal(machine, at_b, curves["inverse", "up"]),
+        loop_findings.stable_at_high_margin(gain_map),
+        loop_findings.integration_step(loops, gain_map),
+    )
+    claims = (
+        findings.same_shape(tuple(curves[control, "up"] for control in CONTROLS)),
+        findings.many_in_phase(maps["inverse"]),
+        findings.passive(selection, rigid),
+        findings.features((maps["transpose"], maps["inverse"])),
+        loop_findings.better_convergence(loops),
+        loop_findings.stability_by_moving(loops),
+        loop_findings.motion_excites(loops),
+        loop_findings.higher_gain(loops, gain_map),
+        loop_findings.robust_controller(loops, gain_map),
+    )
+    stage()
+    arms = {name: _arm(machine, workspace_posture(machine, PRINTED_WORKSPACE[name])) for name in ("A", "B")}
+    where = provenance(machine, points=points, gain=gain, random_postures=RANDOM_POSTURES, seed=0)
+    return Reproduction(
+        table, frequencies, maps, curves, contradictions, claims, gaps, selection, loops, gain_map, arms, where
+    )
+
+
+def mean_frequencies(machine: AnyMachine, inverse: WorkspaceMap) -> MeanFrequencies:
+    """Averages over the area and over the joint angles: the article does not say which it takes."""
+    steps = round(3.0 / GRID_STEP)
+    edge = (-steps * GRID_STEP, steps * GRID_STEP)
+    count = (2 * steps + 1, 2 * steps + 1)
+    coarse = map_workspace(machine, points=count, x_range=edge, y_range=edge, epsilon_max=False)
+    angles = map_workspace(machine, over="posture", points=(181, 180), epsilon_max=False)
+
+    def mean(values: Vector) -> Vector:
+        return np.nanmean(values.reshape(values.shape[0], -1), axis=1)
+
+    size = inverse.array("condition").shape
+    return MeanFrequencies(
+        PRINTED_FREQUENCIES,
+        {
+            f"over the area, {GRID_STEP * 100:g} cm grid": mean(coarse.array("frequency_hz")),
+            f"over the area, {size[1]} × {size[0]} points": mean(inverse.array("frequency_hz")),
+            "over the joint angles": mean(angles.array("frequency_hz")),
+        },
+    )
+
+
+def _named_postures(machine: AnyMachine) -> dict[str, Vector]:
+    return {
+        "A": workspace_posture(machine, PRINTED_WORKSPACE["A"]),
+        "B, printed point": workspace_posture(machine, PRINTED_WORKSPACE["B"]),
+        "B, point of its measures": workspace_posture(machine, WORKSPACE_B_OF_MEASURES),
+    }
+
+
+def _random_postures(machine: AnyMachine) -> Vector:
+    """Even over the joint angles, (n, RANDOM_POSTURES), rad."""
+    return np.random.default_rng(0).uniform(-np.pi, np.pi, (len(machine.joints), RANDOM_POSTURES))
+
+
+def _arm(machine: AnyMachine, posture: Vector) -> Vector:
+    """Joints and end-point in the workspace frame, (2, n + 1), m."""
+    plant = build_plant(machine)
+    p, base = plant.parameter_values, np.zeros(plant.n_base)
+    points = plant.skeleton(q=plant.rest(base, posture, p), base=base, p=p)["points"].full()
+    arm = points[:, -(len(machine.joints) + 1) :]
+    return arm - arm[:, :1]

@@ -1,0 +1,54 @@
+"""What every JSON document shares: provenance, and plain numbers with null for what is not finite."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.foundation.writing import AnyPath, write_file
+
+
+@cache
+def package_version(name: str) -> str:
+    """Version of an installed package, `"unknown"` in a source tree that was never installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def provenance(machine: Any = None, **options: Any) -> dict[str, Any]:
+    """Name and content hash of a machine (None where none is concerned), versions, and the options of the call."""
+    return {
+        "machine": machine and machine.name,
+        "machine_sha256": machine and machine.content_hash,
+        "flexopt": package_version("flexopt"),
+        "casadi": package_version("casadi"),
+        "options": options,
+    }
+
+
+def write_netcdf(path: AnyPath, dataset: Any) -> None:
+    """Write an xarray.Dataset as a netCDF 3 file, which needs nothing but SciPy to be written or read.
+
+    Raises:
+        WriteError: the file cannot be written.
+    """
+    write_file(path, bytes(dataset.to_netcdf(engine="scipy", format="NETCDF3_64BIT")))
+
+
+def json_ready(value: Any) -> Any:
+    """Plain lists, numbers and text; NaN and infinity become None."""
+    if isinstance(value, np.ndarray | np.generic):
+        return json_ready(value.tolist())  # pyright: ignore[reportUnknownMemberType]
+    if isinstance(value, dict):
+        return {str(k): json_ready(v) for k, v in cast(dict[Any, Any], value).items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(v) for v in cast(list[Any], value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,158 @@
+"""What parts a closed loop has, and how its vectors are laid out.
+
+In: choices. Out: `LoopStructure`, the key under which graphs and compiled code are kept, and the `Layout` of states x,
+signals e and constants c.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.foundation.control import DAMPED, Control
+from flexopt.loop.feedback import FeedbackLaw, Law
+from flexopt.model import AnyMachine
+from flexopt.plant.machine_motion import motion_of
+from flexopt.plant.tree_structure import Skeleton
+
+Method = Literal["rk4", "dop853", "gauss"]
+METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
+
+
+@dataclass(frozen=True)
+class LoopStructure:
+    """What parts a loop has; every number is a constant and not part of it.
+
+    Attributes:
+        motion: the machine's structure.
+        control: how forces at the end-point become joint torques, `"damped"` without its number.
+        law, order: task-space feedback, and the number of states of a state-space law.
+        sampled: the command is computed at the start of each sample and held; else at every stage of the integrator.
+        method, substeps, iterations: integration; iterations of the implicit method.
+        gravity, compensated: whether weight acts, and whether the command carries the arm's.
+        delay: whole samples between measurement and command.
+        quantised, noisy: of the measurement.
+        limited, lagging, rate_limited, dead_band: of the actuators.
+        nullspace_damped: whether a damper acts on the arm's self-motion.
+        moving_base, moving_target: whether they come as signals instead of constants.
+        watched: whether a step gives what is judged (see `Sample.monitor`); else it is taken from the samples.
+        levers, hydraulic: how joint rates that pass through levers are cut, and the machine whose levers they are: all
+            numbers of that map are part of the structure.
+        own_model: whether the controller has constants of its own for geometry and weight, in place of the machine's.
+    """
+
+    motion: Skeleton
+    control: Control = "inverse"
+    law: Law = "pd"
+    order: int = 0
+    sampled: bool = True
+    method: Method = "rk4"
+    substeps: int = 1
+    iterations: int = 0
+    gravity: bool = False
+    compensated: bool = False
+    delay: int = 0
+    quantised: bool = False
+    noisy: bool = False
+    limited: bool = False
+    lagging: bool = False
+    rate_limited: bool = False
+    dead_band: bool = False
+    nullspace_damped: bool = False
+    moving_base: bool = False
+    moving_target: bool = False
+    levers: Literal["each", "uniform"] | None = None
+    hydraulic: AnyMachine | None = None
+    own_model: bool = False
+    watched: bool = False
+
+    @property
+    def n_task(self) -> int:
+        """Task rows."""
+        return len(self.motion.rows)
+
+    @property
+    def drifting(self) -> bool:
+        """Whether the arm has a self-motion that nothing brakes."""
+        joints = motion_of(self.motion, {}).n_joints
+        return self.law != "none" and joints > self.n_task and not self.nullspace_damped
+
+    @property
+    def n_base(self) -> int:
+        """Placement coordinates."""
+        return len(self.motion.placement)
+
+
+JACOBIAN_DAMPING = "jacobian_damping"  # λ of a damped control
+MODEL = "model_"  # prefix of a controller's own constants
+
+
+class Layout:
+    """Named parts of a column."""
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        self.sizes = dict(sizes)
+        self.total = sum(self.sizes.values())
+        starts = [0, *accumulate(self.sizes.values())]
+        self.slices = {
+            name: slice(start, start + size) for (name, size), start in zip(sizes.items(), starts, strict=False)
+        }
+
+    def split(self, column: ca.SX) -> dict[str, ca.SX]:
+        """The parts of a column by name."""
+        return {name: column[part] for name, part in self.slices.items()}
+
+    def packed(self, parts: Mapping[str, Any]) -> NDArray[np.float64]:
+        """One array (total, 1) or (total, N) from parts (size,) or (size, N), those for all members repeated."""
+        columns = [np.asarray(parts[name], dtype=np.float64) for name in self.sizes]
+        n = max((part.size // size for part, size in zip(columns, self.sizes.values(), strict=True) if size), default=1)
+        result = np.empty((self.total, n))
+        for part, where, size in zip(columns, self.slices.values(), self.sizes.values(), strict=True):
+            result[where] = part.reshape(size, -1) if size else 0.0
+        return result
+
+
+def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:
+    """Entries of c: the motion's constants, and those of controller, sensors and actuators."""
+    s, shape = structure, motion_of(structure.motion, {})
+    n, m, hinges, known = shape.n_joints, shape.n_passive, len(shape.hinges), set(shape.known_names)
+    sizes = {name: 1 for name in shape.constant_names if name not in s.motion.zeros}
+    sizes |= {f"{MODEL}{name}": 1 for name in sizes if s.own_model and name in known}
+    sizes |= {"h": 1, "design": m, "design_directions": 2 * hinges}
+    sizes |= {"u_design": shape.n, "modes": m * shape.n, "omega_squared": m}
+    sizes["base"] = s.n_base
+    sizes |= {} if s.moving_target else {"target": s.n_task}
+    sizes |= law.constants
+    sizes |= {"resolution": s.n_task, "rate_resolution": s.n_task} if s.quantised else {}
+    for part, name, size in (
+        (s.limited, "torque_limit", n),
+        (s.dead_band, "dead_band", n),
+        (s.lagging, "bandwidth", n),
+        (s.rate_limited, "rate_limit", n),
+        (s.nullspace_damped, "nullspace_damping", 1),
+        (s.hydraulic is not None, "servo_gain", 1),
+        (s.control == DAMPED, JACOBIAN_DAMPING, 1),
+    ):
+        sizes |= {name: size} if part else {}
+    return sizes
+
+
+def state_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:
+    """Entries of x: u, w, torque of lagging actuators, states of the law, measurements on their way."""
+    s, shape = structure, motion_of(structure.motion, {})
+    n, torques = shape.n, shape.n_joints if s.lagging else 0
+    return {"u": n, "w": n, "torque": torques, "law": law.n_states, "queue": 2 * s.n_task * s.delay}
+
+
+def signal_sizes(structure: LoopStructure) -> dict[str, int]:
+    """Entries of e: what changes from sample to sample."""
+    s, driven = structure, len(motion_of(structure.motion, {}).drive)
+    sizes = {"base": driven, "base_rate": driven} if s.moving_base else {}
+    sizes |= {"target": s.n_task, "target_rate": s.n_task} if s.moving_target else {}
+    return sizes | ({"noise": 2 * s.n_task} if s.noisy else {})

@@ -1,0 +1,157 @@
+"""One sample of the linearised loop, exactly: matrix exponentials between the samples, any dead time.
+
+In: a loop, a state in which it rests, its signals and constants. Out: Φ of x_{k+1} = Φ x_k. No integration method is
+involved, so no damping of its own hides a mode.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, cast
+
+import casadi as ca
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.closed import ClosedLoop, closed_loop
+from flexopt.loop.directions import Computed
+from flexopt.loop.flow import Flow
+from flexopt.loop.integrators import State
+from flexopt.loop.sample import Sample
+from flexopt.loop.structure import LoopStructure
+
+# Newton steps to the state of rest, and the largest remainder of what counts as rest, m, rad or relative.
+STEPS, REST = 12, 1e-9
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """The linear loop about rest, in the loop's states x = [s, law, queue], s = [u, w, torque (and a continuous law)].
+
+    Attributes:
+        flow, drive: A (n_s, n_s) and B (n_s, n) of ṡ = A s + B τ, τ the command that is held.
+        command: G (n, n_x), τ = G x at the start of a sample.
+        law: L (n_law, n_x), the sampled law's states at the next sample.
+        queue: Q (n_queue, n_x), measurements on their way at the next sample.
+        moved: how far the state of rest is from being one: what one sample changes, (n_x,).
+        measured: rows of one measurement, the last of the queue being the newest.
+    """
+
+    flow: Vector
+    drive: Vector
+    command: Vector
+    law: Vector
+    queue: Vector
+    moved: Vector
+    measured: int
+
+    def sample(self, period: float, early: float = 0.0) -> Vector:
+        """Φ (n_x, n_x) of x_{k+1} = Φ x_k.
+
+        With s(t_k + h) = e^{Ah} s_k + Γ(h) G x_k, Γ(h) = ∫₀ʰ e^{As} ds B. The newest measurement is taken `early`
+        before the end of the sample, so that a queue of l + 1 of them is a dead time of l `period` + `early`, s.
+        """
+        n = len(self.flow)
+        held, driven = exponential(self.flow, self.drive, period)
+        queue, wide = self.queue, np.zeros((n, self.command.shape[1] - n))
+        if early:
+            between, pushed = exponential(self.flow, self.drive, period - early)
+            newest = self.queue[-self.measured :, :n]
+            queue = np.vstack(
+                [self.queue[: -self.measured], newest @ (np.hstack([between, wide]) + pushed @ self.command)]
+            )
+        return np.vstack([np.hstack([held, wide]) + driven @ self.command, self.law, queue])
+
+
+def exponential(flow: Vector, drive: Vector, span: float) -> tuple[Vector, Vector]:
+    """(e^{Ah}, Γ(h)) from one exponential of the block matrix (Van Loan 1978)."""
+    return _exponential(flow.tobytes(), drive.tobytes(), len(flow), drive.shape[1], span)
+
+
+@lru_cache(maxsize=16)
+def _exponential(flow: bytes, drive: bytes, n: int, m: int, span: float) -> tuple[Vector, Vector]:
+    """The like, kept: along a sweep over gains the plant stays the same."""
+    from scipy.linalg import expm  # noqa: PLC0415  (loads slowly)
+
+    block: Vector = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = np.frombuffer(flow).reshape(n, n), np.frombuffer(drive).reshape(n, m)
+    whole = expm(block * span)
+    whole.setflags(write=False)
+    return whole[:n, :n], whole[:n, n:]
+
+
+def tangent(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> Tangent:
+    """The linear loop about a state x (n_x,), with signals e and constants c."""
+    between, at = _between(structure), _at(structure)
+    command, kept, waiting, by_command, by_kept, by_waiting = (np.array(m) for m in at.call([x, e, c]))
+    rates, flow, drive = (np.array(m) for m in between.call([x[: flow_size(structure)], command, e, c]))
+    n = len(flow)
+    period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
+    laws, queue = x[n : n + len(kept)], x[n + len(kept) :]
+    moved = np.concatenate([period * rates.ravel(), kept.ravel() - laws, waiting.ravel() - queue])
+    return Tangent(flow, drive, by_command, by_kept, by_waiting, moved, 2 * structure.n_task)
+
+
+def at_rest(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> tuple[Vector, Tangent] | None:
+    """The state of rest that Newton's method finds from x, and the linear loop there; None where it finds none.
+
+    Where states of rest form a family (the self-motion of an arm) it is the one nearest to x.
+    """
+    for _ in range(STEPS):
+        here = tangent(structure, x, e, c)
+        if not np.all(np.isfinite(here.moved)):
+            return None
+        if still(structure, here, x):
+            return x, here
+        n = len(here.flow)
+        by_x = np.hstack([here.flow, np.zeros((n, len(x) - n))]) + here.drive @ here.command
+        period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
+        change = np.vstack([period * by_x, here.law, here.queue])
+        change[n:] -= np.eye(len(x))[n:]
+        size = np.maximum(np.abs(change).max(axis=1), np.finfo(float).tiny)
+        newton = cast(Any, np.linalg.lstsq)(change / size[:, None], here.moved / size, rcond=1e-12)[0]
+        x = x - np.asarray(newton, dtype=np.float64)
+    return None
+
+
+def still(structure: LoopStructure, here: Tangent, x: Vector) -> bool:
+    """Whether one sample leaves the state where it is, but for rounding; torques and laws relative to their size."""
+    n = 2 * closed_loop(structure).shape.n
+    moved = np.abs(here.moved)
+    return bool(np.all(moved[:n] <= REST) and np.all(moved[n:] <= REST * (1.0 + np.abs(x[n:]))))
+
+
+def flow_size(structure: LoopStructure) -> int:
+    """Entries of s."""
+    sizes = closed_loop(structure).states.sizes
+    return sizes["u"] + sizes["w"] + sizes["torque"] + (0 if structure.sampled else sizes["law"])
+
+
+@lru_cache(maxsize=64)
+def _between(structure: LoopStructure) -> ca.Function:
+    """Rates of s and their derivatives by s and by the held command. Inputs s, command, e, c."""
+    loop = closed_loop(structure)
+    s = ca.SX.sym("s", flow_size(structure))
+    command = ca.SX.sym("command", loop.shape.n_joints if structure.sampled else 0)
+    e, c = ca.SX.sym("e", loop.signals.total), ca.SX.sym("c", loop.constants.total)
+    flow, n = Flow(structure, loop.layouts, command, e, c), loop.shape.n
+    state = State(s[:n], s[n : 2 * n], s[2 * n :])
+    rates = flow.rates(ca.SX(0), state, Computed(loop.shape.angles(state.u)).start.pairs)
+    column = ca.vertcat(rates.u, rates.w, rates.z)
+    outputs = [column, ca.jacobian(column, s), ca.jacobian(column, command)]
+    dense, names = [ca.densify(value) for value in outputs], ["rates", "flow", "drive"]
+    return ca.Function("between", [s, command, e, c], dense, ["s", "command", "e", "c"], names, {"cse": True})
+
+
+@lru_cache(maxsize=64)
+def _at(structure: LoopStructure) -> ca.Function:
+    """Command, the law's states and the queue after a sample's start, and their derivatives by x. Inputs x, e, c."""
+    loop: ClosedLoop = closed_loop(structure)
+    x, e, c = (ca.SX.sym(n, part.total) for n, part in (("x", loop.states), ("e", loop.signals), ("c", loop.constants)))
+    at = Sample(structure, loop.layouts, x, e, c, Computed(loop.shape.angles(loop.states.split(x)["u"])))
+    command = at.command() if structure.sampled else ca.SX.zeros(0, 1)
+    values = [command, *at.successors()]
+    outputs = [ca.densify(value) for value in (*values, *(ca.jacobian(value, x) for value in values))]
+    names = ["command", "law", "queue", "by_command", "by_law", "by_queue"]
+    return ca.Function("at_sample", [x, e, c], outputs, ["x", "e", "c"], names, {"cse": True})
