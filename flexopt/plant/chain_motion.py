@@ -25,7 +25,7 @@ changes it: where only one translation is free, its share of p_k p_l is subtract
 # (trees need u where a chain in a plane does not)
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,17 +33,16 @@ import casadi as ca
 
 from flexopt.plant.motion import Directions, Motion, Pair
 from flexopt.plant.tree_constants import AXES
-from flexopt.plant.tree_structure import Skeleton
+from flexopt.plant.tree_structure import Numbers, Skeleton
 
 
 def chain_constants(structure: Skeleton, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     """The constants of the motion by name, from those of the tree's recursions."""
-    plane, slides, hinges = _plane(structure), structure.leading_slides, structure.hinges
+    slides, hinges = structure.leading_slides, structure.hinges
     zero = ca.SX(0)
     result = {"gravity": value["gravity"]}
     carried = [*slides, hinges[0]]
-    for axis, direction in zip(plane, "xy", strict=True):
-        result[f"origin_{direction}"] = _sum(value[f"offset{i}.{AXES[axis]}"] for i in carried)
+    result |= {f"origin_{axis}": _sum(value[f"offset{i}.{axis}"] for i in carried) for axis in "xy"}
     total = _sum(value[f"m{i}"] for i in slides)
     if slides:
         result |= {"total": total, "inverse_total": 1 / total}
@@ -55,9 +54,9 @@ def chain_constants(structure: Skeleton, value: Mapping[str, ca.SX]) -> dict[str
             result[f"{word}_{direction}_m"] = result[f"{word}_{direction}"] / total
     both = len(slides) == 2
     axes = structure.axes_of_chain
-    a, b = zip(*(_in_plane(axes[k], plane, value, f"c{i}") for k, i in enumerate(hinges)), strict=True)
+    a, b = zip(*(_in_plane(axes[k], value, f"c{i}") for k, i in enumerate(hinges)), strict=True)
     ends = [f"offset{i}" for i in hinges[1:]] + ["tip"]
-    reach = [_in_plane(axes[k], plane, value, end) for k, end in enumerate(ends)]
+    reach = [_in_plane(axes[k], value, end) for k, end in enumerate(ends)]
     for k, i in enumerate(hinges):
         along, left = reach[k]
         result |= {f"a{k}": a[k], f"b{k}": b[k], f"length{k}": along, f"lateral{k}": left}
@@ -83,24 +82,17 @@ def chain_constants(structure: Skeleton, value: Mapping[str, ca.SX]) -> dict[str
     return result
 
 
-def _plane(structure: Skeleton) -> tuple[int, int]:
-    """Which of x, y, z the task's rows are: horizontal and vertical."""
-    return AXES.index(structure.rows[0]), AXES.index(structure.rows[1])
-
-
 def _translations(structure: Skeleton) -> list[tuple[str, float]]:
     """Of each slide, whether it goes along the first row, "x", or the second, "y", and its sign."""
     axes = [structure.segments[i].axis for i in structure.leading_slides]
-    across, up = _plane(structure)
-    return [("x", axis[across]) if axis[across] else ("y", axis[up]) for axis in axes]
+    return [("x", axis[0]) if axis[0] else ("y", axis[1]) for axis in axes]
 
 
-def _in_plane(
-    axes: Sequence[Sequence[float]], plane: tuple[int, int], value: Mapping[str, ca.SX], name: str
-) -> tuple[ca.SX, ca.SX]:
+def _in_plane(axes: Numbers, value: Mapping[str, ca.SX], name: str) -> tuple[ca.SX, ca.SX]:
     """A constant of a body along the task's rows where all joints are at zero; `axes` are the rows of its frame."""
-    own = [value[f"{name}.{axis}"] for axis in AXES]
-    first, second = (_sum(axes[row][k] * own[k] for k in range(3) if axes[row][k]) for row in plane)
+    first, second = (
+        _sum(row[k] * value[f"{name}.{axis}"] for k, axis in enumerate(AXES) if row[k]) for row in axes[:2]
+    )
     return first, second
 
 

@@ -44,13 +44,10 @@ def has_closed_form(structure: Skeleton) -> bool:
     The task has two position rows in the order of the axes, the placement moves along the first of them, and every
     joint on the way to the end-point is a hinge across their plane or a passive slide; all actuated joints are there.
     """
-    across, segments = structure.across, structure.segments
-    hinges = [i for i in structure.way_to(structure.tip) if not segments[i].slide]
-    if across is None or structure.placement != structure.rows[:1]:
+    way = structure.way_to(structure.tip)
+    if structure.placement != structure.rows[:1] or any(structure.segments[i].slide for i in structure.actuated):
         return False
-    actuated = [i for i in structure.actuated if i in hinges]
-    flat = all(segments[i].parallel for i in hinges) and abs(segments[hinges[0]].turn[across][2]) == 1
-    return flat and len(actuated) == len(structure.actuated) >= 2
+    return 2 <= len(structure.actuated) == len(structure.actuated_way) and structure.is_across(way)
 
 
 def build_reaching(graph: MachineGraph) -> ReachingGraph:

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.model.kinematic_tree import INERTIA_ENTRIES, KinematicTree
-from flexopt.plant.tree_structure import Matrix, Segment, rounded, segments_and_frames
+from flexopt.plant.tree_structure import Matrix, Segment, ground_frame, rounded, segments_and_frames
 
 AXES = "xyz"
 SECOND = INERTIA_ENTRIES
@@ -52,7 +52,7 @@ def constant_graphs(tree: KinematicTree, value: Mapping[str, ca.SX]) -> dict[str
     offsets: list[ca.SX] = []
     moments: list[_Moments] = []
     for i, segment in enumerate(segments):
-        of_parent = np.eye(3) if segment.parent < 0 else frames[segment.parent]
+        of_parent = ground_frame(tree) if segment.parent < 0 else frames[segment.parent]
         offsets.append(_turned(of_parent.T, _vector(entry, f"offset{i}")))
         own = _Moments(ca.SX(0), ca.SX.zeros(3, 1), ca.SX.zeros(3, 3))
         if f"mass{i}" in entry:

@@ -8,6 +8,7 @@ E Rz(q) with a constant E; where axes are parallel E = 1, where they are at righ
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ Matrix = NDArray[np.float64]
 Numbers = tuple[tuple[float, float, float], ...]
 # Products of rotations this near to 0 or ±1 are meant to be it.
 SNAP = 1e-14
+PLANES = ("xy", "xz", "yz")
 TURN = "turn"  # of the anchor frame since it stood at first
 
 
@@ -34,7 +36,7 @@ class Segment:
         axis: of a slide, in the parent's frame.
         passive: whether the joint is passive.
         held: whether it stays at its rest value and is no coordinate.
-        in_row: whether it is a hinge parallel to the last one before it: E = 1; in a plane also to the ground's z.
+        in_row: whether it is a hinge parallel to the last one before it: E = 1; in a plane also to its normal.
         parallel: whether it is a hinge parallel to all between it and the ground.
     """
 
@@ -55,7 +57,10 @@ class Skeleton:
     Attributes:
         segments: the bodies, each after its parent.
         tip: index of the end-point's body; tip_rotation: of its frame in that body's.
-        rows, reference, placement, up: as in `EndPoint` and `KinematicTree`.
+        rows, reference, placement: as in `EndPoint` and `KinematicTree`.
+        ground: the axes in which the recursions see the ground, as columns in the anchor frame's: those of the task's
+            plane first, where it has one.
+        up: which of these points up.
         coupled_springs, coupled_dampers: pairs of bodies whose joints have a stiffness or damping, i ≤ j.
         zeros: constants that are exactly zero and are left out.
         chain: whether it is a chain of parallel hinges in a vertical plane, on passive slides along its axes, without
@@ -73,6 +78,7 @@ class Skeleton:
     placement: tuple[str, ...]
     coupled_springs: tuple[tuple[int, int], ...]
     coupled_dampers: tuple[tuple[int, int], ...]
+    ground: Numbers = UNTURNED
     up: int = 2
     zeros: frozenset[str] = frozenset()
     chain: bool = False
@@ -140,16 +146,19 @@ class Skeleton:
         return found
 
     @property
-    def across(self) -> int | None:
-        """Which of x, y, z is normal to the plane of the task; None where its rows are not two positions in order."""
-        return {"yz": 0, "xz": 1, "xy": 2}.get("".join(self.rows))
+    def has_plane(self) -> bool:
+        """Whether the task's rows are two positions in order, whose plane the placement does not turn."""
+        return "".join(self.rows) in PLANES and "yaw" not in self.placement
+
+    def is_across(self, bodies: Sequence[int]) -> bool:
+        """Whether the hinges among the bodies of one branch are parallel to the normal of the task's plane."""
+        hinges = [self.segments[i] for i in bodies if not self.segments[i].slide]
+        return self.has_plane and all(hinge.parallel for hinge in hinges) and abs(hinges[0].turn[2][2]) == 1
 
     def sense_across(self, body: int) -> float:
-        """1 where a body's hinge, parallel to `across`, turns the first task row towards the second, else −1."""
+        """1 where a body's hinge across the task's plane turns the first row towards the second, else −1."""
         hinges = [i for i in self.way_to(body) if not self.segments[i].slide]
-        # From x towards z is about −y.
-        first = self.segments[hinges[0]].turn[self.across or 0][2] * (-1.0 if self.across == 1 else 1.0)
-        return first * self.sense_along(hinges[0], body)
+        return self.segments[hinges[0]].turn[2][2] * self.sense_along(hinges[0], body)
 
     @property
     def leading_slides(self) -> list[int]:
@@ -175,10 +184,10 @@ class Skeleton:
         if "yaw" in self.placement and not self.local:
             return found
         for i in self.leading_slides:
-            for k, name in enumerate("xy"):
-                axis = self.segments[i].axis
-                if name in self.drive and self.segments[i].passive and abs(axis[k]) == 1 and name not in found:
-                    found[name] = (i, axis[k])
+            for name, direction in zip("xy", self.ground, strict=False):
+                along = sum(a * b for a, b in zip(self.segments[i].axis, direction, strict=True))
+                if name in self.drive and self.segments[i].passive and abs(along) == 1 and name not in found:
+                    found[name] = (i, along)
         return found
 
     @property
@@ -204,6 +213,7 @@ class Skeleton:
 def skeleton(tree: KinematicTree) -> Skeleton:
     """The structure of a tree, every constant kept."""
     segments, frames = segments_and_frames(tree)
+    ground = rounded(ground_frame(tree))
     tip = next(i for i, body in enumerate(tree.bodies) if body.name == tree.end_point.body)
     own = [(i, i) for i in range(len(tree.bodies))]
     springs = [pair for pair in own if f"stiffness{pair[0]}.{pair[0]}" in tree.entries]
@@ -218,25 +228,24 @@ def skeleton(tree: KinematicTree) -> Skeleton:
         placement=tuple(tree.placement),
         coupled_springs=tuple(springs),
         coupled_dampers=(*dampers, *_pairs(tree.coupled_dampers)),
-        up=tree.up,
+        ground=ground,
+        up=[abs(part) for part in ground[tree.up]].index(1.0),
     )
     return replace(whole, chain=_is_chain(whole, tree))
 
 
 def _is_chain(s: Skeleton, tree: KinematicTree) -> bool:
     slides, hinges = s.leading_slides, s.hinges
-    if s.across is None or s.up != "xyz".index(s.rows[1]) or s.placement not in ((), s.rows[:1]) or not s.actuated:
+    if not s.actuated or not s.is_across(hinges) or s.up != 1 or s.placement not in ((), s.rows[:1]):
         return False
     in_line = [segment.parent for segment in s.segments] == list(range(-1, s.n - 1)) and s.tip == s.n - 1
     upright = [tuple(abs(part) for part in s.segments[i].axis) for i in slides]
-    allowed = [tuple(float(k == "xyz".index(row)) for k in range(3)) for row in s.rows]
-    standing = all(axis in allowed and upright.count(axis) == 1 for axis in upright)
-    flat = all(s.segments[i].parallel for i in hinges) and abs(s.segments[hinges[0]].turn[s.across][2]) == 1
+    standing = all(axis in UNTURNED[:2] and upright.count(axis) == 1 for axis in upright)
     plain = not tree.coupled_springs and not tree.coupled_dampers
     loaded = any(f"armature{i}" in tree.entries for i in range(s.n))
     loaded = loaded or any(f"mass{i}" in tree.entries for i in slides[:-1])
     passive = all(s.segments[i].passive for i in slides)
-    return in_line and slides + hinges == list(range(s.n)) and standing and flat and plain and passive and not loaded
+    return in_line and slides + hinges == list(range(s.n)) and standing and plain and passive and not loaded
 
 
 def _pairs(members: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -250,6 +259,15 @@ def rounded(matrix: Matrix) -> Numbers:
     return tuple((float(a), float(b), float(c)) for a, b, c in snapped)
 
 
+def ground_frame(tree: KinematicTree) -> Matrix:
+    """See `Skeleton.ground`."""
+    rows = tree.end_point.rows
+    if "".join(rows) not in PLANES or "yaw" in tree.placement:
+        return np.eye(3)
+    first, second = (UNTURNED["xyz".index(row)] for row in rows)
+    return np.array([first, second, np.cross(first, second)]).T
+
+
 def segments_and_frames(tree: KinematicTree) -> tuple[tuple[Segment, ...], list[Matrix]]:
     """The segments, and of each body the rotation from its new frame to the one that the tree gives it."""
     index = {body.name: i for i, body in enumerate(tree.bodies)}
@@ -259,7 +277,7 @@ def segments_and_frames(tree: KinematicTree) -> tuple[tuple[Segment, ...], list[
     only_parallel: list[bool] = []  # … and all such hinges are parallel
     for number, body in enumerate(tree.bodies):
         parent = -1 if body.parent is None else index[body.parent]
-        of_parent = np.eye(3) if parent < 0 else frames[parent]
+        of_parent = ground_frame(tree) if parent < 0 else frames[parent]
         placed = of_parent.T @ np.array(body.rotation)
         axis = rounded(np.atleast_2d(placed @ np.array(body.joint.axis)))[0]
         slide = body.joint.kind == "slide"
@@ -282,7 +300,7 @@ def segments_and_frames(tree: KinematicTree) -> tuple[tuple[Segment, ...], list[
             )
         )
     if all(segment.slide or segment.parallel for segment in segments):
-        # What turns about the ground's own z needs no axes of its own.
+        # What turns about the normal needs no axes of its own.
         unturned = [not segment.slide and segment.turn == UNTURNED for segment in segments]
         segments = [replace(s, in_row=s.in_row or same) for s, same in zip(segments, unturned, strict=True)]
     return tuple(segments), frames

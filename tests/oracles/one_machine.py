@@ -242,9 +242,13 @@ def selection(machine: AnyMachine, rng: np.random.Generator) -> Results:
         )
     except FlexoptError as error:
         return {f"select: {type(error).__name__}": (0.0, 1.0)}
-    scale, z = found.problem.objective_scale, np.array([c.z for c in found.candidates])
+    scale, best = found.problem.objective_scale, {"best": (found.best.objective, found.problem.objective_scale)}
+    if plant.n_passive < found.problem.redundancy:
+        # All w_i vanish together on a set of that dimension less: where on it a search ends is rounding's choice.
+        return best
+    z = np.array([c.z for c in found.candidates])
     sines = plant.singularity_sine_squared(z[:, :1].T, z[:, 1:].T, plant.parameter_values).full()
-    return {
+    return best | {
         "candidates": (z, 1.0),
         "objectives": (np.array([c.objective for c in found.candidates]), scale),
         "margins": (np.sqrt(sines), 1.0),
