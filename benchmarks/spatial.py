@@ -16,7 +16,7 @@ import ctypes
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,9 @@ from flexopt.plant.chain_motion import ChainMotion
 from flexopt.plant.graph import build_graph
 from flexopt.plant.machine_motion import constant_values, structure_of
 from flexopt.plant.plant import Plant
+from flexopt.plant.tree_constants import constant_graphs
 from flexopt.plant.tree_motion import TreeMotion
+from flexopt.plant.tree_structure import skeleton
 from tests.oracles.spatial import grounded, in_space, mujoco_tree
 
 OTHERS: dict[str, type[TreeMotion]] = {"articulated bodies": Articulated, "composite bodies, world axes": WorldAxes}
@@ -207,13 +209,16 @@ class Mujoco:
 
 
 def spatial(tree: Any, case: Case, build: Callable[..., Any] = TreeMotion) -> Ours:
-    """A tree through the spatial path."""
-    structure = structure_of(tree)
-    return Ours(lambda value: build(structure, value), constant_values(tree), structure.zeros, case)
+    """A tree through the recursions, also where its structure has a closed form."""
+    given = {parameter.name: ca.SX(parameter.value) for parameter in tree.parameters}
+    values = {name: float(ca.evalf(graph)) for name, graph in constant_graphs(tree.kinematic_tree, given).items()}
+    zeros = frozenset(name for name, value in values.items() if value == 0)
+    structure = replace(skeleton(tree.kinematic_tree), zeros=zeros, local=True)
+    return Ours(lambda value: build(structure, value), values, zeros, case)
 
 
 def closed_form(machine: Any, case: Case) -> Ours:
-    """A planar machine by its own closed form."""
+    """A chain in a plane by its closed form."""
     structure = structure_of(machine)
     return Ours(lambda value: ChainMotion(structure, value), constant_values(machine), structure.zeros, case)
 
