@@ -24,7 +24,7 @@ from flexopt.foundation.quantities import (
 from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine, FileModel
 from flexopt.model.tables import BuiltByCall
-from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares, target_faults
+from flexopt.model.targets import KINDS, PathMotion, Target, check_any_numbers, check_any_shares, target_faults
 
 Elbow = Literal["up", "down"]
 ELBOWS: tuple[Elbow, ...] = ("up", "down")
@@ -131,7 +131,7 @@ class Problem(BuiltByCall):
     source: str = ""
     machine: str = Field(min_length=1)
     target: Target
-    motion: Motion | None = None
+    motion: PathMotion | None = None
     selection: SelectionOptions = SelectionOptions()
     constraints: Constraints | None = None
 
@@ -167,4 +167,4 @@ class Problem(BuiltByCall):
         options = {key: value for key, value in self.selection.model_dump().items() if key not in others}
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
-        return options | (self.motion or Motion()).model_dump() if kind == "path" else options
+        return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options

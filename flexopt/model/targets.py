@@ -1,6 +1,6 @@
 """What a problem's end-point shall reach, as validated data: the tables [target] and [motion].
 
-In: tables of a problem file. Out: frozen `Target` and `Motion`, and what is wrong between them and [selection]. How
+In: tables of a problem file. Out: frozen `Target` and `PathMotion`, and what is wrong between them and [selection]. How
 many numbers a target has is the machine's to say.
 """
 
@@ -99,7 +99,7 @@ class Target(FileModel):
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
 
-class Motion(FileModel):
+class PathMotion(FileModel):
     """How a path is gone along; see `flexopt.plan_base`, whose defaults hold for what is left out.
 
     Attributes:
