@@ -1,8 +1,8 @@
 """One integration step of the closed loop as a graph, by methods that differ in what they keep.
 
 In: a `VectorField`, the right-hand sides as graph builders. Out: the state after h. Explicit Runge–Kutta methods take
-any `TurningFrame` of directions; Gauss's implicit one is applied to u and its momentum p = M w, where it is symplectic, by
-fixed-point iterations whose last change comes out as `residual`.
+any `TurningFrame` of directions; Gauss's implicit one is applied to u and its momentum p = M w, where it is symplectic,
+by fixed-point iterations whose last change comes out as `residual`.
 """
 
 from __future__ import annotations
