@@ -19,7 +19,7 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.export.context import Context, build_context
 from flexopt.export.kernels import Kernel, Real, kernel_text, single_precision
-from flexopt.export.naming import constants, number, text_of
+from flexopt.export.naming import CWriter, constants, text_of
 from flexopt.export.operations import Array
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
 from flexopt.export.parameters import parameter_range
@@ -222,6 +222,7 @@ def _values(
     budget: int,
 ) -> dict[str, str]:
     """What the templates leave open."""
+    number = CWriter("", real).number
     plant, machine = measures.plant, measures.plant.machine
     n_z = plant.n_base + plant.n_actuated
     units = [*machine.base_units, *machine.joint_units]
@@ -255,12 +256,12 @@ def _values(
         "HESSIAN": "exact Hessian" if kernels.exact_second else "Hessian by differences of exact slopes",
         "COST_SLOPE": str(kernels.model_cost if kernels.exact_second else kernels.slope_cost),
         "BASE_IDLE": str(int(kernels.posture is None and all(idle))),
-        "ROUGH": number(ROUGH[real], real),
-        "MARGIN_EDGE": number(MARGIN_EDGE[real], real) if plant.n_task > 3 else "EDGE",
+        "ROUGH": number(ROUGH[real]),
+        "MARGIN_EDGE": number(MARGIN_EDGE[real]) if plant.n_task > 3 else "EDGE",
         "PROJECTIONS": str(kernels.projections),
         "ROUNDS": str(ROUNDS) if kernels.posture is None else "1",
         "SPARE": ", ".join(map(str, [*_spare(measures, idle), *[0] * plant.n_actuated])),
-        "PROBE": number(PROBES[real], real),
+        "PROBE": number(PROBES[real]),
         "ANGLES": ", ".join(str(int(unit == "rad")) for unit in units),
         "WEIGHTS_AT_RUN_TIME": str(int(weights_at_run_time)),
         "PARAMETERS_AT_RUN_TIME": str(int(not at.baked)),
@@ -270,21 +271,21 @@ def _values(
         "BUDGET": str(budget),
         "BUDGET_MAX": str(BUDGET_MAX),
         "MARGIN_DEG": f"{margin_deg:g}",
-        "SINE_SQUARED_MIN": number(math.sin(math.radians(margin_deg)) ** 2, real),
-        "LOWER": ", ".join(number(low, real) for low, _ in bounds),
-        "UPPER": ", ".join(number(high, real) for _, high in bounds),
-        "P_LOW": ", ".join(number(low, real) for low, _ in ranges),
-        "P_HIGH": ", ".join(number(high, real) for _, high in ranges),
-        "P_VALUES": ", ".join(number(parameter.value, real) for parameter in machine.parameters),
-        "PI": number(math.pi, real),
-        "TWO_PI": number(2 * math.pi, real),
-        "EPSILON": number(EPSILON[real], real),
-        "TOLERANCE": number(tolerance, real),
-        "STATIONARY_ENOUGH": number(enough, real),
-        "TIE": number(tie, real),
+        "SINE_SQUARED_MIN": number(math.sin(math.radians(margin_deg)) ** 2),
+        "LOWER": ", ".join(number(low) for low, _ in bounds),
+        "UPPER": ", ".join(number(high) for _, high in bounds),
+        "P_LOW": ", ".join(number(low) for low, _ in ranges),
+        "P_HIGH": ", ".join(number(high) for _, high in ranges),
+        "P_VALUES": ", ".join(number(parameter.value) for parameter in machine.parameters),
+        "PI": number(math.pi),
+        "TWO_PI": number(2 * math.pi),
+        "EPSILON": number(EPSILON[real]),
+        "TOLERANCE": number(tolerance),
+        "STATIONARY_ENOUGH": number(enough),
+        "TIE": number(tie),
         "SETTLING": str(SETTLING[real]),
-        "TARGET_TOLERANCE": number(TARGET_TOLERANCES[real] * EPSILON[real], real),
-        "MARGIN_TOLERANCE": number(4 * (MARGIN_EDGE[real] if plant.n_task > 3 else EDGE * EPSILON[real]), real),
+        "TARGET_TOLERANCE": number(TARGET_TOLERANCES[real] * EPSILON[real]),
+        "MARGIN_TOLERANCE": number(4 * (MARGIN_EDGE[real] if plant.n_task > 3 else EDGE * EPSILON[real])),
         "EDGE": f"{EDGE}.0",
         "FIXED_ROWS": ", ".join(map(str, _fixed_rows(measures))),
     }  # fmt: skip
@@ -343,17 +344,18 @@ def _eigenvectors(kernels: OptimiserKernels, modes: int) -> dict[str, str]:
 
 def _sampling(measures: Measures, kernels: OptimiserKernels, real: Real) -> dict[str, str]:
     """How the redundancy is sampled: in closed form placements and `units`, else all variables in their ranges."""
+    number = CWriter("", real).number
     plant, machine = measures.plant, measures.plant.machine
     if kernels.posture is not None:
         units = plant.n_actuated - 2
-        of_kind = {"STEP_MAX": number(0.5, real), "PROJECTION_STEPS": "15"}
+        of_kind = {"STEP_MAX": number(0.5), "PROJECTION_STEPS": "15"}
         of_kind |= {"UNITS": str(units), "SAMPLES": str(SURFACE_SAMPLES if units else CURVE_SAMPLES)}
         dimensions = units + 1
     else:
         rows = [machine.task_rows.index(c) if c in machine.task_rows else -1 for c in machine.base_coordinates]
         # Longer steps and fewer of them, as each costs many times more.
         of_kind = {
-            "STEP_MAX": number(0.8, real),
+            "STEP_MAX": number(0.8),
             "PROJECTION_STEPS": "8",
             "SAMPLES": str(SAMPLES),
             "ROWS_OF": ", ".join(map(str, [*rows, *[-1] * plant.n_actuated])),
@@ -361,7 +363,7 @@ def _sampling(measures: Measures, kernels: OptimiserKernels, real: Real) -> dict
         dimensions = plant.n_base + plant.n_actuated
     # low_discrepancy's first two points, one step apart.
     pair = low_discrepancy(dimensions, 2, 0)
-    return of_kind | {"STEPS": ", ".join(number(s, real) for s in (pair[:, 1] - pair[:, 0]) % 1.0)}
+    return of_kind | {"STEPS": ", ".join(number(s) for s in (pair[:, 1] - pair[:, 0]) % 1.0)}
 
 
 def _filled(template: str, values: Mapping[str, str], real: Real) -> str:

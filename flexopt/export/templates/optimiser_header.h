@@ -1,15 +1,15 @@
-/* The posture optimiser of the bundle; ${prefix}_control.h has the rest. Made for the machine and the bundle whose hashes
+/* The posture optimiser of the bundle; {{ prefix }}_control.h has the rest. Made for the machine and the bundle whose hashes
  * stand there. */
-#ifndef ${PREFIX}_OPTIMISER_H
-#define ${PREFIX}_OPTIMISER_H
+#ifndef {{ PREFIX }}_OPTIMISER_H
+#define {{ PREFIX }}_OPTIMISER_H
 
-#include "${prefix}_control.h"
+#include "{{ prefix }}_control.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-$declarations
+{{ declarations }}
 
 #ifdef __cplusplus
 }

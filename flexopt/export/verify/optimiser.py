@@ -13,9 +13,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from flexopt.export.foreign import LOSS, Foreign, Vector, draw_target
 from flexopt.export.operations import Array
 from flexopt.export.optimiser import STARTS, TOLERANCES
+from flexopt.export.optimiser_part import LOSS, OptimiserPart, ReferenceProblem, draw_target
 from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, Table
@@ -86,9 +86,9 @@ class Solved:
     target_error: Array
 
 
-def of(bench: Bench) -> Foreign:
+def of(bench: Bench) -> OptimiserPart:
     """The part."""
-    return bench.library.foreign[PART]
+    return bench.library.standalone[PART]
 
 
 def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
@@ -129,7 +129,9 @@ def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
     return Finding(sentence, faults, [Table("Posture optimiser", ("what", "number"), tuple(rows))])
 
 
-def _compared(bench: Bench, vectors: tuple[Vector, ...], solved: Solved, name: str) -> tuple[list[float], list[str]]:
+def _compared(
+    bench: Bench, vectors: tuple[ReferenceProblem, ...], solved: Solved, name: str
+) -> tuple[list[float], list[str]]:
     """How much V is lower than IPOPT's, of its scale, and which answers are not feasible."""
     part, lost, faults = of(bench), list[float](), list[str]()
     names = {value: name for name, value in part.sources.statuses.items()}
@@ -197,7 +199,7 @@ def faulty_calls(bench: Bench, runner: Runner) -> Finding:
     return Finding(sentence, _judged(bench, calls, solved), [table])
 
 
-def _problems(part: Foreign, vectors: tuple[Vector, ...]) -> Calls:
+def _problems(part: OptimiserPart, vectors: tuple[ReferenceProblem, ...]) -> Calls:
     calls = _default_calls(part, len(vectors))
     calls.target[:] = [vector.target for vector in vectors]
     calls.weights[:] = [vector.weights for vector in vectors]
@@ -205,7 +207,7 @@ def _problems(part: Foreign, vectors: tuple[Vector, ...]) -> Calls:
     return calls
 
 
-def _default_calls(part: Foreign, count: int) -> Calls:
+def _default_calls(part: OptimiserPart, count: int) -> Calls:
     """The machine's own problem, target and start 0."""
     plant = part.at.plant
     own = part.at.machine
@@ -252,7 +254,7 @@ def _solve(bench: Bench, calls: Calls, runner: Runner) -> Solved:
     )  # fmt: skip
 
 
-def _exact(part: Foreign, weights: Array, z: Array, target: Array) -> tuple[float, float, float]:
+def _exact(part: OptimiserPart, weights: Array, z: Array, target: Array) -> tuple[float, float, float]:
     """V, |r − target| and the squared sine at z, by flexopt's own Functions."""
     plant = part.at.plant
     at = [ca.DM(z[: plant.n_base].tolist()), ca.DM(z[plant.n_base :].tolist()), plant.parameter_values]
