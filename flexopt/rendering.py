@@ -1,8 +1,8 @@
 """Every text that flexopt writes from a template: C, HTML, Markdown, build files, in one dialect.
 
 In: the path of a template inside this package, and its values. Out: the text. A template looks like what it makes; its
-places are Jinja's. A value that a template asks for and does not get is an error. What goes into HTML is escaped and
-put on one line unless it is markup already; a user's name goes into C through the filter `c_text`.
+places are Jinja's. A value that a template asks for and does not get is an error. What goes into HTML is escaped unless
+it is markup already; a user's name goes into C through the filter `c_text`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
-from flexopt.escapes import c_text, one_line
+from flexopt.escapes import c_text, markup
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -35,7 +35,7 @@ def _environment() -> Environment:
         loader=PackageLoader("flexopt", "."),
         undefined=StrictUndefined,
         autoescape=lambda name: name is not None and name.endswith(".html"),
-        finalize=pass_eval_context(_plain),
+        finalize=pass_eval_context(_escaped),
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -44,6 +44,8 @@ def _environment() -> Environment:
     return environment
 
 
-def _plain(context: EvalContext, value: object) -> object:
-    """Text on its way into HTML without control characters and marks that turn the direction of writing."""
-    return one_line(value) if context.autoescape and type(value) is str else value
+def _escaped(context: EvalContext, value: object) -> object:
+    """Text on its way into HTML, unless it is markup already."""
+    from markupsafe import Markup  # noqa: PLC0415
+
+    return Markup(markup(value)) if context.autoescape and type(value) is str else value

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flexopt.export.foreign import Foreign, draw_target, optimiser
 
 import flexopt
 from benchmarks.optimiser import Pair, draw_pairs, value_of
@@ -17,7 +18,6 @@ from flexopt.errors import InputError, UnreachableTarget
 from flexopt.export import PARTS, ExportReport, export_c, verify_bundle
 from flexopt.export.bundle import library_of, read_manifest
 from flexopt.export.context import build_context
-from flexopt.export.foreign import Foreign, draw_target, optimiser
 from flexopt.export.verify import optimiser as verify
 from flexopt.export.verify.bench import Bench
 from flexopt.model import tree_from_dict
