@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
-from flexopt.escapes import c_text, markup
+from flexopt.foundation.escapes import c_text, markup
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -7,9 +7,9 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from flexopt.escapes import c_identifier as identifier
-from flexopt.escapes import c_text as text_of
 from flexopt.export.kernels import Real, single_constant
+from flexopt.foundation.escapes import c_identifier as identifier
+from flexopt.foundation.escapes import c_text as text_of
 from flexopt.rendering import render
 
 WIDTH = 118

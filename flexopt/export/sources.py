@@ -20,7 +20,7 @@ from flexopt.export.naming import CWriter, constants
 from flexopt.export.operations import TURN, Operation
 from flexopt.export.optimiser_part import OptimiserPart
 from flexopt.export.parts import PARTS
-from flexopt.model.documents import package_version
+from flexopt.foundation.documents import package_version
 
 STATUSES = {
     "OK": "success: every output is written and finite",

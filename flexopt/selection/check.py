@@ -9,8 +9,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.selection.nlp import Rows
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.objective import KINK

@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 
 from flexopt.algebra.feasible import feasible_steps
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.problem import Control
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import Measures, build_measures

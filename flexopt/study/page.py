@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from flexopt import writing
-from flexopt.writing import make_folder
+from flexopt.foundation import writing
+from flexopt.foundation.writing import make_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

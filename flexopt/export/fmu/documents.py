@@ -10,7 +10,7 @@ import numpy as np
 from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import Version
 from flexopt.export.fmu.variable import Variable
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.rendering import render
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.selection.check import row_gradients
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.programs import Bounds, Local, run

@@ -13,8 +13,8 @@ from functools import partial
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
-from flexopt.model.arguments import Vector
-from flexopt.selection.parallel import in_parallel
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.processes import in_parallel
 from flexopt.selection.seen import BETTER
 from flexopt.selection.several.joined import SOLVED, STATIONARITY_TOLERANCE, Joined
 from flexopt.selection.several.results import Place

@@ -13,7 +13,7 @@ from flexopt.study.gains import BorderRow
 from flexopt.study.page import Table, picture, write_files
 
 if TYPE_CHECKING:
-    from flexopt.study.reproduction import Reproduction
+    from flexopt.article.reproduction import Reproduction
 
 CAPTIONS = {
     "figure5": "Fig. 5. In-phase (yellow) and out-of-phase (blue) regions, Jacobian inverse control: trace R_i > 0. "
