@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexopt.rendering import render
+from flexopt.foundation.rendering import render
 from flexopt.study.gains import BorderRow
 from flexopt.study.page import Table, picture, write_files
 
@@ -42,7 +42,7 @@ def write_report(result: Reproduction, folder: Path) -> tuple[Path, Path]:
 def report_html(result: Reproduction) -> str:
     """The page."""
     return render(
-        "study/templates/reproduction.html",
+        "article/templates/reproduction.html",
         title="The article, computed again",
         provenance=result.to_dict()["provenance"],
         result=result,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from flexopt.export.kernels import Real, single_constant
 from flexopt.foundation.escapes import c_identifier as identifier
 from flexopt.foundation.escapes import c_text as text_of
-from flexopt.rendering import render
+from flexopt.foundation.rendering import render
 
 WIDTH = 118
 

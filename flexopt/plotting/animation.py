@@ -21,10 +21,10 @@ from PIL import Image
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import instance, number, path, public
+from flexopt.foundation.rendering import render
 from flexopt.foundation.writing import write_file
 from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.stage_space import SpaceStage
-from flexopt.rendering import render
 from flexopt.simulation.trajectory import Trajectory
 
 FRAMES_MAX = 250

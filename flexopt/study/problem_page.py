@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from flexopt.foundation.rendering import render
 from flexopt.plant import build_plant
-from flexopt.rendering import render
 from flexopt.study.page import Table, picture
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import Version
 from flexopt.export.fmu.variable import Variable
 from flexopt.foundation.arrays import Vector
-from flexopt.rendering import render
+from flexopt.foundation.rendering import render
 
 
 def reference_table(model: FmuModel) -> str:

@@ -10,7 +10,7 @@ from typing import Literal
 from flexopt.export.fmu.model import FmuModel
 from flexopt.export.kernels import kernel_text
 from flexopt.export.naming import wrapped
-from flexopt.rendering import render
+from flexopt.foundation.rendering import render
 
 Version = Literal["2.0", "3.0"]
 VERSIONS: tuple[Version, ...] = ("2.0", "3.0")

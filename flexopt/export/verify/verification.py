@@ -32,8 +32,8 @@ from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
 from flexopt.foundation.boundary import public, whole, words
 from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.rendering import render
 from flexopt.foundation.writing import make_folder, write_files
-from flexopt.rendering import render
 
 INPUTS, FUZZ_CALLS = 1000, 10_000
 COUNT_MAX = 1_000_000

@@ -11,7 +11,7 @@ import pytest
 from jinja2 import UndefinedError
 
 import flexopt
-from flexopt.rendering import render
+from flexopt.foundation.rendering import render
 
 ROOT = Path(flexopt.__file__).parent
 EVIL = '<script>alert("x")</script> & \N{RIGHT-TO-LEFT OVERRIDE}\n*/ "'
@@ -19,11 +19,11 @@ EVIL = '<script>alert("x")</script> & \N{RIGHT-TO-LEFT OVERRIDE}\n*/ "'
 
 def test_a_value_that_is_missing_is_an_error():
     with pytest.raises(UndefinedError, match="title"):
-        render("templates/page.html", provenance={})
+        render("foundation/templates/page.html", provenance={})
 
 
 def test_names_in_html_are_text_wherever_they_stand():
-    page = render("templates/page.html", title=EVIL, provenance={"name": EVIL})
+    page = render("foundation/templates/page.html", title=EVIL, provenance={"name": EVIL})
     assert "<script" not in page
     assert "\N{RIGHT-TO-LEFT OVERRIDE}" not in page
     assert page.count("&lt;script&gt;") == 2  # the title and the heading; the document's quotes are JSON's
