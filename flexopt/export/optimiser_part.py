@@ -6,9 +6,8 @@ In: a `Context`, the bundle's prefix and precision. Out: an `OptimiserPart`: its
 from __future__ import annotations
 
 import math
-import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -95,7 +94,7 @@ class OptimiserPart:
     @cached_property
     def header(self) -> str:
         """The public header."""
-        return self.writer.render("optimiser_header.h", declarations=self.sources.header.strip())
+        return self.sources.header
 
     @cached_property
     def library_files(self) -> dict[str, str]:
@@ -160,14 +159,10 @@ class OptimiserPart:
         """The distance from singular postures that the problems keep, degrees."""
         return float(f"{math.degrees(math.asin(self.at.singularity_margin)):.12g}")
 
-    @cached_property
-    def statuses(self) -> dict[str, tuple[int, str]]:
-        """Name -> value and meaning, read from the header."""
-        pattern = rf"{self.prefix.upper()}_OPTIMISER_(\w+) = (\d+),?\s*/\*(.*?)\*/"
-        found = re.findall(pattern, self.sources.header, flags=re.DOTALL)
-        texts = {name: (int(value), re.sub(r"[\s*]+", " ", text).strip()) for name, value, text in found}
-        assert {name: value for name, (value, _) in texts.items()} == dict(self.sources.statuses)
-        return texts
+    @property
+    def statuses(self) -> Mapping[str, tuple[int, str]]:
+        """Name -> value and meaning."""
+        return self.sources.status_texts
 
     @cached_property
     def _example(self) -> str:
@@ -229,7 +224,7 @@ class OptimiserPart:
             "units": list(self.units),
             "inputs": inputs,
             "outputs": outputs,
-            "statuses": dict(self.sources.statuses),
+            "statuses": self.sources.statuses,
             "workspace": self.sources.workspace_size,
             "budget": {"unit": "evaluations of V", "default": self.sources.budget, "most": BUDGET_MAX,
                        "derivatives_cost": self.sources.model_cost},

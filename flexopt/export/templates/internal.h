@@ -13,6 +13,7 @@
 #error "compile without -ffast-math and -ffinite-math-only (MSVC: /fp:fast): refusals rely on NaN and infinity"
 #endif
 
+{% include "export/templates/single_precision.h" %}
 /* Pointers and workspace; `given` says whether no pointer is NULL. */
 static inline {{ prefix }}_status {{ prefix }}_check_call(int given, const {{ prefix }}_real *workspace, size_t length,
                                                     size_t needed)
@@ -99,7 +100,7 @@ static inline void {{ prefix }}_unwind(const {{ prefix }}_real *values, size_t l
   for (i = 0U; i < length; ++i) {
     turned[i] = values[i];
     if (turns[i] != 0) {
-      const {{ prefix }}_real count = {{ "floor" if real == "double" else "floorf" }}((values[i] / {{ number(turn) }}) + {{ number(0.5) }});
+      const {{ prefix }}_real count = floor((values[i] / {{ number(turn) }}) + {{ number(0.5) }});
       turned[i] = (values[i] - (count * {{ number(turn_parts[0]) }})) - (count * {{ number(turn_parts[1]) }});
     }
   }
