@@ -166,9 +166,9 @@ def kernel_text(functions: Sequence[ca.Function], real: Real, real_type: str) ->
 
 
 def single_precision(text: str) -> str:
-    """Constants with the suffix f, which macros cannot give and only GCC has an option for (-fsingle-precision-constant).
+    """Constants with the suffix f: no macro gives it, and only GCC has an option (-fsingle-precision-constant).
 
-    clang and MSVC have none, and a bundle is compiled with its user's own options. Calls of the mathematical library
+    A bundle is compiled with its user's own options, by clang and MSVC, too. Calls of the mathematical library
     are macros of the bundle's own header.
     """
     return _NUMBER.sub(lambda match: single_constant(match[1]), text)

@@ -129,10 +129,12 @@ class OptimiserPart:
             nan_target=f"({self.prefix}_real)NAN",
             far=self.writer.number(1e5),
         )
-        return {
-            "test/optimiser_selftest.h": selftest,
-            "test/optimiser_driver.c": self.writer.render("optimiser_driver.c"),
-        }
+        return {"test/optimiser_selftest.h": selftest} | self.driver_files
+
+    @property
+    def driver_files(self) -> dict[str, str]:
+        """Path -> text of the program that replays calls from a file."""
+        return {"test/optimiser_driver.c": self.writer.render("optimiser_driver.c")}
 
     @property
     def on_target(self) -> float:

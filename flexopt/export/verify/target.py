@@ -57,7 +57,7 @@ def check_target(bench: Bench, target: Target) -> list[Check]:
     ]
     if optimiser.PART in bench.library.standalone:
         name = "optimiser beside IPOPT; instructions, stack"
-        checks.append(attempt(name, target, lambda: _optimiser(bench, board, target, flags)))
+        checks.append(attempt(name, target, lambda: _optimiser(bench, target, flags)))
     if bench.single and target == "cortex-m4f" and "controller" in bench.library.operations:
         checks.append(attempt("against the plain CasADi export", target, lambda: _against_plain(bench, board)))
     return checks
@@ -89,18 +89,23 @@ def _agreement(bench: Bench, board: Board, target: Target, flags: Sequence[str])
     return Finding(found.sentence, found.faults, [*found.tables, table])
 
 
-def _optimiser(bench: Bench, board: Board, target: Target, flags: Sequence[str]) -> Finding:
-    need(COMPILER, EMULATOR)
+def _optimiser(bench: Bench, target: Target, flags: Sequence[str]) -> Finding:
     built = objects.accounted(bench, target, COMPILER, flags)
-    source = bench.folder / "test" / "optimiser_driver.c"
-    program = _program(bench, board, f"optimiser-{target}", [source, *built.values()])
-
-    def launch(_: Path, calls: str, answers: str) -> None:
-        _emulate(bench, board, program, [calls, answers])
-
-    found = optimiser.agreement(bench, launch, counts=True)
+    found = optimiser.agreement(bench, board_runner(bench, target, list(built.values())), counts=True)
     # Doubles in software cost what they cost; the bar is for processors that have the precision.
     return optimiser.within_bar(found) if bench.single or target == "cortex-m7" else found
+
+
+def board_runner(bench: Bench, target: Target, library: Sequence[Path] | None = None) -> optimiser.Runner:
+    """The optimiser's driver on an emulated board, linked with the library's objects, by default with its sources."""
+    need(COMPILER, EMULATOR)
+    sources = [bench.folder / "test" / "optimiser_driver.c", *(library or bench.sources)]
+    program = _program(bench, BOARDS[target], f"optimiser-{target}", sources)
+
+    def launch(_: Path, calls: str, answers: str) -> None:
+        _emulate(bench, BOARDS[target], program, [calls, answers])
+
+    return launch
 
 
 def _repeats(operation: Operation) -> int:
