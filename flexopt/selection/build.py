@@ -17,8 +17,8 @@ from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Control, Elbow
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held
+from flexopt.selection.configuration import build_configuration
 from flexopt.selection.constraints import ConstraintSet, build_constraints, constraint_faults
-from flexopt.selection.nlp import build_configuration
 from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
 from flexopt.selection.problem import Constraint, SelectionProblem, Travel, Variable
 from flexopt.selection.scan import Scan, scan_redundancy

@@ -14,15 +14,14 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.model.arguments import Vector
 from flexopt.robustness.evaluation import prepare
-from flexopt.selection.check import Proof, prove, stated
+from flexopt.selection.check import Proof, prove
 from flexopt.selection.parallel import in_parallel
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.programs import Bounds, run
+from flexopt.selection.program import SOLVED, single
 from flexopt.selection.result import Attempt, Kept
 from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
 
 SAME_POINT = 1e-4
-SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 CUT_SHORT = "Maximum_Iterations_Exceeded"
 # Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
 NEARLY = 1e-3
@@ -268,25 +267,7 @@ def run_solver(
 
     `within` limits how far it leads, in scaled variables.
     """
-    solver, shift, n_task = problem.solver(quick=quick), problem.shift[0], problem.target.size
-    objective, rows = problem.objective, problem.constraints[n_task:]
-    x0, lower, upper = ((bound - shift) / problem.scale for bound in (start, problem.lower, problem.upper))
-    lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
-    at_least = [np.zeros(n_task), np.array([row.lower / row.scale for row in rows])]
-    at_most = [np.zeros(n_task), np.array([row.upper / row.scale for row in rows])]
-    for earlier, kept, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
-        branches = 2 if earlier.has_kinks else 1
-        at_least.append(np.full(branches, kept / size))
-        at_most.append(np.full(branches, np.inf))
-    if objective.has_kinks:
-        value = problem.branches(objective, start)[0][0] / problem.objective_scale
-        x0, lower, upper = np.append(x0, value), np.append(lower, -np.inf), np.append(upper, np.inf)
-        at_least.append(np.zeros(2))
-        at_most.append(np.full(2, np.inf))
-    bounds = Bounds(lower, upper, np.concatenate(at_least), np.concatenate(at_most))
-    reached = run(solver, partial(stated, problem), x0, problem.solver_parameters(), bounds)
-    z = problem.wrapped(reached.x[: problem.scale.size] * problem.scale + shift)
-    return np.clip(z, problem.lower, problem.upper), reached.iterations, reached.status
+    return single(problem).solve(start, quick=quick, within=within)
 
 
 def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:

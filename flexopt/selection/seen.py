@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.model.arguments import Vector
-from flexopt.selection.check import row_gradients
 from flexopt.selection.objective import Objective
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import row_gradients
 from flexopt.selection.scan import peaks
 from flexopt.selection.starts import FEASIBLE
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexopt.model.arguments import Vector
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reaching import iterate, reach_steps
-from flexopt.selection.nlp import Configuration
+from flexopt.selection.configuration import Configuration
 from flexopt.selection.objective import Objective, Quantities
 from flexopt.selection.scan import Scan, empty_scan, peaks
 

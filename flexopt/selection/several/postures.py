@@ -15,6 +15,7 @@ from flexopt.model.arguments import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
 from flexopt.plant.reaching import joint_box, solve_postures
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import values_of
 from flexopt.selection.starts import violated
 
 # Postures tried from each placement: coordinates of a longer planar arm for each elbow; starts of the iteration.
@@ -73,16 +74,9 @@ def _valued(problem: SelectionProblem, z: Vector, reaches: NDArray[np.bool_]) ->
     value = np.full(off.size, -np.inf)
     good = np.flatnonzero(off <= EDGE)
     if good.size:
-        worth = value_of(problem, flat[:, good])
+        worth = values_of(problem, flat[:, good])
         value[good] = np.where(np.isfinite(worth), worth, -np.inf)
     return Reached(flat.reshape(z.shape), value.reshape(shape), off.reshape(shape))
-
-
-def value_of(problem: SelectionProblem, z: Vector) -> Vector:
-    """V (N,) of configurations z (n_z, N), the cost of travel taken off."""
-    plant, n_b = problem.measures.plant, problem.measures.plant.n_base
-    w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
-    return np.array(problem.objective.alpha) @ w - problem.travel_cost(problem.objective, z.T)[0]
 
 
 def _starts(problem: SelectionProblem, bases: Vector, seed: int, finer: int) -> Vector:

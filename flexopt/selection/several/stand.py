@@ -18,7 +18,7 @@ from flexopt.model.problem import COMBINES, SINGULARITY_MARGIN_DEG, Control
 from flexopt.model.targets import SHARE_MAX
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
-from flexopt.selection.several.joined import Joined
+from flexopt.selection.program import Program
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import Progress, places_at
@@ -89,19 +89,19 @@ def select_stand(
     options |= {"base": base, "posture": posture, "base_range": base_range, "constraints": constraints}
     options |= {"singularity_margin_deg": singularity_margin_deg, "starts": starts, "seed": seed}
     problems = build_problems("select_stand", machine, points, "targets", options)
-    joined = one_placement(problems, share, weighted=combine == "weighted")
+    program = one_placement(problems, share, weighted=combine == "weighted")
     bases = sample_bases(problems, *BASES, seed)
     if not bases.shape[1]:
         raise none_reaches_all(len(points))
     found = [reached_from(problem, bases, seed) for problem in problems]
-    good, tried = best_placements(joined, bases, found, starts or default_starts(joined), seed, count, progress)
+    good, tried = best_placements(program, bases, found, starts or default_starts(program), seed, count, progress)
     best = good[0].x
-    places = places_at(joined, best)
+    places = places_at(program, best)
     stated = {"combine": combine, "shares": share.tolist(), "targets": points.tolist()}
     return Stand(
         places=places,
-        worth=joined.worth(best),
-        alternatives=tuple(_alternatives(joined, [end.x for end in good])),
+        worth=program.worth(best),
+        alternatives=tuple(_alternatives(program, [end.x for end in good])),
         stationarity=good[0].stationarity,
         attempts=(tried, len(good)),
         problems=problems,
@@ -109,14 +109,14 @@ def select_stand(
     )
 
 
-def _alternatives(joined: Joined, points: list[Vector]) -> list[tuple[float, Vector]]:
+def _alternatives(program: Program, points: list[Vector]) -> list[tuple[float, Vector]]:
     """Worth and placement of the optima after the first, those at the same place once."""
-    n_b = joined.first.measures.plant.n_base
-    scale = joined.first.scale[:n_b]
+    n_b = program.first.measures.plant.n_base
+    scale = program.first.scale[:n_b]
     bases = [points[0][:n_b]]
     others: list[tuple[float, Vector]] = []
     for x in points[1:]:
-        if all(np.abs(x[:n_b] - other).max(initial=0.0) > SAME_BASE for other in bases):
+        if all(np.abs((x[:n_b] - other) / scale).max(initial=0.0) > SAME_BASE for other in bases):
             bases.append(x[:n_b])
-            others.append((joined.worth(x), x[:n_b] * scale))
+            others.append((program.worth(x), x[:n_b]))
     return others
