@@ -38,13 +38,13 @@ from scipy.io import netcdf_file
 
 import flexopt
 from benchmarks.timing import table
+from flexopt.article import reproduce
 from flexopt.compiled import batch
 from flexopt.compiled.compilers import find_compiler, library_suffix
 from flexopt.compiled.storage import digest
 from flexopt.errors import FlexoptError
 from flexopt.export import bundle
 from flexopt.export.bundle import MANIFEST, changed_files, read_manifest
-from flexopt.study import reproduce
 
 Write = Callable[[Path, int], None]
 POSTURE = (1.0, -1.4)

@@ -24,7 +24,7 @@ import scipy.linalg
 import flexopt
 from benchmarks.batches import peers
 from benchmarks.timing import table
-from flexopt.compiled.turns import available_cores
+from flexopt.foundation.turns import available_cores
 from flexopt.robustness.margin import build_margin
 from flexopt.study import points
 

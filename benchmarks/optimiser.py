@@ -29,16 +29,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 
 import flexopt
 from benchmarks.timing import table
 from flexopt.errors import FlexoptError, UnreachableTarget
 from flexopt.export.kernels import Real
 from flexopt.export.optimiser import OptimiserSources, build_optimiser
+from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.problem import Control
-from flexopt.model.quantities import COORDINATE_MAX
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, reach, sampled_ranges
 from flexopt.selection.optima import run_solver

@@ -28,14 +28,14 @@ from benchmarks.recursions import Articulated, WorldAxes
 from benchmarks.simulation.peers import STRICT, Missing, _built, _folder
 from benchmarks.timing import table
 from flexopt.compiled import recurrence
+from flexopt.loop.directions import Carried, Computed, stacked
+from flexopt.loop.integrators import State, classical_step
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant.machine_motion import constant_values, structure_of
 from flexopt.plant.planar_motion import PlanarMotion
 from flexopt.plant.plant import Plant
 from flexopt.plant.spatial import build_spatial
 from flexopt.plant.tree_motion import TreeMotion
-from flexopt.simulation.directions import Carried, Computed, stacked
-from flexopt.simulation.integrators import State, classical_step
 from tests.oracles.spatial import grounded, in_space, mujoco_tree
 
 OTHERS: dict[str, type[TreeMotion]] = {"articulated bodies": Articulated, "composite bodies, world axes": WorldAxes}

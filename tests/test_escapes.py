@@ -23,8 +23,8 @@ from matplotlib.figure import Figure
 
 import flexopt
 from flexopt import machine_from_dict
-from flexopt.escapes import TERMINAL, ascii_text, c_identifier, c_text, markup, mathtext, one_line, terminal
 from flexopt.export.fmu import export_fmu, package
+from flexopt.foundation.escapes import TERMINAL, ascii_text, c_identifier, c_text, markup, mathtext, one_line, terminal
 from flexopt.plotting import plot_trajectories
 
 HOSTILE = {

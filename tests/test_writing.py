@@ -18,9 +18,9 @@ from typing import Any, NoReturn
 import pytest
 
 import flexopt
-from flexopt import writing
 from flexopt.errors import FlexoptError, WriteError
-from flexopt.writing import replace_folder, write_file, write_files
+from flexopt.foundation import writing
+from flexopt.foundation.writing import replace_folder, write_file, write_files
 
 POSIX = os.name == "posix"
 ROOM = Path(flexopt.__file__).parent
@@ -259,7 +259,7 @@ def test_nothing_else_writes_files() -> None:
         name = path.relative_to(ROOM).as_posix()
         if name not in _ALLOWED:
             found += _writes(path.read_text(encoding="utf-8"), name)
-    assert not found, "use flexopt.writing: " + "\n".join(found)
+    assert not found, "use flexopt.foundation.writing: " + "\n".join(found)
 
 
 @pytest.mark.parametrize(

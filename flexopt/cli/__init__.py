@@ -16,8 +16,8 @@ import click
 
 from flexopt.cli.common import BAD_INPUT, FAILED, print_json, say
 from flexopt.errors import FlexoptError, InputError
-from flexopt.escapes import TERMINAL
-from flexopt.model.documents import json_ready, package_version
+from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.escapes import TERMINAL
 
 # Commands and their modules, imported when they are asked for: what one needs takes longest.
 _COMMANDS = {

@@ -32,12 +32,12 @@ from flexopt.cli.common import (
     write_output,
 )
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine, Machine, Problem, load, load_any
-from flexopt.model.arguments import Arguments
 from flexopt.model.problem import ELBOWS
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import evaluate
-from flexopt.writing import write_file
 
 if TYPE_CHECKING:
     from flexopt.selection import BasePlan, Selection, Stand

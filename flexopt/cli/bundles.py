@@ -25,8 +25,8 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.fmu import fmu_options, write_fmu
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
 from flexopt.model import load
-from flexopt.model.arguments import Arguments
 
 
 class _WithParts(click.Command):

@@ -13,8 +13,9 @@ from typing import Any, TypeVar, cast
 import click
 
 from flexopt.errors import Fault, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
-from flexopt.escapes import terminal
-from flexopt.model.problem import CONTROLS, DAMPED, ELBOWS
+from flexopt.foundation.control import CONTROLS, DAMPED
+from flexopt.foundation.escapes import terminal
+from flexopt.model.problem import ELBOWS
 
 BAD_INPUT, FAILED = 2, 3
 FILE_NAME_MAX = 255

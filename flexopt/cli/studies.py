@@ -117,7 +117,7 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
 
     Writes one HTML report and one JSON file into a folder, which is made if it is missing.
     """
-    from flexopt.study import reproduce  # noqa: PLC0415  (only this command needs it)
+    from flexopt.article import reproduce  # noqa: PLC0415  (only this command needs it)
 
     folder = out or REPORT_FOLDER
     check_folder("--out", folder)

@@ -30,7 +30,7 @@ from pathlib import Path
 
 from flexopt.compiled.storage import digest, recall, remember, scratch
 from flexopt.errors import CompilerNotFound
-from flexopt.writing import write_file
+from flexopt.foundation.writing import write_file
 
 _LOG = logging.getLogger(__name__)
 _SUFFIX = {"Darwin": ".dylib", "Windows": ".dll"}.get(platform.system(), ".so")

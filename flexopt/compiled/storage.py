@@ -26,7 +26,7 @@ from pathlib import Path
 
 from flexopt.compiled.locks import lock
 from flexopt.errors import FlexoptWarning
-from flexopt.writing import fresh_folder, write_file
+from flexopt.foundation.writing import fresh_folder, write_file
 
 MEGABYTES = 512.0
 # Pruning leaves this share of the limit, and nothing that was used in the last seconds.

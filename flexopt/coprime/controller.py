@@ -20,7 +20,7 @@ from flexopt.coprime.scaling import scale_for_riccati
 from flexopt.coprime.symbols import rotation, to_continuous, to_discrete, turn_controller, turn_plant
 from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
 from flexopt.errors import FlexoptError, NoSolutionFound
-from flexopt.model.boundary import public
+from flexopt.foundation.boundary import public
 
 ATTAINED = 1e-6
 CLOSE = 1e-10  # no other way is tried below this

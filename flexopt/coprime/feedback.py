@@ -12,7 +12,7 @@ import numpy as np
 from flexopt.coprime.guard import guarded
 from flexopt.coprime.norms import hinf_peak
 from flexopt.coprime.system import PAIR, StateSpace, system_pair
-from flexopt.model.boundary import public, words
+from flexopt.foundation.boundary import public, words
 
 ILL_POSED = 1e-13
 

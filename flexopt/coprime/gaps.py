@@ -17,7 +17,7 @@ from flexopt.coprime.norms import axis_peak
 from flexopt.coprime.scaling import Scaled, balance, hamiltonian, riccati_matrices, scale_for_norm, typical
 from flexopt.coprime.symbols import Symbols, graph_symbols, inverse_root
 from flexopt.coprime.system import PAIR, Matrix, StateSpace, system_pair
-from flexopt.model.boundary import public
+from flexopt.foundation.boundary import public
 
 RESOLUTION = 1e-10
 NEAR = 1e-9

@@ -30,8 +30,8 @@ from flexopt.coprime.scaling import Scaled, riccati_matrices, scale_for_riccati
 from flexopt.coprime.stabilizability import Escape, escaping_modes, growth, raise_escapes
 from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
 from flexopt.errors import MarginNotComputed
-from flexopt.model.boundary import public
-from flexopt.model.documents import json_ready
+from flexopt.foundation.boundary import public
+from flexopt.foundation.documents import json_ready
 
 RESIDUAL_MAX = 1e-6
 # Bounds on the relative error of ε_max: up to which double precision is left at it, and with which it is still told.

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from flexopt.coprime.guard import INSIDE
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import Check, anything, array_of, public
-from flexopt.model.documents import json_ready
-from flexopt.model.plain import plain, shown
-from flexopt.model.quantities import check_number
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import Check, anything, array_of, public
+from flexopt.foundation.documents import json_ready
+from flexopt.foundation.plain import plain, shown
+from flexopt.foundation.quantities import check_number
 
 Matrix = NDArray[np.floating[Any]]
 PERIOD_MAX = 1e100

@@ -21,13 +21,13 @@ from flexopt.export.naming import identifier
 from flexopt.export.operations import TOLERANCES, Field
 from flexopt.export.parts import PARTS
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import by, number, public, words
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import json_ready, package_version, provenance
+from flexopt.foundation.plain import shown
+from flexopt.foundation.writing import replace_folder
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
-from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import by, number, public, words
-from flexopt.model.documents import json_ready, package_version, provenance
-from flexopt.model.plain import shown
-from flexopt.model.problem import Control
-from flexopt.writing import replace_folder
 
 FORMAT = "flexopt C bundle"
 MANIFEST = "manifest.json"

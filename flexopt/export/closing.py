@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from flexopt.export.context import Context
 from flexopt.export.control import damps_self_motion, task_space_torque
 from flexopt.export.operations import Array, Operation
-from flexopt.simulation.feedback import self_motion_damping
-from flexopt.simulation.machine_step import machine_step
+from flexopt.loop.feedback import self_motion_damping
+from flexopt.loop.machine_step import machine_step
 
 RATE_HZ, DURATION_S = 200, 12
 # The example ends well below the first, m for each m of the arm; tried here with room to spare.

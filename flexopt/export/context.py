@@ -15,9 +15,9 @@ import numpy as np
 
 from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes
 from flexopt.export.parameters import machine_parameters
+from flexopt.foundation.control import Control
+from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Control
-from flexopt.model.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.plant import Plant, build_plant
 from flexopt.robustness.measures import Measures, build_measures
 

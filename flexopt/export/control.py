@@ -9,11 +9,11 @@ import casadi as ca
 
 from flexopt.export.context import Context, sine_squared, unit_list
 from flexopt.export.operations import Field, Operation
-from flexopt.model.problem import CONTROLS, Control, control_damping, control_method
-from flexopt.model.quantities import COORDINATE_MAX
+from flexopt.foundation.control import CONTROLS, Control, control_damping, control_method
+from flexopt.foundation.quantities import COORDINATE_MAX
+from flexopt.loop.feedback import joint_torque, nullspace_torque
 from flexopt.plant import Plant
 from flexopt.plant.control import task_to_joints
-from flexopt.simulation.feedback import joint_torque, nullspace_torque
 
 RATE_MAX = 1e4
 GAIN_MAX = 1e12

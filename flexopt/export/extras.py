@@ -18,7 +18,7 @@ from flexopt.export.naming import listed, number, template, text_of
 from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Array, Field, Operation, Samples
 from flexopt.export.parts import PARTS
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
-from flexopt.model.documents import package_version
+from flexopt.foundation.documents import package_version
 
 VECTOR_COUNT = 12
 VECTOR_SEED = 1

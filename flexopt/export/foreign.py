@@ -21,10 +21,10 @@ from flexopt.export.kernels import Real
 from flexopt.export.naming import listed, number, template, text_of
 from flexopt.export.operations import Array
 from flexopt.export.optimiser import BUDGET_MAX, STARTS, OptimiserSources, build_optimiser
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import package_version
+from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
-from flexopt.model.documents import package_version
-from flexopt.model.problem import Control
-from flexopt.model.quantities import COORDINATE_MAX
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, outer_reach, reach, sampled_ranges
 from flexopt.selection import Selection, select

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from importlib.resources import files
 from string import Template
 
-from flexopt.escapes import c_identifier as identifier
-from flexopt.escapes import c_text as text_of
 from flexopt.export.kernels import Real, single_constant
+from flexopt.foundation.escapes import c_identifier as identifier
+from flexopt.foundation.escapes import c_text as text_of
 
 WIDTH = 118
 

@@ -23,10 +23,11 @@ from flexopt.export.naming import constants, number, text_of
 from flexopt.export.operations import Array
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
 from flexopt.export.parameters import parameter_range
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.control import Control
+from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control, check_margin_deg, check_weights
-from flexopt.model.quantities import COORDINATE_MAX
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, check_margin_deg, check_weights
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures

@@ -11,9 +11,9 @@ from flexopt.algebra import solve_spd
 from flexopt.export.context import Context, unit_list
 from flexopt.export.control import torque_unit
 from flexopt.export.operations import Operation
+from flexopt.loop.machine_step import machine_step
 from flexopt.model.parameter_ranges import POSITIVE
 from flexopt.plant import Plant
-from flexopt.simulation.machine_step import machine_step
 
 RATE_MAX, TORQUE_MAX, STEP_MAX = 1e4, 1e12, 0.1
 

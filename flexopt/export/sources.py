@@ -19,7 +19,7 @@ from flexopt.export.kernels import Kernel, KernelText, Real, kernel_text
 from flexopt.export.naming import comment, constants, listed, number, template, text_of
 from flexopt.export.operations import TURN, Field, Guard, Operation
 from flexopt.export.parts import PARTS
-from flexopt.model.documents import package_version
+from flexopt.foundation.documents import package_version
 
 STATUSES = {
     "OK": "success: every output is written and finite",

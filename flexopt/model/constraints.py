@@ -14,9 +14,10 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from flexopt.model.faults import ALIKE, read_table, validated
+from flexopt.foundation.nearest import ALIKE
+from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX, check_number, check_numbers, checked
+from flexopt.model.faults import read_table, validated
 from flexopt.model.polygons import Corners, check_simple_polygon
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX, check_number, check_numbers, checked
 from flexopt.model.tables import FileModel
 
 Interval = tuple[float, float]

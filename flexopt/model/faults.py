@@ -10,9 +10,9 @@ from typing import Any, TypeVar, cast
 from pydantic import ValidationError
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.foundation.plain import Unreadable, plain_table, shown
 from flexopt.model.cylinder_faults import cylinder_faults
 from flexopt.model.machine import BASE_DIRECTIONS, FileModel
-from flexopt.model.plain import Unreadable, plain_table, shown
 
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
 # How alike two words must be for one to be suggested for the other.

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from flexopt.errors import ModelError
-from flexopt.model.faults import ALIKE, DEPTH_MAX
+from flexopt.foundation.nearest import ALIKE
+from flexopt.model.faults import DEPTH_MAX
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # Fifty times the largest file that a machine of the most bodies needs.

@@ -29,7 +29,7 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 
 from pydantic import Field
 
-from flexopt.model.quantities import LENGTH_MAX, Length, Offset, check_number, check_numbers, check_pair, checked
+from flexopt.foundation.quantities import LENGTH_MAX, Length, Offset, check_number, check_numbers, check_pair, checked
 from flexopt.model.table_quantities import SPEED_MAX, check_place
 from flexopt.model.tables import FileModel
 

@@ -10,9 +10,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.hydraulics import Cylinder, JointFrame
-from flexopt.model.plain import shown
-from flexopt.model.quantities import (
+from flexopt.foundation.plain import shown
+from flexopt.foundation.quantities import (
     COORDINATE_MAX,
     Acceleration,
     Angle,
@@ -32,6 +31,7 @@ from flexopt.model.quantities import (
     check_schema,
     checked,
 )
+from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.strokes import Travel, usable_range
 from flexopt.model.tables import BuiltByCall, Capsule, FileModel, Payload, Span
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX
 from flexopt.model.machine import Parameter
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX
 
 # Smallest positive normal number in single precision: what must be greater than 0 is at least this.
 POSITIVE = 1.1754944e-38

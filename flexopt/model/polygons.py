@@ -10,7 +10,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any, cast
 
-from flexopt.model.quantities import COORDINATE_MAX, check_numbers
+from flexopt.foundation.quantities import COORDINATE_MAX, check_numbers
 
 Corner = tuple[float, float]
 Corners = tuple[Corner, ...]

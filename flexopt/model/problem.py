@@ -9,10 +9,8 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
-from flexopt.model.constraints import Constraints
-from flexopt.model.machine import AnyMachine, FileModel
-from flexopt.model.plain import shown
-from flexopt.model.quantities import (
+from flexopt.foundation.plain import shown
+from flexopt.foundation.quantities import (
     COORDINATE_MAX,
     check_number,
     check_numbers,
@@ -22,6 +20,8 @@ from flexopt.model.quantities import (
     checked,
     coordinate_max,
 )
+from flexopt.model.constraints import Constraints
+from flexopt.model.machine import AnyMachine, FileModel
 from flexopt.model.tables import BuiltByCall
 from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares, target_faults
 

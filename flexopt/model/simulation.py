@@ -11,21 +11,12 @@ from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, ModelError
-from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import array_of, public
-from flexopt.model.machine import AnyMachine, FileModel
-from flexopt.model.plain import plain
-from flexopt.model.problem import (
-    Control,
-    Elbow,
-    check_control,
-    check_gain,
-    check_objective,
-    check_seed,
-    check_task,
-    check_weights,
-)
-from flexopt.model.quantities import (
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import array_of, public
+from flexopt.foundation.control import Control, check_control
+from flexopt.foundation.coordinates import check_task
+from flexopt.foundation.plain import plain
+from flexopt.foundation.quantities import (
     COORDINATE_MAX,
     BaseRange,
     check_numbers,
@@ -34,6 +25,8 @@ from flexopt.model.quantities import (
     checked,
     quantity,
 )
+from flexopt.model.machine import AnyMachine, FileModel
+from flexopt.model.problem import Elbow, check_gain, check_objective, check_seed, check_weights
 from flexopt.model.tables import BuiltByCall
 
 Feedback = Literal["pd", "pid", "robust", "none"]

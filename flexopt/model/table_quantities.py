@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, cast
 
+from flexopt.foundation.quantities import LENGTH_MAX, check_number, check_numbers, check_pair
 from flexopt.model.polygons import Corners, check_simple_polygon, turn
-from flexopt.model.quantities import LENGTH_MAX, check_number, check_numbers, check_pair
 
 EFFORT_MAX, SPEED_MAX, ARMATURE_MAX = 1e15, 1e6, 1e15
 

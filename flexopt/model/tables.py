@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model.plain import plain_table
-from flexopt.model.quantities import Length, MassOrZero, checked
+from flexopt.foundation.plain import plain_table
+from flexopt.foundation.quantities import Length, MassOrZero, checked
 from flexopt.model.table_quantities import check_place, check_polygon, check_span
 
 

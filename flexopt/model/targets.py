@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
 from flexopt.errors import Fault
-from flexopt.model.quantities import COORDINATE_MAX, check_number, check_numbers, checked
+from flexopt.foundation.quantities import COORDINATE_MAX, check_number, check_numbers, checked
 from flexopt.model.tables import FileModel
 
 TARGETS_MAX = 1000

@@ -13,12 +13,12 @@ import numpy as np
 from pydantic import Field
 
 from flexopt.errors import Fault, ModelError
-from flexopt.model.boundary import public
+from flexopt.foundation.boundary import public
+from flexopt.foundation.quantities import Length, MassOrZero, checked
 from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, read_table, validated
 from flexopt.model.hydraulics import JointFrame
 from flexopt.model.machine import AnyMachine, FileModel, Parameter, Payload
-from flexopt.model.quantities import Length, MassOrZero, checked
 from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
 from flexopt.model.tables import Polygon
 from flexopt.model.tree_faults import tree_faults

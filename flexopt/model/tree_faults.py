@@ -9,9 +9,9 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import Fault
+from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, degrees_hint
 from flexopt.model.cylinder_faults import cylinder_faults
 from flexopt.model.faults import capsule_faults
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, degrees_hint
 from flexopt.model.tree_quantities import check_square
 
 Bodies = list[tuple[int, dict[str, Any]]]

@@ -7,7 +7,7 @@ from typing import Annotated, Any, cast
 
 import numpy as np
 
-from flexopt.model.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX, check_number, check_numbers, checked
+from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX, check_number, check_numbers, checked
 
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]

@@ -17,7 +17,7 @@ from flexopt.algebra import (
     apply_pseudo_inverse,
     apply_pseudo_inverse_transposed,
 )
-from flexopt.model.problem import Control, control_damping
+from flexopt.foundation.control import Control, control_damping
 
 
 def task_to_joints(jv: ca.SX, control: Control, right: ca.SX, damping: ca.SX | None = None) -> ca.SX:

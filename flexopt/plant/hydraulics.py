@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import array_of, instance, public, public_class, words
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.boundary import array_of, instance, public, public_class, words
 from flexopt.model.hydraulics import Cylinder, pin_to_pin
 from flexopt.plant.plant import Plant, build_plant
 

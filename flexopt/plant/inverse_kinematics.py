@@ -9,9 +9,10 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import public
 from flexopt.model.problem import Elbow
 from flexopt.plant.plant import Plant, build_plant
 from flexopt.plant.reach import missed, unreachable

@@ -9,9 +9,9 @@ import casadi as ca
 
 from flexopt.algebra import solve_spd
 from flexopt.errors import Fault, InputError
+from flexopt.foundation.boundary import instance, public, public_class
+from flexopt.foundation.control import Control, control_method
 from flexopt.model import AnyMachine, Machine, Tree
-from flexopt.model.boundary import instance, public, public_class
-from flexopt.model.problem import Control, control_method
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.frames import Frames, build_frames
 from flexopt.plant.mass_centre import centre_of_mass

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import UnreachableTarget
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine, Tree
-from flexopt.model.arguments import Vector
 from flexopt.plant.plant import Plant, build_plant
 
 Interval = tuple[float, float]

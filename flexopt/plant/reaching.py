@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.algebra.feasible import DAMPING_START, feasible_steps
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.plant.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, sampled_ranges
 

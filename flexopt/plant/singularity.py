@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import SingularPosture
-from flexopt.model.arguments import Vector
-from flexopt.model.problem import Control, control_damping
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control, control_damping
 from flexopt.plant.plant import Plant
 
 # Above this condition number Jv⁻¹ and its derivatives keep fewer than half of a double's digits.

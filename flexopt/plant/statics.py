@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from flexopt.errors import InputError
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.plant.plant import Plant
 
 

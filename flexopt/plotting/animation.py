@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from flexopt.escapes import markup
-from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import instance, number, path, public
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import instance, number, path, public
+from flexopt.foundation.escapes import markup
+from flexopt.foundation.writing import write_file
 from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.stage_space import SpaceStage
 from flexopt.simulation.trajectory import Trajectory
-from flexopt.writing import write_file
 
 FRAMES_MAX = 250
 SHORTEST_FRAME = 4  # hundredths of a second, in which GIF counts: 25 frames a second

@@ -14,7 +14,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.writing import write_file
+from flexopt.foundation.writing import write_file
 
 
 def write(call: str, figure: Figure, path: str | os.PathLike[str] | None, *, dpi: float = 200) -> None:

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.axes import Axes
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.simulation.behaviour import ROUNDING
 
 COLORS = ("#3b6ea5", "#d95f02", "#1b9e77", "#7570b3", "#222222", "#9aa0a6")

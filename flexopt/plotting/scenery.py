@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
-from flexopt.escapes import mathtext
+from flexopt.foundation.escapes import mathtext
 from flexopt.model.constraints import Area, Box, Constraints, HalfPlane, Obstacle, Sphere
 from flexopt.plotting.shape import Points, View
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flexopt.escapes import mathtext
+from flexopt.foundation.escapes import mathtext
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.scenery import AREAS, draw_scenery, scenery_points

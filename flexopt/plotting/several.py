@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.escapes import mathtext
-from flexopt.model.plain import shown
+from flexopt.foundation.escapes import mathtext
+from flexopt.foundation.plain import shown
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.panels import Line, Panel, draw_panel

@@ -19,7 +19,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.plotting.machine import BASE, UNDERCARRIAGE, bars, draw_ground, reach
 from flexopt.plotting.panels import draw_panel
 from flexopt.plotting.selection import CHOSEN, PRESENT

@@ -19,7 +19,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.plant import build_plant
 from flexopt.plotting.machine import draw_ground
 from flexopt.plotting.panels import draw_panel

@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.escapes import LEGEND_MAX, mathtext
-from flexopt.model.plain import shown
+from flexopt.foundation.escapes import LEGEND_MAX, mathtext
+from flexopt.foundation.plain import shown
 from flexopt.plant import build_plant
 from flexopt.plotting.files import write
 from flexopt.plotting.panels import Panel, draw_panel

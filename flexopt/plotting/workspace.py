@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from flexopt.escapes import TITLE_MAX, mathtext
+from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.plotting.fields import Plane, Values, draw_field, draw_marks, draw_regions, label_plane
 from flexopt.plotting.files import write
 

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexopt.model.boundary import array_of, instance, public
+from flexopt.foundation.boundary import array_of, instance, public
 from flexopt.plant.singularity import singular_points
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.robustness.modes import TRUSTED_GAP

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from flexopt.errors import Fault, FlexoptWarning, ModelError
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import TABLE, instance, path, public
+from flexopt.foundation.documents import provenance
 from flexopt.model import AnyMachine, Problem, load_file
-from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import TABLE, instance, path, public
-from flexopt.model.documents import provenance
 from flexopt.model.files import ROBOT_SUFFIXES
 from flexopt.model.plausibility import REACH_MAX, Finding
 from flexopt.model.simulation import Experiment

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from flexopt.compiled.extended import Evaluated, Exact, digits, exact, extended, largest, rounded
 from flexopt.coprime.decimals import Complex, solve_complex, symmetric, symmetric_eigen
 from flexopt.errors import InputError, NoSolutionFound
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.control import task_to_joints
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from flexopt.coprime.margin import with_bound
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import json_ready, provenance
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.boundary import public
-from flexopt.model.documents import json_ready, provenance
-from flexopt.model.problem import Control
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held

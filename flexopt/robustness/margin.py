@@ -26,8 +26,8 @@ import casadi as ca
 from flexopt import compiled
 from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
 from flexopt.algebra.riccati import DOUBLINGS, lyapunov, riccati_pair, top_eigenpairs
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Control
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.plant import OperatingPoint, Plant, build_plant
 from flexopt.robustness.modes import WRITTEN_OUT, called_modes, reduced_pencil, solve_modes

@@ -18,9 +18,9 @@ import casadi as ca
 
 from flexopt import compiled
 from flexopt.algebra import called_eigen, turned_vectors
+from flexopt.foundation.boundary import instance, public, public_class
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.boundary import instance, public, public_class
-from flexopt.model.problem import Control
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import screened
 from flexopt.robustness.modes import (

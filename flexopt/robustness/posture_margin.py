@@ -36,7 +36,7 @@ from flexopt.coprime.margin import TOLD, epsilon_error
 from flexopt.coprime.scaling import Scaled, scale_for_riccati
 from flexopt.coprime.stabilizability import REACH, Escape, escaping_modes, pole_text
 from flexopt.coprime.system import Matrix
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.robustness.margin import Margin
 
 # Eigenvalues this close, in ε, are at a kink: on its two sides the gradient belongs to different branches.

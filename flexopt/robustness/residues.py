@@ -6,7 +6,7 @@ import casadi as ca
 
 from flexopt.algebra import safe_norm, solve_spd, symmetric_eigen
 from flexopt.algebra.dense import TINY
-from flexopt.model.problem import Control
+from flexopt.foundation.control import Control
 from flexopt.plant.control import task_to_joints, task_to_joints_transposed
 from flexopt.plant.plant import OperatingPoint
 from flexopt.robustness.modes import ReducedPencil

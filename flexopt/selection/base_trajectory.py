@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import json_ready
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.boundary import public
-from flexopt.model.documents import json_ready
-from flexopt.model.problem import Control
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 

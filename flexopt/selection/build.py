@@ -9,11 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexopt.errors import Fault, UnreachableTarget
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import public
 from flexopt.model.constraints import Constraints
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Control, Elbow
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Elbow
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held

@@ -14,8 +14,8 @@ from typing import Any
 import casadi as ca
 
 from flexopt.algebra.feasible import feasible_steps
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Control
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.selection.constraints import ConstraintSet

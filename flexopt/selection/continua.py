@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.selection.problem import SelectionProblem
 
 # Joints that differ by less, in scaled variables, are the same posture.

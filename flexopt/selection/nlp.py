@@ -16,7 +16,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.robustness.margin import Margin, build_margin
 from flexopt.selection.configuration import Configuration
 from flexopt.selection.programs import make_solver

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 
 
 def nonnegative_least_squares(matrix: Vector, right: Vector) -> Vector:

@@ -14,12 +14,14 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import Check, number, of_machine, public, words
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.quantities import check_number, check_numbers
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import Check, number, of_machine, public, words
-from flexopt.model.documents import provenance
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control
-from flexopt.model.quantities import check_number, check_numbers
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG
 from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import accelerate
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.problem import Control
 from flexopt.plant.inverse_kinematics import inside_limits
 from flexopt.plant.plant import Plant
 from flexopt.robustness.margin import build_margin

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.errors import Fault
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.problem import Control
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import Measures, build_measures

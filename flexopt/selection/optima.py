@@ -12,10 +12,10 @@ from functools import partial
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.check import Proof, prove
-from flexopt.selection.parallel import in_parallel
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import SOLVED, single
 from flexopt.selection.result import Attempt, Kept

@@ -9,11 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import array_of, instance, number, public
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.boundary import array_of, instance, number, public
 from flexopt.model.constraints import Constraints as ConstraintsAsked
-from flexopt.model.problem import Control, Elbow
+from flexopt.model.problem import Elbow
 from flexopt.robustness.measures import Measures
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from flexopt.foundation.boundary import public
 from flexopt.model import Problem
-from flexopt.model.boundary import public
 from flexopt.selection.result import Selection
 from flexopt.selection.several import BasePlan, Stand, plan_base, select_stand
 from flexopt.selection.solve import Progress, select

@@ -13,8 +13,8 @@ from functools import cached_property, lru_cache, partial
 import casadi as ca
 import numpy as np
 
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.selection.configuration import Rows
 from flexopt.selection.nlp import Coupling, Goal, alone, build_solver
 from flexopt.selection.problem import Constraint, SelectionProblem, packed_parameters

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import WrongSlope
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 
 # Both sides are exact, and agree to rounding: the largest entry of each row counts as 1 and more.
 TOLERANCE = 1e-6

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from flexopt.compiled.turns import TURN
-from flexopt.model.arguments import Vector
-from flexopt.model.boundary import public
-from flexopt.model.documents import json_ready
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
+from flexopt.foundation.documents import json_ready
+from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
 

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.plant import Plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
 from flexopt.plant.reach import Interval

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.selection.objective import Objective
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import row_gradients

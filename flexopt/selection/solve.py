@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.compiled.turns import available_cores
 from flexopt.errors import FlexoptError
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import instance, public
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.boundary import instance, public
 from flexopt.model.constraints import Constraints
-from flexopt.model.documents import provenance
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Control, Elbow
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Elbow
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.robustness.plausibility import warn_implausible

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reaching import iterate, reach_steps
 from flexopt.selection.configuration import Configuration

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from flexopt.errors import Fault
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine, Tree
-from flexopt.model.arguments import Vector
 from flexopt.model.simulation import SimulationOptions
 from flexopt.plant.machine_motion import Structure, motion_of, structure_of
 from flexopt.plant.motion import Motion

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 
 RunVerdict = Literal["converges", "grows"]
 SETTLED = 0.02  # share of the error at the start

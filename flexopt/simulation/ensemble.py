@@ -19,14 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence
-from flexopt.compiled.turns import available_cores
 from flexopt.errors import Fault, InputError
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import array_of, of_machine, path, public, words
+from flexopt.foundation.documents import json_ready, provenance, write_netcdf
+from flexopt.foundation.plain import shown
+from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import array_of, of_machine, path, public, words
-from flexopt.model.documents import json_ready, provenance, write_netcdf
 from flexopt.model.parameter_ranges import parameter_range
-from flexopt.model.plain import shown
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from flexopt.errors import InputError
-from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import anything, holding_machine, public
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import anything, public
+from flexopt.model.boundary import holding_machine
 from flexopt.model.simulation import Experiment
 from flexopt.plant import inverse_kinematics
 from flexopt.selection import nullspace_trajectory

@@ -18,15 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import InputError
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import number, public
+from flexopt.loop.closed import closed_loop
+from flexopt.loop.structure import LoopStructure
+from flexopt.loop.tangent import Tangent, still, tangent
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import number, public
 from flexopt.model.simulation import SimulationOptions, dead_time
 from flexopt.plant import build_plant
-from flexopt.simulation.loop import closed_loop
 from flexopt.simulation.scenario import OPTIONS, Scenario, build_scenario, checked_options
-from flexopt.simulation.structure import LoopStructure
-from flexopt.simulation.tangent import Tangent, still, tangent
 
 EXACT = "exact"
 # Share of the largest singular value of Φ − 1 below which a direction stays where it is.

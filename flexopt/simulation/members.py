@@ -14,8 +14,8 @@ import numpy as np
 
 from flexopt.compiled import batch
 from flexopt.errors import FlexoptError
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.plant.machine_motion import constant_names, constants
 from flexopt.simulation.linear import SampledLoop, bare_scenario
 from flexopt.simulation.run import signals_at_end

@@ -12,18 +12,19 @@ import numpy as np
 
 from flexopt.compiled import Batch, Recurrence, batch, recurrence
 from flexopt.errors import FlexoptWarning, NoSolutionFound
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
+from flexopt.foundation.control import Control, control_damping
+from flexopt.foundation.documents import provenance
+from flexopt.loop.closed import baked, closed_loop
+from flexopt.loop.levers import feeble_levers
+from flexopt.loop.structure import LoopStructure
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.boundary import public
-from flexopt.model.documents import provenance
-from flexopt.model.problem import Control, Elbow, control_damping
+from flexopt.model.problem import Elbow
 from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
-from flexopt.simulation.levers import feeble_levers
-from flexopt.simulation.loop import baked, closed_loop
 from flexopt.simulation.scenario import OPTIONS, Scenario, build_scenario, checked_options, note_options
-from flexopt.simulation.structure import LoopStructure
 from flexopt.simulation.trajectory import Trajectory
 from flexopt.simulation.verdict import Ended
 

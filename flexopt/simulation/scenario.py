@@ -15,11 +15,16 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import InputError, NoSolutionFound, raise_if_any
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import Check, anything
+from flexopt.foundation.control import Control, control_damping, control_method
+from flexopt.loop.closed import ClosedLoop, closed_loop
+from flexopt.loop.levers import with_servo_gain
+from flexopt.loop.robust import robust_law
+from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import Check, anything
 from flexopt.model.faults import read_table, validated
-from flexopt.model.problem import Control, control_damping, control_method
 from flexopt.model.simulation import Path, SimulationOptions, dead_time
 from flexopt.plant import Plant, build_plant, inverse_kinematics
 from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
@@ -28,11 +33,7 @@ from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.simulation.base_path import driven_structure, moved, path_faults
 from flexopt.simulation.behaviour import STILL, Grounds
-from flexopt.simulation.levers import with_servo_gain
-from flexopt.simulation.loop import ClosedLoop, closed_loop
-from flexopt.simulation.robust import robust_law
 from flexopt.simulation.stepping import stepping
-from flexopt.simulation.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 
 OFFSET = 0.05  # rad or m
 STATIC_TOLERANCE = 1e-8

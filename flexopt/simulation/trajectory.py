@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import array_of, path, public
+from flexopt.foundation.documents import json_ready, write_netcdf
+from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import array_of, path, public
-from flexopt.model.documents import json_ready, write_netcdf
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.verdict import Ended, Judgement, Verdict, judge
-from flexopt.writing import write_file
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -15,13 +15,13 @@ from typing import Any, Literal
 import numpy as np
 
 from flexopt.errors import FlexoptError
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.tangent import at_rest
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.model.simulation import SimulationOptions
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly, linearised
 from flexopt.simulation.scenario import Scenario
-from flexopt.simulation.tangent import at_rest
 
 Verdict = Literal["converges", "grows", "undecided"]
 NO_REST = "near its end the loop rests nowhere"

@@ -13,13 +13,13 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import FlexoptError
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.feedback import self_motion_damping
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.plant import build_plant
 from flexopt.plant.control import task_to_joints
 from flexopt.robustness import Evaluation
 from flexopt.simulation import sampled_loop
-from flexopt.simulation.feedback import self_motion_damping
 
 # Of the closed loop on a rigid base: corner over the lowest flexible mode's, damping ratio, and the corner's largest
 # angle in a sample, rad.

@@ -11,8 +11,8 @@ from typing import Any
 import casadi as ca
 
 from flexopt.errors import FlexoptError
+from flexopt.foundation.documents import package_version, provenance
 from flexopt.model import load, load_experiment, load_problem, shipped_names
-from flexopt.model.documents import package_version, provenance
 from flexopt.model.files import Kind, read_source
 
 COMPILERS = ("cc", "gcc", "clang", "cl")

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, batch
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.plant import Plant, build_plant
 
 Mask = NDArray[np.bool_]

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine, Machine
-from flexopt.model.arguments import Vector
 from flexopt.robustness import Evaluation
 from flexopt.simulation import StabilityBorder, sampled_loop, simulate_ensemble, stability_border
 from flexopt.simulation.linear import EXACT, linear_scenario, linearised

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine, Machine
-from flexopt.model.arguments import Vector
 from flexopt.model.problem import Elbow
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy

@@ -12,9 +12,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flexopt import writing
-from flexopt.escapes import markup
-from flexopt.writing import make_folder
+from flexopt.foundation import writing
+from flexopt.foundation.escapes import markup
+from flexopt.foundation.writing import make_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,17 +12,12 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import Fault
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import shown
+from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, check_pair, coordinate_max, range_sentence
 from flexopt.model import AnyMachine, Machine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.plain import shown
 from flexopt.model.problem import Elbow
-from flexopt.model.quantities import (
-    ANGLE_MAX,
-    COORDINATE_MAX,
-    check_pair,
-    coordinate_max,
-    range_sentence,
-)
 from flexopt.plant import build_plant
 from flexopt.study.grid import (
     Grid,

@@ -15,10 +15,10 @@ import numpy as np
 
 from flexopt.algebra import symmetric_eigen
 from flexopt.compiled import Economical
-from flexopt.compiled.turns import available_cores
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
+from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
-from flexopt.model.problem import Control
 from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_condition
 from flexopt.robustness import build_measures
 from flexopt.robustness.margin import Margin, build_margin

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import TABLE, instance, public, table, whole
+from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine, Problem
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import TABLE, instance, public, table, whole
-from flexopt.model.documents import json_ready, provenance
-from flexopt.model.plain import shown
 from flexopt.model.simulation import Experiment, SimulationOptions
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures

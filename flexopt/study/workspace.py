@@ -9,11 +9,12 @@ import json
 from collections.abc import Mapping
 from typing import Any, cast
 
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import anything, by, flag, public, words
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import provenance
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import anything, by, flag, public, words
-from flexopt.model.documents import provenance
-from flexopt.model.problem import Control, Elbow
+from flexopt.model.problem import Elbow
 from flexopt.plant import build_plant
 from flexopt.study.grid import Grid, Over
 from flexopt.study.planes import Plane, read_plane

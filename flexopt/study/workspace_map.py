@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import array_of, by, check_text, path, public
+from flexopt.foundation.coordinates import check_point
+from flexopt.foundation.documents import json_ready, write_netcdf
+from flexopt.foundation.plain import shown
+from flexopt.foundation.quantities import check_whole
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import array_of, by, check_text, path, public
-from flexopt.model.documents import json_ready, write_netcdf
-from flexopt.model.plain import shown
-from flexopt.model.problem import check_point
-from flexopt.model.quantities import check_whole
 from flexopt.study.grid import Grid
 from flexopt.study.points import PointValues
 

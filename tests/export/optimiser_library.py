@@ -15,8 +15,8 @@ import pytest
 
 from benchmarks.optimiser import value_of
 from flexopt.export.optimiser import OptimiserSources, build_optimiser
+from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
-from flexopt.model.quantities import COORDINATE_MAX
 
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
 INCLUDES = "#include <math.h>\n#include <stddef.h>\n#include <stdint.h>\n"

@@ -5,9 +5,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import flexopt
-from flexopt.plotting import article, plot_workspace
+from flexopt.article import curve, sweep_gaps
+from flexopt.article import pictures as article
+from flexopt.plotting import plot_workspace
 from flexopt.plotting.fields import Plane, draw_field
-from flexopt.study import curve, sweep_gaps
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.foundation.processes import ProcessLost, in_parallel
 from flexopt.selection import optima
-from flexopt.selection.parallel import ProcessLost, in_parallel
 
 TARGET = (0.0, 1.6)
 

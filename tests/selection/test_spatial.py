@@ -129,7 +129,7 @@ def test_never_below_twenty_thousand_feasible_points(machine, dense, objective):
 def test_the_result_does_not_depend_on_the_number_of_processes(machine, monkeypatch):
     problem = flexopt.build_selection(machine, TARGET, objective="V", weights=WEIGHTS, starts=6, seed=4)
     alone = flexopt.solve_selection(problem, workers=1)
-    monkeypatch.setattr("flexopt.selection.parallel.WORTH_FORKING", 0.0)
+    monkeypatch.setattr("flexopt.foundation.processes.WORTH_FORKING", 0.0)
     spread = flexopt.solve_selection(problem, workers=3)
     assert repr(alone.to_dict()) == repr(spread.to_dict())
     again = flexopt.select(machine, TARGET, objective="V", weights=WEIGHTS, starts=6, seed=4, workers=1)

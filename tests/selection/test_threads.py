@@ -8,7 +8,7 @@ import threading
 import pytest
 
 import flexopt
-from flexopt.compiled.turns import TURN, in_turn
+from flexopt.foundation.turns import TURN, in_turn
 
 # Of what is public these touch no graph: they read files, or compute with NumPy and SciPy alone.
 WITHOUT_GRAPHS = {

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from flexopt import build_plant
+from flexopt.loop.tableaus import dormand_prince, gauss
 from flexopt.model import machine_from_dict
 from flexopt.plant.machine_motion import motion_of
 from flexopt.simulation.scenario import Scenario
-from flexopt.simulation.tableaus import dormand_prince, gauss
 from tests.oracles.closed_loop_ode import Loop
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, Case, scenario, stable_case

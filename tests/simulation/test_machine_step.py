@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import flexopt
+from flexopt.loop.machine_step import machine_step
 from flexopt.model import machine_from_dict
 from flexopt.plant import build_plant
-from flexopt.simulation.machine_step import machine_step
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.simulation.loops import EXCAVATOR, POSTURE_B
 

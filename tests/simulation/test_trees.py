@@ -11,10 +11,10 @@ from scipy.integrate import solve_ivp
 
 import flexopt
 from flexopt.errors import InputError
+from flexopt.loop.machine_step import machine_step
 from flexopt.model import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.plant.machine_motion import constant_names, full_structure, motion_of, structure_of
-from flexopt.simulation.machine_step import machine_step
 from tests.oracles.machines import Structure
 from tests.oracles.spatial import grounded, in_space, random_tree
 from tests.simulation.loops import EXCAVATOR, POSTURE_B, run, scenario, stable_case

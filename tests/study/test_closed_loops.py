@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.model.documents import json_ready
-from flexopt.plotting import article_loops as draw
+from flexopt.article import closed_loops, loop_findings
+from flexopt.article import loop_pictures as draw
+from flexopt.article.closed_loops import OPTIMUM, WITH, WITHOUT
+from flexopt.foundation.documents import json_ready
 from flexopt.plotting.panels import thinned
 from flexopt.simulation import StabilityBorder
 from flexopt.simulation.linear import EXACT
-from flexopt.study import closed_loops, gains, loop_findings
-from flexopt.study.closed_loops import OPTIMUM, WITH, WITHOUT
+from flexopt.study import gains
 from flexopt.study.gains import KV_HELD, RATIOS, BorderRow, GainMap, held_words
 from tests.oracles.closed_loop_ode import Loop
 

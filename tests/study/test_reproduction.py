@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.study import gaps, reproduce
-from flexopt.study.gaps import RIGID_MARGIN
-from flexopt.study.reproduction_page import report_html
+from flexopt.article import gaps, reproduce
+from flexopt.article.gaps import RIGID_MARGIN
+from flexopt.article.page import report_html
 from tests.cli.command import strict_json
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flexopt.study import reproduce_table2
+from flexopt.article import reproduce_table2
 from flexopt.study.doctor import examine
 
 

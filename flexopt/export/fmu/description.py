@@ -10,12 +10,12 @@ import re
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from flexopt.escapes import one_line
 from flexopt.export.fmu.model import FmuModel, dependencies
 from flexopt.export.fmu.source import Version, references
 from flexopt.export.fmu.units import unit_of
 from flexopt.export.fmu.variable import Variable
-from flexopt.model.documents import package_version
+from flexopt.foundation.documents import package_version
+from flexopt.foundation.escapes import one_line
 
 _LOG = {"logStatusError": "what was refused, and why", "logStatusWarning": "what needs care"}
 _TIME = Variable("time", "s", "simulation time")

@@ -10,11 +10,11 @@ from string import Template
 
 import numpy as np
 
-from flexopt.escapes import markup
 from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import Version, template
 from flexopt.export.fmu.variable import Variable
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.escapes import markup
 
 
 def reference_table(model: FmuModel) -> str:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import casadi as ca
 
 from flexopt.algebra import solve_spd
+from flexopt.foundation.control import DAMPED
+from flexopt.loop.structure import LoopStructure
 from flexopt.model.machine import Parameter
-from flexopt.model.problem import DAMPED
 from flexopt.plant import Plant
 from flexopt.plant.singularity import CONDITION_MAX
 from flexopt.simulation.scenario import STATIC_TOLERANCE
 from flexopt.simulation.stepping import RK4_LIMIT, RK4_REAL_LIMIT
-from flexopt.simulation.structure import LoopStructure
 
 # Squarings of M⁻¹K: its trace then bounds the fastest mode from above, for m modes by m^(1/512).
 SQUARINGS = 8

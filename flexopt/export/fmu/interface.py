@@ -16,16 +16,16 @@ import numpy as np
 from flexopt.export.control import RATE_MAX
 from flexopt.export.fmu.settings import NOISE_MAX, Groups, settings
 from flexopt.export.fmu.variable import EFFORT, Variable, row_text, words
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
+from flexopt.loop.closed import ClosedLoop, closed_loop
+from flexopt.loop.structure import Layout
 from flexopt.model.parameter_ranges import parameter_range
-from flexopt.model.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.plant.motion import Motion
 from flexopt.simulation.base_path import moved
-from flexopt.simulation.loop import ClosedLoop, closed_loop
 from flexopt.simulation.scenario import Scenario
-from flexopt.simulation.structure import Layout
 from flexopt.simulation.trajectory import Trajectory
 
 Kind = Literal["co-simulation", "model-exchange"]

@@ -17,13 +17,13 @@ import casadi as ca
 
 from flexopt.export.fmu.guards import Configuration, Guard, Guarded
 from flexopt.export.fmu.interface import Interface
+from flexopt.loop.directions import Computed
+from flexopt.loop.flow import Flow
+from flexopt.loop.integrators import State
+from flexopt.loop.structure import JACOBIAN_DAMPING, Layout
 from flexopt.plant.machine_motion import constants_at, motion_of
 from flexopt.plant.motion import Motion
-from flexopt.simulation.directions import Computed
-from flexopt.simulation.flow import Flow
-from flexopt.simulation.integrators import State
 from flexopt.simulation.run import RESIDUAL_MAX
-from flexopt.simulation.structure import JACOBIAN_DAMPING, Layout
 
 
 @dataclass(frozen=True)

@@ -25,16 +25,16 @@ from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import VERSIONS, Version, body, source
 from flexopt.export.kernels import Unsupported
 from flexopt.export.naming import identifier
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import path, public, words
+from flexopt.foundation.documents import json_ready, package_version, provenance
+from flexopt.foundation.writing import write_files
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments
-from flexopt.model.boundary import path, public, words
-from flexopt.model.documents import json_ready, package_version, provenance
 from flexopt.model.simulation import Sensor, SimulationOptions
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.run import simulate_checked
 from flexopt.simulation.scenario import OPTIONS, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
-from flexopt.writing import write_files
 
 TOOL = "flexopt"
 # What a master would have to draw, or what has no meaning in an FMU.

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from flexopt.export.fmu.variable import EFFORT, Variable, damper_unit, force_unit, gain_unit
-from flexopt.model.quantities import coordinate_max
+from flexopt.foundation.quantities import coordinate_max
+from flexopt.loop.structure import LoopStructure
 from flexopt.model.simulation import GAIN_MAX
 from flexopt.simulation.scenario import Scenario
-from flexopt.simulation.structure import LoopStructure
 
 TORQUE_MAX, NOISE_MAX = 1e12, 1e3
 Groups = dict[str, list[Variable]]

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from flexopt.escapes import one_line
-from flexopt.model.problem import Control
+from flexopt.foundation.control import Control
+from flexopt.foundation.escapes import one_line
 from flexopt.model.tree import ORIENTATION_ROWS
 
 # What a joint gives, by the unit of its coordinate.

@@ -14,7 +14,7 @@ from pathlib import Path
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Check, Finding, Table, attempt
 from flexopt.export.verify.tools import run
-from flexopt.writing import write_file
+from flexopt.foundation.writing import write_file
 
 DEVIATIONS = "misra_deviations.json"
 PIECE = 200  # statements

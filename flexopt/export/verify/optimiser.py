@@ -20,9 +20,9 @@ from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, Table
 from flexopt.export.verify.tools import StepFailed, need, run, sanitizing_compiler
-from flexopt.model.quantities import COORDINATE_MAX
+from flexopt.foundation.quantities import COORDINATE_MAX
+from flexopt.foundation.writing import write_file
 from flexopt.plant.reach import outer_reach
-from flexopt.writing import write_file
 
 PART = "optimiser"
 PROBLEMS, SEED, FUZZ_SEED = 24, 40, 41

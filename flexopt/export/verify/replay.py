@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from flexopt.export.operations import Array, Operation, Samples
 from flexopt.export.sources import STATUSES, WITH_OUTPUT
 from flexopt.export.verify.tools import StepFailed
-from flexopt.writing import write_file
+from flexopt.foundation.writing import write_file
 
 CODES = {name: k for k, name in enumerate(STATUSES)}
 NAMES = tuple(STATUSES)

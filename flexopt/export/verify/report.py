@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from flexopt.escapes import markup
 from flexopt.export.verify.checks import Check, Table
+from flexopt.foundation.escapes import markup
 
 if TYPE_CHECKING:
     from flexopt.export.verify.verification import Verification

@@ -21,7 +21,7 @@ from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Check, Finding, Table, Target, attempt
 from flexopt.export.verify.host import agreement
 from flexopt.export.verify.tools import Said, StepFailed, need, run
-from flexopt.writing import write_file
+from flexopt.foundation.writing import write_file
 
 COMPILER = "arm-none-eabi-gcc"
 EMULATOR = "qemu-system-arm"

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flexopt.writing import write_file
+from flexopt.foundation.writing import write_file
 
 # Program -> what brings it on Debian and Ubuntu.
 PACKAGES = {

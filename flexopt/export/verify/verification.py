@@ -31,9 +31,9 @@ from flexopt.export.verify.objects import check_objects
 from flexopt.export.verify.report import report_html
 from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
-from flexopt.model.boundary import public, whole, words
-from flexopt.model.documents import json_ready, package_version
-from flexopt.writing import make_folder, write_files
+from flexopt.foundation.boundary import public, whole, words
+from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.writing import make_folder, write_files
 
 INPUTS, FUZZ_CALLS = 1000, 10_000
 COUNT_MAX = 1_000_000

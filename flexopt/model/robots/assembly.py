@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from flexopt.errors import Fault
+from flexopt.foundation.quantities import degrees_hint
 from flexopt.model.hydraulics import Cylinder
-from flexopt.model.quantities import degrees_hint
 from flexopt.model.robots.bodies import Body, body_name, plain, tree_joint
 from flexopt.model.robots.description import Description, Frame, Joint, Link
 from flexopt.model.robots.geometry import Inertial, Pose, shift

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.model.quantities import ANGLE_MAX
+from flexopt.foundation.quantities import ANGLE_MAX
 from flexopt.model.robots.description import Joint, Link
 from flexopt.model.robots.elements import Element
 from flexopt.model.robots.geometry import Array, Inertial, Pose

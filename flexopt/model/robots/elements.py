@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, ModelError
-from flexopt.model.faults import ALIKE
+from flexopt.foundation.nearest import ALIKE
 
 FILE_SIZE_MAX = 16_000_000
 DEPTH_MAX = 200

@@ -69,8 +69,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
-from flexopt.model.boundary import path as named
-from flexopt.model.boundary import public
+from flexopt.foundation.boundary import path as named
+from flexopt.foundation.boundary import public
 from flexopt.model.faults import Table, read_table, validated
 from flexopt.model.files import read_toml
 from flexopt.model.robots.assembly import Assembly

@@ -15,8 +15,8 @@ from typing import Any, cast
 import casadi as ca
 
 from flexopt.errors import Fault
+from flexopt.foundation.nearest import ALIKE
 from flexopt.model.constraints import Box, Clearance, Constraints, Obstacle, Sphere
-from flexopt.model.faults import ALIKE
 from flexopt.model.tables import Capsule
 from flexopt.plant import Plant
 from flexopt.selection.constraints.kind import Group, Kind, Row, Scene

@@ -15,14 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.compiled.turns import available_cores
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import number, numbers, public
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import number, numbers, public, targets
+from flexopt.model.boundary import targets
 from flexopt.model.constraints import Constraints
-from flexopt.model.documents import provenance
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, Control
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG
 from flexopt.model.targets import RATE_MAX, TIME_MAX
 from flexopt.plant.reaching import solve_postures
 from flexopt.robustness.plausibility import warn_implausible

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
 from flexopt.plant.reaching import joint_box, solve_postures
 from flexopt.selection.problem import SelectionProblem

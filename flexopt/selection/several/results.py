@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flexopt.model.arguments import Vector
-from flexopt.model.boundary import public
-from flexopt.model.documents import json_ready
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
+from flexopt.foundation.documents import json_ready
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem

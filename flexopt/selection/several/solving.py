@@ -13,9 +13,9 @@ from functools import partial
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.processes import in_parallel
 from flexopt.selection.check import infeasible, prove_program
-from flexopt.selection.parallel import in_parallel
 from flexopt.selection.program import SOLVED, Program
 from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import Place

@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.compiled.turns import available_cores
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import numbers, public, words
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.boundary import numbers, public, words
 from flexopt.model.boundary import targets as several_targets
 from flexopt.model.constraints import Constraints
-from flexopt.model.documents import provenance
-from flexopt.model.problem import COMBINES, SINGULARITY_MARGIN_DEG, Control
+from flexopt.model.problem import COMBINES, SINGULARITY_MARGIN_DEG
 from flexopt.model.targets import SHARE_MAX
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes

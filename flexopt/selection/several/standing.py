@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.selection.nlp import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from flexopt.errors import Fault, UnreachableTarget, sentence_list
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.plain import shown
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.build import build_selection
 from flexopt.selection.problem import SelectionProblem

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.arguments import Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached

@@ -11,15 +11,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from flexopt.foundation.arrays import Vector
 
+from flexopt.article.tables import TARGET, X_MOBILE
 from flexopt.model import Machine, load_experiment
-from flexopt.model.arguments import Vector
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import Evaluation, evaluate
 from flexopt.selection import BaseTrajectory, Selection, nullspace_trajectory
 from flexopt.simulation import SampledLoop, Trajectory, sampled_loop, simulate
 from flexopt.simulation.linear import EXACT
-from flexopt.study.article import TARGET, X_MOBILE
 
 EXPERIMENT = "article-move"
 OPTIMUM = "optimised (addition)"

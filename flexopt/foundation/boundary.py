@@ -16,19 +16,20 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
+from flexopt.foundation.coordinates import check_base_range
+from flexopt.foundation.nearest import ALIKE
 from numpy.typing import NDArray
 
-from flexopt.compiled.turns import in_turn
 from flexopt.errors import Fault, InputError, ModelError
-from flexopt.model.arguments import Arguments
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.plain import plain, plain_table, shown
+from flexopt.foundation.quantities import check_number, check_numbers, check_whole
+from flexopt.foundation.turns import in_turn
 from flexopt.model.constraints import read_constraints
-from flexopt.model.faults import ALIKE
 from flexopt.model.machine import AnyMachine
-from flexopt.model.plain import plain, plain_table, shown
 from flexopt.model.problem import (
     ELBOWS,
     Problem,
-    check_base_range,
     check_gain,
     check_margin_deg,
     check_objective,
@@ -37,7 +38,6 @@ from flexopt.model.problem import (
     check_starts,
     check_weights,
 )
-from flexopt.model.quantities import check_number, check_numbers, check_whole
 from flexopt.model.targets import TARGETS_MAX
 
 P = ParamSpec("P")

@@ -9,12 +9,12 @@ from functools import lru_cache
 
 import casadi as ca
 
+from flexopt.loop.directions import paired, stacked
+from flexopt.loop.integrators import State
+from flexopt.loop.sample import Layouts, Part
+from flexopt.loop.structure import LoopStructure
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.motion import Directions
-from flexopt.simulation.directions import paired, stacked
-from flexopt.simulation.integrators import State
-from flexopt.simulation.sample import Layouts, Part
-from flexopt.simulation.structure import LoopStructure
 
 
 class Flow(Part):

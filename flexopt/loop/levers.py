@@ -7,9 +7,9 @@ for next to nothing.
 from __future__ import annotations
 
 import numpy as np
+from flexopt.foundation.arrays import Vector
 
 from flexopt.model import AnyMachine
-from flexopt.model.arguments import Vector
 from flexopt.model.simulation import SimulationOptions
 from flexopt.plant.hydraulics import build_hydraulics
 

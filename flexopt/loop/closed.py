@@ -14,15 +14,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.loop.directions import Carried, Computed, stacked
+from flexopt.loop.feedback import FeedbackLaw
+from flexopt.loop.flow import Flow
+from flexopt.loop.integrators import State, classical_step, explicit_step, gauss_step
+from flexopt.loop.sample import Layouts, Sample
+from flexopt.loop.structure import Layout, LoopStructure, constant_sizes, signal_sizes, state_sizes
+from flexopt.loop.tableaus import dormand_prince, gauss
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.motion import Motion
-from flexopt.simulation.directions import Carried, Computed, stacked
-from flexopt.simulation.feedback import FeedbackLaw
-from flexopt.simulation.flow import Flow
-from flexopt.simulation.integrators import State, classical_step, explicit_step, gauss_step
-from flexopt.simulation.sample import Layouts, Sample
-from flexopt.simulation.structure import Layout, LoopStructure, constant_sizes, signal_sizes, state_sizes
-from flexopt.simulation.tableaus import dormand_prince, gauss
 
 
 @dataclass(frozen=True)

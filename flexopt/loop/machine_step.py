@@ -10,13 +10,13 @@ from functools import lru_cache
 
 import casadi as ca
 
+from flexopt.loop.closed import closed_loop
+from flexopt.loop.directions import Computed
+from flexopt.loop.flow import Flow
+from flexopt.loop.integrators import State, classical_step
+from flexopt.loop.structure import LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.plant.machine_motion import constants_at, full_structure, motion_of
-from flexopt.simulation.directions import Computed
-from flexopt.simulation.flow import Flow
-from flexopt.simulation.integrators import State, classical_step
-from flexopt.simulation.loop import closed_loop
-from flexopt.simulation.structure import LoopStructure
 
 
 @lru_cache(maxsize=16)

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 
-from flexopt.compiled.turns import in_turn
+from flexopt.article.curves import rank_correlation
 from flexopt.coprime import gap, nu_gap
 from flexopt.errors import FlexoptError
+from flexopt.foundation.turns import in_turn
 from flexopt.model import Machine
-from flexopt.model.arguments import Vector
-from flexopt.model.problem import Control
 from flexopt.robustness import build_measures
 from flexopt.robustness.margin import build_margin
-from flexopt.study.curves import rank_correlation
 
 FACTORS = (1.0, 10.0, 100.0, 1e3, 1e4)
 # ε_max of the rigid plant a/s²: a controller that attains it tolerates every plant nearer than this.

@@ -12,14 +12,14 @@ from typing import Any, cast
 
 import casadi as ca
 import numpy as np
+from flexopt.foundation.arrays import Vector
 
-from flexopt.model.arguments import Vector
-from flexopt.simulation.directions import Computed
-from flexopt.simulation.flow import Flow
-from flexopt.simulation.integrators import State
-from flexopt.simulation.loop import ClosedLoop, closed_loop
-from flexopt.simulation.sample import Sample
-from flexopt.simulation.structure import LoopStructure
+from flexopt.loop.closed import ClosedLoop, closed_loop
+from flexopt.loop.directions import Computed
+from flexopt.loop.flow import Flow
+from flexopt.loop.integrators import State
+from flexopt.loop.sample import Sample
+from flexopt.loop.structure import LoopStructure
 
 # Newton steps to the state of rest, and the largest remainder of what counts as rest, m, rad or relative.
 STEPS, REST = 12, 1e-9

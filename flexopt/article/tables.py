@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from flexopt.foundation.arrays import Vector
 
-from flexopt.compiled.turns import in_turn
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.turns import in_turn
 from flexopt.model import Machine, load
-from flexopt.model.arguments import Arguments, Vector
-from flexopt.model.documents import json_ready, provenance
 from flexopt.model.problem import Elbow
 from flexopt.plant import inverse_kinematics
 from flexopt.plant.plant import build_plant

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexopt.escapes import markup
-from flexopt.study.findings import Finding
+from flexopt.article.findings import Finding
+from flexopt.foundation.escapes import markup
 from flexopt.study.gains import BorderRow
 from flexopt.study.page import page, picture, table, write_files
 
 if TYPE_CHECKING:
-    from flexopt.study.reproduction import Reproduction
+    from flexopt.article.reproduction import Reproduction
 
 CAPTIONS = {
     "figure5": "Fig. 5. In-phase (yellow) and out-of-phase (blue) regions, Jacobian inverse control: trace R_i > 0. "

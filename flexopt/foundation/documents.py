@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from flexopt.foundation.writing import AnyPath, write_file
 from flexopt.model.machine import AnyMachine
-from flexopt.writing import AnyPath, write_file
 
 
 @cache

@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from flexopt.foundation.control import Control, check_control
+from flexopt.foundation.coordinates import check_placement, check_task
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.plain import plain, shown
+from flexopt.foundation.quantities import check_number, coordinate_max
 from flexopt.model.machine import AnyMachine, Machine
-from flexopt.model.plain import plain, shown
-from flexopt.model.problem import Control, check_control, check_placement, check_task
-from flexopt.model.quantities import check_number, coordinate_max
 
 Vector = NDArray[np.float64]
 T = TypeVar("T")

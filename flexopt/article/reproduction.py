@@ -11,16 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import CONTROLS, Control
 
-from flexopt.compiled.turns import in_turn
-from flexopt.model import Machine
-from flexopt.model.arguments import Vector
-from flexopt.model.documents import json_ready, provenance
-from flexopt.model.problem import CONTROLS, ELBOWS, Control
-from flexopt.plant import build_plant
-from flexopt.selection import Selection, select
-from flexopt.study import findings, loop_findings
-from flexopt.study.article import (
+from flexopt.article import findings, loop_findings
+from flexopt.article.closed_loops import ClosedLoops, article_stands, close_loops
+from flexopt.article.curves import Curve, curve
+from flexopt.article.findings import Finding
+from flexopt.article.gaps import GapSweep, sweep_gaps
+from flexopt.article.tables import (
     PRINTED_WORKSPACE,
     TARGET,
     WORKSPACE_B_OF_MEASURES,
@@ -29,11 +28,13 @@ from flexopt.study.article import (
     reproduce_table2,
     workspace_posture,
 )
-from flexopt.study.closed_loops import ClosedLoops, article_stands, close_loops
-from flexopt.study.curves import Curve, curve
-from flexopt.study.findings import Finding
+from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.turns import in_turn
+from flexopt.model import Machine
+from flexopt.model.problem import ELBOWS
+from flexopt.plant import build_plant
+from flexopt.selection import Selection, select
 from flexopt.study.gains import KV_HELD, RATIOS, GainMap, map_gains
-from flexopt.study.gaps import GapSweep, sweep_gaps
 from flexopt.study.points import Progress, evaluate_points
 from flexopt.study.workspace import map_workspace
 from flexopt.study.workspace_map import WorkspaceMap
@@ -100,8 +101,8 @@ class Reproduction:
 
     def figures(self) -> dict[str, Figure]:
         """The article's figures by name."""
-        from flexopt.plotting import article as draw  # noqa: PLC0415  (matplotlib is slow to import)
-        from flexopt.plotting import article_loops as draw_loops  # noqa: PLC0415
+        from flexopt.article import loop_pictures as draw_loops  # noqa: PLC0415
+        from flexopt.article import pictures as draw  # noqa: PLC0415  (matplotlib is slow to import)
 
         transpose, inverse = (self.maps[c].dataset for c in ("transpose", "inverse"))
         marks = {"A": PRINTED_WORKSPACE["A"][0], "B, printed point": PRINTED_WORKSPACE["B"][0]}
@@ -149,7 +150,7 @@ class Reproduction:
         Raises:
             WriteError: a file cannot be written.
         """
-        from flexopt.study.reproduction_page import write_report  # noqa: PLC0415  (imports what only reports need)
+        from flexopt.article.page import write_report  # noqa: PLC0415  (imports what only reports need)
 
         return write_report(self, Path(folder))
 

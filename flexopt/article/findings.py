@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
+from flexopt.foundation.arrays import Vector
 
+from flexopt.article.curves import Curve, rank_correlation
+from flexopt.article.tables import ArticleTable, epsilon_at
 from flexopt.model import Machine
-from flexopt.model.arguments import Vector
 from flexopt.robustness.margin import build_margin
 from flexopt.selection import Selection
-from flexopt.study.article import ArticleTable, epsilon_at
-from flexopt.study.curves import Curve, rank_correlation
 from flexopt.study.workspace_map import WorkspaceMap
 
 PRINTED_MAXIMUM = 0.3827

@@ -10,13 +10,13 @@ from functools import reduce
 
 import casadi as ca
 
+from flexopt.loop.directions import Frame, paired
+from flexopt.loop.feedback import FeedbackLaw, joint_torque, nullspace_torque
+from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, Layout, LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.plant.hydraulics import Saturation, build_hydraulics
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.motion import Directions
-from flexopt.simulation.directions import Frame, paired
-from flexopt.simulation.feedback import FeedbackLaw, joint_torque, nullspace_torque
-from flexopt.simulation.structure import JACOBIAN_DAMPING, MODEL, Layout, LoopStructure
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from flexopt.model.plain import plain
+from flexopt.foundation.plain import plain
 
 SUPPORTED_SCHEMA = 1
 ANGLE_MAX = 4 * math.pi

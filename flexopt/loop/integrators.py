@@ -13,9 +13,9 @@ from typing import Protocol
 
 import casadi as ca
 
+from flexopt.loop.directions import Computed, Frame, Heading
+from flexopt.loop.tableaus import Table, Tableau
 from flexopt.plant.motion import Directions
-from flexopt.simulation.directions import Computed, Frame, Heading
-from flexopt.simulation.tableaus import Table, Tableau
 
 
 @dataclass(frozen=True)

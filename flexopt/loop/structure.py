@@ -13,12 +13,12 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
+from flexopt.foundation.control import DAMPED, Control
 from numpy.typing import NDArray
 
+from flexopt.loop.feedback import FeedbackLaw, Law
 from flexopt.model import AnyMachine
-from flexopt.model.problem import DAMPED, Control
 from flexopt.plant.machine_motion import Structure, motion_of
-from flexopt.simulation.feedback import FeedbackLaw, Law
 
 Method = Literal["rk4", "dop853", "gauss"]
 METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")

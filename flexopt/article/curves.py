@@ -9,12 +9,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from numpy.typing import NDArray
 
-from flexopt.compiled.turns import in_turn
+from flexopt.foundation.turns import in_turn
 from flexopt.model import Machine
-from flexopt.model.arguments import Vector
-from flexopt.model.problem import Control, Elbow
+from flexopt.model.problem import Elbow
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
 from flexopt.study.grid import end_point_grid

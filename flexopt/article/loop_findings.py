@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.article.closed_loops import OPTIMUM, WITH, WITHOUT, ClosedLoops, peak_error
+from flexopt.article.findings import Finding
 from flexopt.simulation import SampledLoop, Trajectory
 from flexopt.simulation.linear import EXACT
-from flexopt.study.closed_loops import OPTIMUM, WITH, WITHOUT, ClosedLoops, peak_error
-from flexopt.study.findings import Finding
 from flexopt.study.gains import KV_HELD, RATIOS, BorderRow, GainMap, held_words
 
 # A step whose own damping changes the slowest decay by more than this share is no faithful one.
