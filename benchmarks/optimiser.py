@@ -29,14 +29,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import Control
 
 import flexopt
 from benchmarks.timing import table
 from flexopt.errors import FlexoptError, UnreachableTarget
 from flexopt.export.kernels import Real
 from flexopt.export.optimiser import OptimiserSources, build_optimiser
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant

@@ -15,11 +15,11 @@ import time
 from functools import partial
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
 from scipy.optimize import minimize
 
 import flexopt
 from benchmarks.timing import median_seconds, table
+from flexopt.foundation.arrays import Vector
 from flexopt.selection.optima import run_solver
 from flexopt.selection.scan import peaks
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
 
 from flexopt.article.tables import TARGET, X_MOBILE
+from flexopt.foundation.arrays import Vector
 from flexopt.model import Machine, load_experiment
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import Evaluation, evaluate

@@ -9,10 +9,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import Control
 from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.foundation.turns import in_turn
 from flexopt.model import Machine
 from flexopt.model.problem import Elbow

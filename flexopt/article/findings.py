@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
 
 from flexopt.article.curves import Curve, rank_correlation
 from flexopt.article.tables import ArticleTable, epsilon_at
+from flexopt.foundation.arrays import Vector
 from flexopt.model import Machine
 from flexopt.robustness.margin import build_margin
 from flexopt.selection import Selection

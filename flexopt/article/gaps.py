@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import Control
 
 from flexopt.article.curves import rank_correlation
 from flexopt.coprime import gap, nu_gap
 from flexopt.errors import FlexoptError
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.foundation.turns import in_turn
 from flexopt.model import Machine
 from flexopt.robustness import build_measures

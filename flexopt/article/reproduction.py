@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import CONTROLS, Control
 
 from flexopt.article import findings, loop_findings
 from flexopt.article.closed_loops import ClosedLoops, article_stands, close_loops
@@ -28,6 +26,8 @@ from flexopt.article.tables import (
     reproduce_table2,
     workspace_posture,
 )
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import CONTROLS, Control
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.turns import in_turn
 from flexopt.model import Machine

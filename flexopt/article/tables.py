@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
 
-from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.turns import in_turn
 from flexopt.model import Machine, load
@@ -144,7 +143,9 @@ class ArticleTable:
 
 def article_machine() -> Machine:
     """The article's excavator."""
-    return Arguments("reproduce").planar(load("excavator"))
+    machine = load("excavator")
+    assert isinstance(machine, Machine)
+    return machine
 
 
 def workspace_origin(machine: Machine) -> Vector:

@@ -25,7 +25,6 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.fmu import fmu_options, write_fmu
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.arguments import Arguments
 from flexopt.model import load
 
 
@@ -69,7 +68,7 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
         return
     from flexopt.export import export_c  # noqa: PLC0415  (only this command needs it)
 
-    loaded = Arguments("export").machine(read(load, machine))
+    loaded = read(load, machine)
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)

@@ -24,6 +24,7 @@ from flexopt.export.operations import Array
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
 from flexopt.export.parameters import parameter_range
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
@@ -124,7 +125,8 @@ def build_optimiser(
         InputError: an argument is of the wrong kind or out of range, all in one message.
     """
     arguments = Arguments("build_optimiser")
-    machine = arguments.machine(machine)
+    machine = TABLE["machine"](arguments, "machine", machine)
+    arguments.done()
     control = arguments.control(control)
     arguments.flag("gravity", gravity)
     arguments.flag("baked", baked)

@@ -7,16 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from flexopt.foundation.control import Control, check_control
-from flexopt.foundation.coordinates import check_placement, check_task
-from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control, check_control
+from flexopt.foundation.coordinates import check_placement, check_task
 from flexopt.foundation.plain import plain, shown
 from flexopt.foundation.quantities import check_number, coordinate_max
-from flexopt.model.machine import AnyMachine, Machine
 
-Vector = NDArray[np.float64]
+# Whatever says what its coordinates are, as every machine does: joints, their units and limits, task rows.
+Coordinates = Any
 T = TypeVar("T")
 _UNREAD: Any = object()
 
@@ -35,7 +35,7 @@ class Arguments:
         faults: noted so far.
     """
 
-    def __init__(self, call: str, of: AnyMachine | None = None, error: type[InputError] = InputError) -> None:
+    def __init__(self, call: str, of: Coordinates = None, error: type[InputError] = InputError) -> None:
         self.call, self.of, self.error = call, of, error
         self.sizes: Mapping[str, int] = {}
         self.faults: list[Fault] = []
@@ -82,7 +82,7 @@ class Arguments:
         """True or False."""
         return self.choice(field, value, (False, True))
 
-    def posture(self, machine: AnyMachine, value: Any, field: str = "posture") -> Vector:
+    def posture(self, machine: Coordinates, value: Any, field: str = "posture") -> Vector:
         """Actuated joints (n,), rad or m, finite and inside their limits."""
         names, units = machine.joints, machine.joint_units
         parts = self._parts(field, value)
@@ -114,7 +114,7 @@ class Arguments:
                     self.faults[known] = Fault(fault.field, longer, fault.value)
         return np.array(checked)
 
-    def displacement(self, machine: AnyMachine, value: Any, field: str) -> Vector:
+    def displacement(self, machine: Coordinates, value: Any, field: str) -> Vector:
         """Differences of the actuated joints (n,), rad or m."""
         names, units = machine.joints, machine.joint_units
         what = "angles in rad" if set(units) == {"rad"} else "numbers in " + ", ".join(units)
@@ -144,13 +144,13 @@ class Arguments:
             return None
         return list(cast(Sequence[Any], read)) if isinstance(read, list | tuple) else [read]
 
-    def base(self, machine: AnyMachine, value: Any, field: str = "base") -> Vector:
+    def base(self, machine: Coordinates, value: Any, field: str = "base") -> Vector:
         """Placement (n_b,), m or rad."""
         names, units = machine.base_coordinates, machine.base_units
         stand_in = (0.0,) * len(names)
         return np.array(self.checked(field, value, lambda v: check_placement(v, names, units), stand_in))
 
-    def point(self, value: Any, field: str, machine: AnyMachine | None = None) -> Vector:
+    def point(self, value: Any, field: str, machine: Coordinates = None) -> Vector:
         """The machine's task (n_task,), m, inertial frame; without a machine a point (2,) of the plane."""
         rows = ("x", "y") if machine is None else machine.task_rows
         return np.array(self.checked(field, value, lambda v: check_task(v, rows), (0.0,) * len(rows)))
@@ -158,23 +158,6 @@ class Arguments:
     def control(self, value: Any) -> Control:
         """`"inverse"`, `"transpose"` or `"damped:LAMBDA"`."""
         return self.checked("control", value, check_control, "inverse")
-
-    def machine(self, value: Any) -> AnyMachine:
-        """A machine, planar or spatial; anything else cannot be checked further and raises at once."""
-        if not isinstance(value, AnyMachine):
-            sentence = 'must be a Machine, from flexopt.load("excavator") for example'
-            raise_if_any(InputError, self.call, [Fault("machine", sentence, shown(value))])
-        return value
-
-    def planar(self, value: Any) -> Machine:
-        """A planar machine; anything else raises at once."""
-        machine = self.machine(value)
-        if not isinstance(machine, Machine):
-            sentence = f"is a spatial machine, and {self.call} takes planar machines only so far"
-            raise InputError(
-                f"{self.call}: machine {machine.name!r} {sentence}", [Fault("machine", sentence)], self.call
-            )
-        return machine
 
     def done(self) -> None:
         """Raise every fault noted so far."""

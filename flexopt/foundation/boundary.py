@@ -7,7 +7,6 @@ that the table lacks needs a check at the function, or its module cannot be impo
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -16,29 +15,14 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
-from flexopt.foundation.coordinates import check_base_range
-from flexopt.foundation.nearest import ALIKE
 from numpy.typing import NDArray
 
-from flexopt.errors import Fault, InputError, ModelError
-from flexopt.foundation.arguments import Arguments
+from flexopt.errors import Fault, InputError
+from flexopt.foundation.arguments import Arguments, Coordinates
+from flexopt.foundation.nearest import hint
 from flexopt.foundation.plain import plain, plain_table, shown
 from flexopt.foundation.quantities import check_number, check_numbers, check_whole
 from flexopt.foundation.turns import in_turn
-from flexopt.model.constraints import read_constraints
-from flexopt.model.machine import AnyMachine
-from flexopt.model.problem import (
-    ELBOWS,
-    Problem,
-    check_gain,
-    check_margin_deg,
-    check_objective,
-    check_seed,
-    check_slack,
-    check_starts,
-    check_weights,
-)
-from flexopt.model.targets import TARGETS_MAX
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -83,22 +67,6 @@ def numbers(unit: str, *, above: float | None = None, low: float | None = None, 
     return by(check)
 
 
-def targets(least: int) -> Check:
-    """Several targets of the machine's task, (K, n_task), m."""
-
-    def check(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> NDArray[np.float64] | None:
-        rows = arguments.checked(field, value, lambda v: v, None)
-        if arguments.faulty(field):
-            return None
-        listed = list(cast(list[Any], rows)) if isinstance(rows, list | tuple) else []
-        if not least <= len(listed) <= TARGETS_MAX:
-            arguments.note(field, f"must be a list of {least} to {TARGETS_MAX} targets", value)
-            return None
-        return np.array([arguments.point(row, f"{field}[{k}]", machine) for k, row in enumerate(listed)])
-
-    return of_machine(check)
-
-
 def words(*valid: Any) -> Check:
     """One of a few words."""
     return lambda arguments, field, value: arguments.choice(field, value, valid)
@@ -141,7 +109,7 @@ def callback(arguments: Arguments, field: str, value: Any) -> Any:
     return value
 
 
-def of_machine(check: Callable[[Arguments, AnyMachine, str, Any], Any]) -> Check:
+def of_machine(check: Callable[[Arguments, Any, str, Any], Any]) -> Check:
     """A check that asks the machine of the call; where there is no usable one, its fault is enough."""
 
     def asked(arguments: Arguments, field: str, value: Any) -> Any:
@@ -250,47 +218,16 @@ def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
     return lambda arguments, field, value: raw(arguments, field, value, check)
 
 
-def _machine(arguments: Arguments, field: str, value: Any) -> Any:
-    if not isinstance(value, AnyMachine):
-        arguments.note(field, 'must be a Machine, from flexopt.load("excavator") for example', value)
-        return None
-    arguments.of = value
-    return value
-
-
-def holding_machine(kind: type, sentence: str) -> Check:
-    """A problem or an experiment, which must hold its machine."""
-
-    def check(arguments: Arguments, field: str, value: Any) -> Any:
-        if not isinstance(value, kind):
-            arguments.note(field, f"must be {sentence}", value)
-            return value
-        try:
-            arguments.of = value.loaded_machine
-        except ModelError as error:
-            arguments.note(field, str(error), value.name)
-        return value
-
-    return check
-
-
-def _base_range(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
-    names, units = machine.base_coordinates, machine.base_units
-    return arguments.checked(field, value, lambda v: check_base_range(v, names, units), None)
-
-
 flag = words(False, True)
 
+# Rooms that know more names add them (`model/boundary.py`: machines and problems).
 TABLE: dict[str, Check] = {
-    "machine": _machine,
-    "problem": holding_machine(Problem, "a Problem, from flexopt.load_problem"),
     "data": anything,  # `faults.read_table` and `faults.validated` name every fault by its key
     "posture": of_machine(lambda a, machine, field, value: a.posture(machine, value, field)),
     "base": of_machine(lambda a, machine, field, value: a.base(machine, value, field)),
     "start": of_machine(lambda a, machine, field, value: a.base(machine, value, field)),
     "target": of_machine(lambda a, machine, field, value: a.point(value, field, machine)),
     "control": lambda a, _, value: a.control(value),
-    "elbow": words(*ELBOWS),
     "gravity": flag,
     "damped": flag,
     "baked": flag,
@@ -298,15 +235,6 @@ TABLE: dict[str, Check] = {
     "gradient": flag,
     "strict": flag,
     "quick": flag,
-    "gain": by(check_gain),
-    "singularity_margin_deg": by(check_margin_deg),
-    "seed": by(check_seed),
-    "slack": by(check_slack),
-    "starts": by(check_starts),
-    "objective": by(check_objective),
-    "weights": by(check_weights),
-    "base_range": of_machine(_base_range),
-    "constraints": lambda a, field, value: a.collect(field, lambda: read_constraints(value)),
     "workers": whole(1, WORKERS_MAX),
     "threads": whole(1, WORKERS_MAX),
     "progress": callback,
@@ -322,7 +250,7 @@ def public(
     /,
     *,
     together: Together | None = None,
-    machine: Callable[[Any], AnyMachine] | None = None,
+    machine: Callable[[Any], Coordinates] | None = None,
     sizes: Callable[[Any], Mapping[str, int]] | None = None,
     error: type[InputError] = InputError,
     checks: Mapping[str, Check] | None = None,
@@ -399,9 +327,8 @@ def _miscalled(call: str, names: list[str], given: Mapping[str, Any], error: Typ
     faults: list[Fault] = []
     for name in given:
         if name not in names:
-            close = difflib.get_close_matches(name, names, n=1, cutoff=ALIKE)
-            hint = f"; did you mean {close[0]!r}?" if close else f"; valid: {', '.join(names) or 'none'}"
-            faults.append(Fault(name, f"unknown argument{hint}", shown(given[name])))
+            meant = hint(name, names, f"; valid: {', '.join(names) or 'none'}")
+            faults.append(Fault(name, f"unknown argument{meant}", shown(given[name])))
     faults = faults or [Fault("arguments", str(error))]
     listed = "; ".join(str(fault) for fault in faults)
     return InputError(f"{call}: {listed}", faults, call)

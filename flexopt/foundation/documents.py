@@ -10,7 +10,6 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.foundation.writing import AnyPath, write_file
-from flexopt.model.machine import AnyMachine
 
 
 @cache
@@ -22,8 +21,8 @@ def package_version(name: str) -> str:
         return "unknown"
 
 
-def provenance(machine: AnyMachine | None = None, **options: Any) -> dict[str, Any]:
-    """Machine name and content hash (None where none is concerned), versions, and the options of the call."""
+def provenance(machine: Any = None, **options: Any) -> dict[str, Any]:
+    """Name and content hash of a machine (None where none is concerned), versions, and the options of the call."""
     return {
         "machine": machine and machine.name,
         "machine_sha256": machine and machine.content_hash,

@@ -12,10 +12,10 @@ from typing import Literal
 
 import casadi as ca
 import numpy as np
-from flexopt.foundation.control import Control
 from numpy.typing import NDArray
 
 from flexopt.algebra import apply_pseudo_inverse
+from flexopt.foundation.control import Control
 from flexopt.plant.control import task_to_joints
 
 Law = Literal["pd", "pid", "state_space", "none"]

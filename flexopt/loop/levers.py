@@ -7,8 +7,8 @@ for next to nothing.
 from __future__ import annotations
 
 import numpy as np
-from flexopt.foundation.arrays import Vector
 
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
 from flexopt.plant.hydraulics import build_hydraulics

@@ -9,9 +9,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from flexopt.foundation.control import Control
 
 from flexopt.coprime import StateSpace, optimal_controller
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.robustness.margin import build_margin
 

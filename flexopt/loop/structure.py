@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from flexopt.foundation.control import DAMPED, Control
 from numpy.typing import NDArray
 
+from flexopt.foundation.control import DAMPED, Control
 from flexopt.loop.feedback import FeedbackLaw, Law
 from flexopt.model import AnyMachine
 from flexopt.plant.machine_motion import Structure, motion_of

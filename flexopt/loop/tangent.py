@@ -12,8 +12,8 @@ from typing import Any, cast
 
 import casadi as ca
 import numpy as np
-from flexopt.foundation.arrays import Vector
 
+from flexopt.foundation.arrays import Vector
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.directions import Computed
 from flexopt.loop.flow import Flow

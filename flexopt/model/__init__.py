@@ -4,6 +4,7 @@ In: TOML files or dictionaries. Out: frozen `Machine`, `Tree`, `Problem` and `Ex
 that lists every fault. Nothing symbolic.
 """
 
+from flexopt.model import boundary as boundary
 from flexopt.model.files import shipped_names as shipped_names
 from flexopt.model.machine import AnyMachine as AnyMachine
 from flexopt.model.machine import Machine as Machine

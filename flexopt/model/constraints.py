@@ -6,7 +6,6 @@ coordinates in the plane or in space) is told by `flexopt.selection.constraints`
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
@@ -14,7 +13,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from flexopt.foundation.nearest import ALIKE
+from flexopt.foundation.nearest import hint
 from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX, check_number, check_numbers, checked
 from flexopt.model.faults import read_table, validated
 from flexopt.model.polygons import Corners, check_simple_polygon
@@ -199,9 +198,8 @@ def _check_obstacle(value: Any) -> Obstacle:
     table = dict(cast(Mapping[str, Any], value))
     kind = table.get("kind")
     if not isinstance(kind, str) or kind not in OBSTACLES:
-        close = difflib.get_close_matches(kind, OBSTACLES, n=1, cutoff=ALIKE) if isinstance(kind, str) else []
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        raise _sentence(f"kind must be {' or '.join(OBSTACLES)}{hint}")
+        meant = hint(kind, OBSTACLES) if isinstance(kind, str) else ""
+        raise _sentence(f"kind must be {' or '.join(OBSTACLES)}{meant}")
     return validated(OBSTACLES[kind], table, "obstacle", ())
 
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import datetime
-import difflib
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar, cast
 
 from pydantic import ValidationError
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.foundation.nearest import hint
 from flexopt.foundation.plain import Unreadable, plain_table, shown
 from flexopt.model.cylinder_faults import cylinder_faults
 from flexopt.model.machine import BASE_DIRECTIONS, FileModel
 
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
-# How alike two words must be for one to be suggested for the other.
-ALIKE = 0.6
 # Far beyond any machine; what is larger is refused at once, before its parts are looked at.
 DEPTH_MAX = 30
 ENTRIES_MAX = 1000
@@ -166,10 +164,7 @@ def _valid_keys(model: type[FileModel], location: tuple[str | int, ...]) -> list
 
 
 def _nearest(word: str, valid: list[str]) -> str:
-    close = difflib.get_close_matches(word, valid, n=1, cutoff=ALIKE)
-    if close:
-        return f"; did you mean {close[0]!r}?"
-    return f"; valid here: {', '.join(valid)}" if valid else ""
+    return hint(word, valid, f"; valid here: {', '.join(valid)}" if valid else "")
 
 
 def _short(value: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 import tomllib
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from flexopt.errors import ModelError
-from flexopt.foundation.nearest import ALIKE
+from flexopt.foundation.nearest import hint
 from flexopt.model.faults import DEPTH_MAX
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -107,10 +106,9 @@ def _unknown_name(text: str, kinds: tuple[Kind, ...]) -> ModelError:
         return _wrong_kind(text, others[0])
     shipped = "; ".join(f"{kind}: {', '.join(shipped_names(kind))}" for kind in kinds)
     names = [name for kind in kinds for name in shipped_names(kind)]
-    close = difflib.get_close_matches(text, names, n=1, cutoff=ALIKE)
-    hint = f"; did you mean {close[0]!r}?" if close else ";"
+    meant = hint(text, names, ";")
     wanted = " or ".join(WORDS[kind] for kind in kinds)
-    return ModelError(f"no {wanted} is called {_cut(text)!r}{hint} give a path, or one of the shipped {shipped}")
+    return ModelError(f"no {wanted} is called {_cut(text)!r}{meant} give a path, or one of the shipped {shipped}")
 
 
 def _wrong_kind(text: str, told: Kind) -> ModelError:

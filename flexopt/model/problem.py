@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.foundation.control import Control, check_control
+from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
     COORDINATE_MAX,
@@ -18,19 +20,13 @@ from flexopt.foundation.quantities import (
     check_schema,
     check_whole,
     checked,
-    coordinate_max,
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine, FileModel
 from flexopt.model.tables import BuiltByCall
 from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares, target_faults
 
-# "inverse", "transpose" or "damped:LAMBDA", as `check_control` gives it.
-Control = str
 Elbow = Literal["up", "down"]
-CONTROLS: tuple[Control, ...] = ("inverse", "transpose")
-DAMPED = "damped"
-DAMPING_MAX = 1e9
 ELBOWS: tuple[Elbow, ...] = ("up", "down")
 # How the targets that share a placement count: the worst one, or all by their shares.
 Combine = Literal["worst", "weighted"]
@@ -43,35 +39,6 @@ STARTS_MAX = 10_000
 TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "path"}
 # Coordinates that some machine may be placed by.
 PLACEMENTS = ("x", "y", "yaw")
-
-
-def check_control(value: Any) -> Control:
-    """How forces at the end-point become joint commands: `inverse`, `transpose`, or `damped:LAMBDA` with λ > 0.
-
-    λ is in the unit of Jv's entries. It comes out in its shortest form, so that equal controls are equal words.
-    """
-    if isinstance(value, str) and value in CONTROLS:
-        return value
-    method, _, number = value.partition(":") if isinstance(value, str) else ("", "", "")
-    words = "must be inverse, transpose or damped:LAMBDA, such as damped:0.1"
-    if method != DAMPED:
-        raise ValueError(words)
-    try:
-        damping = check_number(float(number), "", above=0.0, high=DAMPING_MAX)
-    except ValueError:
-        sentence = f"LAMBDA is a number above 0 and at most {DAMPING_MAX:g} in the unit of Jv's entries"
-        raise ValueError(f"{words}; {sentence}") from None
-    return f"{DAMPED}:{repr(damping).removesuffix('.0')}"
-
-
-def control_method(control: Control) -> str:
-    """A control without its number: `inverse`, `transpose` or `damped`."""
-    return control.partition(":")[0]
-
-
-def control_damping(control: Control) -> float | None:
-    """λ of a damped control, None of any other."""
-    return float(control.partition(":")[2]) if control_method(control) == DAMPED else None
 
 
 def check_objective(value: Any) -> str:
@@ -98,22 +65,6 @@ def check_weights(value: Any) -> tuple[float, ...]:
     return weights
 
 
-def check_point(value: Any) -> tuple[float, ...]:
-    """A point in the plane, inertial frame, m."""
-    if not isinstance(value, list | tuple) or len(cast(list[Any], value)) != 2:
-        raise ValueError("must be two numbers x, y in m, inertial frame")
-    return check_numbers(cast(list[Any], value), ["x", "y"], "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
-
-
-def check_task(value: Any, rows: Sequence[str]) -> tuple[float, ...]:
-    """A target for the rows of a machine's task, inertial frame, m (orientation rows: rotation vector times length)."""
-    parts = cast(list[Any], value) if isinstance(value, list | tuple) else [value]
-    if len(parts) != len(rows):
-        numbers = {1: "one number", 2: "two numbers"}.get(len(rows), f"{len(rows)} numbers")
-        raise ValueError(f"must be {numbers} {', '.join(rows)} in m, inertial frame")
-    return check_numbers(list(parts), list(rows), "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
-
-
 def check_margin_deg(value: Any) -> float:
     """An angle from singular postures, degrees."""
     return check_number(value, "°", low=0.01, high=80.0)
@@ -137,51 +88,6 @@ def check_seed(value: Any) -> int:
 def check_slack(value: Any) -> float:
     """What an objective may give up for the next one, as a share."""
     return check_number(value, "", low=1e-7, high=1.0)
-
-
-def check_placement(
-    value: Any, names: Sequence[str], units: Sequence[str], *, what: str = "placed"
-) -> tuple[float, ...]:
-    """A number for each placement coordinate (or joint, by which the machine is held); one alone needs no list."""
-    parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
-    if len(parts) != len(names):
-        count = "one number" if len(names) == 1 else f"{len(names)} numbers"
-        listed = ", ".join(f"{name}, in {unit}" for name, unit in zip(names, units, strict=True))
-        raise ValueError(f"must be {count}: the machine is {what} by {listed or 'nothing'}")
-    numbers: list[float] = []
-    sentences: list[str] = []
-    for part, name, unit in zip(parts, names, units, strict=True):
-        try:
-            numbers.append(check_number(part, unit, low=-coordinate_max(unit), high=coordinate_max(unit)))
-        except ValueError as error:
-            sentences.append(f"{name} {error}" if len(names) > 1 else str(error))
-    if sentences:
-        raise ValueError("; ".join(sentences))
-    return tuple(numbers)
-
-
-def check_base_range(value: Any, names: Sequence[str], units: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """A range [lower, upper] for some of the placement coordinates, by name; of a single one the pair alone."""
-    unit_of = dict(zip(names, units, strict=True))
-    if not isinstance(value, Mapping):
-        if len(names) != 1:
-            listed = ", ".join(f"{name} = [lower, upper]" for name in names) or "nothing"
-            raise ValueError(f"must be a table with ranges of the placement coordinates: {listed}")
-        value = {names[0]: value}
-    ranges: dict[str, tuple[float, float]] = {}
-    sentences: list[str] = []
-    for name, pair in cast(Mapping[Any, Any], value).items():
-        if name not in unit_of:
-            sentences.append(f"{name!r} is no placement coordinate; valid: {', '.join(names) or 'none'}")
-            continue
-        most = coordinate_max(unit_of[name])
-        try:
-            ranges[str(name)] = check_pair(pair, unit_of[name], -most, most, allow_equal=True)
-        except ValueError as error:
-            sentences.append(f"{name} {error}" if len(names) > 1 else str(error))
-    if sentences:
-        raise ValueError("; ".join(sentences))
-    return ranges
 
 
 def _check_any_range(value: Any) -> Any:

@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 import scipy.linalg
-from flexopt.foundation.control import check_control
 
 import flexopt
 from flexopt import build_plant, evaluate
 from flexopt.cli import main
 from flexopt.errors import FlexoptError, InputError, SingularPosture
+from flexopt.foundation.control import check_control
 from flexopt.model import machine_from_dict, tree_from_dict
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.posture_margin import evaluate_margin

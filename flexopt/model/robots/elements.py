@@ -5,7 +5,6 @@ Document type declarations are refused, so that a file can neither expand entiti
 
 from __future__ import annotations
 
-import difflib
 import math
 import xml.parsers.expat
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, ModelError
-from flexopt.foundation.nearest import ALIKE
+from flexopt.foundation.nearest import ALIKE, nearest
 
 FILE_SIZE_MAX = 16_000_000
 DEPTH_MAX = 200
@@ -200,9 +199,9 @@ def check_text(faults: Faults, element: Element, key: str, choices: Sequence[str
 
 def closest(word: str, valid: Sequence[str], alike: float = ALIKE) -> tuple[str, str]:
     """The valid word that is nearest, if any is near, and the end of a sentence about a word that is not known."""
-    close = difflib.get_close_matches(word, valid, n=1, cutoff=alike)
-    if close:
-        return close[0], f"; did you mean {close[0]!r}?"
+    near = nearest(word, valid, alike)
+    if near is not None:
+        return near, f"; did you mean {near!r}?"
     shown = ", ".join(valid[:12]) + (", …" if len(valid) > 12 else "")
     return "", f"; there are {shown}" if valid else ""
 

@@ -7,7 +7,6 @@ actuated joint moves stand on the ground and keep no distance from it.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable
 from typing import Any, cast
@@ -15,7 +14,7 @@ from typing import Any, cast
 import casadi as ca
 
 from flexopt.errors import Fault
-from flexopt.foundation.nearest import ALIKE
+from flexopt.foundation.nearest import hint
 from flexopt.model.constraints import Box, Clearance, Constraints, Obstacle, Sphere
 from flexopt.model.tables import Capsule
 from flexopt.plant import Plant
@@ -50,11 +49,9 @@ def _body_faults(plant: Plant, asked: Clearance) -> list[Fault]:
     faults: list[Fault] = []
     for name in asked.bodies or ():
         if name not in plant.frames.names:
-            close = difflib.get_close_matches(name, plant.frames.names, n=1, cutoff=ALIKE)
-            hint = f"did you mean {close[0]!r}?" if close else f"valid here: {', '.join(with_capsules)}"
-            faults.append(
-                Fault("clearance.bodies", f"{plant.machine.name} has no body of that name; {hint}", repr(name))
-            )
+            meant = hint(name, plant.frames.names, f"; valid here: {', '.join(with_capsules)}")
+            sentence = f"{plant.machine.name} has no body of that name{meant}"
+            faults.append(Fault("clearance.bodies", sentence, repr(name)))
         elif name not in with_capsules:
             sentence = f"has no volume: add a table [[capsules]] with body = {name!r} to the machine file"
             faults.append(Fault("clearance.bodies", sentence, repr(name)))

@@ -1,0 +1,42 @@
+"""The word that says how forces at the end-point become joint commands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flexopt.foundation.quantities import check_number
+
+# "inverse", "transpose" or "damped:LAMBDA", as `check_control` gives it.
+Control = str
+CONTROLS: tuple[Control, ...] = ("inverse", "transpose")
+DAMPED = "damped"
+DAMPING_MAX = 1e9
+
+
+def check_control(value: Any) -> Control:
+    """How forces at the end-point become joint commands: `inverse`, `transpose`, or `damped:LAMBDA` with λ > 0.
+
+    λ is in the unit of Jv's entries. It comes out in its shortest form, so that equal controls are equal words.
+    """
+    if isinstance(value, str) and value in CONTROLS:
+        return value
+    method, _, number = value.partition(":") if isinstance(value, str) else ("", "", "")
+    words = "must be inverse, transpose or damped:LAMBDA, such as damped:0.1"
+    if method != DAMPED:
+        raise ValueError(words)
+    try:
+        damping = check_number(float(number), "", above=0.0, high=DAMPING_MAX)
+    except ValueError:
+        sentence = f"LAMBDA is a number above 0 and at most {DAMPING_MAX:g} in the unit of Jv's entries"
+        raise ValueError(f"{words}; {sentence}") from None
+    return f"{DAMPED}:{repr(damping).removesuffix('.0')}"
+
+
+def control_method(control: Control) -> str:
+    """A control without its number: `inverse`, `transpose` or `damped`."""
+    return control.partition(":")[0]
+
+
+def control_damping(control: Control) -> float | None:
+    """λ of a damped control, None of any other."""
+    return float(control.partition(":")[2]) if control_method(control) == DAMPED else None

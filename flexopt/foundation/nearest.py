@@ -1,0 +1,20 @@
+"""The known word that was probably meant."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+# How alike two words must be for one to be suggested for the other.
+ALIKE = 0.6
+
+
+def nearest(word: str, known: Iterable[str], alike: float = ALIKE) -> str | None:
+    """The one of `known` that is most like `word`, if any is at all."""
+    return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=alike)), None)
+
+
+def hint(word: str, known: Iterable[str], otherwise: str = "") -> str:
+    """The end of a sentence about a word that is not known: the nearest known one, or else `otherwise`."""
+    near = nearest(word, known)
+    return otherwise if near is None else f"; did you mean {near!r}?"

@@ -1,0 +1,90 @@
+"""What the boundary knows of machines and problems, by the argument's name."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.errors import ModelError
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import TABLE, Check, by, of_machine, words
+from flexopt.foundation.coordinates import check_base_range
+from flexopt.model.constraints import read_constraints
+from flexopt.model.machine import AnyMachine
+from flexopt.model.problem import (
+    ELBOWS,
+    Problem,
+    check_gain,
+    check_margin_deg,
+    check_objective,
+    check_seed,
+    check_slack,
+    check_starts,
+    check_weights,
+)
+from flexopt.model.targets import TARGETS_MAX
+
+
+def targets(least: int) -> Check:
+    """Several targets of the machine's task, (K, n_task), m."""
+
+    def check(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> NDArray[np.float64] | None:
+        rows = arguments.checked(field, value, lambda v: v, None)
+        if arguments.faulty(field):
+            return None
+        listed = list(cast(list[Any], rows)) if isinstance(rows, list | tuple) else []
+        if not least <= len(listed) <= TARGETS_MAX:
+            arguments.note(field, f"must be a list of {least} to {TARGETS_MAX} targets", value)
+            return None
+        return np.array([arguments.point(row, f"{field}[{k}]", machine) for k, row in enumerate(listed)])
+
+    return of_machine(check)
+
+
+def _machine(arguments: Arguments, field: str, value: Any) -> Any:
+    if not isinstance(value, AnyMachine):
+        arguments.note(field, 'must be a Machine, from flexopt.load("excavator") for example', value)
+        return None
+    arguments.of = value
+    return value
+
+
+def holding_machine(kind: type, sentence: str) -> Check:
+    """A problem or an experiment, which must hold its machine."""
+
+    def check(arguments: Arguments, field: str, value: Any) -> Any:
+        if not isinstance(value, kind):
+            arguments.note(field, f"must be {sentence}", value)
+            return value
+        try:
+            arguments.of = value.loaded_machine
+        except ModelError as error:
+            arguments.note(field, str(error), value.name)
+        return value
+
+    return check
+
+
+def _base_range(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
+    names, units = machine.base_coordinates, machine.base_units
+    return arguments.checked(field, value, lambda v: check_base_range(v, names, units), None)
+
+
+TABLE.update(
+    {
+        "machine": _machine,
+        "problem": holding_machine(Problem, "a Problem, from flexopt.load_problem"),
+        "elbow": words(*ELBOWS),
+        "gain": by(check_gain),
+        "singularity_margin_deg": by(check_margin_deg),
+        "seed": by(check_seed),
+        "slack": by(check_slack),
+        "starts": by(check_starts),
+        "objective": by(check_objective),
+        "weights": by(check_weights),
+        "base_range": of_machine(_base_range),
+        "constraints": lambda a, field, value: a.collect(field, lambda: read_constraints(value)),
+    }
+)
