@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.objective import KINK
@@ -29,7 +30,8 @@ CURVATURE_STEP = 1e-5
 BEST_TOLERANCE = 1e-9
 # Steps along a direction of positive curvature, in scaled variables, that are looked at for a larger V.
 PROBES = (1e-2, 1e-3, 1e-4)
-CORRECTIONS = 8
+# Steps back onto the active rows, and how near they lead: what is left is taken off what V gains.
+CORRECTIONS, ON_ROWS = 8, 1e-14
 # A gain below this share of V's and the multipliers' size is rounding.
 NOISE = 1e-12
 KINK_NAME = "kink of ε_max"
@@ -332,20 +334,18 @@ def _rises(program: Program, x: Vector, local: _Linear, direction: Vector, weigh
         at = y[:n_x] * program.scale
         return program.local(at, program.linear(at), float(y[-1]), lowest=True)
 
+    def linear(y: Vector) -> tuple[Vector, Vector]:
+        at = there(y)
+        return at.g[numbers] - wanted, at.jacobian[numbers]
+
     landed, start = False, np.append(x / program.scale, local.level)[: local.gradient.size]
     for step in PROBES:
         for sign in (1.0, -1.0):
-            y: Vector = start + sign * step * local.moving * direction
-            for _ in range(CORRECTIONS):
-                at = there(y)
-                slopes, off = at.jacobian[numbers] * local.moving, at.g[numbers] - wanted
-                y = y - np.linalg.pinv(slopes) @ off
-            at = there(y)
-            off = at.g[numbers] - wanted
-            if np.abs(off).max(initial=0.0) <= BOUND_TOLERANCE:
-                landed = True
-                value = -at.f
-                better = value - local.value - weights[numbers] @ off
-                if better > max(0.1 * curvature * step**2, NOISE * (abs(value) + float(np.abs(weights).sum()))):
+            near = start + sign * step * local.moving * direction
+            y, error = shortest_steps(linear, near, local.moving, ON_ROWS, steps=CORRECTIONS)
+            if error <= BOUND_TOLERANCE:
+                landed, at = True, there(y)
+                better = -at.f - local.value - weights[numbers] @ (at.g[numbers] - wanted)
+                if better > max(0.1 * curvature * step**2, NOISE * (abs(at.f) + float(np.abs(weights).sum()))):
                     return True
     return kept and not landed

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.algebra.feasible import shortest_steps
 from flexopt.compiled import accelerate
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
@@ -28,7 +29,6 @@ from flexopt.selection.objective import KINK, Objective, Quantities
 
 # A step is halved so often at most: a limit, a kink or a summit is then nearer than a thousandth of it.
 HALVINGS = 10
-CORRECTIONS = 12
 # The base is at the end of its range where less of a step than this is left.
 NO_ROOM = 1e-9
 # Rounding in ξᵀ Δz, relative to |ξ||kξ ξ|.
@@ -135,14 +135,12 @@ class NullspaceLaw:
         _, of_end_point = _functions(*self._key)
         base, joints = np.clip(z[:n_base] + step[:n_base], self.lower, self.upper), z[n_base:] + step[n_base:]
         tolerance = 1e-14 * (1 + float(np.abs(self.target).max()))
-        error = math.inf
-        for _ in range(CORRECTIONS):
+
+        def linear(joints: Vector) -> tuple[Vector, Vector]:
             end_point, jacobian = (x.full() for x in of_end_point.call([base, joints, p]))
-            off = end_point.ravel() - self.target
-            error = float(np.abs(off).max())
-            if not error > tolerance:
-                break
-            joints = joints - _shortest(jacobian[:, n_base:], off)
+            return end_point.ravel() - self.target, jacobian[:, n_base:]
+
+        joints, error = shortest_steps(linear, joints, np.ones(joints.size), tolerance)
         # Far from the origin rounding keeps the error above the tolerance.
         return np.concatenate([base, joints]) if error <= 1e3 * tolerance else None
 

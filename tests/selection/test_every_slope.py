@@ -16,7 +16,7 @@ import flexopt
 from flexopt.export.context import build_context
 from flexopt.export.optimiser_kernels import build_optimiser_kernels
 from flexopt.model.constraints import Constraints
-from flexopt.plant.reaching import reach_steps
+from flexopt.plant.inverse_kinematics import reach_steps
 from flexopt.selection import nullspace_law, optima, programs
 from flexopt.selection import program as program_module
 from flexopt.selection.nlp import IPOPT_OPTIONS
@@ -55,7 +55,7 @@ TAKEN = {
     ("export/optimiser_kernels.py", "build_optimiser_kernels"): "test_the_optimiser_in_c",
     ("export/optimiser_kernels.py", "_position"): "test_the_optimiser_in_c",
 }
-ROOMS = ("selection", "algebra/feasible.py", "plant/reaching.py", "robustness/expansion.py", "export/optimiser_kernels.py",
+ROOMS = ("selection", "algebra/feasible.py", "plant/inverse_kinematics.py", "robustness/expansion.py", "export/optimiser_kernels.py",
          "export/optimiser.py")  # fmt: skip
 walked: set[str] = set()
 

@@ -27,7 +27,7 @@ from flexopt.model.boundary import targets
 from flexopt.model.constraints import Constraints
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG
 from flexopt.model.targets import RATE_MAX, TIME_MAX
-from flexopt.plant.reaching import solve_postures
+from flexopt.plant.inverse_kinematics import REACHED, solve_postures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
 from flexopt.selection.nlp import Coupling
@@ -277,7 +277,8 @@ def _between(problems: tuple[SelectionProblem, ...], due: Vector, zs: list[Vecto
         z = zs[k][:, None] + (zs[k + 1] - zs[k])[:, None] * along
         ends = problems[k].target, problems[k + 1].target
         targets = ends[0][:, None] + (ends[1] - ends[0])[:, None] * along
-        postures, reached = solve_postures(plant, targets, z[:n_b], z[n_b:])
+        postures, left = solve_postures(plant, targets, z[:n_b], z[n_b:])
+        reached = left <= REACHED
         if not reached.all():
             return -np.inf, float(due[k] + (due[k + 1] - due[k]) * along[int(np.argmin(reached))])
         values = values_of(problems[0], np.vstack([z[:n_b], postures]))
