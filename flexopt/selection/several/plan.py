@@ -11,21 +11,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import number, numbers, public
-from flexopt.foundation.control import Control
+from flexopt.foundation.boundary import Keywords, number, numbers, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
 from flexopt.model.constraints import Constraints
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG
+from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATE_MAX, TIME_MAX
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
 from flexopt.robustness.plausibility import warn_implausible
@@ -84,6 +83,7 @@ _RATES = numbers("m/s or rad/s", low=0.0, high=RATE_MAX)
     max_base_rate=_RATES,
     max_joint_rate=_RATES,
     together=_together,
+    keywords=Keywords(SelectionOptions, SelectionOptions.of("path")),
 )
 def plan_base(
     machine: AnyMachine,
@@ -94,19 +94,11 @@ def plan_base(
     max_base_rate: Any = None,
     max_joint_rate: Any = None,
     start: Any = None,
-    objective: str = "w1",
-    control: Control = "inverse",
-    weights: Sequence[float] | None = None,
-    gravity: bool = False,
-    base: Any = None,
-    posture: Any = None,
-    base_range: Any = None,
     constraints: Constraints | Mapping[str, Any] | None = None,
-    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
-    starts: int | None = None,
-    seed: int = 0,
     workers: int | None = None,
     progress: Progress | None = None,
+    options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[SharedKeywords],
 ) -> BasePlan:
     """A motion of the base along a path of the end-point: max min_k V(z_k), and of those the shortest way.
 
@@ -121,9 +113,7 @@ def plan_base(
         max_base_rate: of each placement coordinate, one number or (n_b,), m/s and rad/s; 0.25 by default.
         max_joint_rate: of each joint, one number or (n,), rad/s or m/s; the machine's speeds by default.
         start: where the base stands at the first target, (n_b,); free by default.
-        objective, control, weights, gravity, base, posture, base_range, constraints, singularity_margin_deg, seed: as
-            in `flexopt.select_stand`.
-        starts: ways that IPOPT starts from, besides standing still; 3 by default.
+        constraints, options, keywords: as in `flexopt.select_stand`, but for combine and shares.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -136,14 +126,14 @@ def plan_base(
     """
     warn_implausible(machine)
     points, begin, count = path, start, workers or available_cores()
+    asked = SelectionOptions.model_construct(**keywords)
+    seed = asked.seed
     even = np.linspace(0.0, DURATION if duration is None else duration, len(points))
     due = even if times is None else np.array(times)
     base_rates = np.resize(BASE_RATE if max_base_rate is None else max_base_rate, len(machine.base_coordinates))
     joint_rates = np.resize(machine.speeds if max_joint_rate is None else max_joint_rate, len(machine.joints))
-    options: dict[str, Any] = {"objective": objective, "control": control, "weights": weights, "gravity": gravity}
-    options |= {"base": base, "posture": posture, "base_range": base_range, "constraints": constraints}
-    options |= {"singularity_margin_deg": singularity_margin_deg, "seed": seed}
-    problems = build_problems("plan_base", machine, points, "path", options)
+    alone = asked.model_copy(update={"starts": None})
+    problems = build_problems("plan_base", machine, points, "path", alone, constraints)
     if begin is not None:
         _check_start(problems[0], begin)
     program = _along(problems, due, np.concatenate([base_rates, joint_rates]), begin)
@@ -152,7 +142,7 @@ def plan_base(
     found = [reached_from(problem, common, seed) for problem in problems]
     still = _standing_still(problems, common, found, begin, count)
     layers = [nodes_of(reached) for reached in _with_own(problems, found, begin, seed)]
-    begins = coarse_ways(program, layers, starts or WAYS)
+    begins = coarse_ways(program, layers, asked.starts or WAYS)
     begins += _carried(program, begin, count)
     if still is not None:
         begins.append(program.packed(still))
@@ -174,7 +164,7 @@ def plan_base(
         stationarity=stationarity,
         attempts=(len(ends), len(good)),
         problems=problems,
-        provenance=provenance(machine, **stated, objective=problems[0].name, control=control, seed=seed),
+        provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=seed),
     )
 
 
