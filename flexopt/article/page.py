@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexopt.article.findings import Finding
+from flexopt.article.findings import ArticleFinding
 from flexopt.foundation.escapes import markup
 from flexopt.study.gains import BorderRow
 from flexopt.study.page import page, picture, table, write_files
@@ -101,7 +101,7 @@ def _frequencies(result: Reproduction) -> str:
     return table(("mean, Hz", *(f"mode {i + 1}" for i in range(len(f.printed)))), rows)
 
 
-def _findings(group: Sequence[Finding]) -> str:
+def _findings(group: Sequence[ArticleFinding]) -> str:
     rows = "\n".join(
         f"<tr><td>“{markup(f.quote)}”<br><small>{markup(f.where)}</small></td>"
         f"<td class={'holds' if f.holds else 'fails'}>{'holds' if f.holds else 'fails'}</td>"

@@ -24,7 +24,15 @@ from flexopt.foundation.quantities import (
 from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine
 from flexopt.model.tables import BuiltByCall
-from flexopt.model.targets import KINDS, Kind, Motion, Target, check_any_numbers, check_any_shares, target_faults
+from flexopt.model.targets import (
+    KINDS,
+    PathMotion,
+    Target,
+    TargetKind,
+    check_any_numbers,
+    check_any_shares,
+    target_faults,
+)
 
 Elbow = Literal["up", "down"]
 ELBOWS: tuple[Elbow, ...] = ("up", "down")
@@ -150,7 +158,7 @@ class SelectionOptions(BuiltByCall):
     shares: Annotated[tuple[float, ...], checked(check_any_shares)] | None = None
 
     @classmethod
-    def of(cls, kind: Kind) -> tuple[str, ...]:
+    def of(cls, kind: TargetKind) -> tuple[str, ...]:
         """The fields that go with a kind of target."""
         others = {key for other, keys in KINDS.items() if other != kind for key in keys}
         return tuple(name for name in cls.model_fields if name not in others)
@@ -195,7 +203,7 @@ class Problem(BuiltByCall):
     source: str = ""
     machine: str = Field(min_length=1)
     target: Target
-    motion: Motion | None = None
+    motion: PathMotion | None = None
     selection: SelectionOptions = Field(default_factory=SelectionOptions)
     constraints: Constraints | None = None
 
@@ -230,4 +238,4 @@ class Problem(BuiltByCall):
         options = self.selection.model_dump(include=set(SelectionOptions.of(kind)))
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
-        return options | (self.motion or Motion()).model_dump() if kind == "path" else options
+        return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options
