@@ -21,7 +21,7 @@ from flexopt.plant.statics import not_held
 from flexopt.selection.configuration import build_configuration
 from flexopt.selection.constraints import ConstraintSet, build_constraints, constraint_faults
 from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
-from flexopt.selection.problem import Constraint, SelectionProblem, Travel, Variable
+from flexopt.selection.problem import Constraint, DecisionVariable, SelectionProblem, TravelCost
 from flexopt.selection.scan import Scan, scan_redundancy
 from flexopt.selection.starts import STARTS, Region, sample_configurations
 
@@ -98,10 +98,11 @@ def build_selection(
     length = outer_reach(plant)[1]
     lengths = {"m": length or 1.0, "rad": 1.0}
     variables = [
-        Variable(f"base.{name}", unit, *ranges[name], lengths[unit]) for name, unit in zip(names, units, strict=True)
+        DecisionVariable(f"base.{name}", unit, *ranges[name], lengths[unit])
+        for name, unit in zip(names, units, strict=True)
     ]
     variables += [
-        Variable(name, unit, float(low), float(high), 1.0 if unit == "rad" else arm_length(plant))
+        DecisionVariable(name, unit, float(low), float(high), 1.0 if unit == "rad" else arm_length(plant))
         for name, unit, (low, high) in zip(machine.joints, machine.joint_units, limits, strict=True)
     ]
     bounds = [
@@ -139,7 +140,7 @@ def build_selection(
         constraints=tuple(bounds),
         constraint_set=constraint_set,
         asked=kept,
-        travel=None if travel_now is None or kept.travel is None else Travel(kept.travel.cost, travel_now),
+        travel=None if travel_now is None or kept.travel is None else TravelCost(kept.travel.cost, travel_now),
         objective_scales=tuple(float(np.median(o.alpha @ scan.factor)) + o.beta or 1.0 for o in objectives),
         scan=scan,
         region=region,
@@ -222,7 +223,7 @@ def _placements(
 
 def _region(
     plant: Plant,
-    variables: list[Variable],
+    variables: list[DecisionVariable],
     constraints: list[Constraint],
     sampled: Ranges,
     constraint_set: ConstraintSet | None,

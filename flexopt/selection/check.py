@@ -94,7 +94,7 @@ def prove_program(program: Program, x: Vector) -> Proof:
 
 
 @dataclass(frozen=True)
-class _Linear:
+class _FirstOrderModel:
     """First-order model at a point, in y = x / scale, and t last where the program has one.
 
     Attributes:
@@ -162,7 +162,7 @@ def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
     return violations
 
 
-def _linearised(program: Program, x: Vector) -> _Linear:
+def _linearised(program: Program, x: Vector) -> _FirstOrderModel:
     members = program.linear(x)
     level = float(min(member.values[-1][0] for member in members))
     local = program.local(x, members, level, lowest=True)
@@ -200,7 +200,7 @@ def _linearised(program: Program, x: Vector) -> _Linear:
                 rows.append(sense * identity[i])
                 names.append(f"{name} {side} bound")
                 moving[i] = 0.0
-    return _Linear(
+    return _FirstOrderModel(
         level=level,
         value=-local.f,
         gradient=-local.gradient,
@@ -214,7 +214,7 @@ def _linearised(program: Program, x: Vector) -> _Linear:
     )
 
 
-def _multipliers(local: _Linear) -> tuple[Vector, list[int]]:
+def _multipliers(local: _FirstOrderModel) -> tuple[Vector, list[int]]:
     """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, and the inequalities that pull."""
     kept = list(range(len(local.inequalities)))
     if not np.all(np.isfinite(local.gradient)) or not np.all(np.isfinite(local.rows(kept))):
@@ -228,7 +228,7 @@ def _multipliers(local: _Linear) -> tuple[Vector, list[int]]:
         del kept[int(np.argmax(signs))]
 
 
-def _at_kink(local: _Linear, multipliers: Vector, kept: list[int], stationarity: float) -> float:
+def _at_kink(local: _FirstOrderModel, multipliers: Vector, kept: list[int], stationarity: float) -> float:
     """Stationarity where the branches meet, with a mean of their gradients and no more.
 
     V's generalised gradients are (1 − μ) g_11 + μ g_22 + 2 ν g_12 with ν² ≤ μ (1 − μ): multipliers beyond that would
@@ -252,7 +252,7 @@ def _at_kink(local: _Linear, multipliers: Vector, kept: list[int], stationarity:
     return float(np.linalg.norm(plain.gradient - others @ plain.rows(pulling)))
 
 
-def _nearest_multipliers(local: _Linear) -> tuple[Vector, list[int]]:
+def _nearest_multipliers(local: _FirstOrderModel) -> tuple[Vector, list[int]]:
     """As `_multipliers`, the nearest there are: non-negative least squares on what equalities cannot take up."""
     if not len(local.inequalities):
         return np.linalg.pinv(local.equalities.T) @ local.gradient, []
@@ -264,7 +264,7 @@ def _nearest_multipliers(local: _Linear) -> tuple[Vector, list[int]]:
     return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
-def _curvature(program: Program, x: Vector, local: _Linear, multipliers: Vector, kept: list[int]) -> float:
+def _curvature(program: Program, x: Vector, local: _FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
     """Largest curvature of V − λᵀ c on the null space of the active rows, by central differences of exact gradients.
 
     0 where nothing is free, at a kink, where the branches change places within the step, and where no point nearby
@@ -315,7 +315,9 @@ def _bent(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -
     return second
 
 
-def _rises(program: Program, x: Vector, local: _Linear, direction: Vector, weights: Vector, curvature: float) -> bool:
+def _rises(
+    program: Program, x: Vector, local: _FirstOrderModel, direction: Vector, weights: Vector, curvature: float
+) -> bool:
     """Whether V is larger at some point near x along a direction, moved back onto the active rows.
 
     What V gains by being a rounding error off these rows, whose multipliers are `weights`, is taken off: what narrow

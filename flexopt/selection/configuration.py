@@ -22,7 +22,7 @@ from flexopt.selection.constraints import ConstraintSet
 
 
 @dataclass(frozen=True)
-class Rows:
+class ConstraintRows:
     """The constraint rows besides the target: what decides their graph, and the graph."""
 
     structure: Any
@@ -45,7 +45,7 @@ class Configuration:
     machine: AnyMachine
     control: Control
     gravity: bool
-    extra: Rows | None
+    extra: ConstraintRows | None
 
     @property
     def measures(self) -> Measures:
@@ -152,7 +152,7 @@ class Configuration:
 
 
 @lru_cache(maxsize=32)
-def _configuration(machine: AnyMachine, control: Control, gravity: bool, extra: Rows | None) -> Configuration:
+def _configuration(machine: AnyMachine, control: Control, gravity: bool, extra: ConstraintRows | None) -> Configuration:
     return Configuration(machine, control, gravity, extra)
 
 
@@ -168,5 +168,5 @@ def build_configuration(
     """
     extra = None
     if constraints is not None and len(constraints):
-        extra = Rows(constraints.structure, constraints.function)
+        extra = ConstraintRows(constraints.structure, constraints.function)
     return _configuration(machine, control, gravity, extra)

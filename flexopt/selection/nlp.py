@@ -105,7 +105,7 @@ def alone(n_z: int) -> Coupling:
 
 
 @dataclass(frozen=True)
-class Parameters:
+class SolverParameters:
     """How the solver's parameters lie in one vector.
 
     `target` (K n_task,) and `row_scale` (n_rows,): rows are (row − target) / row_scale. `z_scale` (n_z,): z = z_scale
@@ -130,7 +130,7 @@ class Parameters:
 
 
 @dataclass(frozen=True)
-class Form:
+class ObjectiveForm:
     """What an objective is made of: whether any α, and whether β, is not zero."""
 
     smooth: bool
@@ -142,19 +142,24 @@ class Form:
         return 2 if self.kinks else 1
 
 
-def parameters_of(configuration: Configuration, coupling: Coupling, objectives: int) -> Parameters:
+def parameters_of(configuration: Configuration, coupling: Coupling, objectives: int) -> SolverParameters:
     """The parameters of a program with so many objectives."""
     plant, count = configuration.measures.plant, coupling.count
     n_z, m = plant.n_base + plant.n_actuated, plant.n_passive
     sizes = {"target": plant.n_task * count, "row_scale": configuration.n_rows, "z_scale": n_z}
     sizes |= {"alpha": m * objectives, "beta": objectives, "size": objectives, "cost": 1, "now": n_z}
     sizes |= {"share": count, "level": 1, "gain": 1}
-    return Parameters((*sizes.items(), ("c", configuration.n_constants), ("p", len(plant.parameter_names))))
+    return SolverParameters((*sizes.items(), ("c", configuration.n_constants), ("p", len(plant.parameter_names))))
 
 
 @lru_cache(maxsize=48)
 def build_solver(
-    configuration: Configuration, coupling: Coupling, forms: tuple[Form, ...], goal: Goal, *, quick: bool = False
+    configuration: Configuration,
+    coupling: Coupling,
+    forms: tuple[ObjectiveForm, ...],
+    goal: Goal,
+    *,
+    quick: bool = False,
 ) -> ca.Function:
     """A solver in x = z / z_scale, and t last for "worst" (kept between calls).
 
@@ -198,7 +203,7 @@ class _Member:
         self,
         configuration: Configuration,
         coupling: Coupling,
-        forms: tuple[Form, ...],
+        forms: tuple[ObjectiveForm, ...],
         s: Mapping[str, ca.MX],
         x: ca.MX,
         k: int,

@@ -40,7 +40,7 @@ Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
 Found = tuple[Vector, Proof, int]
 # The same with the solver's status; no proof where the point is no number.
-Solved = tuple[Vector, Proof | None, int, str]
+SolveOutcome = tuple[Vector, Proof | None, int, str]
 
 
 def first_optima(
@@ -130,7 +130,7 @@ def _attempted(
     starts: list[Vector],
     workers: int,
     progress: Progress | None,
-    solve: Callable[[SelectionProblem, list[Vector], int], Solved],
+    solve: Callable[[SelectionProblem, list[Vector], int], SolveOutcome],
 ) -> tuple[list[Found], list[Attempt], list[tuple[Vector, Proof]]]:
     """The same, and the points that failed the proof; there may be no optimum."""
     found: list[Found] = []
@@ -168,7 +168,7 @@ def _attempted(
     return found, attempts, failures
 
 
-def _lost(starts: list[Vector], number: int, sentence: str) -> Solved:
+def _lost(starts: list[Vector], number: int, sentence: str) -> SolveOutcome:
     return starts[number], None, 0, sentence
 
 
@@ -186,7 +186,7 @@ def _hurried(problem: SelectionProblem) -> bool:
     return problem.redundancy > 1
 
 
-def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
     """A start's solution; where there is much redundancy, after a few iterations (see `_promising`)."""
     if not _hurried(problem):
         return _finish(problem, starts, number)
@@ -198,12 +198,12 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
     return z, proof, iterations, status
 
 
-def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
     z, iterations, status = run_solver(problem, starts[number])
     return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
 
 
-def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
     """As `_finish`, in steps of limited length for as long as they lead up."""
     z, total, status = starts[number], 0, CUT_SHORT
     proof: Proof | None = None
@@ -219,7 +219,7 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
     return z, proof, total, status
 
 
-def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Solved:
+def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> SolveOutcome:
     """A solve that was cut short, taken up again a few times: what wanders for longer does not settle."""
     z, iterations, status = points[number], 0, CUT_SHORT
     for _ in range(RESUMED):
@@ -230,7 +230,7 @@ def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Sol
     return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
 
 
-def _promising(problem: SelectionProblem, solved: list[Solved]) -> list[int]:
+def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[int]:
     """Numbers of the starts that were cut short and may still lead to more than the best optimum found.
 
     Where none was found that is every one.

@@ -18,14 +18,14 @@ from flexopt.model.problem import Elbow
 from flexopt.robustness.measures import Measures
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
-from flexopt.selection.nlp import Coupling, Form, Goal, alone, build_solver, parameters_of
+from flexopt.selection.nlp import Coupling, Goal, ObjectiveForm, alone, build_solver, parameters_of
 from flexopt.selection.objective import Objective, Quantities, quantities
 from flexopt.selection.scan import Scan
 from flexopt.selection.starts import Region
 
 
 @dataclass(frozen=True)
-class Variable:
+class DecisionVariable:
     """A decision variable: bounds and the scale that IPOPT sees it in, all in `unit`."""
 
     name: str
@@ -47,7 +47,7 @@ class Constraint:
 
 
 @dataclass(frozen=True)
-class Travel:
+class TravelCost:
     """What leaving z_now costs: V less by cost · objective_scale · Σ ((z − z_now) / scale_z)².
 
     Attributes:
@@ -103,11 +103,11 @@ class SelectionProblem:
     control: Control
     gravity: bool
     gain: float
-    variables: tuple[Variable, ...]
+    variables: tuple[DecisionVariable, ...]
     constraints: tuple[Constraint, ...]
     constraint_set: ConstraintSet | None
     asked: ConstraintsAsked
-    travel: Travel | None
+    travel: TravelCost | None
     objective_scales: tuple[float, ...]
     scan: Scan = field(repr=False)
     region: Region = field(repr=False)
@@ -239,10 +239,10 @@ class SelectionProblem:
         return int(np.sum(self.lower < self.upper)) - self.target.size
 
     @property
-    def forms(self) -> tuple[Form, ...]:
+    def forms(self) -> tuple[ObjectiveForm, ...]:
         """What the objectives before the one being solved, and it, are made of."""
         objectives = self.objectives[: len(self.kept) + 1]
-        return tuple(Form(smooth=any(o.alpha), kinks=o.has_kinks) for o in objectives)
+        return tuple(ObjectiveForm(smooth=any(o.alpha), kinks=o.has_kinks) for o in objectives)
 
     @property
     def goal(self) -> Goal:

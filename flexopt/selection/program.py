@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.selection.configuration import Rows
+from flexopt.selection.configuration import ConstraintRows
 from flexopt.selection.nlp import Coupling, Goal, alone, build_solver
 from flexopt.selection.problem import Constraint, SelectionProblem, packed_parameters
 from flexopt.selection.programs import Bounds, Local, run
@@ -24,7 +24,7 @@ SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linearisation:
     """A configuration of a program, by z / scale.
 
     Attributes:
@@ -181,11 +181,11 @@ class Program:
         there = x[: self.coupling.n_x] * self.scale + shift
         return self.local(there, self.linear(there), float(x[-1]))
 
-    def linear(self, x: Vector) -> list[Linear]:
+    def linear(self, x: Vector) -> list[Linearisation]:
         """Every configuration at x, by functions that no solver uses."""
         return [self.linear_of(k, self.of(x, k)) for k in range(self.coupling.count)]
 
-    def linear_of(self, k: int, z: Vector) -> Linear:
+    def linear_of(self, k: int, z: Vector) -> Linearisation:
         """Configuration k at z."""
         problem, scale = self.problems[k], self.first.scale
         rows = np.array([row.scale for row in problem.constraints])
@@ -193,14 +193,14 @@ class Program:
         count = len(problem.kept) + 1
         found = [problem.branches(objective, z) for objective in problem.objectives[:count]]
         sizes = problem.objective_scales[:count]
-        return Linear(
+        return Linearisation(
             rows=(problem.rows(z) - wanted) / rows,
             row_slopes=row_gradients(problem, z) / rows[:, None] * scale,
             values=[values / size for (values, _), size in zip(found, sizes, strict=True)],
             slopes=[slopes / size * scale for (_, slopes), size in zip(found, sizes, strict=True)],
         )
 
-    def local(self, x: Vector, members: Sequence[Linear], level: float, *, lowest: bool = False) -> Local:
+    def local(self, x: Vector, members: Sequence[Linearisation], level: float, *, lowest: bool = False) -> Local:
         """The program at x, by x / scale, and t last where it has one; `members` from `linear`."""
         goal: Goal = "weighted" if lowest and self.first.objective.has_kinks else self.goal
         n_x = self.coupling.n_x
@@ -258,7 +258,7 @@ def values_of(problem: SelectionProblem, z: Vector) -> Vector:
 
 
 @lru_cache(maxsize=32)
-def _extra_slopes(machine: AnyMachine, rows: Rows) -> ca.Function:  # noqa: ARG001 - with the rows a key
+def _extra_slopes(machine: AnyMachine, rows: ConstraintRows) -> ca.Function:  # noqa: ARG001 - with the rows a key
     """(base, posture, p, c) -> derivatives of the constraint rows by z, (k, n_z)."""
     f = rows.function
     base, posture, p, c = (ca.SX.sym(name, f.size1_in(k)) for k, name in enumerate(f.name_in()))
@@ -272,7 +272,7 @@ def row_gradients(problem: SelectionProblem, z: Vector) -> Vector:
     at = [z[:n_base], z[n_base:], plant.parameter_values]
     parts = [problem.measures.end_point_gradient.call(at)[0], plant.singularity_gradient.call(at)[0]]
     if problem.constraint_set is not None:
-        extra = Rows(problem.constraint_set.structure, problem.constraint_set.function)
+        extra = ConstraintRows(problem.constraint_set.structure, problem.constraint_set.function)
         slopes = _extra_slopes(problem.machine, extra)
         parts += slopes.call([*at, problem.constraint_set.constants])
     return np.vstack([part.full() for part in parts])

@@ -33,7 +33,7 @@ from flexopt.selection.nlp import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program, values_of
 from flexopt.selection.several.postures import Reached, reached_from
-from flexopt.selection.several.results import BasePlan, Still
+from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, places_at, verified
 from flexopt.selection.several.standing import best_placements, one_placement
 from flexopt.selection.several.targets import build_problems, sample_bases
@@ -240,9 +240,11 @@ def _with_own(
     return first + [[both, reached_from(own, sample_bases((own,), *OWN, seed), seed)] for own, both in others]
 
 
-def _still(program: Program, zs: list[Vector]) -> Still:
+def _still(program: Program, zs: list[Vector]) -> FixedPlacement:
     n_b = program.first.measures.plant.n_base
-    return Still(base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=program.values(program.packed(zs)))
+    return FixedPlacement(
+        base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=program.values(program.packed(zs))
+    )
 
 
 def _shortest(program: Program, good: list[End]) -> tuple[Vector, float]:

@@ -6,7 +6,6 @@ where no start led to one that violates nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,12 +15,12 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.check import infeasible, prove_program
+from flexopt.selection.optima import Progress
 from flexopt.selection.program import SOLVED, Program
 from flexopt.selection.seen import BETTER
-from flexopt.selection.several.results import Place
+from flexopt.selection.several.results import TargetConfiguration
 from flexopt.selection.solve import constraint_values, evaluated
 
-Progress = Callable[[int, int], None]
 # Points that were seen and are better than every optimum: how many are tried.
 TRIED = 4
 
@@ -124,10 +123,12 @@ def not_below(program: Program, good: list[End], seen: list[Vector], what: str) 
     return found
 
 
-def places_at(program: Program, x: Vector) -> tuple[Place, ...]:
+def places_at(program: Program, x: Vector) -> tuple[TargetConfiguration, ...]:
     """The configuration at every target."""
-    places: list[Place] = []
+    places: list[TargetConfiguration] = []
     for k, (problem, value) in enumerate(zip(program.problems, program.values(x), strict=True)):
         z = program.of(x, k)
-        places.append(Place(problem.target, evaluated(problem, z), float(value), constraint_values(problem, z)))
+        places.append(
+            TargetConfiguration(problem.target, evaluated(problem, z), float(value), constraint_values(problem, z))
+        )
     return tuple(places)

@@ -18,7 +18,6 @@ from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, verified
 from flexopt.selection.several.targets import none_reaches_all
 
-Numbers = NDArray[np.int64]
 # V stands in for where a target has no allowed posture in a sum.
 NOTHING = -1e300
 # Starts where a target leaves one degree of freedom, and where it leaves more: then there are many summits.
@@ -106,10 +105,10 @@ def _together(found: Reached, near: list[int], more: Reached) -> Reached:
     )
 
 
-def _picks(reached: Reached) -> Numbers:
+def _picks(reached: Reached) -> NDArray[np.int64]:
     """For each placement the number of the best posture, or of the one that violates least where none is allowed."""
     allowed = np.isfinite(reached.value).any(axis=1)
-    return cast(Numbers, np.where(allowed, reached.value.argmax(axis=1), reached.violation.argmin(axis=1)))
+    return cast(NDArray[np.int64], np.where(allowed, reached.value.argmax(axis=1), reached.violation.argmin(axis=1)))
 
 
 def _worth(program: Program, found: list[Reached]) -> Vector:
