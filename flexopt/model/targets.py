@@ -16,8 +16,8 @@ from flexopt.model.tables import FileModel
 TARGETS_MAX = 1000
 RATE_MAX, TIME_MAX, SHARE_MAX = 1e3, 1e6, 1e6
 # Keys of [target], of which a problem has exactly one, with the keys of [selection] that go with it only.
-Kind = Literal["end_point", "end_points", "path"]
-KINDS: dict[Kind, tuple[str, ...]] = {
+TargetKind = Literal["end_point", "end_points", "path"]
+KINDS: dict[TargetKind, tuple[str, ...]] = {
     "end_point": ("gain", "elbow", "slack"),
     "end_points": ("combine", "shares"),
     "path": (),
@@ -94,7 +94,7 @@ class Target(FileModel):
     path: Annotated[tuple[Numbers, ...], checked(_check_path)] | None = None
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> TargetKind:
         """Which of the three it is."""
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
