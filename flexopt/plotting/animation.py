@@ -21,6 +21,7 @@ from PIL import Image
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import instance, number, path, public
+from flexopt.foundation.pictures import draws
 from flexopt.foundation.rendering import render
 from flexopt.foundation.writing import write_file
 from flexopt.plotting.stage import Film, Stage
@@ -54,6 +55,7 @@ def _alive(trajectory: Trajectory) -> NDArray[np.int64]:
     return np.flatnonzero(np.all(np.isfinite(trajectory.q), axis=1))
 
 
+@draws(Trajectory, "film")
 @public(
     trajectory=instance(Trajectory, "a Trajectory, from flexopt.simulate for example"),
     path=path(".gif", ".html"),

@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.boundary import instance, public
 from flexopt.foundation.escapes import mathtext
-from flexopt.foundation.plain import shown
+from flexopt.foundation.pictures import draws
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.panels import Line, Panel, draw_panel
@@ -27,6 +27,8 @@ from flexopt.selection.base_trajectory import BaseTrajectory
 TITLE_WIDTH = 100  # characters
 
 
+@draws(BaseTrajectory)
+@public(trajectory=instance(BaseTrajectory, "a BaseTrajectory, from flexopt.nullspace_trajectory for example"))
 def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw the machine at start and end; base position, base rate and V over time; why it stops.
 
@@ -38,10 +40,6 @@ def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str
         InputError: not a base trajectory, or the file's suffix is unknown.
         WriteError: the file cannot be written.
     """
-    # A caller without types may pass anything.
-    if not isinstance(trajectory, BaseTrajectory):  # pyright: ignore[reportUnnecessaryIsInstance]
-        sentence = "must be a BaseTrajectory, from flexopt.nullspace_trajectory for example"
-        raise_if_any(InputError, "plot_base_trajectory", [Fault("trajectory", sentence, shown(trajectory))])
     t = trajectory
     start, end = (shape_of(t.model, evaluation) for evaluation in (t.initial, t.final))
     seen = views(end)
@@ -73,7 +71,7 @@ def plot_base_trajectory(trajectory: BaseTrajectory, path: str | os.PathLike[str
         drawn[-1].legend(loc="best", fontsize=7.5)
     heading = f"{mathtext(t.machine)}, Jacobian {t.control} control, objective {t.objective}: {t.status}"
     figure.suptitle(textwrap.fill(heading, TITLE_WIDTH), fontsize=9)
-    write("plot_base_trajectory", figure, path)
+    write(figure, path)
     return figure
 
 

@@ -11,7 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexopt.foundation.boundary import instance, public
 from flexopt.foundation.escapes import mathtext
+from flexopt.foundation.pictures import draws
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.scenery import AREAS, draw_scenery, scenery_points
@@ -25,6 +27,8 @@ BRANCHES = {-1.0: ("#1b9e77", "elbow up"), 1.0: ("#7570b3", "elbow down")}
 WORST_SHOWN = 0.12
 
 
+@draws(Selection)
+@public(selection=instance(Selection, "a Selection, from flexopt.select for example"))
 def plot_selection(selection: Selection, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw the machine in the chosen and the present configuration, and its measures.
 
@@ -52,7 +56,7 @@ def plot_selection(selection: Selection, path: str | os.PathLike[str] | None = N
         seen = grid[:, 0].subgridspec(2, 1)
         draw_configurations([figure.add_subplot(seen[k, 0]) for k in range(2)], selection)
         draw_candidates([figure.add_subplot(grid[k, 1]) for k in range(3)], selection)
-    write("plot_selection", figure, path, dpi=150)
+    write(figure, path, dpi=150)
     return figure
 
 

@@ -16,9 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.boundary import instance, public
 from flexopt.foundation.escapes import mathtext
-from flexopt.foundation.plain import shown
+from flexopt.foundation.pictures import draws
 from flexopt.plotting.files import write
 from flexopt.plotting.machine import draw_ground, draw_shape
 from flexopt.plotting.panels import Line, Panel, draw_panel
@@ -32,6 +32,8 @@ TITLE_WIDTH = 95  # characters
 GHOSTS = 9
 
 
+@draws(Stand)
+@public(stand=instance(Stand, "a Stand, from flexopt.select_stand for example"))
 def plot_stand(stand: Stand, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw the machine from its one placement at every target, and V and every w_i at each.
 
@@ -43,7 +45,6 @@ def plot_stand(stand: Stand, path: str | os.PathLike[str] | None = None) -> Figu
         InputError: not a stand, or the file's suffix is unknown.
         WriteError: the file cannot be written.
     """
-    _check("plot_stand", "stand", stand, Stand, "flexopt.select_stand")
     figure, panels = _begin(stand, 2)
     numbers = np.arange(1, len(stand.places) + 1)
     colors = [CHOSEN if k == stand.worst else PRESENT for k in range(numbers.size)]
@@ -54,9 +55,11 @@ def plot_stand(stand: Stand, path: str | os.PathLike[str] | None = None) -> Figu
     for panel in panels:
         panel.set_xticks(numbers)
         panel.set_xlabel("target", fontsize=8)
-    return _end("plot_stand", figure, stand, path)
+    return _end(figure, stand, path)
 
 
+@draws(BasePlan)
+@public(plan=instance(BasePlan, "a BasePlan, from flexopt.plan_base for example"))
 def plot_plan(plan: BasePlan, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw the machine at every target of its path; over time V, moving and standing still, and the placement.
 
@@ -68,7 +71,6 @@ def plot_plan(plan: BasePlan, path: str | os.PathLike[str] | None = None) -> Fig
         InputError: not a plan, or the file's suffix is unknown.
         WriteError: the file cannot be written.
     """
-    _check("plot_plan", "plan", plan, BasePlan, "flexopt.plan_base")
     e = plan.places[0].evaluation
     units = sorted(set(e.base_units))
     figure, panels = _begin(plan, 1 + len(units))
@@ -87,14 +89,7 @@ def plot_plan(plan: BasePlan, path: str | os.PathLike[str] | None = None) -> Fig
     for line in panels[0].get_lines()[: len(moving)]:
         line.set_marker("o")
         line.set_markersize(3)
-    return _end("plot_plan", figure, plan, path)
-
-
-def _check(call: str, field: str, value: object, kind: type, source: str) -> None:
-    # A caller without types may pass anything.
-    if not isinstance(value, kind):
-        sentence = f"must be a {kind.__name__}, from {source} for example"
-        raise_if_any(InputError, call, [Fault(field, sentence, shown(value))])
+    return _end(figure, plan, path)
 
 
 def _begin(result: Stand | BasePlan, count: int) -> tuple[Figure, list[Axes]]:
@@ -184,7 +179,7 @@ def _draw_measures(axes: Axes, places: Sequence[Place], numbers: NDArray[np.int6
     axes.set_title("measures of each mode", loc="left", fontsize=9)
 
 
-def _end(call: str, figure: Figure, result: Stand | BasePlan, path: str | os.PathLike[str] | None) -> Figure:
+def _end(figure: Figure, result: Stand | BasePlan, path: str | os.PathLike[str] | None) -> Figure:
     first = result.problems[0]
     heading = (
         f"{mathtext(first.machine.name)}, Jacobian {first.control} control, objective {first.name}: {result.status}"
@@ -195,5 +190,5 @@ def _end(call: str, figure: Figure, result: Stand | BasePlan, path: str | os.Pat
         if panel.get_title(loc="left"):
             panel.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
             panel.yaxis.get_offset_text().set(fontsize=7.5)
-    write(call, figure, path)
+    write(figure, path)
     return figure

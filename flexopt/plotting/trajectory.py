@@ -15,15 +15,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.errors import Fault
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import instance, public
 from flexopt.foundation.escapes import LEGEND_MAX, mathtext
-from flexopt.foundation.plain import shown
+from flexopt.foundation.pictures import draws
 from flexopt.plant import build_plant
 from flexopt.plotting.files import write
 from flexopt.plotting.panels import Panel, draw_panel
 from flexopt.simulation.trajectory import Trajectory
 
 
+@draws(Trajectory)
+@public(trajectory=instance(Trajectory, "a Trajectory, from flexopt.simulate for example"))
 def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw a run over time: end-point error, torques and energy; each passive coordinate with its envelope.
 
@@ -39,7 +43,6 @@ def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None 
         InputError: not a trajectory, or the file's suffix is unknown.
         WriteError: the file cannot be written.
     """
-    check_runs("plot_trajectory", {"trajectory": trajectory})
     t = trajectory
     torques = Panel(
         _torque_label(t),
@@ -53,10 +56,31 @@ def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None 
     if right and drawn[len(left)].lines[1:]:
         drawn[len(left)].set_title(r"dashed: $\pm A\,e^{\sigma t}$", loc="right", fontsize=8, pad=2.5)
     figure.suptitle(title(t), fontsize=9.5)
-    write("plot_trajectory", figure, path)
+    write(figure, path)
     return figure
 
 
+def _runs(arguments: Arguments, field: str, runs: Any) -> Any:
+    """A mapping name -> Trajectory whose passive coordinates agree."""
+    if not isinstance(runs, Mapping) or not runs:
+        arguments.note(field, "must be a dictionary with at least one entry, name -> Trajectory", runs)
+        return None
+    passive: dict[str, tuple[str, ...]] = {}
+    for name, run in cast(Mapping[Any, Any], runs).items():
+        if isinstance(run, Trajectory):
+            passive[str(name)] = run.coordinates[: run.n_passive]
+        else:
+            arguments.note(str(name), "must be a Trajectory, from flexopt.simulate for example", run)
+    expected = next(iter(passive.values()), ())
+    arguments.faults += [
+        Fault(name, f"must have the passive coordinates of the first run ({', '.join(expected)})", ", ".join(its))
+        for name, its in passive.items()
+        if its != expected
+    ]
+    return cast(Any, runs)
+
+
+@public(trajectories=_runs)
 def plot_trajectories(trajectories: Mapping[str, Trajectory], path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw several runs on the same axes: end-point error on the left, the base's oscillation on the right.
 
@@ -68,7 +92,6 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], path: str | os.Pat
         InputError: no runs, or they do not compare, or the file's suffix is unknown.
         WriteError: the file cannot be written.
     """
-    check_runs("plot_trajectories", trajectories)
     first = next(iter(trajectories.values()))
     left = [
         Panel(f"error {axis}, mm", tuple((name, t.time, 1e3 * t.error[:, k]) for name, t in trajectories.items()))
@@ -81,30 +104,8 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], path: str | os.Pat
     handles = panels[0].get_lines()[: len(trajectories)]
     labels = [f"{mathtext(name)}: {outcome(t)}" for name, t in trajectories.items()]
     figure.legend(handles, labels, loc="outside upper center", ncols=1 if len(labels) > 2 else 2, fontsize=8)
-    write("plot_trajectories", figure, path)
+    write(figure, path)
     return figure
-
-
-def check_runs(call: str, runs: Any) -> None:
-    """Raise where `runs` is not a mapping name -> Trajectory whose passive coordinates agree."""
-    faults: list[Fault] = []
-    if not isinstance(runs, Mapping) or not runs:
-        sentence = "must be a dictionary with at least one entry, name -> Trajectory"
-        raise_if_any(InputError, call, [Fault("trajectories", sentence, shown(runs))])
-    named = cast(Mapping[Any, Any], runs)
-    passive: dict[str, tuple[str, ...]] = {}
-    for name, run in named.items():
-        if isinstance(run, Trajectory):
-            passive[str(name)] = run.coordinates[: run.n_passive]
-        else:
-            faults.append(Fault(str(name), "must be a Trajectory, from flexopt.simulate for example", shown(run)))
-    expected = next(iter(passive.values()), ())
-    faults += [
-        Fault(name, f"must have the passive coordinates of the first run ({', '.join(expected)})", ", ".join(its))
-        for name, its in passive.items()
-        if its != expected
-    ]
-    raise_if_any(InputError, call, faults)
 
 
 def title(trajectory: Trajectory) -> str:

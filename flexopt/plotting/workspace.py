@@ -65,7 +65,7 @@ def plot_workspace(
     figure.suptitle(
         f"{mathtext(dataset.attrs['title'], TITLE_MAX)}, kr = {float(dataset.attrs['gain']):.3g}", fontsize=11
     )
-    write("plot_workspace", figure, path, dpi=150)
+    write(figure, path, dpi=150)
     return figure
 
 

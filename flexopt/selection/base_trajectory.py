@@ -19,6 +19,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready
+from flexopt.foundation.pictures import drawn
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
@@ -126,9 +127,7 @@ class BaseTrajectory:
         Returns:
             A matplotlib Figure.
         """
-        from flexopt.plotting import plot_base_trajectory  # noqa: PLC0415  (matplotlib is slow to import)
-
-        return plot_base_trajectory(self, path)
+        return drawn(self, path)
 
     def __repr__(self) -> str:
         point = ", ".join(f"{x:.4g}" for x in self.target)

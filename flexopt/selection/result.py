@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.documents import json_ready
+from flexopt.foundation.pictures import drawn
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
@@ -167,9 +168,7 @@ class Selection:
         Returns:
             A matplotlib Figure.
         """
-        from flexopt.plotting import plot_selection  # noqa: PLC0415  (matplotlib is slow to import)
-
-        return plot_selection(self, path)
+        return drawn(self, path)
 
     def __repr__(self) -> str:
         best = self.best.evaluation

@@ -14,6 +14,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, path, public
 from flexopt.foundation.documents import json_ready, write_netcdf
+from flexopt.foundation.pictures import drawn
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
@@ -238,9 +239,7 @@ class Trajectory:
         Returns:
             A matplotlib Figure.
         """
-        from flexopt.plotting import plot_trajectory  # noqa: PLC0415  (matplotlib is slow to import)
-
-        return plot_trajectory(self, path)
+        return drawn(self, path)
 
     def animate(self, path: str | os.PathLike[str], *, speed: float = 1.0, magnify: float = 1.0) -> None:
         """Write a moving picture of the machine: `.gif` or `.html`, which open anywhere.
@@ -250,9 +249,7 @@ class Trajectory:
             speed: of the film, relative to the machine.
             magnify: factor on the base's deflections, which are small.
         """
-        from flexopt.plotting import animate_trajectory  # noqa: PLC0415
-
-        animate_trajectory(self, path, speed=speed, magnify=magnify)
+        drawn(self, path, form="film", speed=speed, magnify=magnify)
 
     def __repr__(self) -> str:
         def number(value: float | None, text: str) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.documents import json_ready
+from flexopt.foundation.pictures import drawn
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
@@ -133,9 +134,7 @@ class Stand(Together):
         Returns:
             A matplotlib Figure.
         """
-        from flexopt.plotting import plot_stand  # noqa: PLC0415  (matplotlib is slow to import)
-
-        return plot_stand(self, path)
+        return drawn(self, path)
 
     def __repr__(self) -> str:
         names = self.places[0].evaluation.base_coordinates
@@ -228,9 +227,7 @@ class BasePlan(Together):
         Returns:
             A matplotlib Figure.
         """
-        from flexopt.plotting import plot_plan  # noqa: PLC0415  (matplotlib is slow to import)
-
-        return plot_plan(self, path)
+        return drawn(self, path)
 
     def __repr__(self) -> str:
         still = "no placement reaches them all" if self.still is None else f"{self.standing:.4e} standing still"
