@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from flexopt.export.fmu import export_fmu as export_fmu
     from flexopt.model import Machine as Machine
     from flexopt.model import Problem as Problem
+    from flexopt.model import SelectionOptions as SelectionOptions
     from flexopt.model import Tree as Tree
     from flexopt.model import load as load
     from flexopt.model import load_experiment as load_experiment
@@ -110,6 +111,7 @@ __all__ = [
     "Report",
     "RobustMargin",
     "Selection",
+    "SelectionOptions",
     "SelectionProblem",
     "Sensor",
     "SingularPosture",
@@ -180,6 +182,7 @@ _LATER: dict[str, str] = {
     "Report": "study",
     "RobustMargin": "coprime",
     "Selection": "selection",
+    "SelectionOptions": "model",
     "SelectionProblem": "selection",
     "Sensor": "simulation",
     "Stand": "selection",

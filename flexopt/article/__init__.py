@@ -6,7 +6,7 @@ command line imports it.
 
 from flexopt.article.curves import Curve as Curve
 from flexopt.article.curves import curve as curve
-from flexopt.article.findings import Finding as Finding
+from flexopt.article.findings import ArticleFinding as ArticleFinding
 from flexopt.article.gaps import GapSweep as GapSweep
 from flexopt.article.gaps import sweep_gaps as sweep_gaps
 from flexopt.article.reproduction import Reproduction as Reproduction

@@ -1,7 +1,7 @@
 """What the article says beside what the numbers say.
 
-In: results of the other studies. Out: `Finding`s, each with a quotation, a verdict computed from numbers, a sentence
-and the numbers themselves.
+In: results of the other studies. Out: `ArticleFinding`s, each with a quotation, a verdict computed from numbers, a
+sentence and the numbers themselves.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ROBUST = 1e-9
 
 
 @dataclass(frozen=True)
-class Finding:
+class ArticleFinding:
     """One statement of the article put to the test.
 
     Attributes:
@@ -51,7 +51,7 @@ class Finding:
         return vars(self)
 
 
-def posture_b(table: ArticleTable) -> Finding:
+def posture_b(table: ArticleTable) -> ArticleFinding:
     """Do the measures printed for posture B belong to the end-point printed for it?"""
     rows = {row.reading: row for row in table.rows if row.posture == "B"}
     worst = {reading: float(np.abs(row.deviation).max()) for reading, row in rows.items()}
@@ -62,10 +62,12 @@ def posture_b(table: ArticleTable) -> Finding:
         f"At the printed point a measure is off by {100 * worst[printed]:.0f} %, at (1.5575, 1.0870) m all three are "
         f"within {100 * worst[other]:.2f} %: the printed measures belong to that point."
     )
-    return Finding("posture B", "1.32687 m (workspace)", "Table 2, posture B", holds, sentence, {"deviation": worst})
+    return ArticleFinding(
+        "posture B", "1.32687 m (workspace)", "Table 2, posture B", holds, sentence, {"deviation": worst}
+    )
 
 
-def below_maximum(lines: Sequence[Curve], inverse: WorkspaceMap) -> Finding:
+def below_maximum(lines: Sequence[Curve], inverse: WorkspaceMap) -> ArticleFinding:
     """Is ε_max always less than 0.3827 on the line of Fig. 8, elbow up as in Table 2? The other elbow stands beside."""
     limit = math.sin(math.pi / 8)
     largest = {f"{c.control}, elbow {c.elbow}": float(np.nanmax(c.epsilon_max)) for c in lines}
@@ -81,10 +83,12 @@ def below_maximum(lines: Sequence[Curve], inverse: WorkspaceMap) -> Finding:
     )
     numbers = {"largest": largest, "sin_pi_8": limit, "largest_in_workspace": elsewhere, "fraction_above": share}
     holds = drawn < PRINTED_MAXIMUM
-    return Finding("maximum of ε_max", "always less than its maximum of 0.3827", "Fig. 8", holds, sentence, numbers)
+    return ArticleFinding(
+        "maximum of ε_max", "always less than its maximum of 0.3827", "Fig. 8", holds, sentence, numbers
+    )
 
 
-def union(inverse: WorkspaceMap) -> Finding:
+def union(inverse: WorkspaceMap) -> ArticleFinding:
     """Is the total in-phase region of Fig. 5(d) the union of (a) and (b)?"""
     in_phase = inverse.array("in_phase")[:2] == 1
     first, second = (inverse.fraction(mask) for mask in in_phase)
@@ -97,10 +101,10 @@ def union(inverse: WorkspaceMap) -> Finding:
     )
     numbers = {"mode_1": first, "mode_2": second, "union": either, "intersection": both, "union_out_of_phase": false}
     quote = "the total in-phase region for the first and second modes; the union of (a) and (b)"
-    return Finding("union", quote, "Fig. 5(d)", bool(false < 1e-3), sentence, numbers)
+    return ArticleFinding("union", quote, "Fig. 5(d)", bool(false < 1e-3), sentence, numbers)
 
 
-def semidefinite(table: ArticleTable, inverse: WorkspaceMap, transpose: WorkspaceMap) -> Finding:
+def semidefinite(table: ArticleTable, inverse: WorkspaceMap, transpose: WorkspaceMap) -> ArticleFinding:
     """Are the residues positive semidefinite?"""
     shares = {m.options["control"]: [m.fraction(w < -ROBUST) for w in m.array("w")] for m in (inverse, transpose)}
     printed = max(w for row in table.rows for w in row.printed_w)
@@ -110,12 +114,12 @@ def semidefinite(table: ArticleTable, inverse: WorkspaceMap, transpose: Workspac
         f"workspace (below −{ROBUST:g})."
     )
     holds = max(max(s) for s in shares.values()) == 0.0
-    return Finding(
+    return ArticleFinding(
         "definiteness", "Ri is positive-semi-definite", "section 3.4", holds, sentence, {"fraction_negative": shares}
     )
 
 
-def gain_independent(machine: Machine, postures: dict[str, Vector], gain: float) -> Finding:
+def gain_independent(machine: Machine, postures: dict[str, Vector], gain: float) -> ArticleFinding:
     """Does ε_max depend on the servo gain?"""
     margin = build_margin(machine)
     p = margin.plant.parameter_values
@@ -131,20 +135,20 @@ def gain_independent(machine: Machine, postures: dict[str, Vector], gain: float)
     )
     numbers = {"gains": gains, "epsilon_max": values, "derivative": slopes, "relative_derivative": relative}
     sentence = f"{sentence[0].upper()}{sentence[1:]}."
-    return Finding("gain", "is gain independent", "section 3.5", spread < 1e-4, sentence, numbers)
+    return ArticleFinding("gain", "is gain independent", "section 3.5", spread < 1e-4, sentence, numbers)
 
 
-def concave(curves: Sequence[Curve]) -> Finding:
+def concave(curves: Sequence[Curve]) -> ArticleFinding:
     """Has w_1 one maximum along y_d, as a concave objective would?"""
     peaks = {f"{c.control}, elbow {c.elbow}": c.x[c.peaks()] for c in curves}
     listed = "; ".join(f"{name}: x = {', '.join(f'{x:.3f}' for x in xs)} m" for name, xs in peaks.items())
     sentence = f"w_1 has several local maxima along y = {curves[0].y:g} m of the workspace ({listed})."
     holds = all(x.size <= 1 for x in peaks.values())
     quote = "a weighted sum … will violate the concavity of the objective function"
-    return Finding("concavity", quote, "section 4", holds, sentence, {"maxima": peaks})
+    return ArticleFinding("concavity", quote, "section 4", holds, sentence, {"maxima": peaks})
 
 
-def b_is_optimal(machine: Machine, points: dict[str, Vector], inverse_up: Curve) -> Finding:
+def b_is_optimal(machine: Machine, points: dict[str, Vector], inverse_up: Curve) -> ArticleFinding:
     """Is w_1 stationary along the redundancy at Table 2's posture B?"""
     from flexopt.robustness import build_measures  # noqa: PLC0415  (kept beside its only use)
 
@@ -168,10 +172,12 @@ def b_is_optimal(machine: Machine, points: dict[str, Vector], inverse_up: Curve)
     )
     holds = min(abs(slope) for slope in slopes.values()) < 1e-9
     quote = "the optimized position that has a higher robustness"
-    return Finding("B as an optimum", quote, "section 5.1", holds, sentence, {"slope": slopes, "maximum": nearest})
+    return ArticleFinding(
+        "B as an optimum", quote, "section 5.1", holds, sentence, {"slope": slopes, "maximum": nearest}
+    )
 
 
-def same_shape(curves: Sequence[Curve]) -> Finding:
+def same_shape(curves: Sequence[Curve]) -> ArticleFinding:
     """Do ε_max and w_1 follow the same shape along y_d? Curves of Fig. 8, elbow up as in Table 2."""
     numbers = {
         f"{c.control}, elbow {c.elbow}": rank_correlation(c.w[0][c.regular], c.epsilon_max[c.regular]) for c in curves
@@ -187,13 +193,13 @@ def same_shape(curves: Sequence[Curve]) -> Finding:
         f"from straight: {listed}. Where w_1 is largest, ε_max is at most {max(lost.values()):.5f} below its own "
         "maximum."
     )
-    return Finding(
+    return ArticleFinding(
         "same shape", "follow the same general shape", "section 4, Fig. 8", holds, sentence,
         {"rank_correlation": numbers, "epsilon_max_lost_by_choosing_w1": lost},
     )  # fmt: skip
 
 
-def many_in_phase(inverse: WorkspaceMap) -> Finding:
+def many_in_phase(inverse: WorkspaceMap) -> ArticleFinding:
     """How many configurations are in phase for the first two modes?"""
     both, strict = inverse.in_phase_fraction(1, 2), inverse.in_phase_fraction(1, 2, strict=True)
     sentence = (
@@ -203,10 +209,10 @@ def many_in_phase(inverse: WorkspaceMap) -> Finding:
     )
     numbers = {"first_two": both, "first_two_strict": strict, "all_three": inverse.in_phase_fraction(1, 2, 3)}
     quote = "many configurations that are in-phase for the first two vibrational modes"
-    return Finding("in phase", quote, "section 3.5", both > 0.1, sentence, numbers)
+    return ArticleFinding("in phase", quote, "section 3.5", both > 0.1, sentence, numbers)
 
 
-def passive(selection: Selection, rigid: dict[str, Vector]) -> Finding:
+def passive(selection: Selection, rigid: dict[str, Vector]) -> ArticleFinding:
     """Is the plant passive in robust configurations?
 
     Args:
@@ -226,10 +232,10 @@ def passive(selection: Selection, rigid: dict[str, Vector]) -> Finding:
         f"random postures with inverse control and {100 * indefinite['transpose']:.1f} % with transpose control."
     )
     numbers = {"optima_rigid": r0, "optima_other_w": others, "fraction_indefinite": indefinite}
-    return Finding("passivity", "positive real and therefore passive", "section 3.5", holds, sentence, numbers)
+    return ArticleFinding("passivity", "positive real and therefore passive", "section 3.5", holds, sentence, numbers)
 
 
-def features(maps: Sequence[WorkspaceMap]) -> Finding:
+def features(maps: Sequence[WorkspaceMap]) -> ArticleFinding:
     """Do features of the w_i surfaces appear in that of ε_max?"""
     numbers: dict[str, list[float]] = {}
     for result in maps:
@@ -248,4 +254,6 @@ def features(maps: Sequence[WorkspaceMap]) -> Finding:
         verdicts.append(f"those of w_{mode + 1} {word}")
     sentence = f"Rank correlation of ε_max with w_i over the map ({listed}): {', '.join(verdicts[:-1])}."
     quote = "features in the modal-based robustness surfaces appear in the coprime factorization surfaces"
-    return Finding("features", quote, "section 3.5, Figs. 6, 7", first > 0.5, sentence, {"rank_correlation": numbers})
+    return ArticleFinding(
+        "features", quote, "section 3.5, Figs. 6, 7", first > 0.5, sentence, {"rank_correlation": numbers}
+    )

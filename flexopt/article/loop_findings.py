@@ -1,6 +1,6 @@
 """What the article says of its closed loops beside what they do.
 
-In: `ClosedLoops` and a `GainMap`. Out: `Finding`s.
+In: `ClosedLoops` and a `GainMap`. Out: `ArticleFinding`s.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.article.closed_loops import OPTIMUM, WITH, WITHOUT, ClosedLoops, peak_error
-from flexopt.article.findings import Finding
+from flexopt.article.findings import ArticleFinding
 from flexopt.simulation import SampledLoop, Trajectory
 from flexopt.simulation.linear import EXACT
 from flexopt.study.gains import KV_HELD, RATIOS, BorderRow, GainMap, held_words
@@ -24,7 +24,7 @@ SAME_BORDER = 0.01
 NOTHING = 1e-9
 
 
-def better_convergence(loops: ClosedLoops) -> Finding:
+def better_convergence(loops: ClosedLoops) -> ArticleFinding:
     """Fig. 9: does the oscillation grow at A, and converge at B?"""
     runs = loops.figure9
     holds = runs["A"].verdict == "grows" and runs["B"].verdict == "converges"
@@ -37,10 +37,10 @@ def better_convergence(loops: ClosedLoops) -> Finding:
     )
     numbers = {name: _numbers(run) for name, run in runs.items()}
     quote = "there is better performance for the optimized position that has a higher robustness"
-    return Finding("better convergence", quote, "section 5.1, Fig. 9", holds, sentence, numbers)
+    return ArticleFinding("better convergence", quote, "section 5.1, Fig. 9", holds, sentence, numbers)
 
 
-def stability_by_moving(loops: ClosedLoops) -> Finding:
+def stability_by_moving(loops: ClosedLoops) -> ArticleFinding:
     """Figs. 11 and 12: does driving the base from A to B stabilise the loop?"""
     runs = loops.adjustment
     holds = runs[WITH].verdict == "converges" and runs[WITHOUT].verdict == "grows"
@@ -55,10 +55,10 @@ def stability_by_moving(loops: ClosedLoops) -> Finding:
     numbers = {name: _numbers(run) for name, run in (*runs.items(), ("second gains", loops.low_adjustment))}
     quote = "by moving the system from a configuration of low robustness to one of high robustness, manipulator "
     quote += "stability can be achieved"
-    return Finding("base adjustment", quote, "section 5.1, Figs. 11, 12", holds, sentence, numbers)
+    return ArticleFinding("base adjustment", quote, "section 5.1, Figs. 11, 12", holds, sentence, numbers)
 
 
-def motion_excites(loops: ClosedLoops) -> Finding:
+def motion_excites(loops: ClosedLoops) -> ArticleFinding:
     """Does the motion of the base itself excite oscillation and error?"""
     run = loops.from_rest
     error, turn = peak_error(run), _turn(run)
@@ -70,10 +70,10 @@ def motion_excites(loops: ClosedLoops) -> Finding:
     numbers = {"peak_error": error, "peak_base_rotation": turn, "end_error": _end(run)}
     quote = "does excite some base oscillation and end-point error"
     holds = error > NOTHING and turn > NOTHING
-    return Finding("excitation", quote, "section 5.1, Fig. 10", holds, sentence, numbers)
+    return ArticleFinding("excitation", quote, "section 5.1, Fig. 10", holds, sentence, numbers)
 
 
-def higher_gain(loops: ClosedLoops, gains: GainMap) -> Finding:
+def higher_gain(loops: ClosedLoops, gains: GainMap) -> ArticleFinding:
     """Does a posture of higher margin allow a higher gain?"""
     numbers: dict[str, Any] = {}
     holds, parts = True, list[str]()
@@ -102,10 +102,10 @@ def higher_gain(loops: ClosedLoops, gains: GainMap) -> Finding:
         sentence = sentence.rstrip()
     quote = "The occupation of a configuration with a high stability margin allows for the use of a controller with a "
     quote += "higher feedback gain"
-    return Finding("higher gain", quote, "section 5.2", holds, sentence, numbers)
+    return ArticleFinding("higher gain", quote, "section 5.2", holds, sentence, numbers)
 
 
-def stable_at_high_margin(gains: GainMap) -> Finding:
+def stable_at_high_margin(gains: GainMap) -> ArticleFinding:
     """Is the loop stable as long as the margin is high, whatever the gains?"""
     rows = [row for row in gains.borders if row.integrator == EXACT and row.stand != "A"]
     bounded = [row for row in rows if row.frequency_hz is not None]
@@ -116,10 +116,10 @@ def stable_at_high_margin(gains: GainMap) -> Finding:
     numbers = {f"{row.stand}, {row.held}": [row.border.largest, row.frequency_hz] for row in rows}
     quote = "As long as the configuration for the manipulator is chosen to have a high stability margin … the feedback "
     quote += "system is stable and does not excite unstable vibration modes"
-    return Finding("stable by configuration", quote, "section 6", not bounded, sentence, numbers)
+    return ArticleFinding("stable by configuration", quote, "section 6", not bounded, sentence, numbers)
 
 
-def integration_step(loops: ClosedLoops, gains: GainMap) -> Finding:
+def integration_step(loops: ClosedLoops, gains: GainMap) -> ArticleFinding:
     """Is the step of 0.005 s short enough for RK4 to show the loop's own damping?"""
     rows = {(row.stand, row.kp): row for row in loops.rows}
     shares = {
@@ -151,10 +151,10 @@ def integration_step(loops: ClosedLoops, gains: GainMap) -> Finding:
         "highest_resonance_hz": highest, "border_B": {row.integrator: _largest(row) for row in (stated, accurate)},
     }  # fmt: skip
     quote = "0.005 s (i.e., 200 Hz), which is significantly higher than the resonant frequencies of the flexible system"
-    return Finding("integration step", quote, "section 5.1", max(shares.values()) < FAITHFUL, sentence, numbers)
+    return ArticleFinding("integration step", quote, "section 5.1", max(shares.values()) < FAITHFUL, sentence, numbers)
 
 
-def robust_controller(loops: ClosedLoops, gains: GainMap) -> Finding:
+def robust_controller(loops: ClosedLoops, gains: GainMap) -> ArticleFinding:
     """Does the controller that attains ε_max stabilise the nonlinear loop at A?"""
     by_method = {row.integrator: row for row in loops.robust}
     accurate, stated = by_method[EXACT].linear, by_method[loops.stated["integrator"]].linear
@@ -174,7 +174,9 @@ def robust_controller(loops: ClosedLoops, gains: GainMap) -> Finding:
         row.integrator: [row.linear.growth_rate, row.linear.frequency_hz] for row in loops.robust
     }
     numbers["run"] = _numbers(run)
-    return Finding("robust controller", "Kc is the stabilizing controller", "Appendix A", holds, sentence, numbers)
+    return ArticleFinding(
+        "robust controller", "Kc is the stabilizing controller", "Appendix A", holds, sentence, numbers
+    )
 
 
 def _outcome(run: Trajectory) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from flexopt.article import findings, loop_findings
 from flexopt.article.closed_loops import ClosedLoops, article_stands, close_loops
 from flexopt.article.curves import Curve, curve
-from flexopt.article.findings import Finding
+from flexopt.article.findings import ArticleFinding
 from flexopt.article.gaps import GapSweep, sweep_gaps
 from flexopt.article.tables import (
     PRINTED_WORKSPACE,
@@ -90,8 +90,8 @@ class Reproduction:
     frequencies: MeanFrequencies
     maps: dict[Control, WorkspaceMap] = field(repr=False)
     curves: dict[tuple[str, str], Curve] = field(repr=False)
-    contradictions: tuple[Finding, ...]
-    claims: tuple[Finding, ...]
+    contradictions: tuple[ArticleFinding, ...]
+    claims: tuple[ArticleFinding, ...]
     gaps: GapSweep
     selection: Selection = field(repr=False)
     loops: ClosedLoops = field(repr=False)

@@ -12,10 +12,11 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.arguments import Arguments, Coordinates
@@ -245,6 +246,37 @@ TABLE: dict[str, Check] = {
 }
 
 
+class Keywords(NamedTuple):
+    """Keywords of a call that are fields of an options object, too: `**keywords` in its signature stands for them."""
+
+    kind: type[BaseModel]
+    names: tuple[str, ...]
+
+    def spelt_out(self, signature: inspect.Signature) -> inspect.Signature:
+        """The signature with a parameter for each name."""
+        fields = self.kind.model_fields
+        word, variable = inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.VAR_KEYWORD
+        each = [inspect.Parameter(name, word, default=fields[name].default) for name in self.names]
+        others = [parameter for parameter in signature.parameters.values() if parameter.kind is not variable]
+        first = next(k for k, parameter in enumerate(others) if parameter.kind is word)
+        return signature.replace(parameters=[*others[:first], *each, *others[first:]])
+
+    def spread(self, arguments: Arguments, given: dict[str, Any]) -> None:
+        """What the argument `options` holds becomes keywords, those that are given by themselves aside."""
+        options = given.pop("options", None)
+        if options is None:
+            return
+        if not isinstance(options, self.kind):
+            arguments.note("options", f"must be {self.kind.__name__}", options)
+            return
+        for name in sorted(options.model_fields_set):
+            value = getattr(options, name)
+            if name in self.names:
+                given.setdefault(name, value)
+            else:
+                arguments.note(f"options.{name}", "is no option of this call", value)
+
+
 def public(
     call: str = "",
     /,
@@ -254,6 +286,7 @@ def public(
     sizes: Callable[[Any], Mapping[str, int]] | None = None,
     error: type[InputError] = InputError,
     checks: Mapping[str, Check] | None = None,
+    keywords: Keywords | None = None,
     **own: Check,
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A function whose arguments are checked before it runs.
@@ -267,14 +300,16 @@ def public(
         sizes: what letters in shapes stand for, from a method's object or a function's first argument.
         error: what is raised.
         checks, own: of arguments, in place of the table's.
+        keywords: those that the function takes as `**keywords`, and as fields of its argument `options`.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
+        signature = signature if keywords is None else keywords.spelt_out(signature)
         heading, parameters = call or function.__name__, dict(signature.parameters)
         owner = parameters.pop("self", None)
         first = next(iter(parameters), "")
-        table = {**(checks or {}), **own}
+        table = {**({} if keywords is None else {"options": anything}), **(checks or {}), **own}
         each = {name: table[name] if name in table else TABLE[name] for name in parameters}
 
         @wraps(function)
@@ -288,6 +323,8 @@ def public(
             arguments = Arguments(heading, machine(given["self"]) if machine is not None else None, error)
             if sizes is not None and owner is not None:
                 arguments.sizes = sizes(given["self"])
+            if keywords is not None:
+                keywords.spread(arguments, given)
             for name, check in each.items():
                 default = parameters[name].default
                 if name not in given or (given[name] is None and default is None):
@@ -306,6 +343,7 @@ def public(
             arguments.done()
             return function(*bound.args, **bound.kwargs)
 
+        cast(Any, checked).__signature__ = signature
         return checked
 
     return decorate

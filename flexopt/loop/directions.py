@@ -35,7 +35,7 @@ class Heading:
     rotated: Directions | None = None
 
 
-class Frame(Protocol):
+class TurningFrame(Protocol):
     """Directions at the start of a step and after rotations (number of turning bodies,), rad."""
 
     @property
@@ -63,15 +63,15 @@ class Computed:
         self.start = self._at(angles)
 
     def turned(self, rotation: ca.SX) -> Heading:
-        """See `Frame`."""
+        """See `TurningFrame`."""
         return self._at(_angles(self.start) + rotation)
 
     def nudged(self, heading: Heading, rotation: ca.SX) -> Heading:
-        """See `Frame`."""
+        """See `TurningFrame`."""
         return self._at(_angles(heading) + rotation)
 
     def doubled(self, heading: Heading) -> Heading:
-        """See `Frame`."""
+        """See `TurningFrame`."""
         return self._at(2 * _angles(heading) - _angles(self.start))
 
     @staticmethod
@@ -97,19 +97,19 @@ class Carried:
         self._nudges: list[ca.SX] = []
 
     def turned(self, rotation: ca.SX) -> Heading:
-        """See `Frame`."""
+        """See `TurningFrame`."""
         self._turns.append(rotation)
         small = [_small(rotation[k], TURN_TERMS) for k in range(rotation.shape[0])]
         return Heading(_turned(self.start.pairs, small), rotated=small)
 
     def nudged(self, heading: Heading, rotation: ca.SX) -> Heading:
-        """See `Frame`."""
+        """See `TurningFrame`."""
         self._nudges.append(rotation)
         small = [_small(rotation[k], NUDGE_TERMS) for k in range(rotation.shape[0])]
         return Heading(_turned(heading.pairs, small))
 
     def doubled(self, heading: Heading) -> Heading:
-        """See `Frame`; e(φ + 2δ) = 2 cos δ e(φ + δ) − e(φ)."""
+        """See `TurningFrame`; e(φ + 2δ) = 2 cos δ e(φ + δ) − e(φ)."""
         assert heading.rotated is not None
         result: Directions = []
         for (c0, s0), (c, s), (cosine, _) in zip(self.start.pairs, heading.pairs, heading.rotated, strict=True):

@@ -11,13 +11,13 @@ import casadi as ca
 
 from flexopt.loop.directions import paired, stacked
 from flexopt.loop.integrators import State
-from flexopt.loop.sample import Layouts, Part
+from flexopt.loop.sample import Layouts, SampleModel
 from flexopt.loop.structure import LoopStructure
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.motion import Directions
 
 
-class Flow(Part):
+class Flow(SampleModel):
     """The loop between samples: the right-hand sides for the integrators."""
 
     def __init__(self, structure: LoopStructure, layouts: Layouts, command: ca.SX, e: ca.SX, c: ca.SX) -> None:

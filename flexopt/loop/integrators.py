@@ -1,8 +1,8 @@
 """One integration step of the closed loop as a graph, by methods that differ in what they keep.
 
-In: a `Field`, the right-hand sides as graph builders. Out: the state after h. Explicit Runge–Kutta methods take any
-`Frame` of directions; Gauss's implicit one is applied to u and its momentum p = M w, where it is symplectic, by
-fixed-point iterations whose last change comes out as `residual`.
+In: a `VectorField`, the right-hand sides as graph builders. Out: the state after h. Explicit Runge–Kutta methods take
+any `TurningFrame` of directions; Gauss's implicit one is applied to u and its momentum p = M w, where it is symplectic,
+by fixed-point iterations whose last change comes out as `residual`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Protocol
 
 import casadi as ca
 
-from flexopt.loop.directions import Computed, Frame, Heading
+from flexopt.loop.directions import Computed, Heading, TurningFrame
 from flexopt.loop.tableaus import Table, Tableau
 from flexopt.plant.motion import Directions
 
@@ -27,7 +27,7 @@ class State:
     z: ca.SX
 
 
-class Field(Protocol):
+class VectorField(Protocol):
     """The right-hand sides at a time `t` after the start of the sample, the bodies pointing `along`."""
 
     @property
@@ -52,7 +52,7 @@ class Field(Protocol):
         ...
 
 
-def classical_step(field: Field, h: ca.SX, t: ca.SX, start: State, frame: Frame) -> tuple[State, Heading]:
+def classical_step(field: VectorField, h: ca.SX, t: ca.SX, start: State, frame: TurningFrame) -> tuple[State, Heading]:
     """The state after h by the classical fourth-order method, and where the bodies point then.
 
     As u̇ = w, its stages lie at u + h w/2, u + h w/2 + h² a₁/4 and u + h w + h² a₂/2, and it ends at
@@ -87,7 +87,7 @@ def classical_step(field: Field, h: ca.SX, t: ca.SX, start: State, frame: Frame)
 
 
 def explicit_step(
-    field: Field, tableau: Tableau, h: ca.SX, t: ca.SX, start: State, frame: Frame
+    field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, start: State, frame: TurningFrame
 ) -> tuple[State, Heading]:
     """The state after h by any explicit method, and where the bodies point then."""
     k = field.n_translations
@@ -135,7 +135,7 @@ class GaussStep:
     unknowns: ca.SX
 
 
-def gauss_step(field: Field, tableau: Tableau, h: ca.SX, t: ca.SX, state: State) -> GaussStep:
+def gauss_step(field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, state: State) -> GaussStep:
     """The parts of one implicit step from `state`."""
     n, n_z, k, stages = state.u.shape[0], state.z.shape[0], field.n_translations, len(tableau.b)
     size = 2 * n + n_z

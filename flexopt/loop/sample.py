@@ -10,7 +10,7 @@ from functools import reduce
 
 import casadi as ca
 
-from flexopt.loop.directions import Frame, paired
+from flexopt.loop.directions import TurningFrame, paired
 from flexopt.loop.feedback import FeedbackLaw, joint_torque, nullspace_torque
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, Layout, LoopStructure
 from flexopt.model import AnyMachine
@@ -29,7 +29,7 @@ class Layouts:
     constants: Layout
 
 
-class Part:
+class SampleModel:
     """What sampling and integration share: the motion with its constants, base and target at a time."""
 
     def __init__(self, structure: LoopStructure, layouts: Layouts, e: ca.SX, c: ca.SX) -> None:
@@ -101,10 +101,12 @@ class Part:
         return command - ca.fmax(-band, ca.fmin(band, command))
 
 
-class Sample(Part):
+class Sample(SampleModel):
     """The loop at the start of a sample."""
 
-    def __init__(self, structure: LoopStructure, layouts: Layouts, x: ca.SX, e: ca.SX, c: ca.SX, frame: Frame) -> None:
+    def __init__(
+        self, structure: LoopStructure, layouts: Layouts, x: ca.SX, e: ca.SX, c: ca.SX, frame: TurningFrame
+    ) -> None:
         super().__init__(structure, layouts, e, c)
         self.x = layouts.states.split(x)
         self.along = self.motion.with_base(frame.start.pairs)

@@ -155,7 +155,7 @@ class JointFrame:
     of_body: Rows = UNTURNED
 
 
-class Reach(NamedTuple):
+class CylinderLength(NamedTuple):
     """Length of a cylinder, m. `closure` is negative where its linkage does not close; None without a linkage."""
 
     length: Any
@@ -164,7 +164,7 @@ class Reach(NamedTuple):
 
 def pin_to_pin(
     cylinder: Cylinder, frame: JointFrame, value: Mapping[str, Any], coordinate: tuple[Any, Any, Any]
-) -> Reach:
+) -> CylinderLength:
     """The length L(q) of a cylinder from pin to pin.
 
     Direct: |base point − rod point|. With a rocker its end is where the circles of radius `length` about the pivot and
@@ -178,7 +178,7 @@ def pin_to_pin(
         coordinate: (q, cos q, sin q), of the same kind.
     """
     if frame.slide:
-        return Reach(value[f"{cylinder.name}.offset"] + coordinate[0], None)
+        return CylinderLength(value[f"{cylinder.name}.offset"] + coordinate[0], None)
     _, cosine, sine = coordinate
 
     def on_parent(name: str) -> list[Any]:
@@ -194,7 +194,7 @@ def pin_to_pin(
 
     base = on_parent("base_point")
     if cylinder.rocker is None:
-        return Reach(_distance(base, on_body("rod_point")), None)
+        return CylinderLength(_distance(base, on_body("rod_point")), None)
     pivot, joined = on_parent("rocker.pivot"), on_body("rocker.coupler_point")
     radius, coupler = value[f"{cylinder.name}.rocker.length"], value[f"{cylinder.name}.rocker.coupler"]
     dx, dy, dz = (b - a for a, b in zip(pivot, joined, strict=True))
@@ -207,7 +207,7 @@ def pin_to_pin(
     forward = radius + value[f"{cylinder.name}.rocker.rod_offset.x"]
     aside = value[f"{cylinder.name}.rocker.rod_offset.y"]
     rod = [pivot[0] + forward * ux - aside * uy, pivot[1] + forward * uy + aside * ux, pivot[2]]
-    return Reach(_distance(base, rod), closure)
+    return CylinderLength(_distance(base, rod), closure)
 
 
 def _seen(rows: Rows, vector: list[Any]) -> list[Any]:

@@ -32,7 +32,7 @@ from flexopt.foundation.quantities import (
     checked,
 )
 from flexopt.model.hydraulics import Cylinder, JointFrame
-from flexopt.model.strokes import Travel, usable_range
+from flexopt.model.strokes import CylinderTravel, usable_range
 from flexopt.model.tables import BuiltByCall, Capsule, FileModel, Payload, Span
 
 BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
@@ -133,11 +133,13 @@ class AnyMachine(BuiltByCall):
             sentence = f"must be an actuated joint: {', '.join(self.joints)}"
             raise_if_any(InputError, call, [Fault("joint", sentence, shown(joint))])
 
-    def travel(self, cylinder: Cylinder) -> Travel:
+    def travel(self, cylinder: Cylinder) -> CylinderTravel:
         """A cylinder's length over its joint's coordinate, as numbers."""
         if not isinstance(cylinder, Cylinder):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise_if_any(InputError, "travel", [Fault("cylinder", "must be one of `cylinders`", shown(cylinder))])
-        return Travel(cylinder, self.joint_frame(cylinder.joint), {name: value for name, value, _ in self.parameters})
+        return CylinderTravel(
+            cylinder, self.joint_frame(cylinder.joint), {name: value for name, value, _ in self.parameters}
+        )
 
     @property
     def joints_without_speed(self) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Numbers of a machine that are allowed but hardly meant: kN for N, mm for m, tonnes, degrees, inertia about the pivot.
 
-In: a validated machine. Out: a `Finding` for each such number, with what was probably meant. The bounds are orders of
+In: a validated machine. Out: an `ImplausibleNumber` for each, with what was probably meant. The bounds are orders of
 magnitude that hold for machines of any size: lengths against each other, inertia against length, weight against springs
 and drives, mass against the square of the reach. `flexopt.robustness.plausibility` adds what needs the modes.
 """
@@ -34,7 +34,7 @@ HEAVY = 10.0  # payload over the machine's own mass
 
 
 @dataclass(frozen=True)
-class Finding:
+class ImplausibleNumber:
     """A number that is allowed but hardly meant.
 
     Attributes:
@@ -58,7 +58,7 @@ class Finding:
 
 
 @dataclass
-class Part:
+class BodyNumbers:
     """One body as the checks see it; joints and springs of the body that it moves with. SI.
 
     Attributes:
@@ -93,9 +93,9 @@ class Part:
     limits: tuple[float, float] | None = None
     rest: tuple[str, float] | None = None
     joint: str = ""
-    children: list[Part] = field(default_factory=list["Part"])
+    children: list[BodyNumbers] = field(default_factory=list["BodyNumbers"])
 
-    def outward(self, start: float = 0.0) -> Iterator[tuple[Part, float]]:
+    def outward(self, start: float = 0.0) -> Iterator[tuple[BodyNumbers, float]]:
         """This body and those it carries, with the farthest that each one's joint can be from this one's."""
         waiting = [(self, start)]
         while waiting:
@@ -110,7 +110,7 @@ class Part:
         return sum(mass for mass, _ in carried), sum(moment for _, moment in carried)
 
 
-def implausible_numbers(machine: AnyMachine) -> tuple[Finding, ...]:
+def implausible_numbers(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     """Every number of the machine's file that is hardly meant, in the order of the bodies."""
     parts, reach = _parts(machine)
     lengths = list(_lengths(machine, parts, reach))
@@ -121,23 +121,25 @@ def implausible_numbers(machine: AnyMachine) -> tuple[Finding, ...]:
             found += [*_inertia(part, reach), *_springs(part, machine.gravity, reach), *_drives(part, machine, reach)]
         found += _totals(machine, parts, reach)
     if machine.gravity and not GRAVITY[0] < machine.gravity < GRAVITY[1]:
-        found.append(Finding("gravity", f"{machine.gravity:g} m/s²", "is far from 9.81 m/s²", "in other units?"))
+        found.append(
+            ImplausibleNumber("gravity", f"{machine.gravity:g} m/s²", "is far from 9.81 m/s²", "in other units?")
+        )
     return tuple(found)
 
 
-def _lengths(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterator[Finding]:
+def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> Iterator[ImplausibleNumber]:
     given = [part.length for part in parts if part.length > 0]
     for part in parts:
         others = statistics.median([length for length in given if length != part.length] or given or [0.0])
         if len(given) > 1 and part.length > LONGER * others:
-            yield Finding(
+            yield ImplausibleNumber(
                 f"{part.where}.length",
                 f"{part.length:g} m",
                 f"is {part.length / others:.0f} times as long as the other bodies",
                 f"probably in mm: {part.length / 1000:g} m",
             )
         if part.com > FAR * max(part.length, part.size, 0.02 * reach):
-            yield Finding(
+            yield ImplausibleNumber(
                 f"{part.where}.com",
                 f"{part.com:g} m",
                 f"the centre of mass lies {part.com / max(part.length, 1e-3):.0f} lengths away from the joint",
@@ -145,7 +147,7 @@ def _lengths(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterat
             )
     if reach > REACH_MAX:
         longest = max(parts, key=lambda part: part.path)
-        yield Finding(
+        yield ImplausibleNumber(
             "end-point",
             f"up to {reach:.0f} m",
             f"machine {machine.name!r} reaches beyond {REACH_MAX:g} m, the longest step at {longest.where}",
@@ -153,18 +155,18 @@ def _lengths(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterat
         )
 
 
-def _angles(parts: Sequence[Part]) -> Iterator[Finding]:
+def _angles(parts: Sequence[BodyNumbers]) -> Iterator[ImplausibleNumber]:
     for part in parts:
         if part.hinge and part.limits is not None and max(map(abs, part.limits)) > 2 * math.pi + 0.01:
             low, high = part.limits
-            yield Finding(
+            yield ImplausibleNumber(
                 f"{part.joint}.limits",
                 f"[{low:g}, {high:g}] rad",
                 "reach beyond a whole turn",
                 f"probably degrees: [{math.radians(low):.4g}, {math.radians(high):.4g}] rad",
             )
         if part.rest is not None and abs(part.rest[1]) > math.pi + 0.01:
-            yield Finding(
+            yield ImplausibleNumber(
                 part.rest[0],
                 f"{part.rest[1]:g} rad",
                 "is more than half a turn",
@@ -172,7 +174,7 @@ def _angles(parts: Sequence[Part]) -> Iterator[Finding]:
             )
 
 
-def _inertia(part: Part, reach: float) -> Iterator[Finding]:
+def _inertia(part: BodyNumbers, reach: float) -> Iterator[ImplausibleNumber]:
     if part.mass <= 0 or part.variance <= 0:
         return
     radius = math.sqrt(part.variance + part.across)
@@ -186,15 +188,15 @@ def _inertia(part: Part, reach: float) -> Iterator[Finding]:
         if pivot > (0.02 * part.length) ** 2 and radius < WIDE * size:
             about_centre = part.inertia * pivot / part.variance
             meant = f"probably about the pivot, not the centre of mass, about which it is some {about_centre:.3g} kg m²"
-            yield Finding(f"{part.where}.inertia", given, words, meant)
+            yield ImplausibleNumber(f"{part.where}.inertia", given, words, meant)
             return
-        yield Finding(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius))
+        yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius))
     elif radius > WIDE * size > 0:
         words = f"the radius of gyration, {radius:.3g} m, is {radius / size:.0f} times the size of the body"
-        yield Finding(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius))
+        yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius))
 
 
-def _most_variance(part: Part) -> float:
+def _most_variance(part: BodyNumbers) -> float:
     """Of mass between the joints x = 0 and L with its centre at c: c (L − c); c² where it reaches beyond, to 2 c."""
     length, centre = part.length, part.along
     most = max(centre * (length - centre), length**2 / 6)
@@ -203,7 +205,7 @@ def _most_variance(part: Part) -> float:
     return most + part.aside**2
 
 
-def _unit_of_inertia(part: Part, radius: float) -> str:
+def _unit_of_inertia(part: BodyNumbers, radius: float) -> str:
     size = max(part.length, part.size, part.com)
     for factor, sentence in (
         (1e3, f"the mass is probably in tonnes: {1000 * part.mass:g} kg"),
@@ -215,7 +217,7 @@ def _unit_of_inertia(part: Part, radius: float) -> str:
     return "mass and inertia are probably in different units"
 
 
-def _springs(part: Part, gravity: float, reach: float) -> Iterator[Finding]:
+def _springs(part: BodyNumbers, gravity: float, reach: float) -> Iterator[ImplausibleNumber]:
     mass, moment = part.weight
     g = gravity or 9.81
     for name, (turns, stiffness) in part.springs.items():
@@ -223,7 +225,7 @@ def _springs(part: Part, gravity: float, reach: float) -> Iterator[Finding]:
         give = moment * g / stiffness if turns else mass * g / stiffness
         if give > (TILT if turns else SAG * reach):
             what = f"turns by {give:.3g} rad" if turns else f"gives by {give:.3g} m"
-            yield Finding(
+            yield ImplausibleNumber(
                 name,
                 f"{stiffness:g} {unit}",
                 f"the spring {what} under the {mass:.4g} kg that it carries",
@@ -231,12 +233,12 @@ def _springs(part: Part, gravity: float, reach: float) -> Iterator[Finding]:
             )
 
 
-def _drives(part: Part, machine: AnyMachine, reach: float) -> Iterator[Finding]:
+def _drives(part: BodyNumbers, machine: AnyMachine, reach: float) -> Iterator[ImplausibleNumber]:
     mass, moment = part.weight
     needed = (moment if part.hinge else mass) * (machine.gravity or 9.81)
     if part.effort < WEAK * needed:
         unit = "N m" if part.hinge else "N"
-        yield Finding(
+        yield ImplausibleNumber(
             f"{part.joint}.effort",
             f"{part.effort:g} {unit}",
             f"holding what the joint carries takes up to {needed:.3g} {unit}",
@@ -246,7 +248,7 @@ def _drives(part: Part, machine: AnyMachine, reach: float) -> Iterator[Finding]:
     if math.isfinite(part.speed) and tip > TIP_SPEED_MAX:
         unit, meant = ("rad/s", "degrees") if part.hinge else ("m/s", "mm")
         speed = math.radians(part.speed) if part.hinge else part.speed / 1000
-        yield Finding(
+        yield ImplausibleNumber(
             f"{part.joint}.speed",
             f"{part.speed:g} {unit}",
             f"the end-point would move at up to {tip:.0f} m/s",
@@ -254,36 +256,42 @@ def _drives(part: Part, machine: AnyMachine, reach: float) -> Iterator[Finding]:
         )
 
 
-def _totals(machine: AnyMachine, parts: Sequence[Part], reach: float) -> Iterator[Finding]:
+def _totals(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> Iterator[ImplausibleNumber]:
     payload = next(p.value for p in machine.parameters if p.name == "payload.mass")
     total = sum(part.mass for part in parts)
     low, high = (bound * reach**2 for bound in MASS_PER_AREA)
     if 0 < total < low:
         meant = f"probably in tonnes: {1000 * total:g} kg"
-        yield Finding("mass", f"{total:g} kg in all", f"is little for a machine that reaches {reach:.3g} m", meant)
+        yield ImplausibleNumber(
+            "mass", f"{total:g} kg in all", f"is little for a machine that reaches {reach:.3g} m", meant
+        )
     if total > high:
         meant = f"probably in g: {total / 1000:g} kg"
-        yield Finding("mass", f"{total:g} kg in all", f"is much for a machine that reaches {reach:.3g} m", meant)
+        yield ImplausibleNumber(
+            "mass", f"{total:g} kg in all", f"is much for a machine that reaches {reach:.3g} m", meant
+        )
     if payload > HEAVY * total:
         meant = f"probably in g: {payload / 1000:g} kg"
-        yield Finding("payload.mass", f"{payload:g} kg", f"is {payload / total:.0f} times the machine's mass", meant)
+        yield ImplausibleNumber(
+            "payload.mass", f"{payload:g} kg", f"is {payload / total:.0f} times the machine's mass", meant
+        )
 
 
-def _parts(machine: AnyMachine) -> tuple[list[Part], float]:
+def _parts(machine: AnyMachine) -> tuple[list[BodyNumbers], float]:
     if isinstance(machine, Machine):
         return _planar(machine)
     assert isinstance(machine, Tree)
     return _spatial(machine)
 
 
-def _planar(machine: Machine) -> tuple[list[Part], float]:
+def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
     """Bodies of a planar machine from the base outwards, and how far the end-point can be from the ground point."""
     base = machine.base
     springs = {
         f"base.stiffness.{d}": (d == "rotation", float(getattr(base.stiffness, d)))
         for d in machine.free_base_directions
     }
-    part = Part(
+    part = BodyNumbers(
         where="base", length=base.length, size=_capsules(machine, "base"), com=math.hypot(base.com, base.com_offset),
         along=base.com, aside=abs(base.com_offset), mass=base.mass, inertia=base.inertia,
         variance=base.inertia / base.mass, across=0.0, path=0.0, link=False, springs=springs,
@@ -292,7 +300,7 @@ def _planar(machine: Machine) -> tuple[list[Part], float]:
     parts = [part]
     for index, link in enumerate(machine.links):
         where = f"links[{index}] ({link.name})"
-        inner = Part(
+        inner = BodyNumbers(
             where=where, length=link.length, size=_capsules(machine, link.name),
             com=math.hypot(link.com, link.com_offset), along=link.com, aside=abs(link.com_offset), mass=link.mass,
             inertia=link.inertia, variance=link.inertia / link.mass, across=0.0, path=parts[-1].length, link=True,
@@ -306,10 +314,10 @@ def _planar(machine: Machine) -> tuple[list[Part], float]:
     return parts, sum(part.length for part in parts)
 
 
-def _load(part: Part, mass: float, distance: float) -> None:
+def _load(part: BodyNumbers, mass: float, distance: float) -> None:
     """Hang the payload on the end-point's body."""
     if mass:
-        load = Part(
+        load = BodyNumbers(
             where="payload", length=0.0, size=0.0, com=0.0, along=0.0, aside=0.0, mass=mass, inertia=0.0, variance=0.0,
             across=0.0, path=distance, link=False,
         )  # fmt: skip
@@ -322,7 +330,7 @@ def _capsules(machine: AnyMachine, body: str) -> float:
     return max((math.hypot(*end) + radius for end, radius in ends), default=0.0)
 
 
-def _spatial(machine: Tree) -> tuple[list[Part], float]:
+def _spatial(machine: Tree) -> tuple[list[BodyNumbers], float]:
     """Bodies of a spatial machine, and how far the end-point can be from the first body that has mass."""
     children: dict[str, list[TreeBody]] = {body.name: [] for body in machine.bodies}
     for body in machine.bodies:
@@ -330,7 +338,7 @@ def _spatial(machine: Tree) -> tuple[list[Part], float]:
             children[body.parent].append(body)
     coupled = machine.stiffness_matrix
     stiff = {} if coupled is None else {n: coupled.matrix[k][k] for k, n in enumerate(coupled.joints)}
-    parts: dict[str, Part] = {}
+    parts: dict[str, BodyNumbers] = {}
     actuated: set[str] = set()
     for body in machine.bodies:
         carried = [_farthest(child) for child in children[body.name]]
@@ -363,7 +371,7 @@ def _farthest(child: TreeBody) -> Array:
     return max((place + end * axis for end in joint.limits), key=lambda point: float(np.linalg.norm(point)))
 
 
-def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: float | None) -> Part:
+def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: float | None) -> BodyNumbers:
     far = max(carried, key=lambda point: float(np.linalg.norm(point)), default=np.zeros(3))
     com, length = np.array(body.com), float(np.linalg.norm(far))
     tensor = _tensor(body.inertia)
@@ -376,7 +384,7 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
     hinge = joint.kind == "hinge"
     travel = 0.0 if hinge or joint.limits is None else max(map(abs, joint.limits))
     where, moved = f"body {body.name!r}", f"joint {joint.name!r}"
-    return Part(
+    return BodyNumbers(
         where=where, length=length, size=_capsules(machine, body.name), com=float(np.linalg.norm(com)),
         along=float(com @ along), aside=float(np.linalg.norm(aside)), mass=body.mass,
         inertia=float(np.linalg.eigvalsh(tensor)[-1]), variance=max(float(along @ spread @ along), 0.0),

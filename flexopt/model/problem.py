@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, cast
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, TypedDict, cast
 
 from pydantic import Field, PrivateAttr
 
@@ -22,9 +22,17 @@ from flexopt.foundation.quantities import (
     checked,
 )
 from flexopt.model.constraints import Constraints
-from flexopt.model.machine import AnyMachine, FileModel
+from flexopt.model.machine import AnyMachine
 from flexopt.model.tables import BuiltByCall
-from flexopt.model.targets import KINDS, Motion, Target, check_any_numbers, check_any_shares, target_faults
+from flexopt.model.targets import (
+    KINDS,
+    PathMotion,
+    Target,
+    TargetKind,
+    check_any_numbers,
+    check_any_shares,
+    target_faults,
+)
 
 Elbow = Literal["up", "down"]
 ELBOWS: tuple[Elbow, ...] = ("up", "down")
@@ -99,10 +107,38 @@ def _check_any_range(value: Any) -> Any:
     return check_pair(value, "m", -COORDINATE_MAX, COORDINATE_MAX, allow_equal=True)
 
 
-class SelectionOptions(FileModel):
-    """How to choose among the configurations that reach the target or targets (keys of `[selection]`).
+class SelectionOptions(BuiltByCall):
+    """How to choose among the configurations that reach a target or targets: the keys of a file's `[selection]`.
 
-    `gain`, `elbow` and `slack` go with a single `end_point`, `combine` and `shares` with `end_points`.
+    `flexopt.select`, `build_selection`, `select_stand` and `plan_base` take it as their argument `options`, and its
+    fields as keywords, too; a keyword goes before the field.
+
+    Attributes:
+        objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
+            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1 to
+            within `slack`. Of several targets: one, without ε_max.
+        weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
+        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
+        gravity: measures and end-point under static deflection.
+        gain: of a single target: servo gain kr of ε_max.
+        base: present placement (n_b,), m or rad: breaks ties and gives the initial posture.
+        posture: present posture (n,), rad or m: with `base` the initial configuration.
+        base_range: where the base may stand: (lower, upper) of x, or a table such as {"x": (lower, upper), "yaw": …}
+            with the placement coordinates that are bounded. By default all placements from which the arm reaches;
+            where the task does not say where that is, within the arm's reach of the present placement. yaw is free.
+        elbow: of a single target: branch of the initial posture of a planar arm, where no posture is given.
+        singularity_margin_deg: distance from singular postures: for two links the angle that θ3 keeps from straight and
+            from folded, for more in the root mean square over pairs of segments; in space see
+            `Plant.singularity_sine_squared`.
+        starts: how many starts IPOPT tries at most. By default of a single target 32, in the plane every peak of the
+            scan, up to 64; of a stand 8 placements where targets leave one degree of freedom, else 32; of a plan 3
+            ways, besides standing still.
+        seed: of the sample that the starts come from.
+        slack: of a single target: what an objective may give up for the next one, as a share of its best value, or of
+            Σ αi |a_i||b_i| where that is more: w_i are best at 0. 1e-5 lets a_i and b_i of w_i turn by 0.3° from each
+            other.
+        combine: of a stand: `"worst"` maximises the smallest V_k, `"weighted"` the sum Σ share_k V_k.
+        shares: of the targets in the sum, (K,), positive; even by default.
     """
 
     objective: Annotated[str, checked(check_objective)] = "w1"
@@ -110,8 +146,8 @@ class SelectionOptions(FileModel):
     control: Annotated[Control, checked(check_control)] = "inverse"
     gravity: bool = False
     gain: Annotated[float, checked(check_gain)] = 5e5
-    base: Annotated[tuple[float, ...], checked(check_any_numbers)] | None = None
-    posture: Annotated[tuple[float, ...], checked(check_any_numbers)] | None = None
+    base: Annotated[Any, checked(check_any_numbers)] | None = None
+    posture: Annotated[Any, checked(check_any_numbers)] | None = None
     base_range: Annotated[Any, checked(_check_any_range)] | None = None
     elbow: Elbow = "up"
     singularity_margin_deg: Annotated[float, checked(check_margin_deg)] = SINGULARITY_MARGIN_DEG
@@ -120,6 +156,42 @@ class SelectionOptions(FileModel):
     slack: Annotated[float, checked(check_slack)] = SLACK
     combine: Combine = "worst"
     shares: Annotated[tuple[float, ...], checked(check_any_shares)] | None = None
+
+    @classmethod
+    def of(cls, kind: TargetKind) -> tuple[str, ...]:
+        """The fields that go with a kind of target."""
+        others = {key for other, keys in KINDS.items() if other != kind for key in keys}
+        return tuple(name for name in cls.model_fields if name not in others)
+
+
+class SharedKeywords(TypedDict, total=False):
+    """Fields of `SelectionOptions` as keywords of a call, for type checkers: those of every kind of target."""
+
+    objective: str
+    weights: Sequence[float] | None
+    control: Control
+    gravity: bool
+    base: Any
+    posture: Any
+    base_range: Any
+    singularity_margin_deg: float
+    starts: int | None
+    seed: int
+
+
+class SelectionKeywords(SharedKeywords, total=False):
+    """Those of a single target."""
+
+    gain: float
+    elbow: Elbow
+    slack: float
+
+
+class StandKeywords(SharedKeywords, total=False):
+    """Those of several targets from one placement."""
+
+    combine: str
+    shares: Sequence[float] | None
 
 
 class Problem(BuiltByCall):
@@ -131,8 +203,8 @@ class Problem(BuiltByCall):
     source: str = ""
     machine: str = Field(min_length=1)
     target: Target
-    motion: Motion | None = None
-    selection: SelectionOptions = SelectionOptions()
+    motion: PathMotion | None = None
+    selection: SelectionOptions = Field(default_factory=SelectionOptions)
     constraints: Constraints | None = None
 
     _loaded: AnyMachine | None = PrivateAttr(default=None)
@@ -163,8 +235,7 @@ class Problem(BuiltByCall):
     def select_arguments(self) -> dict[str, Any]:
         """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target."""
         kind = self.target.kind
-        others = {key for other, keys in KINDS.items() if other != kind for key in keys}
-        options = {key: value for key, value in self.selection.model_dump().items() if key not in others}
+        options = self.selection.model_dump(include=set(SelectionOptions.of(kind)))
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
-        return options | (self.motion or Motion()).model_dump() if kind == "path" else options
+        return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options

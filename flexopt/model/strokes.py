@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault
-from flexopt.model.hydraulics import Cylinder, JointFrame, Reach, pin_to_pin
+from flexopt.model.hydraulics import Cylinder, CylinderLength, JointFrame, pin_to_pin
 
 Vector = NDArray[np.float64]
 Range = tuple[float, float]
@@ -29,14 +29,14 @@ TINY = 1e-200
 
 
 @dataclass(frozen=True)
-class Travel:
+class CylinderTravel:
     """Length, its derivative and the closing of the linkage over q, as numbers."""
 
     cylinder: Cylinder
     frame: JointFrame
     value: Mapping[str, float]
 
-    def _reach(self, q: NDArray[np.complexfloating[Any, Any]] | Vector) -> Reach:
+    def _reach(self, q: NDArray[np.complexfloating[Any, Any]] | Vector) -> CylinderLength:
         with np.errstate(invalid="ignore", divide="ignore"):
             return pin_to_pin(self.cylinder, self.frame, self.value, (q, np.cos(q), np.sin(q)))
 
@@ -75,7 +75,7 @@ class Travel:
         return float(self.closures(np.array([q]))[0])
 
 
-def usable_range(travel: Travel, limits: Range, where: str) -> tuple[Range, list[Fault]]:
+def usable_range(travel: CylinderTravel, limits: Range, where: str) -> tuple[Range, list[Fault]]:
     """The range that limits and stroke leave to the joint, in rad or m; the limits themselves where there is a fault.
 
     A joint without limits turns, within the stroke, as far about q = 0 as the length changes one way.
@@ -133,7 +133,7 @@ def usable_range(travel: Travel, limits: Range, where: str) -> tuple[Range, list
     return found[0], []
 
 
-def _closing(travel: Travel, grid: Vector) -> list[Range]:
+def _closing(travel: CylinderTravel, grid: Vector) -> list[Range]:
     """Pieces of the grid's range on which the linkage closes."""
     closes = travel.closures(grid) >= 0
     pieces: list[Range] = []
@@ -160,7 +160,7 @@ def _closing_fault(closing: list[Range], limits: Range, limited: bool) -> str | 
     return None
 
 
-def _branches(travel: Travel, piece: Range) -> list[Range]:
+def _branches(travel: CylinderTravel, piece: Range) -> list[Range]:
     """Parts of a piece on which the length changes one way."""
     grid = np.linspace(*piece, max(3, math.ceil((piece[1] - piece[0]) / STEP)))
     ratios = travel.ratios(grid)
@@ -174,7 +174,7 @@ def _branches(travel: Travel, piece: Range) -> list[Range]:
     return list(pairwise([piece[0], *sorted(turns), piece[1]]))
 
 
-def _within(travel: Travel, branch: Range) -> Range | None:
+def _within(travel: CylinderTravel, branch: Range) -> Range | None:
     """The part of a branch on which the length is within the stroke."""
     low, high = travel.cylinder.length
     short, long = sorted(branch, key=travel.length)

@@ -1,6 +1,6 @@
 """What a problem's end-point shall reach, as validated data: the tables [target] and [motion].
 
-In: tables of a problem file. Out: frozen `Target` and `Motion`, and what is wrong between them and [selection]. How
+In: tables of a problem file. Out: frozen `Target` and `PathMotion`, and what is wrong between them and [selection]. How
 many numbers a target has is the machine's to say.
 """
 
@@ -16,8 +16,8 @@ from flexopt.model.tables import FileModel
 TARGETS_MAX = 1000
 RATE_MAX, TIME_MAX, SHARE_MAX = 1e3, 1e6, 1e6
 # Keys of [target], of which a problem has exactly one, with the keys of [selection] that go with it only.
-Kind = Literal["end_point", "end_points", "path"]
-KINDS: dict[Kind, tuple[str, ...]] = {
+TargetKind = Literal["end_point", "end_points", "path"]
+KINDS: dict[TargetKind, tuple[str, ...]] = {
     "end_point": ("gain", "elbow", "slack"),
     "end_points": ("combine", "shares"),
     "path": (),
@@ -94,12 +94,12 @@ class Target(FileModel):
     path: Annotated[tuple[Numbers, ...], checked(_check_path)] | None = None
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> TargetKind:
         """Which of the three it is."""
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
 
-class Motion(FileModel):
+class PathMotion(FileModel):
     """How a path is gone along; see `flexopt.plan_base`, whose defaults hold for what is left out.
 
     Attributes:

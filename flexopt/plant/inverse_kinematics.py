@@ -1,13 +1,21 @@
-"""All postures that put the end-point on a target from a given placement."""
+"""Inverse kinematics: postures that put the end-point on a target.
+
+In: a machine or its plant, targets, placements. Out: all postures of one placement (`inverse_kinematics`), those of an
+elbow of a planar arm in closed form (`branch`), and by iteration, for any machine and many placements and starts at
+once, those that starts lead to (`solve_postures`).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, cast
+from functools import lru_cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from flexopt.algebra.feasible import feasible_steps, repeated, shortest_steps
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
@@ -15,14 +23,15 @@ from flexopt.foundation.boundary import public
 from flexopt.model import AnyMachine
 from flexopt.model.problem import Elbow
 from flexopt.plant.plant import Plant, build_plant
-from flexopt.plant.reach import missed, unreachable
-from flexopt.plant.reaching import REACHED, joint_box, nearest_postures
+from flexopt.plant.reach import arm_length, missed, sampled_ranges, unreachable
 from flexopt.plant.statics import check_held
 
 ELBOW_SIGN: dict[Elbow, float] = {"up": -1.0, "down": 1.0}
 SAMPLES = 256
 # Postures closer than this, found by iteration, are one.
 SAME = 1e-6
+# A target is reached to this share of a metre, position and orientation rows alike.
+REACHED = 1e-10
 # Rounding may push |cos| past 1 by this much on the edge of the reach.
 EDGE = 1e-12
 
@@ -85,10 +94,10 @@ def inverse_kinematics(
 
 
 def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, seed: int) -> list[Vector]:
-    low, high = joint_box(plant)
+    low, high = sampled_ranges(plant.machine, arm_length(plant)).T
     starts = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, SAMPLES, seed)
     bases = np.repeat(base[:, None], SAMPLES, axis=1)
-    postures, left = nearest_postures(plant, target, bases, starts)
+    postures, left = solve_postures(plant, target, bases, starts)
     reached = list(postures[:, left <= REACHED].T)
     if gravity and reached:
         settled = (_under_gravity(plant, target, base, posture) for posture in _distinct(reached, SAME))
@@ -108,6 +117,43 @@ def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
         if unit == "rad" and not np.isfinite(limits).any():
             turned[row] = (turned[row] + math.pi) % (2 * math.pi) - math.pi
     return turned
+
+
+@lru_cache(maxsize=32)
+def reach_steps(machine: AnyMachine) -> ca.Function:
+    """`feasible_steps` of the task at rest in z = [base, posture]; the last input is p."""
+    g = build_plant(machine).graph
+    task = ca.substitute(g.end_point, g.q, g.rest)
+    return feasible_steps(task, ca.vertcat(g.base, g.posture), [g.p])
+
+
+def solve_postures(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> tuple[Vector, Vector]:
+    """Postures inside the joint limits with the end-point on the target, passive joints at rest.
+
+    Args:
+        plant: the machine's plant.
+        target: (n_task,) or (n_task, N), m, inertial frame.
+        bases: placements (n_b, N) or (n_b,), m or rad.
+        starts: postures to start from (n, N), rad or m; each leads to at most one solution.
+
+    Returns:
+        postures (n, N), rad or m, and the largest row of r − target, (N,), m: at most `REACHED` where it is reached.
+    """
+    n_b, n = plant.n_base, plant.n_actuated
+    low, high = (np.array(ends) for ends in zip(*plant.machine.limits, strict=True))
+    count = starts.shape[1]
+    bases = np.broadcast_to(bases.reshape(n_b, -1), (n_b, count))
+    goals = np.broadcast_to(target.reshape(plant.n_task, -1), (plant.n_task, count))
+    z = np.vstack([bases, np.clip(starts, low[:, None], high[:, None])])
+    bounds = np.concatenate([np.full(n_b, -np.inf), low]), np.concatenate([np.full(n_b, np.inf), high])
+    free = np.concatenate([np.zeros(n_b), np.ones(n)])
+    length = arm_length(plant)
+    scale = np.concatenate([np.ones(n_b), [1.0 if unit == "rad" else length for unit in plant.machine.joint_units]])
+    z, left = repeated(
+        reach_steps(plant.machine), z, (*bounds, free, scale), (goals, goals, np.ones(plant.n_task)),
+        [plant.parameter_values], REACHED,
+    )  # fmt: skip
+    return z[n_b:], left
 
 
 def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: float) -> tuple[Vector, Any]:
@@ -168,25 +214,20 @@ def _distinct(postures: list[Vector], tolerance: float = 1e-7) -> list[Vector]:
     return [posture for posture, keep in zip(postures, kept, strict=True) if keep]
 
 
-def _least_squares(matrix: Vector, right: Vector) -> Vector:
-    """The shortest x with A x nearest to b."""
-    return cast(Vector, np.linalg.lstsq(matrix, right, rcond=None)[0])
-
-
 def _under_gravity(plant: Plant, target: Vector, base: Vector, posture: Vector) -> Vector:
     """Newton's method from the posture at rest to the one whose deflected end-point is on the target."""
-    error = np.full(target.size, np.inf)
-    for _ in range(20):
-        q_p = plant.deflected(base, posture, plant.parameter_values)
-        q = np.concatenate([q_p.full().ravel(), posture])
-        error = plant.end_point(q, base, plant.parameter_values).full().ravel() - target
-        if not np.abs(error).max() >= 1e-13 * (1 + np.abs(target).max()):
-            break
-        jacobian = plant.rigid_jacobian(q, base, plant.parameter_values).full()
-        posture = posture - _least_squares(jacobian, error)
-    q = np.concatenate([plant.deflected(base, posture, plant.parameter_values).full().ravel(), posture])
-    check_held(plant, q, base)
-    off = float(np.abs(error).max())
+    p = plant.parameter_values
+
+    def settled(posture: Vector) -> Vector:
+        return np.concatenate([plant.deflected(base, posture, p).full().ravel(), posture])
+
+    def linear(posture: Vector) -> tuple[Vector, Vector]:
+        q = settled(posture)
+        return plant.end_point(q, base, p).full().ravel() - target, plant.rigid_jacobian(q, base, p).full()
+
+    tolerance = 1e-13 * (1 + float(np.abs(target).max()))
+    posture, off = shortest_steps(linear, posture, np.ones(posture.size), tolerance, steps=20)
+    check_held(plant, settled(posture), base)
     if not off < 1e-9:
         raise NoSolutionFound(
             f"inverse kinematics under gravity did not converge: the deflected end-point stays {off:.3g} m off the "

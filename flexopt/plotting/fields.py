@@ -24,7 +24,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Plane:
+class FieldPlane:
     """The axes of a field: values (n_x,), (n_y,), and their labels."""
 
     x: Values
@@ -45,7 +45,7 @@ class Plane:
         return "equal" if 0.25 <= float(np.ptp(self.y) / np.ptp(self.x)) <= 4.0 else "auto"
 
 
-def draw_field(axes: Axes, plane: Plane, values: Values, *, label: str, clipped: bool = False) -> None:
+def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, clipped: bool = False) -> None:
     """A field (n_y, n_x) with its colour bar; NaN stays white, what is the same everywhere has one colour.
 
     Args:
@@ -79,7 +79,7 @@ def draw_field(axes: Axes, plane: Plane, values: Values, *, label: str, clipped:
     bar.ax.yaxis.get_offset_text().set(fontsize=7.5)
 
 
-def draw_regions(axes: Axes, plane: Plane, values: Values) -> None:
+def draw_regions(axes: Axes, plane: FieldPlane, values: Values) -> None:
     """In-phase points (1) yellow, the others (0) blue, what is not mapped (NaN) white."""
     axes.imshow(
         values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, vmin=0.0, vmax=1.0,
@@ -87,7 +87,7 @@ def draw_regions(axes: Axes, plane: Plane, values: Values) -> None:
     )  # fmt: skip
 
 
-def label_plane(axes: Axes, plane: Plane, title: str, *, left: bool = True, bottom: bool = True) -> None:
+def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True, bottom: bool = True) -> None:
     """Title and labels; those of inner panels are left out."""
     axes.set_title(title, fontsize=9.5)
     axes.set_xlabel(plane.x_label if bottom else "", fontsize=8.5)

@@ -25,7 +25,7 @@ from flexopt.plotting.panels import Line, Panel, draw_panel
 from flexopt.plotting.scenery import draw_scenery, scenery_points
 from flexopt.plotting.selection import CHOSEN, MUTED, PRESENT
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
-from flexopt.selection.several import BasePlan, Place, Stand
+from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 
 TITLE_WIDTH = 95  # characters
 # More machines than this in one picture cannot be told apart: of a longer path some are left out.
@@ -157,7 +157,7 @@ def _draw_machines(
     axes.tick_params(labelsize=7.5)
 
 
-def _target_points(places: Sequence[Place], rows: tuple[str, ...]) -> Points:
+def _target_points(places: Sequence[TargetConfiguration], rows: tuple[str, ...]) -> Points:
     """The targets (d, K); of position rows that are no part of the task, where the end-point is."""
     points: NDArray[np.float64] = np.array([place.evaluation.skeleton[:, -1] for place in places]).T
     names = "xy" if points.shape[0] == 2 else "xyz"
@@ -167,7 +167,7 @@ def _target_points(places: Sequence[Place], rows: tuple[str, ...]) -> Points:
     return points
 
 
-def _draw_measures(axes: Axes, places: Sequence[Place], numbers: NDArray[np.int64]) -> None:
+def _draw_measures(axes: Axes, places: Sequence[TargetConfiguration], numbers: NDArray[np.int64]) -> None:
     """Bars of every w_i at each target."""
     w = np.array([place.evaluation.w for place in places])
     width = 0.8 / w.shape[1]

@@ -13,20 +13,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
-from flexopt.plotting.fields import Plane, Values, draw_field, draw_marks, draw_regions, label_plane
+from flexopt.plotting.fields import FieldPlane, Values, draw_field, draw_marks, draw_regions, label_plane
 from flexopt.plotting.files import write
 
 
-def dataset_plane(dataset: Any) -> Plane:
+def dataset_plane(dataset: Any) -> FieldPlane:
     """The axes of a map's dataset."""
     rows, columns = dataset["reachable"].dims
     if columns == "x" and dataset.attrs["frame"].startswith("workspace"):
-        return Plane(_array(dataset, "x"), _array(dataset, "y"), "x, m (workspace frame)", "y, m (workspace frame)")
+        return FieldPlane(
+            _array(dataset, "x"), _array(dataset, "y"), "x, m (workspace frame)", "y, m (workspace frame)"
+        )
     labels = [
         f"{mathtext(dataset[name].attrs['long_name'], TITLE_MAX)}, {dataset[name].attrs['units']}"
         for name in (columns, rows)
     ]
-    return Plane(_array(dataset, columns), _array(dataset, rows), *labels)
+    return FieldPlane(_array(dataset, columns), _array(dataset, rows), *labels)
 
 
 def plot_workspace(

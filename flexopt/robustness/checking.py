@@ -16,7 +16,7 @@ from flexopt.foundation.boundary import TABLE, instance, path, public
 from flexopt.foundation.documents import provenance
 from flexopt.model import AnyMachine, Problem, load_file
 from flexopt.model.files import ROBOT_SUFFIXES
-from flexopt.model.plausibility import REACH_MAX, Finding
+from flexopt.model.plausibility import REACH_MAX, ImplausibleNumber
 from flexopt.model.simulation import Experiment
 from flexopt.robustness.plausibility import implausibilities
 
@@ -43,7 +43,7 @@ class Check:
     kind: str | None
     machine: str | None
     faults: tuple[Fault, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[ImplausibleNumber, ...]
     warnings: tuple[str, ...]
     provenance: dict[str, Any] = field(repr=False)
 
@@ -151,21 +151,25 @@ def _checked(loaded: AnyMachine | Problem | Experiment, sentences: tuple[str, ..
     return Check(loaded.name, kind, machine.name, (), tuple(found), sentences, provenance(machine))
 
 
-def _targets(problem: Problem) -> Iterator[Finding]:
+def _targets(problem: Problem) -> Iterator[ImplausibleNumber]:
     target = problem.target
     given = getattr(target, target.kind)
     points: list[tuple[float, ...]] = [given] if target.kind == "end_point" else list(given)
     for point in points:
         if max(map(abs, point)) > REACH_MAX:
             text = f"[{', '.join(f'{x:g}' for x in point)}] m"
-            yield Finding(f"target.{target.kind}", text, f"lies beyond {REACH_MAX:g} m", "probably in mm, not m")
+            yield ImplausibleNumber(
+                f"target.{target.kind}", text, f"lies beyond {REACH_MAX:g} m", "probably in mm, not m"
+            )
             return
 
 
-def _offsets(experiment: Experiment) -> Iterator[Finding]:
+def _offsets(experiment: Experiment) -> Iterator[ImplausibleNumber]:
     machine = experiment.loaded_machine
     offset = experiment.simulation.offset or ()
     for joint, unit, value in zip(machine.joints, machine.joint_units, offset, strict=False):
         if unit == "rad" and abs(value) > OFFSET_MAX:
             meant = f"probably degrees: {math.radians(value):.4g} rad"
-            yield Finding(f"simulation.offset ({joint})", f"{value:g} rad", "is more than a quarter turn", meant)
+            yield ImplausibleNumber(
+                f"simulation.offset ({joint})", f"{value:g} rad", "is more than a quarter turn", meant
+            )

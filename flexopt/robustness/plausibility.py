@@ -16,7 +16,7 @@ import numpy as np
 
 from flexopt.errors import ImplausibleMachine
 from flexopt.model import AnyMachine
-from flexopt.model.plausibility import Array, Finding, implausible_numbers
+from flexopt.model.plausibility import Array, ImplausibleNumber, implausible_numbers
 from flexopt.plant import Plant, build_plant
 
 FIRST_MODE = (0.1, 100.0)  # Hz
@@ -25,7 +25,7 @@ PACKAGE = Path(__file__).parents[1]
 
 
 @lru_cache(maxsize=64)
-def implausibilities(machine: AnyMachine) -> tuple[Finding, ...]:
+def implausibilities(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     """Everything about the machine that is allowed but hardly meant."""
     found = implausible_numbers(machine)
     # Where springs, masses or lengths are off by their units, so are the modes, by the same slip.
@@ -46,19 +46,19 @@ def warn_implausible(machine: AnyMachine) -> None:
     warnings.warn(sentence, ImplausibleMachine, stacklevel=level)
 
 
-def _of_modes(machine: AnyMachine) -> tuple[Finding, ...]:
+def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     plant = build_plant(machine)
     try:
         modes = [_modes(plant, posture) for posture in _postures(machine)]
     except np.linalg.LinAlgError:
         return ()
     frequencies, ratios = (np.array(part) for part in zip(*modes, strict=True))
-    found: list[Finding] = []
+    found: list[ImplausibleNumber] = []
     first = frequencies[:, 0]
     if first.max() < FIRST_MODE[0] or first.min() > FIRST_MODE[1]:
         low, meant = first.max() < FIRST_MODE[0], "stiffnesses are probably in kN/m and kN m/rad"
         found.append(
-            Finding(
+            ImplausibleNumber(
                 "first mode",
                 f"{first[0]:.3g} Hz",
                 f"a machine on its base swings at {FIRST_MODE[0]:g} to {FIRST_MODE[1]:g} Hz",
@@ -69,7 +69,7 @@ def _of_modes(machine: AnyMachine) -> tuple[Finding, ...]:
     for mode in np.flatnonzero(damped > 1.0).tolist():
         value = float(damped[mode])
         found.append(
-            Finding(
+            ImplausibleNumber(
                 f"damping of mode {mode + 1}",
                 f"{value:.3g} of critical",
                 f"at {frequencies[0, mode]:.3g} Hz the machine would not swing at all",

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
 from flexopt.errors import Fault, UnreachableTarget
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import public
-from flexopt.foundation.control import Control
+from flexopt.foundation.boundary import Keywords, public
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Elbow
+from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held
+from flexopt.selection.configuration import build_configuration
 from flexopt.selection.constraints import ConstraintSet, build_constraints, constraint_faults
-from flexopt.selection.nlp import build_configuration
 from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
-from flexopt.selection.problem import Constraint, SelectionProblem, Travel, Variable
+from flexopt.selection.problem import Constraint, DecisionVariable, SelectionProblem, TravelCost
 from flexopt.selection.scan import Scan, scan_redundancy
 from flexopt.selection.starts import STARTS, Region, sample_configurations
 
@@ -60,83 +59,55 @@ def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
     ask(arguments, given)
 
 
-@public("select", together=only_notes)
+@public("select", together=only_notes, keywords=Keywords(SelectionOptions, SelectionOptions.of("end_point")))
 def build_selection(
     machine: AnyMachine,
     target: Any,
     *,
-    objective: str = "w1",
-    control: Control = "inverse",
-    weights: Sequence[float] | None = None,
-    gravity: bool = False,
-    gain: float = 5e5,
-    base: Any = None,
-    posture: Any = None,
-    base_range: Any = None,
     constraints: Constraints | Mapping[str, Any] | None = None,
-    elbow: Elbow = "up",
-    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
-    starts: int | None = None,
-    seed: int = 0,
-    slack: float = SLACK,
+    options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[SelectionKeywords],
 ) -> SelectionProblem:
     """Set up the choice of placement and posture for a target of the end-point.
 
     Args:
         machine: from `flexopt.load`.
         target: a number for each row of the task (n_task,), m, inertial frame.
-        objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
-            separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1 to
-            within `slack`.
-        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
-        weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
-        gravity: measures and end-point under static deflection.
-        gain: servo gain kr of ε_max.
-        base: present placement (n_b,), m or rad: breaks ties and gives the initial posture.
-        posture: present posture (n,), rad or m: with `base` the initial configuration.
-        base_range: where the base may stand: (lower, upper) of x, or a table such as {"x": (lower, upper), "yaw": …}
-            with the placement coordinates that are bounded. By default all placements from which the arm reaches;
-            where the task does not say where that is, within the arm's reach of the present placement. yaw is free.
         constraints: what else a configuration must keep, in the layout of a problem file's table [constraints].
-        elbow: branch of the initial posture of a planar arm, where no posture is given.
-        singularity_margin_deg: distance from singular postures: for two links the angle that θ3 keeps from straight and
-            from folded, for more in the root mean square over pairs of segments; in space see
-            `Plant.singularity_sine_squared`.
-        starts: how many starts IPOPT tries at most; by default 32, in the plane every peak of the scan, up to 64.
-        seed: of the sample that the starts come from.
-        slack: what an objective may give up for the next one, as a share of its best value, or of Σ αi |a_i||b_i| where
-            that is more: w_i are best at 0. 1e-5 lets a_i and b_i of w_i turn by 0.3° from each other.
+        options: how to choose, see `SelectionOptions`;  keywords: its fields, which go before it: objective, weights,
+            control, gravity, gain, base, posture, base_range, elbow, singularity_margin_deg, starts, seed, slack.
 
     Raises:
         InputError: arguments of wrong shape, not finite or out of range, all in one message.
         UnreachableTarget: no placement in the range reaches the target inside limits and margin.
     """
-    together = {"objective": objective, "weights": weights, "constraints": constraints, "base": base}
-    read = ask(Arguments("select", machine), together | {"posture": posture})
+    asked = SelectionOptions.model_construct(**keywords)
+    read = ask(Arguments("select", machine), vars(asked) | {"constraints": constraints})
     assert read is not None  # the machine is one
-    objectives, asked, limits, travel_now = read
+    objectives, kept, limits, travel_now = read
     names, units = machine.base_coordinates, machine.base_units
-    point, present, held, kr = target, base, posture, gain
-    ranges: Ranges = base_range or {}
-    margin = math.radians(singularity_margin_deg)
+    present, seed, starts = asked.base, asked.seed, asked.starts
+    ranges: Ranges = asked.base_range or {}
+    margin = math.radians(asked.singularity_margin_deg)
 
-    functions = quantities(machine, control, gravity, kr)
+    functions = quantities(machine, asked.control, asked.gravity, asked.gain)
     plant = functions.measures.plant
-    rows = build_constraints(plant, asked)
+    rows = build_constraints(plant, kept)
     constraint_set = rows if len(rows) else None
-    ranges, sampled, intervals = _placements(plant, point, ranges, margin, present)
+    ranges, sampled, intervals = _placements(plant, target, ranges, margin, present)
     length = outer_reach(plant)[1]
     lengths = {"m": length or 1.0, "rad": 1.0}
     variables = [
-        Variable(f"base.{name}", unit, *ranges[name], lengths[unit]) for name, unit in zip(names, units, strict=True)
+        DecisionVariable(f"base.{name}", unit, *ranges[name], lengths[unit])
+        for name, unit in zip(names, units, strict=True)
     ]
     variables += [
-        Variable(name, unit, float(low), float(high), 1.0 if unit == "rad" else arm_length(plant))
+        DecisionVariable(name, unit, float(low), float(high), 1.0 if unit == "rad" else arm_length(plant))
         for name, unit, (low, high) in zip(machine.joints, machine.joint_units, limits, strict=True)
     ]
     bounds = [
         Constraint(f"target {row}", "m", value, value, length or 1.0)
-        for row, value in zip(machine.task_rows, point.tolist(), strict=True)
+        for row, value in zip(machine.task_rows, target.tolist(), strict=True)
     ]
     bounds.append(Constraint("singularity margin", "sin²", math.sin(margin) ** 2, math.inf, 1.0))
     bounds += [
@@ -149,33 +120,33 @@ def build_selection(
     off = 0.0
     if plant.closed_form:
         scan = scan_redundancy(
-            functions, point, intervals, objectives[0], math.sin(margin) ** 2, limits, constraint_set, seed
+            functions, target, intervals, objectives[0], math.sin(margin) ** 2, limits, constraint_set, seed
         )
     else:
-        configuration = build_configuration(machine, control, gravity, constraint_set)
+        configuration = build_configuration(machine, asked.control, asked.gravity, constraint_set)
         scan, off = sample_configurations(functions, configuration, region, objectives[0], starts or STARTS, seed)
     if scan.size == 0:
-        raise _nothing_found(functions, point, ranges, margin, scan, off)
+        raise _nothing_found(functions, target, ranges, margin, scan, off)
     return SelectionProblem(
         machine=machine,
-        target=point,
+        target=target,
         objectives=objectives,
         kept=(),
-        slack=slack,
-        control=control,
-        gravity=gravity,
-        gain=kr,
+        slack=asked.slack,
+        control=asked.control,
+        gravity=asked.gravity,
+        gain=asked.gain,
         variables=tuple(variables),
         constraints=tuple(bounds),
         constraint_set=constraint_set,
-        asked=asked,
-        travel=None if travel_now is None or asked.travel is None else Travel(asked.travel.cost, travel_now),
+        asked=kept,
+        travel=None if travel_now is None or kept.travel is None else TravelCost(kept.travel.cost, travel_now),
         objective_scales=tuple(float(np.median(o.alpha @ scan.factor)) + o.beta or 1.0 for o in objectives),
         scan=scan,
         region=region,
         present_base=present,
-        present_posture=held,
-        elbow=elbow,
+        present_posture=asked.posture,
+        elbow=asked.elbow,
         singularity_margin=margin,
         starts=starts,
         seed=seed,
@@ -252,7 +223,7 @@ def _placements(
 
 def _region(
     plant: Plant,
-    variables: list[Variable],
+    variables: list[DecisionVariable],
     constraints: list[Constraint],
     sampled: Ranges,
     constraint_set: ConstraintSet | None,

@@ -1,20 +1,21 @@
-"""Proof of a solution by functions that IPOPT did not use: feasibility, first- and second-order optimality."""
+"""Proof of a solution by functions that no solver used: feasibility, first- and second-order optimality.
+
+In: a program, of one configuration or many, and a point. Out: what the point violates.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 
+from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
-from flexopt.model import AnyMachine
-from flexopt.selection.nlp import Rows
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import Program, single
 from flexopt.selection.programs import Local
 
 TARGET_TOLERANCE = 1e-8
@@ -24,29 +25,27 @@ STATIONARITY_TOLERANCE = 1e-6
 CURVATURE_TOLERANCE = 1e-6
 STATIONARY_NEARLY = 1e-3
 CURVATURE_STEP = 1e-5
-KEPT_TOLERANCE = 1e-8
 # V this near to a value that no configuration exceeds, relative to its scale, is a maximum whatever its derivatives,
 # which near a_i = 0 or b_i = 0 change without bound.
 BEST_TOLERANCE = 1e-9
 # Steps along a direction of positive curvature, in scaled variables, that are looked at for a larger V.
 PROBES = (1e-2, 1e-3, 1e-4)
-CORRECTIONS = 8
+# Steps back onto the active rows, and how near they lead: what is left is taken off what V gains.
+CORRECTIONS, ON_ROWS = 8, 1e-14
 # A gain below this share of V's and the multipliers' size is rounding.
 NOISE = 1e-12
 KINK_NAME = "kink of ε_max"
-# Number, sense and name: c ≥ 0 is sense · row.
-ActiveRow = tuple[int, float, str]
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Residuals at a point z.
+    """Residuals at a point x.
 
     Attributes:
         violations: constraint or bound name -> violation beyond its tolerance, in its unit.
         active: names of the bounds and constraints that hold with equality, the target's rows left out.
         target_error: |r − target|, m.
-        stationarity: as in `Candidate`.
+        stationarity: norm of what multipliers of the right signs leave of the objective's gradient, as in `Candidate`.
         curvature: largest curvature of the Lagrangian along the feasible directions, in the same units; positive
             where the point is no maximum.
         unsurpassed: whether V is a value that no configuration exceeds.
@@ -67,181 +66,155 @@ class Proof:
 
 def prove(problem: SelectionProblem, z: Vector) -> Proof:
     """Check a point z = [base, posture] from the equations, in double, without IPOPT's own numbers."""
-    n_task = problem.target.size
-    rows = problem.rows(z)
-    violations: dict[str, float] = {}
-    for constraint, value, wanted in zip(problem.constraints, rows, problem.target, strict=False):
-        _note(violations, constraint.name, abs(float(value - wanted)), TARGET_TOLERANCE)
-    for constraint, value in zip(problem.constraints[n_task:], rows[n_task:], strict=True):
-        beyond = max(constraint.lower - value, value - constraint.upper)
-        _note(violations, constraint.name, beyond, BOUND_TOLERANCE * constraint.scale)
-    for variable, value in zip(problem.variables, z, strict=True):
-        beyond = max(variable.lower - value, value - variable.upper)
-        _note(violations, f"{variable.name} range", beyond, BOUND_TOLERANCE)
+    return prove_program(single(problem), z)
 
-    local = _linearised(problem, z, rows)
-    for name, value in local.kept_objectives.items():
-        _note(violations, name, -value, KEPT_TOLERANCE)
+
+def prove_program(program: Program, x: Vector) -> Proof:
+    """The same of a point x of a program."""
+    local = _linearised(program, x)
+    violations = _infeasible(program, x, local.g)
     multipliers, kept = _multipliers(local)
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
     if KINK_NAME in local.names:
         stationarity = _at_kink(local, multipliers, kept, stationarity)
-    unsurpassed = problem.bounded_by_zero and -local.value <= BEST_TOLERANCE
+    bounded = program.first.bounded_by_zero and program.goal != "motion"
+    unsurpassed = bounded and -local.value <= BEST_TOLERANCE
     curvature = 0.0
     if not unsurpassed:
         _note(violations, "first-order optimality", stationarity, STATIONARITY_TOLERANCE)
         # Far from stationary points curvatures say nothing.
         near = stationarity <= STATIONARY_NEARLY
-        curvature = _curvature(problem, z, local, multipliers, kept) if near else 0.0
+        curvature = _curvature(program, x, local, multipliers, kept) if near else 0.0
         _note(violations, "second-order optimality", curvature, CURVATURE_TOLERANCE)
-    off = float(np.linalg.norm(rows[:n_task] - problem.target))
+    rows, n_task = program.first.constraints, program.first.target.size
+    lengths = np.array([row.scale for row in rows[:n_task]])
+    of_targets = local.g[: len(rows) * program.coupling.count].reshape(-1, len(rows))[:, :n_task] * lengths
+    off = float(np.sqrt(np.sum(of_targets**2, axis=1)).max())
     return Proof(violations, local.names, off, stationarity, curvature, unsurpassed)
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """First-order model at a point, in x = z / scale.
+class _FirstOrderModel:
+    """First-order model at a point, in y = x / scale, and t last where the program has one.
 
     Attributes:
-        value, gradient: V / objective_scale and its gradient.
+        level: t, the smallest V / size.
+        value, gradient: of what is maximised.
+        g: values of the constraints, as `Program.constraints` lists them.
+        equal, active: numbers of the equalities among them; of the active inequalities, with their sense.
         equalities: gradients of equality rows, of the coupling at a kink, of fixed variables.
         inequalities: gradients of the active ones c ≥ 0;  names: theirs.
-        curved: how many of each, listed first, are rows and so have curvature.
-        kept_objectives: name -> how much an earlier objective exceeds what is to be kept, relative to its scale.
+        moving: 0 for variables that are fixed or at a bound, else 1.
     """
 
+    level: float
     value: float
     gradient: Vector
+    g: Vector
+    equal: list[int]
+    active: list[tuple[int, float]]
     equalities: Vector
     inequalities: Vector
     names: tuple[str, ...]
-    curved: tuple[int, int]
-    kept_objectives: dict[str, float]
+    moving: Vector
 
     def rows(self, kept: list[int]) -> Vector:
         """Gradients of the equalities and of the inequalities numbered in `kept`."""
         return np.vstack([self.equalities, self.inequalities[kept]])
 
+    def weights(self, multipliers: Vector, kept: list[int]) -> Vector:
+        """Multipliers of the constraints, (n_g,): the Lagrangian is V − weightsᵀ g."""
+        pulls = np.zeros(len(self.inequalities))
+        pulls[kept] = multipliers[len(self.equalities) :]
+        weights = np.zeros(self.g.size)
+        weights[self.equal] = multipliers[: len(self.equal)]
+        for (number, sense), pull in zip(self.active, pulls, strict=False):
+            weights[number] = sense * pull
+        return weights
+
 
 def _note(violations: dict[str, float], name: str, size: float, tolerance: float) -> None:
     if not size <= tolerance:
-        violations[name] = float(size)
+        violations[name] = max(float(size), violations.get(name, 0.0))
 
 
-@lru_cache(maxsize=32)
-def _extra_slopes(machine: AnyMachine, rows: Rows) -> ca.Function:  # noqa: ARG001 - with the rows a key
-    """(base, posture, p, c) -> derivatives of the constraint rows by z, (k, n_z)."""
-    f = rows.function
-    base, posture, p, c = (ca.SX.sym(name, f.size1_in(k)) for k, name in enumerate(f.name_in()))
-    slopes = ca.jacobian(f.call([base, posture, p, c])[0], ca.vertcat(base, posture))
-    return ca.Function("constraint_slopes", [base, posture, p, c], [ca.densify(slopes)])
+def infeasible(program: Program, x: Vector) -> dict[str, float]:
+    """Constraints and bounds that are violated beyond their tolerances at x, in their units."""
+    return _infeasible(program, x, _linearised(program, x).g)
 
 
-def row_gradients(problem: SelectionProblem, z: Vector) -> Vector:
-    """Derivatives of all constraints by z, (n_rows, n_z), in their units."""
-    plant, n_base = problem.measures.plant, problem.measures.plant.n_base
-    at = [z[:n_base], z[n_base:], plant.parameter_values]
-    parts = [problem.measures.end_point_gradient.call(at)[0], plant.singularity_gradient.call(at)[0]]
-    if problem.constraint_set is not None:
-        extra = Rows(problem.constraint_set.structure, problem.constraint_set.function)
-        slopes = _extra_slopes(problem.machine, extra)
-        parts += slopes.call([*at, problem.constraint_set.constants])
-    return np.vstack([part.full() for part in parts])
+def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
+    constraints, n_task = program.constraints(lowest=True), program.first.target.size
+    beyond = [
+        float(max(row.lower - value, value - row.upper)) * row.scale for row, value in zip(constraints, g, strict=True)
+    ]
+    violations: dict[str, float] = {}
+    each = len(program.first.constraints)
+    for k, problem in enumerate(program.problems):
+        for number in range(each):
+            row, size = constraints[k * each + number], beyond[k * each + number]
+            _note(violations, row.name, size, TARGET_TOLERANCE if number < n_task else BOUND_TOLERANCE * row.scale)
+        for variable, value in zip(problem.variables, program.of(x, k), strict=True):
+            out = max(variable.lower - value, value - variable.upper)
+            _note(violations, f"{program.prefix(k)}{variable.name} range", out, BOUND_TOLERANCE)
+    for row, size in list(zip(constraints, beyond, strict=True))[each * len(program.problems) :]:
+        _note(violations, row.name, size, BOUND_TOLERANCE)
+    return violations
 
 
-def stated(problem: SelectionProblem, x: Vector) -> Local:
-    """The program that `SelectionProblem.solver` climbs, at its x, by functions that it does not use."""
-    size, n_task, shift = problem.scale.size, problem.target.size, problem.shift[0]
-    z = x[:size] * problem.scale + shift
-    scales = np.array([constraint.scale for constraint in problem.constraints])
-    wanted = np.concatenate([problem.target, np.zeros(len(problem.constraints) - n_task)])
-    g, jacobian = [(problem.rows(z) - wanted) / scales], [row_gradients(problem, z) / scales[:, None]]
-    for objective, scale in zip(problem.objectives[: len(problem.kept)], problem.objective_scales, strict=False):
-        values, slopes = problem.branches(objective, z)
-        g.append(values / scale)
-        jacobian.append(slopes[: values.size] / scale)
-    values, slopes = problem.branches(problem.objective, z)
-    values, slopes = values / problem.objective_scale, slopes[: values.size] / problem.objective_scale
-    if not problem.objective.has_kinks:
-        return Local(
-            -float(values[0]), -slopes[0] * problem.scale, np.concatenate(g), np.vstack(jacobian) * problem.scale
-        )
-    # The level t, last in x, below both branches.
-    every = np.vstack([*jacobian, slopes]) * problem.scale
-    of_level = np.zeros(len(every))
-    of_level[-values.size :] = -1.0
-    down = np.append(np.zeros(size), -1.0)
-    return Local(-float(x[-1]), down, np.concatenate([*g, values - x[-1]]), np.column_stack([every, of_level]))
-
-
-def _active_rows(problem: SelectionProblem, values: Vector) -> tuple[list[int], list[ActiveRow]]:
-    """Numbers of the equality rows, and of the active inequalities."""
+def _linearised(program: Program, x: Vector) -> _FirstOrderModel:
+    members = program.linear(x)
+    level = float(min(member.values[-1][0] for member in members))
+    local = program.local(x, members, level, lowest=True)
     equal: list[int] = []
-    active: list[ActiveRow] = []
-    for k, (constraint, value) in enumerate(zip(problem.constraints, values, strict=True)):
-        tolerance = ACTIVE_TOLERANCE * constraint.scale
-        if constraint.lower == constraint.upper:
-            equal.append(k)
-        elif value - constraint.lower <= tolerance:
-            active.append((k, 1.0, constraint.name))
-        elif constraint.upper - value <= tolerance:
-            active.append((k, -1.0, constraint.name))
-    return equal, active
-
-
-def _linearised(problem: SelectionProblem, z: Vector, row_values: Vector) -> _Linear:
+    active: list[tuple[int, float]] = []
     rows: list[Vector] = []
     names: list[str] = []
-    size = problem.objective_scale
-    values, gradients = problem.branches(problem.objective, z)
-    coupling = np.zeros((0, z.size))
-    scales = np.array([constraint.scale for constraint in problem.constraints])
-    gradients_of_rows = row_gradients(problem, z) / scales[:, None]
-    equal, active = _active_rows(problem, row_values)
-    for k, sense, name in active:
-        rows.append(sense * gradients_of_rows[k])
-        names.append(name)
-    kept: dict[str, float] = {}
-    for objective, wanted, scale in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
-        value, slope = problem.branches(objective, z)
-        name = f"kept {objective.name}"
-        kept[name] = float(value[0] - wanted) / scale
-        if kept[name] <= ACTIVE_TOLERANCE:
-            rows.append(slope[0] / scale)
-            names.append(name)
-    curved = len(equal), len(rows)
-    if len(values) > 1 and values[1] - values[0] <= KINK * size:
+    for k, (constraint, value) in enumerate(zip(program.constraints(lowest=True), local.g, strict=True)):
+        if constraint.lower == constraint.upper:
+            equal.append(k)
+            continue
+        sense = 1.0 if value - constraint.lower <= ACTIVE_TOLERANCE else -1.0
+        if sense > 0 or constraint.upper - value <= ACTIVE_TOLERANCE:
+            active.append((k, sense))
+            rows.append(sense * local.jacobian[k])
+            names.append(constraint.name)
+    values, slopes = members[0].values[-1], members[0].slopes[-1]
+    coupling = np.zeros((0, local.gradient.size))
+    if len(values) > 1 and values[1] - values[0] <= KINK:
         # V is the smaller branch, so V_2 − V_1 ≥ 0 is one more inequality; where the branches really meet, their
         # coupling is one more free direction.
-        rows.append((gradients[1] - gradients[0]) / size)
+        rows.append(slopes[1] - slopes[0])
         names.append(KINK_NAME)
-        coupling = gradients[2:3] / size
+        coupling = slopes[2:3]
 
-    identity = np.eye(z.size)
+    identity, moving = np.eye(local.gradient.size), np.ones(local.gradient.size)
     fixed: list[Vector] = []
-    for i, variable in enumerate(problem.variables):
-        if variable.lower == variable.upper:
+    for i, (name, lower, upper) in enumerate(zip(program.names, *program.bounds(), strict=True)):
+        if lower == upper or i in program.fixed:
             fixed.append(identity[i])
+            moving[i] = 0.0
             continue
-        if z[i] - variable.lower <= ACTIVE_TOLERANCE * variable.scale:
-            rows.append(identity[i])
-            names.append(f"{variable.name} lower bound")
-        if variable.upper - z[i] <= ACTIVE_TOLERANCE * variable.scale:
-            rows.append(-identity[i])
-            names.append(f"{variable.name} upper bound")
-    equalities = np.vstack([gradients_of_rows[equal], coupling, *fixed])
-    return _Linear(
-        value=float(values[0]) / size,
-        gradient=gradients[0] * problem.scale / size,
-        equalities=equalities * problem.scale,
-        inequalities=np.array(rows).reshape(-1, z.size) * problem.scale,
+        for away, sense, side in ((x[i] - lower, 1.0, "lower"), (upper - x[i], -1.0, "upper")):
+            if away <= ACTIVE_TOLERANCE * program.scale[i]:
+                rows.append(sense * identity[i])
+                names.append(f"{name} {side} bound")
+                moving[i] = 0.0
+    return _FirstOrderModel(
+        level=level,
+        value=-local.f,
+        gradient=-local.gradient,
+        g=local.g,
+        equal=equal,
+        active=active,
+        equalities=np.vstack([local.jacobian[equal], coupling, *fixed]),
+        inequalities=np.array(rows).reshape(-1, local.gradient.size),
         names=tuple(names),
-        curved=curved,
-        kept_objectives=kept,
+        moving=moving,
     )
 
 
-def _multipliers(local: _Linear) -> tuple[Vector, list[int]]:
+def _multipliers(local: _FirstOrderModel) -> tuple[Vector, list[int]]:
     """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, and the inequalities that pull."""
     kept = list(range(len(local.inequalities)))
     if not np.all(np.isfinite(local.gradient)) or not np.all(np.isfinite(local.rows(kept))):
@@ -255,13 +228,13 @@ def _multipliers(local: _Linear) -> tuple[Vector, list[int]]:
         del kept[int(np.argmax(signs))]
 
 
-def _at_kink(local: _Linear, multipliers: Vector, kept: list[int], stationarity: float) -> float:
+def _at_kink(local: _FirstOrderModel, multipliers: Vector, kept: list[int], stationarity: float) -> float:
     """Stationarity where the branches meet, with a mean of their gradients and no more.
 
     V's generalised gradients are (1 − μ) g_11 + μ g_22 + 2 ν g_12 with ν² ≤ μ (1 − μ): multipliers beyond that would
     make nearly equal branches out to be whatever is wanted. They are moved to the nearest mean, all others follow.
     """
-    at, coupling = local.names.index(KINK_NAME), local.curved[0]
+    at, coupling = local.names.index(KINK_NAME), len(local.equal)
     share = -float(multipliers[len(local.equalities) + kept.index(at)]) if at in kept else 0.0
     mixed = -float(multipliers[coupling]) / 2
     away = math.hypot(share - 0.5, mixed)
@@ -279,7 +252,7 @@ def _at_kink(local: _Linear, multipliers: Vector, kept: list[int], stationarity:
     return float(np.linalg.norm(plain.gradient - others @ plain.rows(pulling)))
 
 
-def _nearest_multipliers(local: _Linear) -> tuple[Vector, list[int]]:
+def _nearest_multipliers(local: _FirstOrderModel) -> tuple[Vector, list[int]]:
     """As `_multipliers`, the nearest there are: non-negative least squares on what equalities cannot take up."""
     if not len(local.inequalities):
         return np.linalg.pinv(local.equalities.T) @ local.gradient, []
@@ -291,7 +264,7 @@ def _nearest_multipliers(local: _Linear) -> tuple[Vector, list[int]]:
     return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
-def _curvature(problem: SelectionProblem, z: Vector, local: _Linear, multipliers: Vector, kept: list[int]) -> float:
+def _curvature(program: Program, x: Vector, local: _FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
     """Largest curvature of V − λᵀ c on the null space of the active rows, by central differences of exact gradients.
 
     0 where nothing is free, at a kink, where the branches change places within the step, and where no point nearby
@@ -299,94 +272,82 @@ def _curvature(problem: SelectionProblem, z: Vector, local: _Linear, multipliers
     """
     rows = local.rows(list(range(len(local.inequalities))))
     _, singular, directions = np.linalg.svd(rows)
-    free = directions[int(np.sum(singular > 1e-9 * singular[0])) :] if len(rows) else np.eye(z.size)
+    free = directions[int(np.sum(singular > 1e-9 * singular[0])) :] if len(rows) else np.eye(local.gradient.size)
     if not free.size or KINK_NAME in local.names:
         return 0.0
-    # The curved rows come first; of the inequalities among them only the ones with a multiplier pull.
-    equal, inequal = local.curved
-    pulls = np.zeros(len(local.inequalities))
-    pulls[kept] = multipliers[len(local.equalities) :]
-    weights = np.concatenate([multipliers[:equal], pulls[:inequal]])
-    numbers = _active_rows(problem, problem.rows(z))
-    hessian = np.empty((len(free), len(free)))
-    for k, direction in enumerate(free):
-        change = np.zeros(z.size)
-        for sign in (1.0, -1.0):
-            moved = z + sign * CURVATURE_STEP * direction * problem.scale
-            gradient, curved = _curved_gradients(problem, moved, numbers, local.names)
-            change += sign * (gradient - weights @ curved) / (2 * CURVATURE_STEP)
-        hessian[k] = free @ change
+    weights = local.weights(multipliers, kept)
+    hessian = np.zeros((len(free), len(free)))
+    for k, place in enumerate(program.coupling.places):
+        # What the others do does not matter to this one's second derivatives, and it has few directions of its own.
+        own = free[:, list(place)]
+        _, reach, basis = np.linalg.svd(own, full_matrices=False)
+        basis = basis[reach > 1e-9]
+        along = own @ basis.T
+        hessian += along @ _bent(program, k, program.of(x, k), basis, weights) @ along.T
+    if program.goal == "motion":
+        steps = free @ program.coupling.steps(local.gradient.size).T
+        hessian -= steps @ steps.T
     values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
     largest = float(values[-1])
-    if largest > CURVATURE_TOLERANCE and not _rises(problem, z, local, free.T @ vectors[:, -1], weights, largest):
+    if largest > CURVATURE_TOLERANCE and not _rises(program, x, local, free.T @ vectors[:, -1], weights, largest):
         return 0.0
     return largest
 
 
-def _curved_gradients(
-    problem: SelectionProblem,
-    z: Vector,
-    numbers: tuple[list[int], list[ActiveRow]],
-    names: tuple[str, ...],
-) -> tuple[Vector, Vector]:
-    """Gradients of V and of the active curved rows at a point nearby, in x = z / scale."""
-    equal, active = numbers
-    scales = np.array([constraint.scale for constraint in problem.constraints])
-    rows = row_gradients(problem, z) / scales[:, None]
-    curved = [rows[k] for k in equal] + [sense * rows[k] for k, sense, _ in active]
-    for objective, size in zip(problem.objectives[: len(problem.kept)], problem.objective_scales, strict=False):
-        if f"kept {objective.name}" in names:
-            curved.append(problem.branches(objective, z)[1][0] / size)
-    gradient = problem.branches(problem.objective, z)[1][0] / problem.objective_scale
-    return gradient * problem.scale, np.array(curved).reshape(-1, z.size) * problem.scale
+def _bent(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -> Vector:
+    """Second derivatives of configuration k's share in the Lagrangian along a basis (d, n_z) of z / scale, (d, d)."""
+    count, kept, n_rows = program.coupling.count, len(program.first.kept), len(program.first.constraints)
+    before = n_rows * count + len(program.coupling.pairs)
+    weighted = before + kept * count == weights.size
+    of_value = program.share[k] if weighted else -weights[before + kept * count + k]
+
+    def pull(there: Vector) -> Vector:
+        member = program.linear_of(k, there)
+        total = of_value * member.slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ member.row_slopes
+        for j in range(kept):
+            total = total - weights[before + j * count + k] * member.slopes[j][0]
+        return total
+
+    second = np.zeros((len(basis), len(basis)))
+    for row, direction in enumerate(basis):
+        step = CURVATURE_STEP * direction * program.first.scale
+        second[row] = basis @ (pull(z + step) - pull(z - step)) / (2 * CURVATURE_STEP)
+    return second
 
 
 def _rises(
-    problem: SelectionProblem, z: Vector, local: _Linear, direction: Vector, weights: Vector, curvature: float
+    program: Program, x: Vector, local: _FirstOrderModel, direction: Vector, weights: Vector, curvature: float
 ) -> bool:
-    """Whether V is larger at some point near z along a direction, moved back onto the active rows.
+    """Whether V is larger at some point near x along a direction, moved back onto the active rows.
 
     What V gains by being a rounding error off these rows, whose multipliers are `weights`, is taken off: what narrow
     slacks of earlier objectives allow is dear.
     Where earlier objectives are kept their derivatives may jump, so that no such point is found: nothing is known then.
     """
-    equal, active = _active_rows(problem, problem.rows(z))
-    numbers = [*equal, *(k for k, _, _ in active)]
-    senses = np.array([1.0] * len(equal) + [sense for _, sense, _ in active])
-    scales = np.array([constraint.scale for constraint in problem.constraints])
-    wanted = np.array([c.lower if value - c.lower <= c.upper - value else c.upper
-                       for c, value in zip(problem.constraints, problem.rows(z), strict=True)])  # fmt: skip
-    kept = [k for k in range(len(problem.kept)) if f"kept {problem.objectives[k].name}" in local.names]
-    freed: Vector = np.where(problem.lower == problem.upper, 0.0, 1.0)
-    for row, name in zip(local.inequalities, local.names, strict=True):
-        if name.endswith(" bound"):
-            freed[row != 0] = 0.0
+    constraints = program.constraints(lowest=True)
+    numbers = [*local.equal, *(k for k, _ in local.active)]
+    wanted = np.array([row.lower if value - row.lower <= row.upper - value else row.upper
+                       for row, value in zip(constraints, local.g, strict=True)])[numbers]  # fmt: skip
+    before = len(program.first.constraints) * program.coupling.count + len(program.coupling.pairs)
+    kept = any(before <= k < before + len(program.first.kept) * program.coupling.count for k, _ in local.active)
+    n_x = x.size
 
-    def beyond(there: Vector) -> Vector:
-        """How far the active rows, then the earlier objectives, are from what they shall be."""
-        earlier = [
-            (problem.branches(problem.objectives[k], there)[0][0] - problem.kept[k]) / problem.objective_scales[k]
-            for k in kept
-        ]
-        return np.append(((problem.rows(there) - wanted) / scales)[numbers], earlier)
+    def there(y: Vector) -> Local:
+        at = y[:n_x] * program.scale
+        return program.local(at, program.linear(at), float(y[-1]), lowest=True)
 
-    def slopes(there: Vector) -> Vector:
-        earlier = [problem.branches(problem.objectives[k], there)[1][0] / problem.objective_scales[k] for k in kept]
-        rows = (row_gradients(problem, there) / scales[:, None])[numbers]
-        return np.vstack([rows, *earlier]) * problem.scale * freed
+    def linear(y: Vector) -> tuple[Vector, Vector]:
+        at = there(y)
+        return at.g[numbers] - wanted, at.jacobian[numbers]
 
-    landed = False
+    landed, start = False, np.append(x / program.scale, local.level)[: local.gradient.size]
     for step in PROBES:
         for sign in (1.0, -1.0):
-            there: Vector = z + sign * step * freed * direction * problem.scale
-            for _ in range(CORRECTIONS):
-                correction: Vector = np.linalg.pinv(slopes(there)) @ beyond(there)
-                there = there - problem.scale * correction
-            off = beyond(there)
-            if np.abs(off).max(initial=0.0) <= BOUND_TOLERANCE:
-                landed = True
-                value = problem.branches(problem.objective, there)[0][0] / problem.objective_scale
-                better = value - local.value - weights @ (np.append(senses, np.ones(len(kept))) * off)
-                if better > max(0.1 * curvature * step**2, NOISE * (abs(value) + float(np.abs(weights).sum()))):
+            near = start + sign * step * local.moving * direction
+            y, error = shortest_steps(linear, near, local.moving, ON_ROWS, steps=CORRECTIONS)
+            if error <= BOUND_TOLERANCE:
+                landed, at = True, there(y)
+                better = -at.f - local.value - weights[numbers] @ (at.g[numbers] - wanted)
+                if better > max(0.1 * curvature * step**2, NOISE * (abs(at.f) + float(np.abs(weights).sum()))):
                     return True
-    return bool(kept) and not landed
+    return kept and not landed

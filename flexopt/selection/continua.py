@@ -24,7 +24,7 @@ BETWEEN, EVERY = 7, 0.1
 
 
 @dataclass(frozen=True)
-class Pose:
+class AnchorPose:
     """Where the anchor frame stands: x, y, m, and yaw, rad; 0 where the placement does not name it."""
 
     x: float
@@ -70,18 +70,18 @@ def _joined(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
     return False
 
 
-def _pose(problem: SelectionProblem, z: Vector) -> Pose:
+def _pose(problem: SelectionProblem, z: Vector) -> AnchorPose:
     at = dict(zip(problem.machine.base_coordinates, z.tolist(), strict=False))
-    return Pose(at.get("x", 0.0), at.get("y", 0.0), at.get("yaw", 0.0))
+    return AnchorPose(at.get("x", 0.0), at.get("y", 0.0), at.get("yaw", 0.0))
 
 
-def _count(start: Pose, end: Pose, turn: float) -> int:
+def _count(start: AnchorPose, end: AnchorPose, turn: float) -> int:
     """How many places lie on the way, `EVERY` so many metres."""
     chord, bend = math.hypot(end.x - start.x, end.y - start.y), abs(math.sin(0.5 * turn))
     return math.ceil((chord if bend < 1e-9 else chord * abs(0.5 * turn) / bend) / EVERY)
 
 
-def _between(start: Pose, end: Pose, turn: float, count: int) -> Iterator[Pose]:
+def _between(start: AnchorPose, end: AnchorPose, turn: float, count: int) -> Iterator[AnchorPose]:
     """Poses on the way that turns by `turn` about one point; without a turn on the straight line."""
     shares = np.arange(1, count + 1) / (count + 1)
     p, q = complex(start.x, start.y), complex(end.x, end.y)
@@ -92,10 +92,10 @@ def _between(start: Pose, end: Pose, turn: float, count: int) -> Iterator[Pose]:
             factor = complex(math.cos(turn), math.sin(turn))
             center = (q - factor * p) / (1 - factor)
             at = center + complex(math.cos(share * turn), math.sin(share * turn)) * (p - center)
-        yield Pose(at.real, at.imag, start.yaw + share * turn)
+        yield AnchorPose(at.real, at.imag, start.yaw + share * turn)
 
 
-def _configuration(problem: SelectionProblem, z: Vector, pose: Pose) -> Vector | None:
+def _configuration(problem: SelectionProblem, z: Vector, pose: AnchorPose) -> Vector | None:
     """The posture of z with its base at a pose; None where the placement or the bounds cannot."""
     place, at = z.copy(), vars(pose)
     for name, value in at.items():

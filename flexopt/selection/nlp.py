@@ -1,28 +1,24 @@
-"""One configuration as graphs, with exact derivatives, and the nonlinear program made of it.
+"""The nonlinear program of a selection: K configurations that belong together, one or many, as IPOPT is given it.
 
-In: a machine, a controller, the structure of its constraints. Out: `Configuration`: Functions of objective and rows at
-z = [base, posture]; from these IPOPT's program. What differs between problems of one structure (target, scales,
-weights, values to be kept, constants of constraints, p) are parameters, so that solvers serve many problems.
+In: the graphs of one configuration, how the K share variables, what is sought. Out: solvers with exact derivatives.
+What differs between programs of one structure (targets, scales, weights, values to be kept, constants of constraints,
+p) are parameters, so that solvers serve many problems.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from itertools import chain
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
-from flexopt.algebra.feasible import feasible_steps
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import Control
-from flexopt.model import AnyMachine
-from flexopt.robustness.expansion import Expansion
-from flexopt.robustness.margin import build_margin
-from flexopt.robustness.measures import Measures, build_measures
-from flexopt.selection.constraints import ConstraintSet
+from flexopt.robustness.margin import Margin, build_margin
+from flexopt.selection.configuration import Configuration
 from flexopt.selection.programs import make_solver
 
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False, "no_nlp_grad": True}
@@ -65,166 +61,56 @@ SQP_OPTIONS: dict[str, Any] = QUIET | {
     "min_step_size": 1e-12,
 }
 SQP_QUICK = 30
+# Several configurations: most starts take 10 to 30 iterations; those that wander are not worth waiting for.
+COUPLED_OPTIONS: dict[str, Any] = {"max_iter": 120, "tol": 1e-9, "constr_viol_tol": 1e-10}
+# "weighted": max Σ share_k V_k;  "worst": max min_k V_k;  "motion": the shortest way that keeps every V_k at a level.
+Goal = Literal["weighted", "worst", "motion"]
+# Of objectives in order, of each its branches: values, or slopes by x (1, n_x).
+Branches = list[list[ca.MX]]
 
 
 @dataclass(frozen=True)
-class Rows:
-    """The constraint rows besides the target: what decides their graph, and the graph."""
-
-    structure: Any
-    function: ca.Function = field(compare=False, hash=False, repr=False)
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """Objective and constraints of one configuration. n_z = n_b + n; k constraint rows; m modes.
-
-    Rows are those of the task r (n_task,), then the distance from singular postures, then the constraint rows:
-    n_rows = n_task + 1 + k. Functions take base (n_b,), posture (n,), p (n_par,), c (the constraints' constants) and,
-    where the eigenvectors or the static deflection enter, `held` from `Measures.hold`.
+class Coupling:
+    """How K configurations share the variables x: where each finds its z, and which entries are near each other.
 
     Attributes:
-        machine, control, gravity: as in `Measures`.
-        extra: the constraint rows, or None.
+        places: for each configuration the indices in x of its z, (K, n_z).
+        pairs: indices (i, j) of entries of which x_j − x_i is bounded.
     """
 
-    machine: AnyMachine
-    control: Control
-    gravity: bool
-    extra: Rows | None
+    places: tuple[tuple[int, ...], ...]
+    pairs: tuple[tuple[int, int], ...] = ()
 
     @property
-    def measures(self) -> Measures:
-        """The measures behind the objective."""
-        return build_measures(self.machine, self.control, self.gravity)
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return self.row_values.size1_out(0)
-
-    @property
-    def n_constants(self) -> int:
-        """Number of constants c."""
-        return self.row_values.size1_in(3)
+    def count(self) -> int:
+        """K."""
+        return len(self.places)
 
     @cached_property
-    def _symbols(self) -> dict[str, ca.SX]:
-        g = self.measures.plant.graph
-        count = 0 if self.extra is None else self.extra.function.size1_in(3)
-        return {"base": g.base, "posture": g.posture, "p": g.p, "c": ca.SX.sym("c", count), "held": self.measures.held}
+    def n_x(self) -> int:
+        """Number of variables, the level t of "worst" left out."""
+        return 1 + max(max(place) for place in self.places)
 
-    @cached_property
-    def _z(self) -> ca.SX:
-        return ca.vertcat(self._symbols["base"], self._symbols["posture"])
-
-    @cached_property
-    def _expansion(self) -> Expansion:
-        return Expansion(self.measures)
-
-    @cached_property
-    def _rows(self) -> ca.SX:
-        return self._rows_of(self.measures.graph.end_point) if self.gravity else self._rows_at_rest
-
-    @cached_property
-    def _rows_at_rest(self) -> ca.SX:
-        g = self.measures.plant.graph
-        return self._rows_of(ca.substitute(g.end_point, g.q, g.rest))
-
-    def _rows_of(self, task: ca.SX) -> ca.SX:
-        s, plant = self._symbols, self.measures.plant
-        at = [s["base"], s["posture"], s["p"]]
-        parts = [task, plant.singularity_sine_squared.call(at)[0]]
-        if self.extra is not None:
-            parts += self.extra.function.call([*at, s["c"]])
-        return ca.densify(ca.vertcat(*parts))
-
-    @cached_property
-    def rows_at_rest(self) -> ca.Function:
-        """(base, posture, p, c) -> rows (n_rows,) with the passive coordinates at rest."""
-        return self._function("rows_at_rest", ("base", "posture", "p", "c"), {}, [self._rows_at_rest], ["rows"])
-
-    @cached_property
-    def feasible(self) -> ca.Function:
-        """`feasible_steps` of the rows at rest in z; its last inputs are p and c."""
-        return feasible_steps(self._rows_at_rest, self._z, [self._symbols["p"], self._symbols["c"]])
-
-    @property
-    def value(self) -> ca.Function:
-        """(base, posture, p, held, alpha) -> V = Σ αi wi."""
-        return self._expansion.value
-
-    @property
-    def slope(self) -> ca.Function:
-        """(base, posture, p, held, alpha) -> V = Σ αi wi and ∂V/∂z (n_z,)."""
-        return self._expansion.slope
-
-    @property
-    def curvature(self) -> ca.Function:
-        """(base, posture, p, held, alpha) -> ∂²V/∂z² (n_z, n_z)."""
-        return self._expansion.curvature
-
-    @cached_property
-    def row_values(self) -> ca.Function:
-        """(base, posture, p, c, held) -> rows (n_rows,)."""
-        return self._of_rows("row_values", {}, [self._rows], ["rows"])
-
-    @cached_property
-    def row_slopes(self) -> ca.Function:
-        """(base, posture, p, c, held) -> rows (n_rows,) and ∂rows/∂z (n_rows, n_z)."""
-        return self._of_rows("row_slopes", {}, [self._rows, ca.jacobian(self._rows, self._z)], ["rows", "rows_z"])
-
-    @cached_property
-    def row_curvature(self) -> ca.Function:
-        """(base, posture, p, c, held, multipliers (n_rows,)) -> Σ multiplier_i ∂²row_i/∂z² (n_z, n_z)."""
-        multipliers = ca.SX.sym("multipliers", self._rows.shape[0])
-        total = ca.hessian(ca.dot(multipliers, self._rows), self._z)[0]
-        return self._of_rows("row_curvature", {"multipliers": multipliers}, [total], ["rows_zz"])
-
-    def held_rows(self, held: ca.MX) -> ca.MX:
-        """What the rows take as `held`: nothing of it matters without gravity, so that it need not be computed."""
-        return held if self.gravity else ca.MX(ca.DM.zeros(*held.shape))
-
-    def _of_rows(self, name: str, more: Mapping[str, ca.SX], outputs: list[ca.SX], names: list[str]) -> ca.Function:
-        return self._function(name, ("base", "posture", "p", "c", "held"), more, outputs, names)
-
-    def _function(
-        self, name: str, inputs: tuple[str, ...], more: Mapping[str, ca.SX], outputs: list[ca.SX], names: list[str]
-    ) -> ca.Function:
-        # Without `cse`: on graphs of this size it takes a second and removes few operations.
-        symbols = {key: self._symbols[key] for key in inputs} | dict(more)
-        dense = [ca.densify(output) for output in outputs]
-        return ca.Function(name, list(symbols.values()), dense, list(symbols), names)
+    def steps(self, n_x: int) -> Vector:
+        """The matrix of the differences x_j − x_i, (pairs, n_x)."""
+        matrix = np.zeros((len(self.pairs), n_x))
+        for row, (i, j) in enumerate(self.pairs):
+            matrix[row, i], matrix[row, j] = -1.0, 1.0
+        return matrix
 
 
-@lru_cache(maxsize=32)
-def _configuration(machine: AnyMachine, control: Control, gravity: bool, extra: Rows | None) -> Configuration:
-    return Configuration(machine, control, gravity, extra)
-
-
-def build_configuration(
-    machine: AnyMachine, control: Control = "inverse", gravity: bool = False, constraints: ConstraintSet | None = None
-) -> Configuration:
-    """The graphs of a machine's configuration (built once for each structure, and kept).
-
-    Args:
-        machine: from `flexopt.load`.
-        control, gravity: as in `flexopt.evaluate`.
-        constraints: from `build_constraints`; its numbers do not enter.
-    """
-    extra = None
-    if constraints is not None and len(constraints):
-        extra = Rows(constraints.structure, constraints.function)
-    return _configuration(machine, control, gravity, extra)
+def alone(n_z: int) -> Coupling:
+    """One configuration: x is its z."""
+    return Coupling((tuple(range(n_z)),))
 
 
 @dataclass(frozen=True)
-class Parameters:
+class SolverParameters:
     """How the solver's parameters lie in one vector.
 
-    `target` (n_task,) and `row_scale` (n_rows,): rows are (row − target) / row_scale. `z_scale` (n_z,): z = z_scale x.
-    For each objective `alpha` (m,), `beta` and `size`, which V is divided by. `cost` and `now` (n_z,): V / size is
-    less by cost |x − now|². `gain`, c and p.
+    `target` (K n_task,) and `row_scale` (n_rows,): rows are (row − target) / row_scale. `z_scale` (n_z,): z = z_scale
+    x. For each objective `alpha` (m,), `beta` and `size`, which V is divided by. `cost` and `now` (n_z,): V / size is
+    less by cost |x − now|². `share` (K,) of the configurations; the `level` of "motion"; `gain`, c and p.
     """
 
     sizes: tuple[tuple[str, int], ...]
@@ -244,7 +130,7 @@ class Parameters:
 
 
 @dataclass(frozen=True)
-class Form:
+class ObjectiveForm:
     """What an objective is made of: whether any α, and whether β, is not zero."""
 
     smooth: bool
@@ -256,129 +142,220 @@ class Form:
         return 2 if self.kinks else 1
 
 
-def parameters_of(configuration: Configuration, count: int) -> Parameters:
-    """The parameters of a program with `count` objectives."""
-    plant = configuration.measures.plant
+def parameters_of(configuration: Configuration, coupling: Coupling, objectives: int) -> SolverParameters:
+    """The parameters of a program with so many objectives."""
+    plant, count = configuration.measures.plant, coupling.count
     n_z, m = plant.n_base + plant.n_actuated, plant.n_passive
-    sizes = {"target": plant.n_task, "row_scale": configuration.n_rows, "z_scale": n_z, "alpha": m * count}
-    sizes |= {"beta": count, "size": count, "cost": 1, "now": n_z, "gain": 1}
-    return Parameters((*sizes.items(), ("c", configuration.n_constants), ("p", len(plant.parameter_names))))
+    sizes = {"target": plant.n_task * count, "row_scale": configuration.n_rows, "z_scale": n_z}
+    sizes |= {"alpha": m * objectives, "beta": objectives, "size": objectives, "cost": 1, "now": n_z}
+    sizes |= {"share": count, "level": 1, "gain": 1}
+    return SolverParameters((*sizes.items(), ("c", configuration.n_constants), ("p", len(plant.parameter_names))))
 
 
-@lru_cache(maxsize=32)
-def build_solver(configuration: Configuration, forms: tuple[Form, ...], *, quick: bool = False) -> ca.Function:
-    """Minimise −V in x = z / z_scale (kept between calls); the objectives before the last are constraints.
+@lru_cache(maxsize=48)
+def build_solver(
+    configuration: Configuration,
+    coupling: Coupling,
+    forms: tuple[ObjectiveForm, ...],
+    goal: Goal,
+    *,
+    quick: bool = False,
+) -> ca.Function:
+    """A solver in x = z / z_scale, and t last for "worst" (kept between calls).
 
-    Constraints are the rows, then the values of the objectives to keep. IPOPT with exact Hessian where everything is
-    smooth. Where ε_max takes part, V is the smaller of two branches, and the largest t below both is sought (epigraph)
-    by sequential quadratic programming: its subproblem sees both branches, so that a step near a kink does not depend
-    on which of them is the smaller one just now. `quick` is for first solves of problems with much redundancy.
+    Constraints: the rows of every configuration, (row − target) / row_scale; x_j − x_i for the pairs; of each objective
+    before the last V / size of every configuration; and of the last one V_k / size − t ("worst") or − level ("motion").
+    IPOPT with exact Hessian where everything is smooth. Where ε_max takes part, V is the smaller of two branches, and
+    the largest t below both is sought (epigraph) by sequential quadratic programming: its subproblem sees both
+    branches, so that a step near a kink does not depend on which of them is the smaller one just now. `quick` is for
+    first solves of problems with much redundancy.
     """
+    x = ca.MX.sym("x", coupling.n_x + (goal == "worst"))
+    parameters, s = parameters_of(configuration, coupling, len(forms)).symbols()
+    members = [_Member(configuration, coupling, forms, s, x, k) for k in range(coupling.count)]
+    arranged = _Arranged(coupling, s, x, goal)
+    f, g = arranged.values([member.values() for member in members])
+    (f_there, g_there), (gradient, jacobian) = arranged.slopes([member.slopes() for member in members])
+    program, at = {"x": x, "p": parameters, "f": f, "g": g}, ["x", "p"]
+    name = "selection" if coupling.count == 1 else "several"
     if any(form.kinks for form in forms):
-        return make_solver("selection", "sqpmethod", *_sequential(configuration, forms, quick=quick))
-    return make_solver("selection", "ipopt", *_interior_point(configuration, len(forms), quick=quick))
-
-
-def _interior_point(
-    configuration: Configuration, count: int, *, quick: bool
-) -> tuple[dict[str, ca.MX], dict[str, Any]]:
-    """The program and the options of IPOPT."""
-    measures, plant = configuration.measures, configuration.measures.plant
-    n_z, n_b, n_rows, m = plant.n_base + plant.n_actuated, plant.n_base, configuration.n_rows, plant.n_passive
-    x, (parameters, s) = ca.MX.sym("x", n_z), parameters_of(configuration, count).symbols()
-    z, alphas = s["z_scale"] * x, ca.reshape(s["alpha"], m, count)
-    at = [z[:n_b], z[n_b:], s["p"]]
-    held = measures.called_hold.call(at)[0]
-    offset = ca.vertcat(s["target"], ca.DM.zeros(n_rows - plant.n_task, 1))
-    row_inputs = [*at, s["c"], configuration.held_rows(held)]
-    away = x - s["now"]
-    travel = s["cost"] * ca.sumsqr(away)
-
-    def program(objectives: list[ca.MX], rows: ca.MX) -> tuple[ca.MX, ca.MX]:
-        values = [value / s["size"][k] - travel for k, value in enumerate(objectives)]
-        return -values[-1], ca.vertcat((rows - offset) / s["row_scale"], *values[:-1])
-
-    weighted = [[*at, held, alphas[:, k]] for k in range(count)]
-    f, g = program(
-        [configuration.value.call(inputs)[0] for inputs in weighted], configuration.row_values.call(row_inputs)[0]
-    )
-    # With derivatives the values come from the same calls.
-    found = [configuration.slope.call(inputs) for inputs in weighted]
-    slopes = [s["z_scale"] * v_z / s["size"][k] - 2 * s["cost"] * away for k, (_, v_z) in enumerate(found)]
-    rows, row_slopes = configuration.row_slopes.call(row_inputs)
-    row_slopes = row_slopes / ca.repmat(s["row_scale"], 1, n_z) * ca.repmat(s["z_scale"].T, n_rows, 1)
-    jacobian = ca.vertcat(row_slopes, *(slope.T for slope in slopes[:-1]))
-    f_there, g_there = program([value for value, _ in found], rows)
-
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows + count - 1)
-    pulls = ca.vertcat(lam_g[n_rows:], -lam_f)
-    second = configuration.curvature.call([*at, held, alphas @ (pulls / s["size"])])[0]
-    second += configuration.row_curvature.call([*row_inputs, lam_g[:n_rows] / s["row_scale"]])[0]
-    scaled = second * (s["z_scale"] @ s["z_scale"].T) - 2 * s["cost"] * ca.sum1(pulls) * ca.MX.eye(n_z)
+        outputs = [f_there, ca.densify(gradient), g_there, ca.densify(jacobian)]
+        given = ca.Function("jac_fg", [x, parameters], outputs, at, ["f", "grad_f_x", "g", "jac_g_x"])
+        options = SQP_OPTIONS | {"jac_fg": given} | ({"max_iter": SQP_QUICK} if quick else {})
+        return make_solver(name, "sqpmethod", program, options)
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.shape[0])
+    second = ca.triu(arranged.curvature(members, len(forms), lam_f, lam_g))
+    bent = [x, parameters, lam_f, lam_g], [second], [*at, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+    gradient = ca.densify(gradient.T)
     given = {
-        "grad_f": ca.Function("grad_f", [x, parameters], [f_there, -slopes[-1]], ["x", "p"], ["f", "grad_f_x"]),
-        "jac_g": ca.Function("jac_g", [x, parameters], [g_there, jacobian], ["x", "p"], ["g", "jac_g_x"]),
-        "hess_lag": ca.Function(
-            "hess_lag", [x, parameters, lam_f, lam_g], [ca.triu(ca.densify(scaled))],
-            ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"],
-        ),
-    }  # fmt: skip
-    options = IPOPT_OPTIONS | given
-    if quick:
-        options |= {"ipopt": IPOPT_OPTIONS["ipopt"] | QUICK_OPTIONS}
-    return {"x": x, "p": parameters, "f": f, "g": g}, options
+        "grad_f": ca.Function("grad_f", [x, parameters], [f_there, gradient], at, ["f", "grad_f_x"]),
+        "jac_g": ca.Function("jac_g", [x, parameters], [g_there, jacobian], at, ["g", "jac_g_x"]),
+        "hess_lag": ca.Function("hess_lag", *bent),
+    }
+    own = (COUPLED_OPTIONS if coupling.count > 1 else {}) | (QUICK_OPTIONS if quick else {})
+    return make_solver(name, "ipopt", program, IPOPT_OPTIONS | given | {"ipopt": IPOPT_OPTIONS["ipopt"] | own})
 
 
-def _sequential(
-    configuration: Configuration, forms: tuple[Form, ...], *, quick: bool
-) -> tuple[dict[str, ca.MX], dict[str, Any]]:
-    """The program and the options of the sequential method."""
-    measures, plant = configuration.measures, configuration.measures.plant
-    n_z, n_b, m, count = plant.n_base + plant.n_actuated, plant.n_base, plant.n_passive, len(forms)
-    n_rows, level = configuration.n_rows, int(forms[-1].kinks)
-    x = ca.MX.sym("x", n_z + level)
-    parameters, s = parameters_of(configuration, count).symbols()
-    z, alphas = s["z_scale"] * x[:n_z], ca.reshape(s["alpha"], m, count)
-    at = [z[:n_b], z[n_b:], s["p"]]
-    away = x[:n_z] - s["now"]
-    travel, of_travel = s["cost"] * ca.sumsqr(away), 2 * s["cost"] * away.T
-    margin = build_margin(configuration.machine, configuration.control, configuration.gravity)
-    held = measures.called_hold.call(at)[0]
-    row_inputs = [*at, s["c"], configuration.held_rows(held)]
-    offset = ca.vertcat(s["target"], ca.DM.zeros(n_rows - plant.n_task, 1))
-    epsilon, epsilon_z = margin.values.call([*at, s["gain"]])[0], margin.gradients.call([*at, s["gain"]])[1]
+class _Member:
+    """Configuration k of a program: its objectives and rows, and their derivatives by x."""
 
-    values: list[list[ca.MX]] = []
-    slopes: list[list[ca.MX]] = []
-    for k, form in enumerate(forms):
-        smooth, smooth_z = ca.MX(0), ca.MX(1, n_z)
-        if form.smooth:
-            # Held modes are constants to CasADi: the slope is asked for, never derived from the value.
-            smooth, by_z = configuration.slope.call([*at, held, alphas[:, k]])
-            smooth_z = by_z.T
-        both, both_z = [smooth], [smooth_z]
-        if form.kinks:
-            both = [smooth + s["beta"][k] * epsilon[j] for j in range(2)]
-            both_z = [smooth_z + s["beta"][k] * epsilon_z[j, :] for j in range(2)]
-        values.append([value / s["size"][k] - travel for value in both])
-        slopes.append([slope * s["z_scale"].T / s["size"][k] - of_travel for slope in both_z])
+    def __init__(
+        self,
+        configuration: Configuration,
+        coupling: Coupling,
+        forms: tuple[ObjectiveForm, ...],
+        s: Mapping[str, ca.MX],
+        x: ca.MX,
+        k: int,
+    ) -> None:
+        measures, plant = configuration.measures, configuration.measures.plant
+        place, n_task = coupling.places[k], plant.n_task
+        self.configuration, self.forms, self.s = configuration, forms, s
+        # The sparse matrix that takes the entries of this configuration out of x; none where that is all of x.
+        self.pick = (
+            None
+            if place == tuple(range(x.shape[0]))
+            else ca.DM(
+                ca.Sparsity.triplet(len(place), x.shape[0], list(range(len(place))), list(place)), np.ones(len(place))
+            )
+        )
+        own = x if self.pick is None else self.pick @ x
+        z, self.away = s["z_scale"] * own, own - s["now"]
+        self.at = [z[: plant.n_base], z[plant.n_base :], s["p"]]
+        self.held = measures.called_hold.call(self.at)[0]
+        self.row_inputs = [*self.at, s["c"], configuration.held_rows(self.held)]
+        self.alphas = ca.reshape(s["alpha"], plant.n_passive, len(forms))
+        target = s["target"][k * n_task : (k + 1) * n_task]
+        self.offset = ca.vertcat(target, ca.DM.zeros(configuration.n_rows - n_task, 1))
 
-    def program(rows: ca.MX) -> tuple[ca.MX, ca.MX]:
-        constraints = [(rows - offset) / s["row_scale"], *(branch for kept in values[:-1] for branch in kept)]
-        if level:
-            constraints += [branch - x[n_z] for branch in values[-1]]
-        return -x[n_z] if level else -values[-1][0], ca.vertcat(*constraints)
+    def values(self) -> tuple[Branches, ca.MX]:
+        """V / size less travel of every objective, and the rows."""
+        smooth = [found[0] for found in self._of_modes(self.configuration.value)]
+        return self._objectives(smooth), self._rows(self.configuration.row_values.call(self.row_inputs)[0])
 
-    f, g = program(configuration.row_values.call(row_inputs)[0])
-    rows, row_slopes = configuration.row_slopes.call(row_inputs)
-    jacobian = [row_slopes * (1 / s["row_scale"] @ s["z_scale"].T), *(slope for kept in slopes[:-1] for slope in kept)]
-    gradient = -slopes[-1][0]
-    if level:
-        jacobian = [ca.horzcat(part, ca.MX.zeros(part.shape[0], 1)) for part in jacobian]
-        jacobian += [ca.horzcat(slope, ca.MX(-1)) for slope in slopes[-1]]
-        gradient = ca.MX(ca.DM([*[0] * n_z, -1]).T)
-    f_there, g_there = program(rows)
-    outputs = [f_there, ca.densify(gradient), g_there, ca.densify(ca.vertcat(*jacobian))]
-    given = ca.Function("jac_fg", [x, parameters], outputs, ["x", "p"], ["f", "grad_f_x", "g", "jac_g_x"])
-    options = SQP_OPTIONS | {"jac_fg": given} | ({"max_iter": SQP_QUICK} if quick else {})
-    return {"x": x, "p": parameters, "f": f, "g": g}, options
+    def slopes(self) -> tuple[tuple[Branches, ca.MX], tuple[Branches, ca.MX]]:
+        """As `values`, from the calls that give the slopes, too; and the slopes by x."""
+        s, found = self.s, self._of_modes(self.configuration.slope)
+        rows, row_slopes = self.configuration.row_slopes.call(self.row_inputs)
+        by_x = [
+            [self._by_x((s["z_scale"] * v_z / s["size"][j] - 2 * s["cost"] * self.away).T) for v_z in branches]
+            for j, branches in enumerate(self._branch_slopes([v_z for _, v_z in found]))
+        ]
+        scaled = row_slopes / ca.repmat(s["row_scale"], 1, row_slopes.shape[1])
+        scaled = scaled * ca.repmat(s["z_scale"].T, row_slopes.shape[0], 1)
+        return (self._objectives([v for v, _ in found]), self._rows(rows)), (by_x, self._by_x(scaled))
+
+    def curvature(self, of_values: ca.MX, of_rows: ca.MX) -> ca.MX:
+        """Σ of_values_j ∂²(V_j / size_j less travel) + Σ of_rows_i ∂²row_i by x, (n_x, n_x)."""
+        s, configuration = self.s, self.configuration
+        second = configuration.curvature.call([*self.at, self.held, self.alphas @ (of_values / s["size"])])[0]
+        second += configuration.row_curvature.call([*self.row_inputs, of_rows / s["row_scale"]])[0]
+        n_z = second.shape[0]
+        scaled = second * (s["z_scale"] @ s["z_scale"].T) - 2 * s["cost"] * ca.sum1(of_values) * ca.MX.eye(n_z)
+        scaled = ca.densify(scaled)
+        return scaled if self.pick is None else self.pick.T @ scaled @ self.pick
+
+    def _of_modes(self, function: ca.Function) -> list[list[ca.MX]]:
+        """Outputs of a Function of Σ αi wi for every objective; zeros where an objective has no α."""
+        none = [ca.MX.zeros(function.size1_out(k), 1) for k in range(function.n_out())]
+        return [
+            function.call([*self.at, self.held, self.alphas[:, j]]) if form.smooth else none
+            for j, form in enumerate(self.forms)
+        ]
+
+    def _by_x(self, slopes: ca.MX) -> ca.MX:
+        return slopes if self.pick is None else slopes @ self.pick
+
+    def _rows(self, rows: ca.MX) -> ca.MX:
+        return (rows - self.offset) / self.s["row_scale"]
+
+    def _objectives(self, smooth: list[ca.MX]) -> Branches:
+        s, travel = self.s, self.s["cost"] * ca.sumsqr(self.away)
+        both: Branches = [[value] for value in smooth]
+        if any(form.kinks for form in self.forms):
+            epsilon = self._margin.values.call([*self.at, s["gain"]])[0]
+            both = [
+                [value + s["beta"][j] * epsilon[b] for b in range(2)] if form.kinks else [value]
+                for j, (form, value) in enumerate(zip(self.forms, smooth, strict=True))
+            ]
+        return [[value / s["size"][j] - travel for value in branches] for j, branches in enumerate(both)]
+
+    def _branch_slopes(self, smooth: list[ca.MX]) -> Branches:
+        """∂V/∂z (n_z,) of every objective and branch."""
+        if not any(form.kinks for form in self.forms):
+            return [[v_z] for v_z in smooth]
+        s, epsilon_z = self.s, self._margin.gradients.call([*self.at, self.s["gain"]])[1]
+        return [
+            [v_z + s["beta"][j] * epsilon_z[b, :].T for b in range(2)] if form.kinks else [v_z]
+            for j, (form, v_z) in enumerate(zip(self.forms, smooth, strict=True))
+        ]
+
+    @property
+    def _margin(self) -> Margin:
+        c = self.configuration
+        return build_margin(c.machine, c.control, c.gravity)
+
+
+@dataclass(frozen=True)
+class _Arranged:
+    """Objective and constraints of a program, in order, from those of its members."""
+
+    coupling: Coupling
+    s: Mapping[str, ca.MX]
+    x: ca.MX
+    goal: Goal
+
+    def values(self, members: Sequence[tuple[Branches, ca.MX]]) -> tuple[ca.MX, ca.MX]:
+        """F and g."""
+        steps = self._steps @ self.x
+        level = self.x[-1] if self.goal == "worst" else self.s["level"]
+        g = self._stacked(members, steps, level)
+        if self.goal == "weighted":
+            return -self._weighted(members), g
+        return (-self.x[-1] if self.goal == "worst" else ca.sumsqr(steps) / 2), g
+
+    def slopes(
+        self, members: Sequence[tuple[tuple[Branches, ca.MX], tuple[Branches, ca.MX]]]
+    ) -> tuple[tuple[ca.MX, ca.MX], tuple[ca.MX, ca.MX]]:
+        """F and g, and their slopes (1, n_x) and (n_g, n_x)."""
+        by_x, n_x = [slopes for _, slopes in members], self.x.shape[0]
+        last = ca.DM(ca.Sparsity.triplet(1, n_x, [0], [n_x - 1]), 1.0)
+        jacobian = self._stacked(by_x, ca.MX(self._steps), ca.MX(last) if self.goal == "worst" else ca.MX(1, n_x))
+        if self.goal == "weighted":
+            gradient = -self._weighted(by_x)
+        else:
+            gradient = ca.MX(-last) if self.goal == "worst" else (self._steps.T @ (self._steps @ self.x)).T
+        return self.values([values for values, _ in members]), (gradient, jacobian)
+
+    def curvature(self, members: Sequence[_Member], objectives: int, lam_f: ca.MX, lam_g: ca.MX) -> ca.MX:
+        """The Lagrangian's second derivatives (n_x, n_x), of objectives of one branch."""
+        count, n_rows = len(members), members[0].offset.shape[0]
+        before = n_rows * count + len(self.coupling.pairs)
+        second = ca.MX(self.x.shape[0], self.x.shape[0])
+        for k, member in enumerate(members):
+            pulls = [lam_g[before + j * count + k] for j in range(objectives - 1)]
+            weighted = self.goal == "weighted"
+            pulls += [-lam_f * self.s["share"][k] if weighted else lam_g[before + (objectives - 1) * count + k]]
+            second += member.curvature(ca.vertcat(*pulls), lam_g[k * n_rows : (k + 1) * n_rows])
+        if self.goal == "motion":
+            second += lam_f * (self._steps.T @ self._steps)
+        return second
+
+    @cached_property
+    def _steps(self) -> ca.DM:
+        return ca.sparsify(ca.DM(self.coupling.steps(self.x.shape[0])))
+
+    def _stacked(self, members: Sequence[tuple[Branches, ca.MX]], steps: ca.MX, level: ca.MX) -> ca.MX:
+        """Rows of every member, steps, the objectives to be kept, and the last one above the level."""
+        parts = [rows for _, rows in members] + ([steps] if self.coupling.pairs else [])
+        for kept in zip(*(values[:-1] for values, _ in members), strict=True):
+            parts += chain(*kept)
+        if self.goal != "weighted":
+            parts += [value - level for values, _ in members for value in values[-1]]
+        return ca.vertcat(*parts)
+
+    def _weighted(self, members: Sequence[tuple[Branches, ca.MX]]) -> ca.MX:
+        total = ca.MX(0)
+        for k, (values, _) in enumerate(members):
+            total = total + self.s["share"][k] * values[-1][0]
+        return total

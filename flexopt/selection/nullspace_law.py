@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.algebra.feasible import shortest_steps
 from flexopt.compiled import accelerate
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
@@ -28,7 +29,6 @@ from flexopt.selection.objective import KINK, Objective, Quantities
 
 # A step is halved so often at most: a limit, a kink or a summit is then nearer than a thousandth of it.
 HALVINGS = 10
-CORRECTIONS = 12
 # The base is at the end of its range where less of a step than this is left.
 NO_ROOM = 1e-9
 # Rounding in ξᵀ Δz, relative to |ξ||kξ ξ|.
@@ -36,7 +36,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class Point:
+class PathPoint:
     """A point z of the path: V, how far the next branch of ε_max is above it, ξ, r, J_B, and sin² of the margin."""
 
     z: Vector
@@ -91,7 +91,7 @@ class NullspaceLaw:
         measures = self.functions.measures
         return measures.plant.machine, measures.control, measures.gravity
 
-    def point(self, z: Vector) -> Point:
+    def point(self, z: Vector) -> PathPoint:
         """Everything that the law needs at z, from the measures' own Functions."""
         n_base, p = self.plant.n_base, self.plant.parameter_values
         arguments = [z[:n_base], z[n_base:], p]
@@ -105,9 +105,9 @@ class NullspaceLaw:
             value += self.objective.beta * float(epsilon[0, 0])
             gap = float(epsilon[1, 0] - epsilon[0, 0])
             gradient = gradient + self.objective.beta * epsilon_z[0]
-        return Point(z, value, gap, gradient, out[2].ravel(), out[3], float(out[4][0, 0]))
+        return PathPoint(z, value, gap, gradient, out[2].ravel(), out[3], float(out[4][0, 0]))
 
-    def step(self, point: Point) -> tuple[Vector, bool]:
+    def step(self, point: PathPoint) -> tuple[Vector, bool]:
         """Δz of the law, and whether V descends along it to first order."""
         scaled = point.gradient / self.root
         wanted, jacobian = self.k_xi @ scaled, point.jacobian / self.root
@@ -135,18 +135,16 @@ class NullspaceLaw:
         _, of_end_point = _functions(*self._key)
         base, joints = np.clip(z[:n_base] + step[:n_base], self.lower, self.upper), z[n_base:] + step[n_base:]
         tolerance = 1e-14 * (1 + float(np.abs(self.target).max()))
-        error = math.inf
-        for _ in range(CORRECTIONS):
+
+        def linear(joints: Vector) -> tuple[Vector, Vector]:
             end_point, jacobian = (x.full() for x in of_end_point.call([base, joints, p]))
-            off = end_point.ravel() - self.target
-            error = float(np.abs(off).max())
-            if not error > tolerance:
-                break
-            joints = joints - _shortest(jacobian[:, n_base:], off)
+            return end_point.ravel() - self.target, jacobian[:, n_base:]
+
+        joints, error = shortest_steps(linear, joints, np.ones(joints.size), tolerance)
         # Far from the origin rounding keeps the error above the tolerance.
         return np.concatenate([base, joints]) if error <= 1e3 * tolerance else None
 
-    def refuses(self, point: Point) -> Stop | None:
+    def refuses(self, point: PathPoint) -> Stop | None:
         """The limit that a point breaks, if any."""
         if not (math.isfinite(point.value) and np.all(np.isfinite(point.gradient))):
             return Stop.UNSOLVED
@@ -156,8 +154,8 @@ class NullspaceLaw:
 
 
 def climb(
-    law: NullspaceLaw, point: Point, min_gain: float, steps: int, stop_on_descent: bool
-) -> tuple[list[Point], Stop]:
+    law: NullspaceLaw, point: PathPoint, min_gain: float, steps: int, stop_on_descent: bool
+) -> tuple[list[PathPoint], Stop]:
     """The law from a point on, one point a sample, and why it ends."""
     points = [point]
     while len(points) <= steps:
@@ -178,7 +176,7 @@ def climb(
     return points, Stop.DURATION
 
 
-def _next(law: NullspaceLaw, point: Point, step: Vector, downhill: bool) -> tuple[Point, bool] | Stop:
+def _next(law: NullspaceLaw, point: PathPoint, step: Vector, downhill: bool) -> tuple[PathPoint, bool] | Stop:
     """The next point, and whether the whole step leads there; or what stands in the way of any.
 
     Uphill, V must not be lower there nor its slope along the step reversed: no maximum was passed.
@@ -200,12 +198,14 @@ def _next(law: NullspaceLaw, point: Point, step: Vector, downhill: bool) -> tupl
     return why
 
 
-def retime(law: NullspaceLaw, points: list[Point], acceleration: float, duration: float) -> tuple[list[Point], bool]:
+def retime(
+    law: NullspaceLaw, points: list[PathPoint], acceleration: float, duration: float
+) -> tuple[list[PathPoint], bool]:
     """The same path at rest at both ends; and whether it was cut short."""
     n_base = law.plant.n_base
     z = np.array([point.z for point in points])
     samples, cut = retimed(z[:, :n_base][:, law.lengths], law.rate, acceleration, duration)
-    timed: list[Point] = []
+    timed: list[PathPoint] = []
     for interval, share in samples:
         here, there = points[interval], points[min(interval + 1, len(points) - 1)]
         between = law.moved(here.z, share * (there.z - here.z)) if 0 < share < 1 else None

@@ -15,14 +15,13 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
-from flexopt.selection.check import Proof, prove, stated
+from flexopt.selection.check import Proof, prove
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.programs import Bounds, run
+from flexopt.selection.program import SOLVED, single
 from flexopt.selection.result import Attempt, Kept
 from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
 
 SAME_POINT = 1e-4
-SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 CUT_SHORT = "Maximum_Iterations_Exceeded"
 # Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
 NEARLY = 1e-3
@@ -41,7 +40,7 @@ Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
 Found = tuple[Vector, Proof, int]
 # The same with the solver's status; no proof where the point is no number.
-Solved = tuple[Vector, Proof | None, int, str]
+SolveOutcome = tuple[Vector, Proof | None, int, str]
 
 
 def first_optima(
@@ -131,7 +130,7 @@ def _attempted(
     starts: list[Vector],
     workers: int,
     progress: Progress | None,
-    solve: Callable[[SelectionProblem, list[Vector], int], Solved],
+    solve: Callable[[SelectionProblem, list[Vector], int], SolveOutcome],
 ) -> tuple[list[Found], list[Attempt], list[tuple[Vector, Proof]]]:
     """The same, and the points that failed the proof; there may be no optimum."""
     found: list[Found] = []
@@ -169,7 +168,7 @@ def _attempted(
     return found, attempts, failures
 
 
-def _lost(starts: list[Vector], number: int, sentence: str) -> Solved:
+def _lost(starts: list[Vector], number: int, sentence: str) -> SolveOutcome:
     return starts[number], None, 0, sentence
 
 
@@ -187,7 +186,7 @@ def _hurried(problem: SelectionProblem) -> bool:
     return problem.redundancy > 1
 
 
-def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
     """A start's solution; where there is much redundancy, after a few iterations (see `_promising`)."""
     if not _hurried(problem):
         return _finish(problem, starts, number)
@@ -199,12 +198,12 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
     return z, proof, iterations, status
 
 
-def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
     z, iterations, status = run_solver(problem, starts[number])
     return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
 
 
-def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], number: int) -> Solved:
+def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
     """As `_finish`, in steps of limited length for as long as they lead up."""
     z, total, status = starts[number], 0, CUT_SHORT
     proof: Proof | None = None
@@ -220,7 +219,7 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
     return z, proof, total, status
 
 
-def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Solved:
+def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> SolveOutcome:
     """A solve that was cut short, taken up again a few times: what wanders for longer does not settle."""
     z, iterations, status = points[number], 0, CUT_SHORT
     for _ in range(RESUMED):
@@ -231,7 +230,7 @@ def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Sol
     return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
 
 
-def _promising(problem: SelectionProblem, solved: list[Solved]) -> list[int]:
+def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[int]:
     """Numbers of the starts that were cut short and may still lead to more than the best optimum found.
 
     Where none was found that is every one.
@@ -268,25 +267,7 @@ def run_solver(
 
     `within` limits how far it leads, in scaled variables.
     """
-    solver, shift, n_task = problem.solver(quick=quick), problem.shift[0], problem.target.size
-    objective, rows = problem.objective, problem.constraints[n_task:]
-    x0, lower, upper = ((bound - shift) / problem.scale for bound in (start, problem.lower, problem.upper))
-    lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
-    at_least = [np.zeros(n_task), np.array([row.lower / row.scale for row in rows])]
-    at_most = [np.zeros(n_task), np.array([row.upper / row.scale for row in rows])]
-    for earlier, kept, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
-        branches = 2 if earlier.has_kinks else 1
-        at_least.append(np.full(branches, kept / size))
-        at_most.append(np.full(branches, np.inf))
-    if objective.has_kinks:
-        value = problem.branches(objective, start)[0][0] / problem.objective_scale
-        x0, lower, upper = np.append(x0, value), np.append(lower, -np.inf), np.append(upper, np.inf)
-        at_least.append(np.zeros(2))
-        at_most.append(np.full(2, np.inf))
-    bounds = Bounds(lower, upper, np.concatenate(at_least), np.concatenate(at_most))
-    reached = run(solver, partial(stated, problem), x0, problem.solver_parameters(), bounds)
-    z = problem.wrapped(reached.x[: problem.scale.size] * problem.scale + shift)
-    return np.clip(z, problem.lower, problem.upper), reached.iterations, reached.status
+    return single(problem).solve(start, quick=quick, within=within)
 
 
 def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:

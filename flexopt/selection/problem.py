@@ -16,15 +16,16 @@ from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.model.problem import Elbow
 from flexopt.robustness.measures import Measures
+from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
-from flexopt.selection.nlp import Configuration, Form, Parameters, build_configuration, build_solver, parameters_of
+from flexopt.selection.nlp import Coupling, Goal, ObjectiveForm, alone, build_solver, parameters_of
 from flexopt.selection.objective import Objective, Quantities, quantities
 from flexopt.selection.scan import Scan
 from flexopt.selection.starts import Region
 
 
 @dataclass(frozen=True)
-class Variable:
+class DecisionVariable:
     """A decision variable: bounds and the scale that IPOPT sees it in, all in `unit`."""
 
     name: str
@@ -46,7 +47,7 @@ class Constraint:
 
 
 @dataclass(frozen=True)
-class Travel:
+class TravelCost:
     """What leaving z_now costs: V less by cost · objective_scale · Σ ((z − z_now) / scale_z)².
 
     Attributes:
@@ -102,11 +103,11 @@ class SelectionProblem:
     control: Control
     gravity: bool
     gain: float
-    variables: tuple[Variable, ...]
+    variables: tuple[DecisionVariable, ...]
     constraints: tuple[Constraint, ...]
     constraint_set: ConstraintSet | None
     asked: ConstraintsAsked
-    travel: Travel | None
+    travel: TravelCost | None
     objective_scales: tuple[float, ...]
     scan: Scan = field(repr=False)
     region: Region = field(repr=False)
@@ -237,42 +238,25 @@ class SelectionProblem:
         """How many variables the target leaves free."""
         return int(np.sum(self.lower < self.upper)) - self.target.size
 
+    @property
+    def forms(self) -> tuple[ObjectiveForm, ...]:
+        """What the objectives before the one being solved, and it, are made of."""
+        objectives = self.objectives[: len(self.kept) + 1]
+        return tuple(ObjectiveForm(smooth=any(o.alpha), kinks=o.has_kinks) for o in objectives)
+
+    @property
+    def goal(self) -> Goal:
+        """What is sought of V alone: itself, or where ε_max takes part the smaller of its branches."""
+        return "worst" if self.objective.has_kinks else "weighted"
+
     @public()
     def solver(self, *, quick: bool = False) -> ca.Function:
         """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameters: `solver_parameters`."""
-        return build_solver(self.configuration, self._forms, quick=quick)
+        return build_solver(self.configuration, alone(self.scale.size), self.forms, self.goal, quick=quick)
 
     def solver_parameters(self) -> Vector:
         """The numbers of this problem for `solver`, see `nlp.Parameters`."""
-        count = len(self.kept) + 1
-        shift, target_shift = self.shift
-        objectives = self.objectives[:count]
-        now = np.zeros(self.scale.size) if self.travel is None else (self.travel.now - shift) / self.scale
-        constants = np.zeros(0) if self.constraint_set is None else self.constraint_set.constants.full()
-        return self._layout.packed(
-            {
-                "target": self.target - target_shift,
-                "row_scale": [constraint.scale for constraint in self.constraints],
-                "z_scale": self.scale,
-                "alpha": np.array([objective.alpha for objective in objectives]),
-                "beta": [objective.beta for objective in objectives],
-                "size": self.objective_scales[:count],
-                "cost": 0.0 if self.travel is None else self.travel.cost,
-                "now": now,
-                "gain": self.gain,
-                "c": constants,
-                "p": self.measures.plant.parameter_values.full(),
-            }
-        )
-
-    @property
-    def _forms(self) -> tuple[Form, ...]:
-        objectives = self.objectives[: len(self.kept) + 1]
-        return tuple(Form(smooth=any(o.alpha), kinks=o.has_kinks) for o in objectives)
-
-    @property
-    def _layout(self) -> Parameters:
-        return parameters_of(self.configuration, len(self.kept) + 1)
+        return packed_parameters((self,), alone(self.scale.size), np.ones(1), 0.0, self.shift)
 
     def to_dict(self) -> dict[str, Any]:
         """Target, objective, variables with bounds, constraints."""
@@ -299,3 +283,37 @@ class SelectionProblem:
             "seed": self.seed,
             "scanned_points": self.scan.size,
         }
+
+
+def packed_parameters(
+    problems: tuple[SelectionProblem, ...],
+    coupling: Coupling,
+    share: Vector,
+    level: float,
+    shift: tuple[Vector, Vector],
+) -> Vector:
+    """The numbers of problems with the same machine, objective, scales and constraints, see `nlp.Parameters`.
+
+    `shift` of z and of the targets is as in `SelectionProblem.shift`.
+    """
+    first = problems[0]
+    count, (of_z, of_target) = len(first.kept) + 1, shift
+    objectives = first.objectives[:count]
+    now = np.zeros(first.scale.size) if first.travel is None else (first.travel.now - of_z) / first.scale
+    return parameters_of(first.configuration, coupling, count).packed(
+        {
+            "target": np.concatenate([problem.target - of_target for problem in problems]),
+            "row_scale": [constraint.scale for constraint in first.constraints],
+            "z_scale": first.scale,
+            "alpha": np.array([objective.alpha for objective in objectives]),
+            "beta": [objective.beta for objective in objectives],
+            "size": first.objective_scales[:count],
+            "cost": 0.0 if first.travel is None else first.travel.cost,
+            "now": now,
+            "share": share,
+            "level": level,
+            "gain": first.gain,
+            "c": np.zeros(0) if first.constraint_set is None else first.constraint_set.constants.full(),
+            "p": first.measures.plant.parameter_values.full(),
+        }
+    )

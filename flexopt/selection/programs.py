@@ -51,7 +51,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Reached:
+class SolverResult:
     """Where a solver stopped: x, iterations, its own status."""
 
     x: Vector
@@ -82,7 +82,7 @@ _confirmed: OrderedDict[tuple[ca.Function, bytes], None] = OrderedDict()
 
 def run(
     solver: ca.Function, independent: Callable[[Vector], Local], start: Vector, parameters: Vector, bounds: Bounds
-) -> Reached:
+) -> SolverResult:
     """Where the solver stops from a start.
 
     Args:
@@ -105,7 +105,7 @@ def run(
         x0=start, p=parameters, lbx=bounds.x_lower, ubx=bounds.x_upper, lbg=bounds.g_lower, ubg=bounds.g_upper
     )
     statistics: dict[str, Any] = solver.stats()
-    return Reached(result["x"].full().ravel(), int(statistics["iter_count"]), str(statistics["return_status"]))
+    return SolverResult(result["x"].full().ravel(), int(statistics["iter_count"]), str(statistics["return_status"]))
 
 
 def confirm(

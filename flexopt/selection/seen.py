@@ -8,17 +8,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.check import row_gradients
 from flexopt.selection.objective import Objective
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import row_gradients
 from flexopt.selection.scan import peaks
 from flexopt.selection.starts import FEASIBLE
 
 # By how much, of the objective's scale, a point counts as better: far above what a converged solve leaves.
 BETTER = 2e-8
-# Steps onto the rows, and how near they lead, in units of the rows' scales.
-STEPS, ON_ROWS = 12, 1e-9
+# How near to the rows steps lead, in units of the rows' scales.
+ON_ROWS = 1e-9
 # Points tried to be moved onto the rows, the best first.
 TRIED = 8
 # Further starts of a later objective.
@@ -99,14 +100,12 @@ def settled(problem: SelectionProblem, z: Vector) -> Vector | None:
     scales = np.array([constraint.scale for constraint in problem.constraints])
     lower, upper = (np.array([getattr(c, end) for c in problem.constraints]) for end in ("lower", "upper"))
     freed = np.where(problem.lower == problem.upper, 0.0, problem.scale)
-    for _ in range(STEPS):
-        rows = problem.rows(z)
+
+    def linear(there: Vector) -> tuple[Vector, Vector]:
+        rows = problem.rows(there)
         wrong = (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scales
-        if not np.isfinite(wrong).all():
-            return None
-        if np.abs(wrong).max() <= ON_ROWS:
-            return z
         pulls = (wrong != 0) | (lower == upper)
-        slopes = (row_gradients(problem, z) / scales[:, None])[pulls] * freed
-        z = np.clip(z - freed * (np.linalg.pinv(slopes) @ wrong[pulls]), problem.lower, problem.upper)
-    return None
+        return wrong, (row_gradients(problem, there) / scales[:, None]) * pulls[:, None]
+
+    there, error = shortest_steps(linear, z, freed, ON_ROWS, bounds=(problem.lower, problem.upper))
+    return there if error <= ON_ROWS else None

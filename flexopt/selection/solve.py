@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import instance, public
-from flexopt.foundation.control import Control
+from flexopt.foundation.boundary import Keywords, instance, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, SLACK, Elbow
+from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.robustness.plausibility import warn_implausible
@@ -32,33 +31,21 @@ from flexopt.selection.starts import starting_points
 TIE_TOLERANCE = 1e-9
 
 
-@public(together=only_notes)
+@public(together=only_notes, keywords=Keywords(SelectionOptions, SelectionOptions.of("end_point")))
 def select(
     machine: AnyMachine,
     target: Any,
     *,
-    objective: str = "w1",
-    control: Control = "inverse",
-    weights: Sequence[float] | None = None,
-    gravity: bool = False,
-    gain: float = 5e5,
-    base: Any = None,
-    posture: Any = None,
-    base_range: Any = None,
     constraints: Constraints | Mapping[str, Any] | None = None,
-    elbow: Elbow = "up",
-    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
-    starts: int | None = None,
-    seed: int = 0,
-    slack: float = SLACK,
     workers: int | None = None,
     progress: Progress | None = None,
+    options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[SelectionKeywords],
 ) -> Selection:
     """Choose placement and posture: `build_selection` and `solve_selection` in one.
 
     Args:
-        machine, target, objective, control, weights, gravity, gain, base, posture, base_range, constraints, elbow,
-            singularity_margin_deg, starts, seed, slack: as in `flexopt.build_selection`.
+        machine, target, constraints, options, keywords: as in `flexopt.build_selection`.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -66,24 +53,7 @@ def select(
         InputError, UnreachableTarget: as `build_selection`.
         NoSolutionFound: as `solve_selection`.
     """
-    problem = build_selection(
-        machine,
-        target,
-        objective=objective,
-        control=control,
-        weights=weights,
-        gravity=gravity,
-        gain=gain,
-        base=base,
-        posture=posture,
-        base_range=base_range,
-        constraints=constraints,
-        elbow=elbow,
-        singularity_margin_deg=singularity_margin_deg,
-        starts=starts,
-        seed=seed,
-        slack=slack,
-    )
+    problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 
 

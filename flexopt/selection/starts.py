@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.algebra.feasible import repeated
 from flexopt.foundation.arrays import Vector
-from flexopt.plant.inverse_kinematics import low_discrepancy
-from flexopt.plant.reaching import iterate, reach_steps
-from flexopt.selection.nlp import Configuration
+from flexopt.plant.inverse_kinematics import low_discrepancy, reach_steps
+from flexopt.selection.configuration import Configuration
 from flexopt.selection.objective import Objective, Quantities
 from flexopt.selection.scan import Scan, empty_scan, peaks
 
@@ -74,7 +74,7 @@ def moved(configuration: Configuration, region: Region, z: Vector, enough: int) 
     """
     rows = (region.row_lower, region.row_upper, region.row_scale)
     others = [configuration.measures.plant.parameter_values, region.constants]
-    return iterate(configuration.feasible, z, region.bounds, rows, others, FEASIBLE / 100, ROUNDS, enough)
+    return repeated(configuration.feasible, z, region.bounds, rows, others, FEASIBLE / 100, ROUNDS, enough)
 
 
 def onto_target(configuration: Configuration, region: Region, z: Vector) -> tuple[Vector, Vector]:
@@ -82,7 +82,7 @@ def onto_target(configuration: Configuration, region: Region, z: Vector) -> tupl
     plant = configuration.measures.plant
     target, scale = region.row_lower[: plant.n_task], region.row_scale[: plant.n_task]
     steps = reach_steps(configuration.machine)
-    return iterate(steps, z, region.bounds, (target, target, scale), [plant.parameter_values], FEASIBLE / 100, ROUNDS)
+    return repeated(steps, z, region.bounds, (target, target, scale), [plant.parameter_values], FEASIBLE / 100, ROUNDS)
 
 
 def sample_configurations(

@@ -19,7 +19,7 @@ COMPILERS = ("cc", "gcc", "clang", "cl")
 
 
 @dataclass(frozen=True)
-class Check:
+class InstallationCheck:
     """One finding. A check that is not `required` only informs."""
 
     name: str
@@ -29,10 +29,10 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Report:
+class InstallationReport:
     """All findings; healthy when every required check passed."""
 
-    checks: tuple[Check, ...]
+    checks: tuple[InstallationCheck, ...]
 
     @property
     def healthy(self) -> bool:
@@ -50,14 +50,16 @@ class Report:
         return "\n".join([*lines, "healthy" if self.healthy else "not healthy: see FAILED above"])
 
 
-def examine() -> Report:
+def examine() -> InstallationReport:
     """Run every check."""
     names = ("flexopt", "casadi", "numpy", "scipy", "matplotlib", "xarray", "pydantic", "click")
     versions = ", ".join(f"{name} {package_version(name)}" for name in names)
-    return Report(
+    return InstallationReport(
         (
-            Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
-            Check("packages", True, versions),
+            InstallationCheck(
+                "python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+            ),
+            InstallationCheck("packages", True, versions),
             _ipopt(),
             _shipped("models"),
             _shipped("problems"),
@@ -66,25 +68,27 @@ def examine() -> Report:
     )
 
 
-def _ipopt() -> Check:
+def _ipopt() -> InstallationCheck:
     x = ca.SX.sym("x")
     try:
         quiet = {"print_time": False, "error_on_fail": False, "ipopt": {"print_level": 0, "sb": "yes"}}
         solver = ca.nlpsol("doctor", "ipopt", {"x": x, "f": (x - 1) ** 2}, quiet)
         error = abs(float(solver(x0=3.0)["x"]) - 1.0)
     except RuntimeError:
-        return Check("IPOPT", False, "CasADi was installed without it, or its library cannot be loaded")
-    return Check("IPOPT", error < 1e-8, "solves a test problem" if error < 1e-8 else f"is off by {error:.1e} on a test")
+        return InstallationCheck("IPOPT", False, "CasADi was installed without it, or its library cannot be loaded")
+    return InstallationCheck(
+        "IPOPT", error < 1e-8, "solves a test problem" if error < 1e-8 else f"is off by {error:.1e} on a test"
+    )
 
 
-def _shipped(kind: Kind) -> Check:
+def _shipped(kind: Kind) -> InstallationCheck:
     names = shipped_names(kind)
     try:
         for name in names:
             _read(kind, name)
     except FlexoptError as error:
-        return Check(kind, False, str(error))
-    return Check(kind, bool(names), ", ".join(names) or "none found")
+        return InstallationCheck(kind, False, str(error))
+    return InstallationCheck(kind, bool(names), ", ".join(names) or "none found")
 
 
 def _read(kind: Kind, name: str) -> None:
@@ -96,11 +100,11 @@ def _read(kind: Kind, name: str) -> None:
         load_problem(name)
 
 
-def _compiler() -> Check:
+def _compiler() -> InstallationCheck:
     found = next((path for name in COMPILERS if (path := shutil.which(name))), None)
     if found is None and importlib.util.find_spec("ziglang"):
         found = "the ziglang package"
-    return Check(
+    return InstallationCheck(
         "C compiler",
         found is not None,
         f"{found or 'none'} (optional: with one, large maps and simulations are ten to a hundred times faster)",

@@ -16,6 +16,7 @@ from flexopt.compiled import Batch, batch
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
+from flexopt.plant.inverse_kinematics import solve_postures
 
 Mask = NDArray[np.bool_]
 
@@ -117,14 +118,22 @@ class _Solver:
 
     def solve(self, target: Vector, base: Vector, start: Vector) -> tuple[Vector, Mask, Vector]:
         """Postures (n, N), which of them reach, and the errors left over (N,), m."""
+        near = self._nearest(target, base, start) if self.redundant else start
+        q, left = solve_postures(self.plant, target, base, near)
+        reached = left <= 100 * TOLERANCE * (1 + np.abs(target).max(axis=0))
+        if self.sign:
+            reached &= np.sign(np.linalg.det(self._task(base, q)[1])) == self.sign
+        return q, reached, left
+
+    def _nearest(self, target: Vector, base: Vector, start: Vector) -> Vector:
+        """Postures (n, N) about the targets, nearest to the reference."""
         q, share = start.clip(self.low, self.high), np.ones(target.shape[1])
-        left, pull = np.full(target.shape[1], np.inf), np.full(target.shape[1], np.inf)
+        pull = np.full(target.shape[1], np.inf)
         scale = 1 + np.abs(target).max(axis=0)
         active = np.arange(target.shape[1], dtype=np.int64)
         for _ in range(ITERATIONS):
             r, jacobian = self._task(base[:, active], q[:, active])
             error = target[:, active] - r
-            left[active] = np.abs(error).max(axis=0)
             towards, along = self._step(jacobian, error, q[:, active])
             size = np.abs(along).max(axis=0)
             # A pull towards the reference that grows was too strong for the curvature of the way there.
@@ -132,28 +141,13 @@ class _Solver:
             pull[active] = size
             step = towards + share[active] * along
             step *= np.minimum(1.0, STEP / np.maximum(np.abs(step).max(axis=0), 1e-300))
-            moving: NDArray[np.int64] = np.flatnonzero(
-                (left[active] > TOLERANCE * scale[active]) | (pull[active] > STILL)
-            )
+            off = np.abs(error).max(axis=0) > TOLERANCE * scale[active]
+            moving: NDArray[np.int64] = np.flatnonzero(off | (size > STILL))
             if moving.size == 0:
                 break
             active, step = active[moving], step[:, moving]
             q[:, active] = (q[:, active] + step).clip(self.low, self.high)
-        self._finish(target, base, q, active[left[active] > TOLERANCE * scale[active]])
-        r, jacobian = self._task(base, q)
-        left = np.abs(target - r).max(axis=0)
-        reached = left <= 100 * TOLERANCE * scale
-        if self.sign:
-            reached &= np.sign(np.linalg.det(jacobian)) == self.sign
-        return q, reached, left
-
-    def _finish(self, target: Vector, base: Vector, q: Vector, late: NDArray[np.int64]) -> None:
-        """Those that the pull towards the reference kept from their target: shortest steps alone, in place."""
-        for _ in range(ITERATIONS if late.size and self.redundant else 0):
-            r, jacobian = self._task(base[:, late], q[:, late])
-            step, _ = self._step(jacobian, target[:, late] - r, q[:, late])
-            step *= np.minimum(1.0, STEP / np.maximum(np.abs(step).max(axis=0), 1e-300))
-            q[:, late] = (q[:, late] + step).clip(self.low, self.high)
+        return q
 
     def _step(self, jacobian: Vector, error: Vector, q: Vector) -> tuple[Vector, Vector]:
         """The shortest step to the targets, and the one towards the reference that leaves the end-point, (n, N)."""
@@ -163,9 +157,8 @@ class _Solver:
             left = jacobian * free.T[:, None, :]
             inverse = np.linalg.pinv(left, rcond=LOST)
             towards = np.einsum("knr,rk->nk", inverse, error)
-            if self.redundant:
-                wish = np.where(free, self.reference[:, None] - q, 0.0)
-                along = wish - np.einsum("knr,krm,mk->nk", inverse, left, wish)
+            wish = np.where(free, self.reference[:, None] - q, 0.0)
+            along = wish - np.einsum("knr,krm,mk->nk", inverse, left, wish)
             step = towards + along
             stuck = free & (((q <= self.low) & (step < 0)) | ((q >= self.high) & (step > 0)))
             if not stuck.any():

@@ -95,6 +95,7 @@ SELECT = {
     "singularity_margin_deg": 10.0,
     "starts": 1,
     "seed": 0,
+    "options": flexopt.SelectionOptions(seed=1),
 }
 RUN = {"workers": 1, "progress": print}
 SIMULATE = {
@@ -297,6 +298,10 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
         "selection": {"starts": 1},
         "constraints": None,
     },
+    "SelectionOptions": lambda: (
+        {key: value for key, value in SELECT.items() if key not in ("constraints", "options")}
+        | {"base": [0.0], "gain": 5e5, "elbow": "up", "slack": 1e-6, "combine": "worst", "shares": [1.0]}
+    ),
     "Sensor": lambda: {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0, "delay": 0.0},
     "StateSpace": lambda: STATE_SPACE,
     "Tree": lambda: (
@@ -333,6 +338,7 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "Path": lambda: flexopt.Path(times=[0.0, 1.0], points=[[0.0], [1.0]]),
     "Plant": lambda: flexopt.build_plant(excavator()),
     "Problem": problem,
+    "SelectionOptions": flexopt.SelectionOptions,
     "Report": report,
     "RobustMargin": lambda: flexopt.robust_margin(state_space()),
     "Selection": selection,

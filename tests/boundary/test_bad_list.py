@@ -38,6 +38,7 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("check", "machine_or_path", ("text", "million *"), "a file that is not there is a fault in the result"),
     ("SelectionProblem.given_up", "best", ("2**63",), "a value up to 1e100"),
     ("nullspace_trajectory", "step_gain", ("2**63",), "a gain up to 1e30"),
+    ("SelectionOptions", "*", ("wrong length",), "how many is the machine's and the targets' to say, in the calls"),
     ("Actuator", "*", ("wrong length",), "how many joints there are is the machine's to say, in flexopt.simulate"),
     ("Path.at", "times", ("1e308", "-1e308", "2**63"), "held before the first time and after the last"),
     ("Path.at", "times", ("empty list", "empty array", "wrong length"), "any number of times"),

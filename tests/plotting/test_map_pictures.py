@@ -8,7 +8,7 @@ import flexopt
 from flexopt.article import curve, sweep_gaps
 from flexopt.article import pictures as article
 from flexopt.plotting import plot_workspace
-from flexopt.plotting.fields import Plane, draw_field
+from flexopt.plotting.fields import FieldPlane, draw_field
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 
@@ -126,7 +126,7 @@ def test_gap_picture(excavator):
 def test_rounding_is_drawn_in_one_colour():
     """The rigid part of a slewed crane does not depend on slew and lift but for rounding."""
     rounding = 3.5e-5 * (1 + 1e-15 * np.random.default_rng(1).normal(size=(6, 5)))
-    plane = Plane(np.arange(5.0), np.arange(6.0), "x", "y")
+    plane = FieldPlane(np.arange(5.0), np.arange(6.0), "x", "y")
     fields = {"rounding": rounding, "negative": -rounding, "nothing": 0 * rounding, "field": rounding.cumsum(axis=0)}
     for clipped in (True, False):
         for name, values in fields.items():

@@ -16,12 +16,12 @@ import flexopt
 from flexopt.export.context import build_context
 from flexopt.export.optimiser_kernels import build_optimiser_kernels
 from flexopt.model.constraints import Constraints
-from flexopt.plant.reaching import reach_steps
+from flexopt.plant.inverse_kinematics import reach_steps
 from flexopt.selection import nullspace_law, optima, programs
-from flexopt.selection.check import row_gradients
+from flexopt.selection import program as program_module
 from flexopt.selection.nlp import IPOPT_OPTIONS
 from flexopt.selection.objective import Objective
-from flexopt.selection.several import joined as joined_module
+from flexopt.selection.program import row_gradients
 from flexopt.selection.several.plan import _along
 from flexopt.selection.several.standing import one_placement
 from flexopt.selection.several.targets import build_problems
@@ -40,7 +40,7 @@ MADE = {
     ("selection/programs.py", "make_solver"): "the one place",
     ("study/doctor.py", "_ipopt"): "(x − 1)² in one variable, to see that IPOPT runs",
 }
-ASKED = {("selection/nlp.py", "build_solver"), ("selection/several/program.py", "build_joint_solver")}
+ASKED = {("selection/nlp.py", "build_solver")}
 # Where derivatives are taken of what a solver or a climb is given: the test that walks them.
 TAKEN = {
     ("algebra/feasible.py", "feasible_steps"): "test_steps_onto_rows",
@@ -49,13 +49,13 @@ TAKEN = {
     ("robustness/expansion.py", "_slopes"): "test_single",
     ("robustness/expansion.py", "_pull"): "test_single",
     ("robustness/expansion.py", "_bent"): "test_single",
-    ("selection/nlp.py", "row_slopes"): "test_single",
-    ("selection/nlp.py", "row_curvature"): "test_single",
-    ("selection/check.py", "_extra_slopes"): "test_the_independent_ones",
+    ("selection/configuration.py", "row_slopes"): "test_single",
+    ("selection/configuration.py", "row_curvature"): "test_single",
+    ("selection/program.py", "_extra_slopes"): "test_the_independent_ones",
     ("export/optimiser_kernels.py", "build_optimiser_kernels"): "test_the_optimiser_in_c",
     ("export/optimiser_kernels.py", "_position"): "test_the_optimiser_in_c",
 }
-ROOMS = ("selection", "algebra/feasible.py", "plant/reaching.py", "robustness/expansion.py", "export/optimiser_kernels.py",
+ROOMS = ("selection", "algebra/feasible.py", "plant/inverse_kinematics.py", "robustness/expansion.py", "export/optimiser_kernels.py",
          "export/optimiser.py")  # fmt: skip
 walked: set[str] = set()
 
@@ -227,7 +227,7 @@ def test_several(walk, goal):
     else:
         together = one_placement(problems, np.array([0.3, 0.7]), weighted=goal == "weighted")
     walk(together, together.packed([starting_points(problem)[0] for problem in problems]))
-    assert joined_module.run is programs.run
+    assert program_module.run is programs.run
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from flexopt.errors import WrongSlope
 from flexopt.selection import programs
 from flexopt.selection.check import prove
 from flexopt.selection.objective import Quantities
-from flexopt.selection.several.joined import Joined
+from flexopt.selection.program import Program
 
 TARGET = (0.0, 1.6)
 
@@ -39,20 +39,27 @@ def test_a_wrong_slope_is_no_answer(machine, objective, monkeypatch):
 def test_a_wrong_row_is_no_answer(machine, monkeypatch):
     """The solver's target is another one than the problem's."""
     problem = flexopt.build_selection(machine, TARGET)
-    packed = type(problem).solver_parameters
+    packed = Program.parameters
 
     def elsewhere(self):
-        return packed(dataclasses.replace(self, target=self.target + np.array([0.0, 1e-3])))
+        (one,) = self.problems
+        off = dataclasses.replace(one, target=one.target + np.array([0.0, 1e-3]))
+        return packed(dataclasses.replace(self, problems=(off,)))
 
-    monkeypatch.setattr(type(problem), "solver_parameters", elsewhere)
+    monkeypatch.setattr(Program, "parameters", elsewhere)
     with pytest.raises(WrongSlope, match="value of constraint 2"):
         flexopt.solve_selection(problem)
 
 
 @pytest.mark.parametrize("combine", ["worst", "weighted"])
 def test_a_wrong_slope_is_no_stand(machine, combine, monkeypatch):
-    right = Joined._value_gradient
-    monkeypatch.setattr(Joined, "_value_gradient", lambda self, x, k: 1.01 * right(self, x, k))
+    right = Program.linear_of
+
+    def wrong(self, k, z):
+        member = right(self, k, z)
+        return dataclasses.replace(member, slopes=[1.01 * slopes for slopes in member.slopes])
+
+    monkeypatch.setattr(Program, "linear_of", wrong)
     with pytest.raises(WrongSlope):
         flexopt.select_stand(machine, [(0.0, 1.6), (0.2, 1.5)], combine=combine)
 

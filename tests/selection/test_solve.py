@@ -9,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexopt
+from flexopt.errors import InputError
+from flexopt.model.problem import SelectionKeywords, SharedKeywords, StandKeywords
 from flexopt.selection.check import prove
 from flexopt.selection.objective import Objective
 from flexopt.selection.solve import TIE_TOLERANCE
@@ -218,3 +220,22 @@ def test_any_reachable_target_gives_verified_candidates_or_one_clear_error(x, y,
         np.testing.assert_allclose(candidate.evaluation.end_point, (x, y), atol=1e-8)
         assert candidate.stationarity <= 1e-6
     assert selection.best.objective >= selection.problem.scan.objective.max() - 1e-9 * selection.problem.objective_scale
+
+
+def test_options_are_one_object_or_keywords(machine):
+    """The same answer however they are given; a keyword goes before the field; what does not belong is named."""
+    target = (0.0, 1.6)
+    options = flexopt.SelectionOptions(objective="w2", control="transpose", singularity_margin_deg=20.0)
+    by_object = flexopt.build_selection(machine, target, options=options)
+    by_keyword = flexopt.build_selection(machine, target, **options.model_dump(exclude_unset=True))
+    assert by_object.to_dict() == by_keyword.to_dict()
+    assert flexopt.build_selection(machine, target, options=options, objective="w1").name == "w1"
+    with pytest.raises(InputError, match="gain") as caught:
+        flexopt.select_stand(machine, [target], options=flexopt.SelectionOptions(gain=1e5, base=(0.0, 1.0)))
+    assert [fault.field for fault in caught.value.faults] == ["options.gain", "base"]
+
+
+def test_type_checkers_are_told_every_option():
+    told = {"end_point": SelectionKeywords, "end_points": StandKeywords, "path": SharedKeywords}
+    for kind, keywords in told.items():
+        assert set(keywords.__annotations__) == set(flexopt.SelectionOptions.of(kind))

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 import flexopt
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
-from flexopt.plant.reaching import solve_postures
+from flexopt.plant.inverse_kinematics import solve_postures
 from flexopt.robustness.measures import build_measures
 from flexopt.selection.check import prove
 from tests.oracles.spatial import grounded, pinocchio_tree, random_tree

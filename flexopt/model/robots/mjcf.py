@@ -44,7 +44,7 @@ def read_mjcf(root: Element, folder: Path, faults: Faults, *, strict: bool = Tru
         ModelError: an included file cannot be read or is no XML.
     """
     root = check_known(with_includes(root, folder, faults), "mjcf", faults, strict=strict)
-    reader = _Reader(read_settings(root, faults))
+    reader = _MjcfReader(read_settings(root, faults))
     for world in root.all("worldbody"):
         reader.children(world, None, Pose(), world.attributes.get("childclass", MAIN), _Body())
     if not reader.links:
@@ -79,7 +79,7 @@ class _Body:
         self.solids: list[Solid] = []
 
 
-class _Reader:
+class _MjcfReader:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.faults = settings.faults
@@ -209,7 +209,7 @@ def _adjusted(matrix: Array, settings: Settings) -> Array:
     return axes @ np.diag(np.maximum(moments, settings.least_inertia)) @ axes.T
 
 
-def _constraints(root: Element, reader: _Reader, blockers: dict[str, Faults]) -> None:
+def _constraints(root: Element, reader: _MjcfReader, blockers: dict[str, Faults]) -> None:
     """What couples or drives coordinates beside the tree of joints."""
     for section in root.all("equality"):
         for element in section.children:

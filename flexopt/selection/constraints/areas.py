@@ -16,7 +16,7 @@ from flexopt.errors import Fault
 from flexopt.model.constraints import Area, Constraints
 from flexopt.model.polygons import Corners
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import Group, Kind, Row, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
 from flexopt.selection.constraints.polygon_distance import polygon_constants, polygon_distance
 
 
@@ -54,7 +54,9 @@ def _region_groups(_: Plant, constraints: Constraints) -> list[Group]:
         return []
     numbers = [_numbers(area) for area in constraints.region]
     sizes = tuple(len(part) for part in numbers)
-    return [Group("region", sizes, sum(numbers, start=()), (Row("distance inside region", "m", 0.0, math.inf),))]
+    return [
+        Group("region", sizes, sum(numbers, start=()), (ConstraintRow("distance inside region", "m", 0.0, math.inf),))
+    ]
 
 
 def _region_graph(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
@@ -67,7 +69,9 @@ def _region_graph(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
 
 def _keep_out_groups(_: Plant, constraints: Constraints) -> list[Group]:
     return [
-        Group("keep_out", None, _numbers(area), (Row(f"distance from keep_out[{index}]", "m", 0.0, math.inf),))
+        Group(
+            "keep_out", None, _numbers(area), (ConstraintRow(f"distance from keep_out[{index}]", "m", 0.0, math.inf),)
+        )
         for index, area in enumerate(constraints.keep_out or ())
     ]
 
@@ -76,5 +80,7 @@ def _keep_out_graph(scene: Scene, _: Any, c: ca.SX) -> list[ca.SX]:
     return [-_distance(scene, c)]
 
 
-REGION = Kind(_region_groups, _region_graph, lambda plant, given: _faults(plant, "region", given.region))
-KEEP_OUT = Kind(_keep_out_groups, _keep_out_graph, lambda plant, given: _faults(plant, "keep_out", given.keep_out))
+REGION = ConstraintKind(_region_groups, _region_graph, lambda plant, given: _faults(plant, "region", given.region))
+KEEP_OUT = ConstraintKind(
+    _keep_out_groups, _keep_out_graph, lambda plant, given: _faults(plant, "keep_out", given.keep_out)
+)

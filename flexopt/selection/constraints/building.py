@@ -15,11 +15,11 @@ from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_plant
 from flexopt.selection.constraints import areas, clearance, holding, manipulability, tip_over, tool_angle
-from flexopt.selection.constraints.kind import Group, Kind, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, Group, Scene
 
 Vector = NDArray[np.float64]
-# A further kind is a module with a `Kind`, a field of `Constraints`, and a line here; rows are in this order.
-KINDS: dict[str, Kind] = {
+# A further kind is a module with a `ConstraintKind`, a field of `Constraints`, and a line here; rows are in this order.
+KINDS: dict[str, ConstraintKind] = {
     "manipulability": manipulability.KIND,
     "region": areas.REGION,
     "keep_out": areas.KEEP_OUT,

@@ -18,7 +18,7 @@ from flexopt.foundation.nearest import hint
 from flexopt.model.constraints import Box, Clearance, Constraints, Obstacle, Sphere
 from flexopt.model.tables import Capsule
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import Group, Kind, Row, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
 from flexopt.selection.constraints.segment_distance import from_box, from_sphere, point_from_box
 
 # Capsules shorter than this are balls, m.
@@ -95,14 +95,14 @@ def _is_moved(plant: Plant, body: str) -> bool:
 def _group(
     capsules: tuple[Capsule, ...], kind: str, chosen: list[int], numbers: tuple[float, ...], name: str, distance: float
 ) -> Group:
-    rows: list[Row] = []
+    rows: list[ConstraintRow] = []
     for k in chosen:
         body = capsules[k].body
         of_body = [i for i, capsule in enumerate(capsules) if capsule.body == body]
         who = body if len(of_body) == 1 else f"{body} capsule {of_body.index(k) + 1}"
         by_end = kind in ("ground", "half_plane") and not _is_ball(capsules[k])
         whose = [f"{who} (start)", f"{who} (end)"] if by_end else [who]
-        rows += [Row(f"clearance of {part} from {name}", "m", distance, math.inf) for part in whose]
+        rows += [ConstraintRow(f"clearance of {part} from {name}", "m", distance, math.inf) for part in whose]
     return Group("clearance", (kind, tuple(chosen)), numbers, tuple(rows))
 
 
@@ -162,4 +162,4 @@ DISTANCES: dict[str, Callable[[list[ca.SX], float, ca.SX], list[ca.SX]]] = {
     "sphere": _from_sphere,
     "box": _from_box,
 }
-KIND = Kind(_groups, _graph, _faults)
+KIND = ConstraintKind(_groups, _graph, _faults)

@@ -18,7 +18,7 @@ from flexopt.plant import Plant
 
 
 @dataclass(frozen=True)
-class Row:
+class ConstraintRow:
     """One constraint lower ≤ g ≤ upper, in `unit`; g is divided by `scale` before a solver sees it."""
 
     label: str
@@ -42,7 +42,7 @@ class Group:
     kind: str
     shape: Any
     constants: tuple[float, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[ConstraintRow, ...]
 
     @property
     def structure(self) -> tuple[str, Any, int]:
@@ -106,7 +106,7 @@ def _no_faults(_: Plant, __: Constraints) -> list[Fault]:
 
 
 @dataclass(frozen=True)
-class Kind:
+class ConstraintKind:
     """One kind of constraint.
 
     Attributes:

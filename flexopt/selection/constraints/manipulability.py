@@ -13,7 +13,7 @@ import casadi as ca
 
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import Group, Kind, Row, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
 
 
 def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
@@ -22,7 +22,7 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
         return []
     # Columns of hinges are in m; those of slides have no unit, and the product of both has none worth a name.
     unit = f"m^{plant.n_task}" if all(unit == "rad" for unit in plant.machine.joint_units) else ""
-    return [Group("manipulability", None, (value,), (Row("manipulability", unit, value, math.inf, value),))]
+    return [Group("manipulability", None, (value,), (ConstraintRow("manipulability", unit, value, math.inf, value),))]
 
 
 def _graph(scene: Scene, _: Any, c: ca.SX) -> list[ca.SX]:
@@ -56,4 +56,4 @@ def determinant(matrix: ca.SX) -> ca.SX:
     return minors[tuple(range(n))]
 
 
-KIND = Kind(_groups, _graph, report=_report)
+KIND = ConstraintKind(_groups, _graph, report=_report)

@@ -15,7 +15,7 @@ import casadi as ca
 from flexopt.errors import Fault
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import Group, Kind, Row, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
 
 
 def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
@@ -45,7 +45,7 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
             n = ((y - v) / length, (u - x) / length)
             lines.append((*n, n[0] * x + n[1] * y))
             names.append(f"tip-over margin from edge ({x:g}, {y:g})–({u:g}, {v:g})")
-    rows = tuple(Row(name, "m", constraints.tip_over_margin, math.inf) for name in names)
+    rows = tuple(ConstraintRow(name, "m", constraints.tip_over_margin, math.inf) for name in names)
     return [Group("tip_over_margin", None, tuple(number for line in lines for number in line), rows)]
 
 
@@ -55,4 +55,4 @@ def _graph(scene: Scene, _: Any, c: ca.SX) -> list[ca.SX]:
     return [ca.dot(lines[:-1, k], centre) - lines[-1, k] for k in range(lines.shape[1])]
 
 
-KIND = Kind(_groups, _graph, _faults)
+KIND = ConstraintKind(_groups, _graph, _faults)

@@ -19,7 +19,7 @@ import casadi as ca
 
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import Group, Kind, Row, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
 
 # Square of the sine of the angle between the second axis and the vertical below which α is not defined.
 UPRIGHT = 1e-24
@@ -35,7 +35,7 @@ def _groups(_: Plant, constraints: Constraints) -> list[Group]:
             "tool_angle",
             None,
             (middle, math.cos(middle), math.sin(middle)),
-            (Row("tool angle", "rad", low, high),),
+            (ConstraintRow("tool angle", "rad", low, high),),
         )
     ]
 
@@ -49,4 +49,4 @@ def _graph(scene: Scene, _: Any, c: ca.SX) -> list[ca.SX]:
     return [c[0] + ca.if_else(defined, ca.atan2(sine, ca.if_else(defined, cosine, 1.0)), 0.0)]
 
 
-KIND = Kind(_groups, _graph)
+KIND = ConstraintKind(_groups, _graph)

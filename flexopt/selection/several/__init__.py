@@ -5,7 +5,7 @@ In: a machine and targets. Out: `Stand` and `BasePlan`, whose every configuratio
 
 from flexopt.selection.several.plan import plan_base as plan_base
 from flexopt.selection.several.results import BasePlan as BasePlan
-from flexopt.selection.several.results import Place as Place
+from flexopt.selection.several.results import FixedPlacement as FixedPlacement
 from flexopt.selection.several.results import Stand as Stand
-from flexopt.selection.several.results import Still as Still
+from flexopt.selection.several.results import TargetConfiguration as TargetConfiguration
 from flexopt.selection.several.stand import select_stand as select_stand

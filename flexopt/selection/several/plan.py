@@ -11,30 +11,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import number, numbers, public
-from flexopt.foundation.control import Control
+from flexopt.foundation.boundary import Keywords, number, numbers, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
 from flexopt.model.constraints import Constraints
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG
+from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATE_MAX, TIME_MAX
-from flexopt.plant.reaching import solve_postures
+from flexopt.plant.inverse_kinematics import REACHED, solve_postures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
+from flexopt.selection.nlp import Coupling
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.joined import Joined
-from flexopt.selection.several.postures import EDGE, Reached, reached_from, value_of
-from flexopt.selection.several.program import Joint
-from flexopt.selection.several.results import BasePlan, Still
+from flexopt.selection.program import Program, values_of
+from flexopt.selection.several.postures import Reached, reached_from
+from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, places_at, verified
 from flexopt.selection.several.standing import best_placements, one_placement
 from flexopt.selection.several.targets import build_problems, sample_bases
@@ -84,6 +83,7 @@ _RATES = numbers("m/s or rad/s", low=0.0, high=RATE_MAX)
     max_base_rate=_RATES,
     max_joint_rate=_RATES,
     together=_together,
+    keywords=Keywords(SelectionOptions, SelectionOptions.of("path")),
 )
 def plan_base(
     machine: AnyMachine,
@@ -94,19 +94,11 @@ def plan_base(
     max_base_rate: Any = None,
     max_joint_rate: Any = None,
     start: Any = None,
-    objective: str = "w1",
-    control: Control = "inverse",
-    weights: Sequence[float] | None = None,
-    gravity: bool = False,
-    base: Any = None,
-    posture: Any = None,
-    base_range: Any = None,
     constraints: Constraints | Mapping[str, Any] | None = None,
-    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
-    starts: int | None = None,
-    seed: int = 0,
     workers: int | None = None,
     progress: Progress | None = None,
+    options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[SharedKeywords],
 ) -> BasePlan:
     """A motion of the base along a path of the end-point: max min_k V(z_k), and of those the shortest way.
 
@@ -121,9 +113,7 @@ def plan_base(
         max_base_rate: of each placement coordinate, one number or (n_b,), m/s and rad/s; 0.25 by default.
         max_joint_rate: of each joint, one number or (n,), rad/s or m/s; the machine's speeds by default.
         start: where the base stands at the first target, (n_b,); free by default.
-        objective, control, weights, gravity, base, posture, base_range, constraints, singularity_margin_deg, seed: as
-            in `flexopt.select_stand`.
-        starts: ways that IPOPT starts from, besides standing still; 3 by default.
+        constraints, options, keywords: as in `flexopt.select_stand`, but for combine and shares.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -136,45 +126,45 @@ def plan_base(
     """
     warn_implausible(machine)
     points, begin, count = path, start, workers or available_cores()
+    asked = SelectionOptions.model_construct(**keywords)
+    seed = asked.seed
     even = np.linspace(0.0, DURATION if duration is None else duration, len(points))
     due = even if times is None else np.array(times)
     base_rates = np.resize(BASE_RATE if max_base_rate is None else max_base_rate, len(machine.base_coordinates))
     joint_rates = np.resize(machine.speeds if max_joint_rate is None else max_joint_rate, len(machine.joints))
-    options: dict[str, Any] = {"objective": objective, "control": control, "weights": weights, "gravity": gravity}
-    options |= {"base": base, "posture": posture, "base_range": base_range, "constraints": constraints}
-    options |= {"singularity_margin_deg": singularity_margin_deg, "seed": seed}
-    problems = build_problems("plan_base", machine, points, "path", options)
+    alone = asked.model_copy(update={"starts": None})
+    problems = build_problems("plan_base", machine, points, "path", alone, constraints)
     if begin is not None:
         _check_start(problems[0], begin)
-    joined = _along(problems, due, np.concatenate([base_rates, joint_rates]), begin)
+    program = _along(problems, due, np.concatenate([base_rates, joint_rates]), begin)
 
     common = sample_bases(problems, *COMMON, seed) if begin is None else begin[:, None]
     found = [reached_from(problem, common, seed) for problem in problems]
     still = _standing_still(problems, common, found, begin, count)
     layers = [nodes_of(reached) for reached in _with_own(problems, found, begin, seed)]
-    begins = coarse_ways(joined, layers, starts or WAYS)
-    begins += _carried(joined, begin, count)
+    begins = coarse_ways(program, layers, asked.starts or WAYS)
+    begins += _carried(program, begin, count)
     if still is not None:
-        begins.append(joined.packed(still))
+        begins.append(program.packed(still))
     if not begins:
         sentence = "with these rates no configurations of neighbouring targets are near enough"
         raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
-    ends = ends_from(joined, begins, count, progress)
-    good = not_below(joined, verified(joined, ends, "way"), begins, "way")
-    best, stationarity = _shortest(joined, good)
-    places = places_at(joined, best)
+    ends = ends_from(program, begins, count, progress)
+    good = not_below(program, verified(program, ends, "way"), begins, "way")
+    best, stationarity = _shortest(program, good)
+    places = places_at(program, best)
     stated = {"path": points.tolist(), "times": due.tolist(), "max_base_rate": base_rates.tolist()}
     stated |= {"max_joint_rate": joint_rates.tolist(), "start": None if begin is None else begin.tolist()}
     return BasePlan(
         time=due,
         places=places,
-        still=None if still is None else _still(joined, still),
-        between=_between(problems, due, [joined.of(best, k) for k in range(len(problems))]),
+        still=None if still is None else _still(program, still),
+        between=_between(problems, due, [program.of(best, k) for k in range(len(problems))]),
         travelled=_travelled(machine, np.array([place.evaluation.base for place in places])),
         stationarity=stationarity,
         attempts=(len(ends), len(good)),
         problems=problems,
-        provenance=provenance(machine, **stated, objective=problems[0].name, control=control, seed=seed),
+        provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=seed),
     )
 
 
@@ -192,19 +182,19 @@ def _check_start(problem: SelectionProblem, begin: Vector) -> None:
     arguments.done()
 
 
-def _along(problems: tuple[SelectionProblem, ...], due: Vector, rates: Vector, begin: Vector | None) -> Joined:
-    """The joined problem with a placement for each target, and steps that keep to the rates."""
+def _along(problems: tuple[SelectionProblem, ...], due: Vector, rates: Vector, begin: Vector | None) -> Program:
+    """The program with a placement for each target, and steps that keep to the rates."""
     n_z, count, scale = problems[0].scale.size, len(problems), problems[0].scale
     places = tuple(tuple(range(k * n_z, (k + 1) * n_z)) for k in range(count))
     pairs = tuple((k * n_z + i, (k + 1) * n_z + i) for k in range(count - 1) for i in range(n_z))
     steps = np.concatenate([rates * seconds / scale for seconds in np.diff(due)])
     fixed = () if begin is None else tuple(range(begin.size))
-    return Joined(problems, Joint(places, pairs), steps, np.full(count, 1 / count), "worst", fixed=fixed)
+    return Program(problems, Coupling(places, pairs), steps, np.full(count, 1 / count), "worst", fixed=fixed)
 
 
-def _carried(joined: Joined, begin: Vector | None, workers: int) -> list[Vector]:
+def _carried(program: Program, begin: Vector | None, workers: int) -> list[Vector]:
     """Ways on which the machine is driven along with its posture kept: the best configurations of the middle target."""
-    middle = joined.problems[len(joined.problems) // 2]
+    middle = program.problems[len(program.problems) // 2]
     rows, coordinates = middle.machine.task_rows, middle.machine.base_coordinates
     try:
         selection = solve_selection(replace(middle, starts=CARRIED_STARTS), workers=workers)
@@ -213,7 +203,7 @@ def _carried(joined: Joined, begin: Vector | None, workers: int) -> list[Vector]
     ways: list[Vector] = []
     for candidate in selection.candidates[:CARRIED]:
         zs: list[Vector] = []
-        for problem in joined.problems:
+        for problem in program.problems:
             z = candidate.z.copy()
             for k, name in enumerate(coordinates):
                 if name in rows:
@@ -221,7 +211,7 @@ def _carried(joined: Joined, begin: Vector | None, workers: int) -> list[Vector]
             zs.append(z)
         if begin is not None:
             zs[0][: begin.size] = begin
-        ways.append(joined.packed(zs))
+        ways.append(program.packed(zs))
     return ways
 
 
@@ -229,16 +219,16 @@ def _standing_still(
     problems: tuple[SelectionProblem, ...], bases: Vector, found: list[Reached], begin: Vector | None, workers: int
 ) -> list[Vector] | None:
     """The configurations from the best single placement, or from `begin`; None where there is none."""
-    joined = one_placement(problems, np.full(len(problems), 1 / len(problems)), weighted=False)
+    program = one_placement(problems, np.full(len(problems), 1 / len(problems)), weighted=False)
     if begin is not None:
-        joined = replace(joined, fixed=tuple(range(begin.size)))
+        program = replace(program, fixed=tuple(range(begin.size)))
     if not bases.shape[1]:
         return None
     try:
-        best = best_placements(joined, bases, found, STANDS, joined.first.seed, workers, None)[0][0].x
+        best = best_placements(program, bases, found, STANDS, program.first.seed, workers, None)[0][0].x
     except FlexoptError:
         return None
-    return [joined.of(best, k) for k in range(len(problems))]
+    return [program.of(best, k) for k in range(len(problems))]
 
 
 def _with_own(
@@ -250,23 +240,24 @@ def _with_own(
     return first + [[both, reached_from(own, sample_bases((own,), *OWN, seed), seed)] for own, both in others]
 
 
-def _still(joined: Joined, zs: list[Vector]) -> Still:
-    n_b = joined.first.measures.plant.n_base
-    return Still(base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=joined.values(joined.packed(zs)))
+def _still(program: Program, zs: list[Vector]) -> FixedPlacement:
+    n_b = program.first.measures.plant.n_base
+    return FixedPlacement(
+        base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=program.values(program.packed(zs))
+    )
 
 
-def _shortest(joined: Joined, good: list[End]) -> tuple[Vector, float]:
+def _shortest(program: Program, good: list[End]) -> tuple[Vector, float]:
     """The shortest of the ways near the verified ones that keep the best worst V, and its stationarity."""
-    level = joined.worth(good[0].x) / joined.size - SLACK
-    shorter = joined.kept(level)
+    level = program.worth(good[0].x) / program.size - SLACK
+    shorter = program.kept(level)
     ways: list[End] = []
     for end in good:
-        if joined.worth(end.x) / joined.size >= level:
+        if program.worth(end.x) / program.size >= level:
             moved = end_from(shorter, end.x)
-            kept = not moved.violations and joined.worth(moved.x) / joined.size >= level - EDGE
-            ways.append(moved if kept else end)
-    best = min(ways, key=lambda end: joined.length(end.x))
-    return joined.unwound(best.x), best.stationarity
+            ways.append(end if moved.violations else moved)
+    best = min(ways, key=lambda end: program.length(end.x))
+    return program.unwound(best.x), best.stationarity
 
 
 def _between(problems: tuple[SelectionProblem, ...], due: Vector, zs: list[Vector]) -> tuple[float, float]:
@@ -278,10 +269,11 @@ def _between(problems: tuple[SelectionProblem, ...], due: Vector, zs: list[Vecto
         z = zs[k][:, None] + (zs[k + 1] - zs[k])[:, None] * along
         ends = problems[k].target, problems[k + 1].target
         targets = ends[0][:, None] + (ends[1] - ends[0])[:, None] * along
-        postures, reached = solve_postures(plant, targets, z[:n_b], z[n_b:])
+        postures, left = solve_postures(plant, targets, z[:n_b], z[n_b:])
+        reached = left <= REACHED
         if not reached.all():
             return -np.inf, float(due[k] + (due[k + 1] - due[k]) * along[int(np.argmin(reached))])
-        values = value_of(problems[0], np.vstack([z[:n_b], postures]))
+        values = values_of(problems[0], np.vstack([z[:n_b], postures]))
         low = int(values.argmin())
         if values[low] < worst:
             worst, when = float(values[low]), float(due[k] + (due[k + 1] - due[k]) * along[low])

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
-from flexopt.plant.reaching import joint_box, solve_postures
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, REACHED, branch, low_discrepancy, solve_postures
+from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import values_of
 from flexopt.selection.starts import violated
 
 # Postures tried from each placement: coordinates of a longer planar arm for each elbow; starts of the iteration.
@@ -60,9 +61,9 @@ def reached_by(problem: SelectionProblem, bases: Vector, starts: Vector) -> Reac
     plant = problem.measures.plant
     n, count, each = starts.shape
     spread = np.repeat(bases, each, axis=1)
-    solved, mask = solve_postures(plant, problem.target, spread, starts.reshape(n, -1))
+    solved, left = solve_postures(plant, problem.target, spread, starts.reshape(n, -1))
     z = np.concatenate([spread.reshape(-1, count, each), solved.reshape(n, count, each)])
-    return _valued(problem, z, mask.reshape(count, each))
+    return _valued(problem, z, (left <= REACHED).reshape(count, each))
 
 
 def _valued(problem: SelectionProblem, z: Vector, reaches: NDArray[np.bool_]) -> Reached:
@@ -73,22 +74,15 @@ def _valued(problem: SelectionProblem, z: Vector, reaches: NDArray[np.bool_]) ->
     value = np.full(off.size, -np.inf)
     good = np.flatnonzero(off <= EDGE)
     if good.size:
-        worth = value_of(problem, flat[:, good])
+        worth = values_of(problem, flat[:, good])
         value[good] = np.where(np.isfinite(worth), worth, -np.inf)
     return Reached(flat.reshape(z.shape), value.reshape(shape), off.reshape(shape))
-
-
-def value_of(problem: SelectionProblem, z: Vector) -> Vector:
-    """V (N,) of configurations z (n_z, N), the cost of travel taken off."""
-    plant, n_b = problem.measures.plant, problem.measures.plant.n_base
-    w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
-    return np.array(problem.objective.alpha) @ w - problem.travel_cost(problem.objective, z.T)[0]
 
 
 def _starts(problem: SelectionProblem, bases: Vector, seed: int, finer: int) -> Vector:
     """Postures to start from (n, N, C): those of the problem's sample that stand nearest, and some from anywhere."""
     scan, plant = problem.scan, problem.measures.plant
-    low, high = joint_box(plant)
+    low, high = sampled_ranges(plant.machine, arm_length(plant)).T
     anywhere = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, finer * FAR, seed)
     parts = [np.repeat(anywhere[:, None, :], bases.shape[1], axis=1)]
     inside = np.flatnonzero(scan.violation <= 0)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Place:
+class TargetConfiguration:
     """The configuration at one target.
 
     Attributes:
@@ -45,7 +45,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Together:
+class ConfigurationSet:
     """Configurations of K targets that were chosen together.
 
     Attributes:
@@ -55,7 +55,7 @@ class Together:
         problems: the configuration problem of each target.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[TargetConfiguration, ...]
     stationarity: float
     attempts: tuple[int, int]
     problems: tuple[SelectionProblem, ...] = field(repr=False)
@@ -97,8 +97,8 @@ class Together:
 
 
 @dataclass(frozen=True)
-class Stand(Together):
-    """One placement for several targets, and a posture for each; see `Together`.
+class Stand(ConfigurationSet):
+    """One placement for several targets, and a posture for each; see `ConfigurationSet`.
 
     Attributes:
         worth: what was maximised: the worst V, or Σ share_k V_k.
@@ -143,7 +143,7 @@ class Stand(Together):
 
 
 @dataclass(frozen=True)
-class Still:
+class FixedPlacement:
     """The best that a base can do that stands still while the end-point goes along its path of K targets.
 
     Attributes:
@@ -158,8 +158,10 @@ class Still:
 
 
 @dataclass(frozen=True)
-class BasePlan(Together):
-    """A motion of base and arm along a path of targets that keeps the worst V as high as possible; see `Together`.
+class BasePlan(ConfigurationSet):
+    """A motion of base and arm along a path of targets that keeps the worst V as high as possible.
+
+    See `ConfigurationSet`.
 
     Attributes:
         time: when each target is due, (K,), s.
@@ -170,7 +172,7 @@ class BasePlan(Together):
     """
 
     time: Vector
-    still: Still | None
+    still: FixedPlacement | None
     between: tuple[float, float]
     travelled: tuple[float, float]
 
@@ -242,7 +244,7 @@ class BasePlan(Together):
 SHOWN = 12
 
 
-def _table(places: tuple[Place, ...], worst: int) -> list[str]:
+def _table(places: tuple[TargetConfiguration, ...], worst: int) -> list[str]:
     e = places[0].evaluation
     lines = ["  target " + " ".join(f"{name:>9}" for name in (*e.base_coordinates, *e.joints)) + f"{'V':>13}"]
     shown = range(len(places)) if len(places) <= SHOWN else np.linspace(0, len(places) - 1, SHOWN).astype(int)

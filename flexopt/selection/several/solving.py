@@ -1,12 +1,11 @@
 """One solve of problems that belong together, and what its end is worth.
 
-In: a `Joined` problem and a start. Out: a point with everything that it violates; the configurations there; the error
+In: a `Program` and a start. Out: a point with everything that it violates; the configurations there; the error
 where no start led to one that violates nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,12 +14,13 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
+from flexopt.selection.check import infeasible, prove_program
+from flexopt.selection.optima import Progress
+from flexopt.selection.program import SOLVED, Program
 from flexopt.selection.seen import BETTER
-from flexopt.selection.several.joined import SOLVED, STATIONARITY_TOLERANCE, Joined
-from flexopt.selection.several.results import Place
+from flexopt.selection.several.results import TargetConfiguration
 from flexopt.selection.solve import constraint_values, evaluated
 
-Progress = Callable[[int, int], None]
 # Points that were seen and are better than every optimum: how many are tried.
 TRIED = 4
 
@@ -31,7 +31,7 @@ class End:
 
     Attributes:
         x: the point;  violations: what it violates, by name, beyond tolerances.
-        stationarity: as in `Joined.stationarity`, ∞ where something else is violated;  status: IPOPT's.
+        stationarity: as in `Proof`, 0 where no configuration is better;  status: IPOPT's.
     """
 
     x: Vector
@@ -40,7 +40,7 @@ class End:
     status: str
 
 
-def ends_from(joined: Joined, starts: list[Vector], workers: int, progress: Progress | None) -> list[End]:
+def ends_from(program: Program, starts: list[Vector], workers: int, progress: Progress | None) -> list[End]:
     """One end for each start, in order."""
 
     def tell(done: int) -> None:
@@ -50,45 +50,41 @@ def ends_from(joined: Joined, starts: list[Vector], workers: int, progress: Prog
     def lost(number: int, sentence: str) -> End:
         return End(starts[number], {"solver": np.inf}, np.inf, sentence)
 
-    return in_parallel(partial(_numbered, joined, starts), len(starts), workers, tell, lost=lost)
+    return in_parallel(partial(_numbered, program, starts), len(starts), workers, tell, lost=lost)
 
 
-def _numbered(joined: Joined, starts: list[Vector], number: int) -> End:
-    return end_from(joined, starts[number])
+def _numbered(program: Program, starts: list[Vector], number: int) -> End:
+    return end_from(program, starts[number])
 
 
-def end_from(joined: Joined, start: Vector) -> End:
+def end_from(program: Program, start: Vector) -> End:
     """IPOPT from a start, and what the equations say of its end."""
-    x, _, status = joined.solve(start)
+    x, _, status = program.solve(start)
     if not np.all(np.isfinite(x)):
         return End(x, {"solver": np.inf}, np.inf, status)
-    violations = joined.violations(x)
-    if violations:
-        return End(x, violations, np.inf, status)
-    stationarity = joined.stationarity(x)
-    if not stationarity <= STATIONARITY_TOLERANCE:
-        violations["first-order optimality"] = stationarity
-    elif status not in SOLVED and stationarity > 0.0:
+    proof = prove_program(program, x)
+    violations = dict(proof.violations)
+    if proof.holds and status not in SOLVED and not proof.unsurpassed:
         violations["solver"] = 0.0
-    return End(x, violations, stationarity, status)
+    return End(x, violations, 0.0 if proof.unsurpassed else proof.stationarity, status)
 
 
-def verified(joined: Joined, ends: list[End], what: str) -> list[End]:
+def verified(program: Program, ends: list[End], what: str) -> list[End]:
     """The ends that violate nothing, best first.
 
     Raises:
         NoSolutionFound: there is none; `what` was looked for.
     """
-    good = sorted((end for end in ends if not end.violations), key=lambda end: -joined.worth(end.x))
+    good = sorted((end for end in ends if not end.violations), key=lambda end: -program.worth(end.x))
     if good:
         return good
     nearest = min(ends, key=lambda end: max(end.violations.values(), default=0.0))
     sizes = "; ".join(f"{name} by {size:.3g}" for name, size in list(nearest.violations.items())[:8])
-    names = [variable.name for variable in joined.first.variables]
+    names = [variable.name for variable in program.first.variables]
     iterate = {
         f"target {k + 1}: {name}": float(value)
-        for k in range(joined.joint.count)
-        for name, value in zip(names, joined.of(nearest.x, k), strict=True)
+        for k in range(program.coupling.count)
+        for name, value in zip(names, program.of(nearest.x, k), strict=True)
     }
     outcomes = ", ".join(sorted({end.status for end in ends}))
     raise NoSolutionFound(
@@ -98,11 +94,11 @@ def verified(joined: Joined, ends: list[End], what: str) -> list[End]:
     )
 
 
-def not_below(joined: Joined, good: list[End], seen: list[Vector], what: str) -> list[End]:
+def not_below(program: Program, good: list[End], seen: list[Vector], what: str) -> list[End]:
     """The verified ends, and those of solves from points that were seen and are better than all of them.
 
     Args:
-        joined: the problem.
+        program: the problem.
         good: from `verified`.
         seen: points x, feasible or not.
         what: is looked for.
@@ -110,16 +106,16 @@ def not_below(joined: Joined, good: list[End], seen: list[Vector], what: str) ->
     Raises:
         NoSolutionFound: a feasible point is better than every end.
     """
-    least = joined.worth(good[0].x) + BETTER * joined.size
-    better = [x for x in seen if joined.worth(x) > least and not joined.violations(x)]
-    better = sorted(better, key=lambda x: -joined.worth(x))[:TRIED]
+    least = program.worth(good[0].x) + BETTER * program.size
+    better = [x for x in seen if program.worth(x) > least and not infeasible(program, x)]
+    better = sorted(better, key=lambda x: -program.worth(x))[:TRIED]
     if not better:
         return good
-    found = verified(joined, [*good, *(end_from(joined, x) for x in better)], what)
-    short = joined.worth(better[0]) - joined.worth(found[0].x)
-    if short > BETTER * joined.size:
+    found = verified(program, [*good, *(end_from(program, x) for x in better)], what)
+    short = program.worth(better[0]) - program.worth(found[0].x)
+    if short > BETTER * program.size:
         raise NoSolutionFound(
-            f"the best {what} found, V = {joined.worth(found[0].x):.6g}, is worse than a feasible one seen, by "
+            f"the best {what} found, V = {program.worth(found[0].x):.6g}, is worse than a feasible one seen, by "
             f"{short:.3g}, from which no solve came to a point that passes the checks",
             violations={"below what was seen": short},
             iterate={},
@@ -127,10 +123,12 @@ def not_below(joined: Joined, good: list[End], seen: list[Vector], what: str) ->
     return found
 
 
-def places_at(joined: Joined, x: Vector) -> tuple[Place, ...]:
+def places_at(program: Program, x: Vector) -> tuple[TargetConfiguration, ...]:
     """The configuration at every target."""
-    places: list[Place] = []
-    for k, (problem, value) in enumerate(zip(joined.problems, joined.values(x), strict=True)):
-        z = joined.of(x, k)
-        places.append(Place(problem.target, evaluated(problem, z), float(value), constraint_values(problem, z)))
+    places: list[TargetConfiguration] = []
+    for k, (problem, value) in enumerate(zip(program.problems, program.values(x), strict=True)):
+        z = program.of(x, k)
+        places.append(
+            TargetConfiguration(problem.target, evaluated(problem, z), float(value), constraint_values(problem, z))
+        )
     return tuple(places)

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Unpack
 
 import numpy as np
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import numbers, public, words
-from flexopt.foundation.control import Control
+from flexopt.foundation.boundary import Keywords, numbers, public, words
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
 from flexopt.model.constraints import Constraints
-from flexopt.model.problem import COMBINES, SINGULARITY_MARGIN_DEG
+from flexopt.model.problem import COMBINES, SelectionOptions, StandKeywords
 from flexopt.model.targets import SHARE_MAX
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
-from flexopt.selection.several.joined import Joined
+from flexopt.selection.program import Program
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import Progress, places_at
@@ -44,38 +43,31 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
 _SHARES = numbers("", above=0.0, high=SHARE_MAX)
 
 
-@public(targets=several_targets(1), combine=words(*COMBINES), shares=_SHARES, together=_together)
+@public(
+    targets=several_targets(1),
+    combine=words(*COMBINES),
+    shares=_SHARES,
+    together=_together,
+    keywords=Keywords(SelectionOptions, SelectionOptions.of("end_points")),
+)
 def select_stand(
     machine: AnyMachine,
     targets: Any,
     *,
-    combine: str = "worst",
-    shares: Sequence[float] | None = None,
-    objective: str = "w1",
-    control: Control = "inverse",
-    weights: Sequence[float] | None = None,
-    gravity: bool = False,
-    base: Any = None,
-    posture: Any = None,
-    base_range: Any = None,
     constraints: Constraints | Mapping[str, Any] | None = None,
-    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
-    starts: int | None = None,
-    seed: int = 0,
     workers: int | None = None,
     progress: Progress | None = None,
+    options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[StandKeywords],
 ) -> Stand:
     """One placement good for several targets: max over base and postures of min_k V_k, or of Σ share_k V_k.
 
     Args:
         machine: from `flexopt.load`.
         targets: of the end-point, (K, n_task), m, inertial frame.
-        combine: `"worst"` maximises the smallest V_k, `"weighted"` the sum Σ share_k V_k.
-        shares: of the targets in the sum, (K,), positive; even by default.
-        objective: `"w1"`, `"w2"`, … or `"V"`: one, without ε_max.
-        control, weights, gravity, base, posture, base_range, constraints, singularity_margin_deg, seed: as in
-            `flexopt.build_selection`; constraints hold at every target.
-        starts: placements that IPOPT starts from; 8 by default where targets leave one degree of freedom, else 32.
+        constraints: as in `flexopt.build_selection`, at every target.
+        options: how to choose, see `SelectionOptions`;  keywords: its fields, which go before it: objective, weights,
+            control, gravity, base, posture, base_range, singularity_margin_deg, starts, seed, combine, shares.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -85,40 +77,40 @@ def select_stand(
         NoSolutionFound: no start led to a point that passes the checks.
     """
     warn_implausible(machine)
-    points, count = targets, workers or available_cores()
-    share = np.full(len(points), 1 / len(points)) if shares is None else np.array(shares) / sum(shares)
-    options: dict[str, Any] = {"objective": objective, "control": control, "weights": weights, "gravity": gravity}
-    options |= {"base": base, "posture": posture, "base_range": base_range, "constraints": constraints}
-    options |= {"singularity_margin_deg": singularity_margin_deg, "starts": starts, "seed": seed}
-    problems = build_problems("select_stand", machine, points, "targets", options)
-    joined = one_placement(problems, share, weighted=combine == "weighted")
-    bases = sample_bases(problems, *BASES, seed)
+    points, count, asked = targets, workers or available_cores(), SelectionOptions.model_construct(**keywords)
+    share = np.array(asked.shares or (1.0,) * len(points))
+    share = share / share.sum()
+    problems = build_problems("select_stand", machine, points, "targets", asked, constraints)
+    program = one_placement(problems, share, weighted=asked.combine == "weighted")
+    bases = sample_bases(problems, *BASES, asked.seed)
     if not bases.shape[1]:
         raise none_reaches_all(len(points))
-    found = [reached_from(problem, bases, seed) for problem in problems]
-    good, tried = best_placements(joined, bases, found, starts or default_starts(joined), seed, count, progress)
+    found = [reached_from(problem, bases, asked.seed) for problem in problems]
+    good, tried = best_placements(
+        program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress
+    )
     best = good[0].x
-    places = places_at(joined, best)
-    stated = {"combine": combine, "shares": share.tolist(), "targets": points.tolist()}
+    places = places_at(program, best)
+    stated = {"combine": asked.combine, "shares": share.tolist(), "targets": points.tolist()}
     return Stand(
         places=places,
-        worth=joined.worth(best),
-        alternatives=tuple(_alternatives(joined, [end.x for end in good])),
+        worth=program.worth(best),
+        alternatives=tuple(_alternatives(program, [end.x for end in good])),
         stationarity=good[0].stationarity,
         attempts=(tried, len(good)),
         problems=problems,
-        provenance=provenance(machine, **stated, objective=problems[0].name, control=control, seed=seed),
+        provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=asked.seed),
     )
 
 
-def _alternatives(joined: Joined, points: list[Vector]) -> list[tuple[float, Vector]]:
+def _alternatives(program: Program, points: list[Vector]) -> list[tuple[float, Vector]]:
     """Worth and placement of the optima after the first, those at the same place once."""
-    n_b = joined.first.measures.plant.n_base
-    scale = joined.first.scale[:n_b]
+    n_b = program.first.measures.plant.n_base
+    scale = program.first.scale[:n_b]
     bases = [points[0][:n_b]]
     others: list[tuple[float, Vector]] = []
     for x in points[1:]:
-        if all(np.abs(x[:n_b] - other).max(initial=0.0) > SAME_BASE for other in bases):
+        if all(np.abs((x[:n_b] - other) / scale).max(initial=0.0) > SAME_BASE for other in bases):
             bases.append(x[:n_b])
-            others.append((joined.worth(x), x[:n_b] * scale))
+            others.append((program.worth(x), x[:n_b]))
     return others

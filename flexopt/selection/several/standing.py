@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.nlp import Coupling
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.joined import Joined
+from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached, reached_from
-from flexopt.selection.several.program import Joint
 from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, verified
 from flexopt.selection.several.targets import none_reaches_all
 
-Numbers = NDArray[np.int64]
 # V stands in for where a target has no allowed posture in a sum.
 NOTHING = -1e300
 # Starts where a target leaves one degree of freedom, and where it leaves more: then there are many summits.
@@ -33,26 +32,32 @@ EXCHANGED, GAIN = 2, 1e-7
 SEEN = 32
 
 
-def one_placement(problems: tuple[SelectionProblem, ...], share: Vector, *, weighted: bool) -> Joined:
-    """The joined problem with one placement for all: max min_k V_k, or max Σ share_k V_k."""
+def one_placement(problems: tuple[SelectionProblem, ...], share: Vector, *, weighted: bool) -> Program:
+    """The program with one placement for all: max min_k V_k, or max Σ share_k V_k."""
     plant = problems[0].measures.plant
     n_b, n = plant.n_base, plant.n_actuated
     places = tuple((*range(n_b), *range(n_b + k * n, n_b + (k + 1) * n)) for k in range(len(problems)))
-    return Joined(problems, Joint(places, ()), np.zeros(0), share, "weighted" if weighted else "worst")
+    return Program(problems, Coupling(places, ()), np.zeros(0), share, "weighted" if weighted else "worst")
 
 
-def default_starts(joined: Joined) -> int:
+def default_starts(program: Program) -> int:
     """How many starts find the best summit, or one that is hardly lower, more often than not."""
-    return FEW if joined.first.redundancy <= 1 else MANY
+    return FEW if program.first.redundancy <= 1 else MANY
 
 
 def best_placements(
-    joined: Joined, bases: Vector, found: list[Reached], starts: int, seed: int, workers: int, progress: Progress | None
+    program: Program,
+    bases: Vector,
+    found: list[Reached],
+    starts: int,
+    seed: int,
+    workers: int,
+    progress: Progress | None,
 ) -> tuple[list[End], int]:
     """Verified optima, best first, and how many solves were made.
 
     Args:
-        joined: from `one_placement`.
+        program: from `one_placement`.
         bases: placements (n_b, N).
         found: for each problem what is reached from them.
         starts: how many at most.
@@ -63,33 +68,33 @@ def best_placements(
         UnreachableTarget: from none of the placements all targets are reached.
         NoSolutionFound: no start led to a point that passes the checks.
     """
-    begins = _starts(joined, bases, found, starts, seed)
-    ends = ends_from(joined, begins, workers, progress)
-    good = verified(joined, ends, "placement")
+    begins = _starts(program, bases, found, starts, seed)
+    ends = ends_from(program, begins, workers, progress)
+    good = verified(program, ends, "placement")
     for end in good[:EXCHANGED]:
-        better = _exchanged(joined, end.x, seed)
+        better = _exchanged(program, end.x, seed)
         if better is not None:
-            ends.append(end_from(joined, better))
+            ends.append(end_from(program, better))
     picks = [_picks(reached) for reached in found]
-    best = np.argsort(-_worth(joined, found), kind="stable")[:SEEN]
-    seen = [joined.packed([r.z[:, j, pick[j]] for r, pick in zip(found, picks, strict=True)]) for j in best]
-    good = verified(joined, ends, "placement")
-    return not_below(joined, good, [*begins, *seen], "placement"), len(ends)
+    best = np.argsort(-_worth(program, found), kind="stable")[:SEEN]
+    seen = [program.packed([r.z[:, j, pick[j]] for r, pick in zip(found, picks, strict=True)]) for j in best]
+    good = verified(program, ends, "placement")
+    return not_below(program, good, [*begins, *seen], "placement"), len(ends)
 
 
-def _starts(joined: Joined, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:
+def _starts(program: Program, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:
     """Up to `count` starts x, the most promising first, no two near each other."""
     reaches = np.array([np.isfinite(reached.violation).any(axis=1) for reached in found])
     if not reaches.all(axis=0).any():
         best = int(reaches.sum(axis=0).argmax()) if reaches.size else 0
         raise none_reaches_all(len(found), np.flatnonzero(~reaches[:, best]).tolist() if reaches.size else None)
-    near = _spread(bases, _worth(joined, found), AGAIN * count)
+    near = _spread(bases, _worth(program, found), AGAIN * count)
     bases = bases[:, near]
-    again = [reached_from(problem, bases, seed, FINER) for problem in joined.problems]
+    again = [reached_from(problem, bases, seed, FINER) for problem in program.problems]
     both = [_together(reached, near, more) for reached, more in zip(found, again, strict=True)]
     picks = [_picks(reached) for reached in both]
-    chosen = _spread(bases, _worth(joined, both), count)
-    return [joined.packed([r.z[:, j, pick[j]] for r, pick in zip(both, picks, strict=True)]) for j in chosen]
+    chosen = _spread(bases, _worth(program, both), count)
+    return [program.packed([r.z[:, j, pick[j]] for r, pick in zip(both, picks, strict=True)]) for j in chosen]
 
 
 def _together(found: Reached, near: list[int], more: Reached) -> Reached:
@@ -100,13 +105,13 @@ def _together(found: Reached, near: list[int], more: Reached) -> Reached:
     )
 
 
-def _picks(reached: Reached) -> Numbers:
+def _picks(reached: Reached) -> NDArray[np.int64]:
     """For each placement the number of the best posture, or of the one that violates least where none is allowed."""
     allowed = np.isfinite(reached.value).any(axis=1)
-    return cast(Numbers, np.where(allowed, reached.value.argmax(axis=1), reached.violation.argmin(axis=1)))
+    return cast(NDArray[np.int64], np.where(allowed, reached.value.argmax(axis=1), reached.violation.argmin(axis=1)))
 
 
-def _worth(joined: Joined, found: list[Reached]) -> Vector:
+def _worth(program: Program, found: list[Reached]) -> Vector:
     """What each placement may be worth, (N,); −∞ where not all targets are reached.
 
     Where a constraint is broken everywhere, the less it is broken the better: IPOPT then starts from there.
@@ -115,8 +120,8 @@ def _worth(joined: Joined, found: list[Reached]) -> Vector:
     whole = np.isfinite(values).all(axis=0)
     if whole.any():
         worth = values.min(axis=0)
-        if joined.goal == "weighted":
-            worth = joined.share @ np.maximum(values, NOTHING)
+        if program.goal == "weighted":
+            worth = program.share @ np.maximum(values, NOTHING)
         return np.where(whole, worth, -np.inf)
     off = np.array([reached.violation.min(axis=1) for reached in found])
     return np.where(np.isfinite(off).all(axis=0), -off.max(axis=0), -np.inf)
@@ -142,17 +147,17 @@ def _spread(bases: Vector, worth: Vector, count: int) -> list[int]:
     return sorted(taken, key=order.index)
 
 
-def _exchanged(joined: Joined, x: Vector, seed: int) -> Vector | None:
+def _exchanged(program: Program, x: Vector, seed: int) -> Vector | None:
     """The same placement with better postures, of a finer sample; None where no posture is better.
 
     With the placement given the targets have nothing to do with each other.
     """
-    n_b = joined.first.measures.plant.n_base
-    zs = [joined.of(x, k) for k in range(joined.joint.count)]
-    values, gained = joined.values(x), False
-    for k, (problem, value) in enumerate(zip(joined.problems, values, strict=True)):
+    n_b = program.first.measures.plant.n_base
+    zs = [program.of(x, k) for k in range(program.coupling.count)]
+    values, gained = program.values(x), False
+    for k, (problem, value) in enumerate(zip(program.problems, values, strict=True)):
         found = reached_from(problem, zs[k][:n_b, None], seed, FINER**2)
         best = int(found.value[0].argmax())
-        if found.value[0, best] > value + GAIN * joined.size:
+        if found.value[0, best] > value + GAIN * program.size:
             zs[k], gained = found.z[:, 0, best], True
-    return joined.packed(zs) if gained else None
+    return program.packed(zs) if gained else None

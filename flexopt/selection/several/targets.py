@@ -5,6 +5,7 @@ In: arguments. Out: a `SelectionProblem` for each target, and placements to look
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -15,13 +16,20 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine
+from flexopt.model.constraints import Constraints
+from flexopt.model.problem import SelectionOptions
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.build import build_selection
 from flexopt.selection.problem import SelectionProblem
 
 
 def build_problems(
-    call: str, machine: AnyMachine, points: Vector, field: str, options: dict[str, Any]
+    call: str,
+    machine: AnyMachine,
+    points: Vector,
+    field: str,
+    options: SelectionOptions,
+    constraints: Constraints | Mapping[str, Any] | None,
 ) -> tuple[SelectionProblem, ...]:
     """A configuration problem for each target, all with the same scale of the objective.
 
@@ -29,17 +37,19 @@ def build_problems(
         call: the function that asks;  field: its argument that the targets are.
         machine: a machine.
         points: targets (K, n_task), m.
-        options: arguments of `build_selection`.
+        options, constraints: arguments of `build_selection`.
 
     Raises:
         InputError: as `build_selection`; several objectives, or ε_max among them.
         UnreachableTarget: lists every target that cannot be reached.
     """
+    names = set(SelectionOptions.of("path"))
+    given = {name: getattr(options, name) for name in options.model_fields_set & names}
     problems: list[SelectionProblem] = []
     missed: list[tuple[Fault, UnreachableTarget]] = []
     for k, point in enumerate(points):
         try:
-            problems.append(build_selection(machine, point.tolist(), **options))
+            problems.append(build_selection(machine, point.tolist(), constraints=constraints, **given))
         except UnreachableTarget as error:
             missed.append((Fault(f"{field}[{k}]", str(error)), error))
     if missed:
@@ -50,7 +60,7 @@ def build_problems(
     if len(problems[0].objectives) > 1 or first.has_kinks:
         sentence = "must be a single one of the w_i or V without ε_max, where several configurations belong together"
         arguments = Arguments(call)
-        arguments.faults.append(Fault("objective", sentence, shown(options["objective"])))
+        arguments.faults.append(Fault("objective", sentence, shown(options.objective)))
         arguments.done()
     size = float(np.median([problem.objective_scale for problem in problems]))
     return tuple(replace(problem, objective_scales=(size,)) for problem in problems)

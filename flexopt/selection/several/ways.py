@@ -1,6 +1,6 @@
 """Ways through samples of configurations, one sample for each target, by dynamic programming.
 
-In: a joined problem with bounded steps from target to target, and layers of nodes. Out: ways x that IPOPT starts from:
+In: a program with bounded steps from target to target, and layers of nodes. Out: ways x that IPOPT starts from:
 each is the shortest of those with the highest worst V.
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.joined import Joined
+from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached
 
 # Nodes for each target: the best postures of as many placements.
@@ -37,14 +37,14 @@ def nodes_of(found: list[Reached]) -> Layer:
     return z[:, good], value[good]
 
 
-def coarse_ways(joined: Joined, layers: list[Layer], count: int) -> list[Vector]:
+def coarse_ways(program: Program, layers: list[Layer], count: int) -> list[Vector]:
     """Up to `count` ways x, for several lengths of the longest step; none where a layer is empty."""
     if any(values.size == 0 for _, values in layers):
         return []
-    first = joined.first
+    first = program.first
     n_z = first.scale.size
     limits = np.full((len(layers) - 1, n_z), np.inf)
-    for (i, _), limit in zip(joined.joint.pairs, joined.steps, strict=True):
+    for (i, _), limit in zip(program.coupling.pairs, program.steps, strict=True):
         limits[i // n_z, i % n_z] = limit
     turns = _turning(first)
     ways: list[Vector] = []
@@ -52,7 +52,7 @@ def coarse_ways(joined: Joined, layers: list[Layer], count: int) -> list[Vector]
         way = _best_way([(z / first.scale[:, None], value) for z, value in layers], limits * longer, turns)
         if way is not None and not any(np.array_equal(way, other) for other in ways):
             ways.append(way)
-    return ways[:count]
+    return [way * program.scale for way in ways[:count]]
 
 
 def _turning(problem: SelectionProblem) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ import pytest
 
 import flexopt
 from flexopt import BasePlan, build_measures, evaluate, plan_base, select_stand
-from flexopt.selection.several import Place
+from flexopt.selection.several import TargetConfiguration
 from tests.oracles.spatial import pinocchio_tree, random_tree
 
 WEIGHTS = [1.0] * 6
@@ -30,7 +30,7 @@ def plan(excavator: flexopt.Tree) -> BasePlan:
     )  # fmt: skip
 
 
-def check_place(machine: flexopt.Tree, place: Place, target: np.ndarray, alpha: list[float]) -> None:
+def check_place(machine: flexopt.Tree, place: TargetConfiguration, target: np.ndarray, alpha: list[float]) -> None:
     """Target, V, limits and margin from `evaluate` and the constraints' own Functions."""
     e = place.evaluation
     again = evaluate(machine, e.posture, base=e.base)

@@ -1,0 +1,278 @@
+"""Configurations chosen together, one or many, as one program: its variables, bounds and values, and its solves.
+
+In: one `SelectionProblem` for each configuration, of one machine and one set of constraints. Out: points x, which hold
+the z of every configuration, and what they share once; the program there by functions that no solver uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+
+import casadi as ca
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.model import AnyMachine
+from flexopt.selection.configuration import ConstraintRows
+from flexopt.selection.nlp import Coupling, Goal, alone, build_solver
+from flexopt.selection.problem import Constraint, SelectionProblem, packed_parameters
+from flexopt.selection.programs import Bounds, Local, run
+
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """A configuration of a program, by z / scale.
+
+    Attributes:
+        rows, row_slopes: (row − target) / scale of every constraint (n_rows,), and slopes (n_rows, n_z).
+        values, slopes: V / size of each objective up to the one being solved, less travel, its branches, and slopes, as
+            `SelectionProblem.branches`.
+    """
+
+    rows: Vector
+    row_slopes: Vector
+    values: list[Vector]
+    slopes: list[Vector]
+
+
+@dataclass(frozen=True)
+class Program:
+    """Problems k = 1 … K over shared variables x.
+
+    Attributes:
+        problems: with the same machine, objectives, scales and constraints; their targets differ.
+        coupling: how they share x.
+        steps: greatest |x_j − x_i| / scale for each of the pairs, ∞ where nothing bounds it.
+        share: weights of the configurations, (K,), their sum 1.
+        goal: what is sought;  level: V_k / size that "motion" keeps.
+        fixed: indices of x that stay where a start has them.
+    """
+
+    problems: tuple[SelectionProblem, ...]
+    coupling: Coupling
+    steps: Vector
+    share: Vector
+    goal: Goal
+    level: float = 0.0
+    fixed: tuple[int, ...] = ()
+
+    @property
+    def first(self) -> SelectionProblem:
+        """The problem that scales and constraints are taken from."""
+        return self.problems[0]
+
+    @property
+    def size(self) -> float:
+        """What V is divided by."""
+        return self.first.objective_scale
+
+    @cached_property
+    def scale(self) -> Vector:
+        """Of x, (n_x,)."""
+        return self._spread(self.first.scale)
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Of the entries of x."""
+        names = [""] * self.coupling.n_x
+        for k, place in enumerate(self.coupling.places):
+            for i, variable in zip(place, self.first.variables, strict=True):
+                names[i] = self.prefix(k) + variable.name
+        return names
+
+    def prefix(self, k: int) -> str:
+        """Says in a name which configuration is meant; empty where there is one."""
+        return f"target {k + 1}: " if self.coupling.count > 1 else ""
+
+    def of(self, x: Vector, k: int) -> Vector:
+        """Configuration k: its z."""
+        return x[list(self.coupling.places[k])]
+
+    def packed(self, zs: Sequence[Vector]) -> Vector:
+        """The x of one z for each configuration; what they share is taken from the last."""
+        x = np.zeros(self.coupling.n_x)
+        for place, z in zip(self.coupling.places, zs, strict=True):
+            x[list(place)] = z
+        return x
+
+    @property
+    def shift(self) -> tuple[Vector, Vector]:
+        """As of a problem alone; configurations that share something stay where they are."""
+        of_z, of_target = self.first.shift
+        return (of_z, of_target) if self.coupling.count == 1 else (0 * of_z, 0 * of_target)
+
+    def _spread(self, of_z: Vector) -> Vector:
+        return self.packed([of_z] * self.coupling.count)
+
+    def bounds(self) -> tuple[Vector, Vector]:
+        """Bounds of x (n_x,): the tightest of all configurations that share an entry."""
+        lower, upper = np.full(self.coupling.n_x, -np.inf), np.full(self.coupling.n_x, np.inf)
+        for place, problem in zip(self.coupling.places, self.problems, strict=True):
+            at = list(place)
+            lower[at], upper[at] = np.maximum(lower[at], problem.lower), np.minimum(upper[at], problem.upper)
+        return lower, upper
+
+    def constraints(self, *, lowest: bool = False) -> list[Constraint]:
+        """Every constraint in the solver's order, with bounds of what the solver sees.
+
+        `lowest`: of V's branches the smallest alone, with no level t below them.
+        """
+        rows = self.first.constraints
+        n_task = self.first.target.size
+        of_one = [replace(row, lower=0.0, upper=0.0) for row in rows[:n_task]]
+        of_one += [replace(row, lower=row.lower / row.scale, upper=row.upper / row.scale) for row in rows[n_task:]]
+        found = [replace(row, name=self.prefix(k) + row.name) for k in range(self.coupling.count) for row in of_one]
+        found += [Constraint("steps between targets", "", -step, step, 1.0) for step in self.steps.tolist()]
+        earlier = zip(self.first.objectives, self.first.kept, self.first.objective_scales, strict=False)
+        for objective, kept, size in earlier:
+            branches = self.coupling.count * (2 if objective.has_kinks and not lowest else 1)
+            found += [Constraint(f"kept {objective.name}", "", kept / size, np.inf, 1.0)] * branches
+        objective = self.first.objective
+        if self.goal != "weighted" and not (lowest and objective.has_kinks):
+            branches = self.coupling.count * (2 if objective.has_kinks else 1)
+            found += [Constraint(f"least {objective.name}", "", 0.0, np.inf, 1.0)] * branches
+        return found
+
+    def values(self, x: Vector) -> Vector:
+        """V_k (K,), of ε_max the lower branch, the cost of travel taken off."""
+        zs = [self.of(x, k) for k in range(self.coupling.count)]
+        if self.first.objective.has_kinks:
+            return np.array([p.branches(p.objective, z)[0][0] for p, z in zip(self.problems, zs, strict=True)])
+        return values_of(self.first, np.array(zs).T)
+
+    def worth(self, x: Vector) -> float:
+        """What is maximised: the worst V_k, or Σ share_k V_k."""
+        values = self.values(x)
+        return float(self.share @ values) if self.goal == "weighted" else float(values.min())
+
+    def solve(self, start: Vector, *, quick: bool = False, within: float = np.inf) -> tuple[Vector, int, str]:
+        """One solve from x = start: the point reached, iterations, and the solver's own status.
+
+        `within` limits how far it leads, in scaled variables.
+        """
+        first, shift = self.first, self._spread(self.shift[0])
+        solver = build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=quick)
+        start = np.clip(start, *self.bounds())
+        x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
+        lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
+        held = list(self.fixed)
+        lower[held] = upper[held] = x0[held]
+        if self.goal == "worst":
+            x0 = np.append(x0, self.values(start).min() / self.size)
+            lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
+        rows = self.constraints()
+        bounds = Bounds(lower, upper, np.array([row.lower for row in rows]), np.array([row.upper for row in rows]))
+        reached = run(solver, partial(self._stated, shift), x0, self.parameters(), bounds)
+        x = reached.x[: self.coupling.n_x] * self.scale + shift
+        if not self.coupling.pairs:
+            x = self.packed(list(first.wrapped(np.array([self.of(x, k) for k in range(self.coupling.count)]))))
+        return np.clip(x, *self.bounds()), reached.iterations, reached.status
+
+    def parameters(self) -> Vector:
+        """The numbers of this program for its solver, see `nlp.Parameters`."""
+        return packed_parameters(self.problems, self.coupling, self.share, self.level, self.shift)
+
+    def _stated(self, shift: Vector, x: Vector) -> Local:
+        """What the solver climbs, at its x."""
+        there = x[: self.coupling.n_x] * self.scale + shift
+        return self.local(there, self.linear(there), float(x[-1]))
+
+    def linear(self, x: Vector) -> list[Linearisation]:
+        """Every configuration at x, by functions that no solver uses."""
+        return [self.linear_of(k, self.of(x, k)) for k in range(self.coupling.count)]
+
+    def linear_of(self, k: int, z: Vector) -> Linearisation:
+        """Configuration k at z."""
+        problem, scale = self.problems[k], self.first.scale
+        rows = np.array([row.scale for row in problem.constraints])
+        wanted = np.append(problem.target, np.zeros(rows.size - problem.target.size))
+        count = len(problem.kept) + 1
+        found = [problem.branches(objective, z) for objective in problem.objectives[:count]]
+        sizes = problem.objective_scales[:count]
+        return Linearisation(
+            rows=(problem.rows(z) - wanted) / rows,
+            row_slopes=row_gradients(problem, z) / rows[:, None] * scale,
+            values=[values / size for (values, _), size in zip(found, sizes, strict=True)],
+            slopes=[slopes / size * scale for (_, slopes), size in zip(found, sizes, strict=True)],
+        )
+
+    def local(self, x: Vector, members: Sequence[Linearisation], level: float, *, lowest: bool = False) -> Local:
+        """The program at x, by x / scale, and t last where it has one; `members` from `linear`."""
+        goal: Goal = "weighted" if lowest and self.first.objective.has_kinks else self.goal
+        n_x = self.coupling.n_x
+        steps = self.coupling.steps(n_x)
+
+        def wide(k: int, slopes: Vector) -> Vector:
+            out = np.zeros((len(slopes), n_x))
+            out[:, list(self.coupling.places[k])] = slopes
+            return out
+
+        kept: list[tuple[Vector, Vector]] = []
+        last: list[tuple[Vector, Vector]] = []
+        for j in range(len(members[0].values)):
+            for k, member in enumerate(members):
+                values = member.values[j][: 1 if lowest else None]
+                ours = kept if j < len(members[0].values) - 1 else last
+                ours.append((values, wide(k, member.slopes[j][: values.size])))
+        g = [*(member.rows for member in members), steps @ (x / self.scale), *(values for values, _ in kept)]
+        jacobian = [*(wide(k, m.row_slopes) for k, m in enumerate(members)), steps, *(slopes for _, slopes in kept)]
+        values, slopes = (np.concatenate(part) for part in zip(*last, strict=True))
+        if goal == "weighted":
+            return Local(-float(self.share @ values), -self.share @ slopes, np.concatenate(g), np.vstack(jacobian))
+        above = values - (level if goal == "worst" else self.level)
+        g, jacobian = np.concatenate([*g, above]), np.vstack([*jacobian, slopes])
+        if goal == "motion":
+            away = steps @ (x / self.scale)
+            return Local(float(away @ away) / 2, steps.T @ away, g, jacobian)
+        of_level = np.concatenate([np.zeros(len(jacobian) - values.size), np.full(values.size, -1.0)])
+        return Local(-level, np.append(np.zeros(n_x), -1.0), g, np.column_stack([jacobian, of_level]))
+
+    def length(self, x: Vector) -> float:
+        """What "motion" makes smallest: Σ (x_j − x_i)² over the pairs, in scaled variables."""
+        return float(np.sum((self.coupling.steps(self.coupling.n_x) @ (x / self.scale)) ** 2))
+
+    def unwound(self, x: Vector) -> Vector:
+        """The same way, all of it turned by whole turns so that it begins within half a turn of the present angles."""
+        turns = self.first.wrapped(self.of(x, 0)) - self.of(x, 0)
+        return self.packed([self.of(x, k) + turns for k in range(self.coupling.count)])
+
+    def kept(self, level: float) -> Program:
+        """The problem of the shortest way that keeps every V_k / size at the level."""
+        return replace(self, goal="motion", level=level)
+
+
+def single(problem: SelectionProblem) -> Program:
+    """One configuration alone."""
+    return Program((problem,), alone(problem.scale.size), np.zeros(0), np.ones(1), problem.goal)
+
+
+def values_of(problem: SelectionProblem, z: Vector) -> Vector:
+    """V (N,) of configurations z (n_z, N) without ε_max, the cost of travel taken off."""
+    plant, n_b = problem.measures.plant, problem.measures.plant.n_base
+    w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
+    return np.array(problem.objective.alpha) @ w - problem.travel_cost(problem.objective, z.T)[0]
+
+
+@lru_cache(maxsize=32)
+def _extra_slopes(machine: AnyMachine, rows: ConstraintRows) -> ca.Function:  # noqa: ARG001 - with the rows a key
+    """(base, posture, p, c) -> derivatives of the constraint rows by z, (k, n_z)."""
+    f = rows.function
+    base, posture, p, c = (ca.SX.sym(name, f.size1_in(k)) for k, name in enumerate(f.name_in()))
+    slopes = ca.jacobian(f.call([base, posture, p, c])[0], ca.vertcat(base, posture))
+    return ca.Function("constraint_slopes", [base, posture, p, c], [ca.densify(slopes)])
+
+
+def row_gradients(problem: SelectionProblem, z: Vector) -> Vector:
+    """Derivatives of all constraints by z, (n_rows, n_z), in their units."""
+    plant, n_base = problem.measures.plant, problem.measures.plant.n_base
+    at = [z[:n_base], z[n_base:], plant.parameter_values]
+    parts = [problem.measures.end_point_gradient.call(at)[0], plant.singularity_gradient.call(at)[0]]
+    if problem.constraint_set is not None:
+        extra = ConstraintRows(problem.constraint_set.structure, problem.constraint_set.function)
+        slopes = _extra_slopes(problem.machine, extra)
+        parts += slopes.call([*at, problem.constraint_set.constants])
+    return np.vstack([part.full() for part in parts])
