@@ -14,6 +14,7 @@ import numpy as np
 
 from flexopt.article.tables import TARGET, X_MOBILE
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, load_experiment
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import Evaluation, evaluate
@@ -38,7 +39,7 @@ THINNED = 20
 
 
 @dataclass(frozen=True)
-class LoopRow:
+class LoopRow(Result):
     """One posture with one pair of gains: poles nearest to instability, and the nonlinear run.
 
     Attributes:
@@ -49,6 +50,12 @@ class LoopRow:
         run: the nonlinear loop with the stated integrator.
     """
 
+    DOCUMENT = """
+    posture=stand kp kv growth_rate_stated_integrator=stated.growth_rate[1/s]
+    frequency_stated_integrator_hz=stated.frequency_hz growth_rate_accurate=accurate.growth_rate[1/s]
+    frequency_accurate_hz=accurate.frequency_hz run
+    """
+
     stand: str
     kp: float
     kv: float
@@ -56,32 +63,19 @@ class LoopRow:
     accurate: SampledLoop
     run: Trajectory = field(repr=False)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Numbers of the row: growth rates in 1/s, frequencies in Hz."""
-        return {
-            "posture": self.stand, "kp": self.kp, "kv": self.kv,
-            "growth_rate_stated_integrator": self.stated.growth_rate,
-            "frequency_stated_integrator_hz": self.stated.frequency_hz,
-            "growth_rate_accurate": self.accurate.growth_rate, "frequency_accurate_hz": self.accurate.frequency_hz,
-            "run": self.run.to_dict(),
-        }  # fmt: skip
-
 
 @dataclass(frozen=True)
-class RobustRow:
+class RobustRow(Result):
     """The controller that attains ε_max, at posture A: the sampled linear loop, and a nonlinear run.
 
     `integrator` is that of the linear loop, `"exact"` or the stated one.
     """
 
+    DOCUMENT = "integrator growth_rate=linear.growth_rate[1/s] frequency_hz=linear.frequency_hz run"
+
     integrator: str
     linear: SampledLoop
     run: Trajectory | None = field(repr=False)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Numbers of the row."""
-        numbers = {"growth_rate": self.linear.growth_rate, "frequency_hz": self.linear.frequency_hz}
-        return {"integrator": self.integrator, **numbers, "run": self.run and self.run.to_dict()}
 
 
 @dataclass(frozen=True)

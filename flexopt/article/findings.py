@@ -16,6 +16,7 @@ import numpy as np
 from flexopt.article.curves import Curve, rank_correlation
 from flexopt.article.tables import ArticleTable, epsilon_at
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
 from flexopt.robustness.margin import build_margin
 from flexopt.selection import Selection
@@ -27,7 +28,7 @@ ROBUST = 1e-9
 
 
 @dataclass(frozen=True)
-class ArticleFinding:
+class ArticleFinding(Result):
     """One statement of the article put to the test.
 
     Attributes:
@@ -45,10 +46,6 @@ class ArticleFinding:
     holds: bool
     sentence: str
     numbers: dict[str, Any]
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready but for arrays and NaN, which `json_ready` turns."""
-        return vars(self)
 
 
 def posture_b(table: ArticleTable) -> ArticleFinding:

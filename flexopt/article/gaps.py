@@ -19,6 +19,7 @@ from flexopt.coprime import gap, nu_gap
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
+from flexopt.foundation.results import Result
 from flexopt.foundation.turns import in_turn
 from flexopt.model import AnyMachine
 from flexopt.robustness import build_measures
@@ -30,7 +31,7 @@ RIGID_MARGIN = math.sin(math.pi / 8)
 
 
 @dataclass(frozen=True)
-class GapSweep:
+class GapSweep(Result):
     """Rows are postures (k,), columns factors of the damping (f,).
 
     Attributes:
@@ -40,6 +41,12 @@ class GapSweep:
         posture: (k, n), rad.
         w1: (k,), of the undamped plant.
         epsilon_max, gap, nu_gap: (k, f); NaN where not computable.
+    """
+
+    DOCUMENT = """
+    control gain factors names posture w1 epsilon_max gap nu_gap within
+    correlation_nu_gap_epsilon_max=correlation_epsilon correlation_nu_gap_w1=correlation_w1 holds_at_own_damping
+    sentence
     """
 
     control: Control
@@ -101,14 +108,6 @@ class GapSweep:
             f"{last:+.2f} at {self.factors[-1]:g} times it (the link wants −1); with w_1 it is "
             f"{self.correlation_w1[0]:+.2f} and {self.correlation_w1[-1]:+.2f}."
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready but for NaN, which `json_ready` turns into null."""
-        fields = ("control", "gain", "factors", "names", "posture", "w1", "epsilon_max", "gap", "nu_gap", "within")
-        document = {name: getattr(self, name) for name in fields}
-        document["correlation_nu_gap_epsilon_max"] = self.correlation_epsilon
-        document["correlation_nu_gap_w1"] = self.correlation_w1
-        return document | {"holds_at_own_damping": self.holds_at_own_damping, "sentence": self.sentence}
 
 
 @in_turn

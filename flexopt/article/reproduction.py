@@ -28,7 +28,8 @@ from flexopt.article.tables import (
 )
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import CONTROLS, Control
-from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.results import Result
 from flexopt.foundation.turns import in_turn
 from flexopt.model import AnyMachine
 from flexopt.model.problem import ELBOWS
@@ -68,7 +69,7 @@ class MeanFrequencies:
 
 
 @dataclass(frozen=True)
-class Reproduction:
+class Reproduction(Result):
     """Everything that `flexopt reproduce` shows.
 
     Attributes:
@@ -84,6 +85,13 @@ class Reproduction:
         gains: which gains A, B and the optimised posture allow.
         arms: postures A and B of Table 2 as points in the workspace frame, (2, k), m.
         provenance: machine, versions and options.
+    """
+
+    DOCUMENT = """
+    table2.rows=table.rows table2.inferred_gain=table.inferred table2.note=table.note
+    mean_frequencies_hz.printed=frequencies.printed mean_frequencies_hz.computed=frequencies.means
+    mean_frequencies_hz.deviation=frequencies.deviation maps contradictions claims closed_loops=loops gains gaps
+    provenance
     """
 
     table: ArticleTable
@@ -118,31 +126,6 @@ class Reproduction:
             "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS),
             "gaps": draw.plot_gaps(self.gaps),
         }
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary of every number beside the printed one.
-
-        Keys: `table2`, `mean_frequencies_hz`, `maps`, `contradictions`, `claims`, `gaps`, `provenance`; `closed_loops`
-        (see `ClosedLoops.to_dict`) and `gains` (see `GainMap.to_dict`).
-        """
-        table = self.table.to_dict()
-        return json_ready(
-            {
-                "table2": {key: table[key] for key in ("rows", "inferred_gain", "note")},
-                "mean_frequencies_hz": {
-                    "printed": self.frequencies.printed,
-                    "computed": self.frequencies.means,
-                    "deviation": self.frequencies.deviation,
-                },
-                "maps": {control: result.to_dict() for control, result in self.maps.items()},
-                "contradictions": [finding.to_dict() for finding in self.contradictions],
-                "claims": [finding.to_dict() for finding in self.claims],
-                "closed_loops": self.loops.to_dict(),
-                "gains": self.gains.to_dict(),
-                "gaps": self.gaps.to_dict(),
-                "provenance": self.provenance,
-            }
-        )
 
     def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:
         """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from flexopt.coprime.stabilizability import Escape, escaping_modes, growth, rais
 from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
 from flexopt.errors import MarginNotComputed
 from flexopt.foundation.boundary import public
-from flexopt.foundation.documents import json_ready
+from flexopt.foundation.results import Result
 
 RESIDUAL_MAX = 1e-6
 # Bounds on the relative error of ε_max: up to which double precision is left at it, and with which it is still told.
@@ -40,7 +40,7 @@ STATES_MAX = 64  # decimals take minutes beyond
 
 
 @dataclass(frozen=True)
-class RobustMargin:
+class RobustMargin(Result):
     """ε_max = (1 + λmax(XZ))^(−1/2), between 0 and 1, and what it rests on.
 
     Attributes:
@@ -55,6 +55,10 @@ class RobustMargin:
         error_bound: |ε_max − the exact one of these A, B, C, D| is at most this. It follows from the residuals, in
             extended precision, by the order of solutions of Riccati inequalities; see `flexopt.coprime.enclosure`.
         warnings: sentences on what needs care.
+    """
+
+    DOCUMENT = """
+    epsilon_max X Z residual_x residual_z iterations agreement condition method error_bound warnings
     """
 
     epsilon_max: float
@@ -76,12 +80,6 @@ class RobustMargin:
 
     def __float__(self) -> float:
         return self.epsilon_max
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready document."""
-        names = ("epsilon_max", "X", "Z", "residual_x", "residual_z", "iterations", "agreement", "condition", "method")
-        document = {name: getattr(self, name) for name in (*names, "error_bound", "warnings")}
-        return cast(dict[str, Any], json_ready(document))
 
     def __repr__(self) -> str:
         agreement = "one route only" if self.agreement is None else f"routes agree to {self.agreement:.1e}"

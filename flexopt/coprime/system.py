@@ -17,9 +17,9 @@ from flexopt.coprime.guard import INSIDE
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import Check, anything, array_of, public
-from flexopt.foundation.documents import json_ready
 from flexopt.foundation.plain import plain, shown
 from flexopt.foundation.quantities import check_number
+from flexopt.foundation.results import Result
 
 Matrix = NDArray[np.floating[Any]]
 PERIOD_MAX = 1e100
@@ -27,7 +27,7 @@ ENTRY_MAX = 1e100  # squares and products of four entries stay finite
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpace:
+class StateSpace(Result):
     """ẋ = A x + B u, y = C x + D u (dt = 0), or x⁺ = A x + B u (dt > 0).
 
     Attributes:
@@ -40,6 +40,8 @@ class StateSpace:
     Raises:
         InputError: entries that are not real, not finite, beyond 1e100, or of wrong shapes (all faults in one message).
     """
+
+    DOCUMENT = "A B C D dt[s]"
 
     A: Matrix
     B: Matrix
@@ -83,11 +85,6 @@ class StateSpace:
         s = np.atleast_1d(np.asarray(points, dtype=complex))
         shifted = s[:, None, None] * np.eye(self.n_states) - self.A
         return np.asarray(self.C @ np.linalg.solve(shifted, self.B.astype(complex)[None]) + self.D, dtype=complex)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready matrices and sampling period."""
-        document = {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "dt": self.dt}
-        return cast(dict[str, Any], json_ready(document))
 
     def __repr__(self) -> str:
         time = f"sampled every {self.dt:g} s" if self.discrete else "continuous time"

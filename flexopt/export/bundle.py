@@ -23,9 +23,10 @@ from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import by, number, public, words
 from flexopt.foundation.control import Control
-from flexopt.foundation.documents import json_ready, package_version, provenance
+from flexopt.foundation.documents import package_version, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.plain import shown
+from flexopt.foundation.results import Result
 from flexopt.foundation.writing import replace_folder
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
 
@@ -44,7 +45,7 @@ _REPORTS = (f"{VERIFICATION}/report.html", f"{VERIFICATION}/report.json")
 
 
 @dataclass(frozen=True)
-class ExportReport:
+class ExportReport(Result):
     """What was written.
 
     Attributes:
@@ -57,26 +58,21 @@ class ExportReport:
         left_out: parts that the machine does not allow and nobody asked for, with the reason.
     """
 
+    DOCUMENT = "folder prefix parts left_out files bundle_sha256 provenance"
+
     folder: Path
     prefix: str
     parts: dict[str, tuple[str, ...]]
     files: tuple[str, ...]
     bundle_sha256: str
     manifest: dict[str, Any] = field(repr=False)
-    left_out: dict[str, str] = field(default_factory=dict[str, str])
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary (keys as in the command line's `--json`)."""
-        document = {
-            "folder": str(self.folder),
-            "prefix": self.prefix,
-            "parts": self.parts,
-            "left_out": self.left_out,
-            "files": self.files,
-            "bundle_sha256": self.bundle_sha256,
-            "provenance": self.manifest["provenance"],
-        }
-        return cast(dict[str, Any], json_ready(document))
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Machine, versions and options, as manifest.json says them."""
+        return self.manifest["provenance"]
+
+    left_out: dict[str, str] = field(default_factory=dict[str, str])
 
     def __repr__(self) -> str:
         lines = [f"C for {self.manifest['machine']['name']} ({self.manifest['options']['real']}) in {self.folder}"]

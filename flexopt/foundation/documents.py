@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from enum import Enum
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import PurePath
 from typing import Any, cast
 
 import numpy as np
@@ -42,13 +46,24 @@ def write_netcdf(path: AnyPath, dataset: Any) -> None:
 
 
 def json_ready(value: Any) -> Any:
-    """Plain lists, numbers and text; NaN and infinity become None."""
+    """Plain lists, numbers and text: NaN and infinity become None, complex numbers pairs, objects their fields."""
     if isinstance(value, np.ndarray | np.generic):
         return json_ready(value.tolist())  # pyright: ignore[reportUnknownMemberType]
-    if isinstance(value, dict):
-        return {str(k): json_ready(v) for k, v in cast(dict[Any, Any], value).items()}
+    if isinstance(value, Mapping):
+        return {str(k): json_ready(v) for k, v in cast(Mapping[Any, Any], value).items()}
     if isinstance(value, list | tuple):
         return [json_ready(v) for v in cast(list[Any], value)]
     if isinstance(value, float) and not math.isfinite(value):
         return None
+    if isinstance(value, complex):
+        return json_ready([value.real, value.imag])
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, Enum):
+        return value.name.lower()
+    told: Any = getattr(value, "to_dict", None)
+    if told is not None:
+        return json_ready(told())
+    if is_dataclass(value):
+        return json_ready(vars(value))
     return value

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.foundation.results import Result
 from flexopt.model.kinematic_tree import TreeBody
 from flexopt.model.machine import AnyMachine, Machine
 from flexopt.model.tree import Tree
@@ -35,7 +36,7 @@ HEAVY = 10.0  # payload over the machine's own mass
 
 
 @dataclass(frozen=True)
-class ImplausibleNumber:
+class ImplausibleNumber(Result):
     """A number that is allowed but hardly meant.
 
     Attributes:
@@ -52,10 +53,6 @@ class ImplausibleNumber:
 
     def __str__(self) -> str:
         return f"{self.field} = {self.value}: {self.sentence}; {self.meant}"
-
-    def to_dict(self) -> dict[str, str]:
-        """JSON-ready."""
-        return {"field": self.field, "value": self.value, "sentence": self.sentence, "meant": self.meant}
 
 
 @dataclass

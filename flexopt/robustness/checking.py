@@ -14,6 +14,7 @@ from flexopt.errors import Fault, FlexoptWarning, ModelError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE, instance, path, public
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, Problem, load_file
 from flexopt.model.files import ROBOT_SUFFIXES
 from flexopt.model.plausibility import REACH_MAX, ImplausibleNumber
@@ -26,7 +27,7 @@ NAME_SHOWN = 200
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Result):
     """What `flexopt.check` found.
 
     Attributes:
@@ -38,6 +39,8 @@ class Check:
         findings: numbers that are allowed but hardly meant.
         warnings: sentences of the reader about what it left out or found odd.
     """
+
+    DOCUMENT = "status name kind machine faults findings warnings provenance"
 
     name: str
     kind: str | None
@@ -51,19 +54,6 @@ class Check:
     def status(self) -> str:
         """`"faults"`, `"warnings"` or `"good"`."""
         return "faults" if self.faults else "warnings" if self.findings or self.warnings else "good"
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
-        return {
-            "status": self.status,
-            "name": self.name,
-            "kind": self.kind,
-            "machine": self.machine,
-            "faults": [{"field": f.field, "value": f.value, "sentence": f.sentence} for f in self.faults],
-            "findings": [finding.to_dict() for finding in self.findings],
-            "warnings": list(self.warnings),
-            "provenance": self.provenance,
-        }
 
     def __repr__(self) -> str:
         counts = (

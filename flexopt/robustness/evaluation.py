@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings as python_warnings
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
-from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
@@ -70,7 +71,7 @@ class Gradient:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class Evaluation(Result):
     """What one posture is worth. m modes, ordered by frequency; r task rows. SI and rad unless the name says otherwise.
 
     Attributes:
@@ -109,6 +110,13 @@ class Evaluation:
         warnings: sentences about repeated frequencies and the like.
     """
 
+    DOCUMENT = """
+    machine control base base_coordinates base_units posture joints joint_units end_point[m] frequencies_hz[Hz]
+    damping_ratios w scale rigid in_phase in_phase_strict epsilon_max epsilon_max_error epsilon_max_status
+    epsilon_max_residual gain gradient residues.R0=rigid_residue residues.R=residues clusters condition
+    static_deflection self_motion_unstabilised damped=_damped warnings provenance cylinders=_cylinders
+    """
+
     machine: str
     control: Control
     base: Vector
@@ -144,63 +152,25 @@ class Evaluation:
     cylinders: tuple[CylinderState, ...]
     provenance: dict[str, Any] = field(repr=False)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary (keys as in the command line's `--json`)."""
-        damped = self.damped and {
-            "poles": [[pole.real, pole.imag] for pole in self.damped.poles],
+    def document(self) -> dict[str, Any]:
+        """Values by their keys; the cylinders only of a machine that has some."""
+        document = super().document()
+        return document if self.cylinders else {key: x for key, x in document.items() if key != "cylinders"}
+
+    @property
+    def _cylinders(self) -> list[dict[str, Any]]:
+        return [cylinder._asdict() for cylinder in self.cylinders]
+
+    @property
+    def _damped(self) -> dict[str, Any] | None:
+        return self.damped and {
+            "poles": self.damped.poles,
             "N0": self.damped.n0,
             "N1": self.damped.n1,
             "difference": self.damped_difference,
             "w_error": self.damped.w_z_error,
             "w_parameters_error": self.damped.w_p_error,
         }
-        document: dict[str, Any] = {
-            "machine": self.machine,
-            "control": self.control,
-            "base": self.base,
-            "base_coordinates": self.base_coordinates,
-            "base_units": self.base_units,
-            "posture": self.posture,
-            "joints": self.joints,
-            "joint_units": self.joint_units,
-            "end_point": self.end_point,
-            "frequencies_hz": self.frequencies_hz,
-            "damping_ratios": self.damping_ratios,
-            "w": self.w,
-            "scale": self.scale,
-            "rigid": self.rigid,
-            "in_phase": self.in_phase,
-            "in_phase_strict": self.in_phase_strict,
-            "epsilon_max": self.epsilon_max,
-            "epsilon_max_error": self.epsilon_max_error,
-            "epsilon_max_status": self.epsilon_max_status,
-            "epsilon_max_residual": self.epsilon_max_residual,
-            "gain": self.gain,
-            "gradient": {
-                "variables": self.gradient.variables,
-                "w": self.gradient.w,
-                "epsilon_max": self.gradient.epsilon_max,
-                "parameters": self.gradient.parameters,
-                "w_parameters": self.gradient.w_parameters,
-                "epsilon_max_parameters": self.gradient.epsilon_max_parameters,
-                "epsilon_max_gain": self.gradient.epsilon_max_gain,
-                "epsilon_max_kink": self.gradient.epsilon_max_kink,
-                "epsilon_max_error": self.gradient.epsilon_max_error,
-                "epsilon_max_parameters_error": self.gradient.epsilon_max_parameters_error,
-                "epsilon_max_gain_error": self.gradient.epsilon_max_gain_error,
-            },
-            "residues": {"R0": self.rigid_residue, "R": self.residues},
-            "clusters": self.clusters,
-            "condition": self.condition,
-            "static_deflection": self.static_deflection,
-            "self_motion_unstabilised": self.self_motion_unstabilised,
-            "damped": damped,
-            "warnings": self.warnings,
-            "provenance": self.provenance,
-        }
-        if self.cylinders:
-            document["cylinders"] = [cylinder._asdict() for cylinder in self.cylinders]
-        return cast(dict[str, Any], json_ready(document))
 
     def __repr__(self) -> str:
         angles = _listed(self.joints, self.posture, self.joint_units)

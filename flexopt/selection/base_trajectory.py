@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
-from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import drawn
+from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
@@ -52,7 +52,7 @@ class Descent:
 
 
 @dataclass(frozen=True)
-class BaseTrajectory:
+class BaseTrajectory(Result):
     """A motion of base and arm that climbs V while the end-point stays put. N samples; SI and rad.
 
     The base is meant piecewise linear in time: base[k + 1] = base[k] + base_rate[k] (time[k + 1] − time[k]).
@@ -72,6 +72,11 @@ class BaseTrajectory:
         stop: why it ends.
         descents: every sample after which V is lower.
         initial, final: every measure at the ends.
+    """
+
+    DOCUMENT = """
+    machine objective control base_coordinates joints target[m] time[s] base base_rate posture V gradient prediction
+    end_point_error[m] stop status descents initial final provenance
     """
 
     machine: str
@@ -104,18 +109,6 @@ class BaseTrajectory:
     def status(self) -> str:
         """Why it ends, a sentence."""
         return self.stop.value
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
-        plain = (
-            "machine", "objective", "control", "base_coordinates", "joints", "target", "time", "base", "base_rate",
-            "posture", "V", "gradient", "prediction", "end_point_error",
-        )  # fmt: skip
-        document = {name: getattr(self, name) for name in plain}
-        document |= {"stop": self.stop.name.lower(), "status": self.status}
-        document |= {"descents": [vars(descent) for descent in self.descents]}
-        document |= {"initial": self.initial.to_dict(), "final": self.final.to_dict()}
-        return json_ready(document | {"provenance": self.provenance})
 
     @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:

@@ -12,6 +12,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import drawn
+from flexopt.foundation.results import Result
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
@@ -108,7 +109,7 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Selection:
+class Selection(Result):
     """The answer to a configuration problem.
 
     Attributes:
@@ -121,6 +122,8 @@ class Selection:
         kept: of objectives in order, what those before the last keep.
         problem: what was solved.
     """
+
+    DOCUMENT = "status converged best candidates initial attempts kept problem provenance"
 
     best: Candidate
     candidates: tuple[Candidate, ...]
@@ -141,22 +144,6 @@ class Selection:
         wide = sum(bool(candidate.continuum) for candidate in self.candidates)
         continua = f" ({wide} of them at several placements alike)" if wide else ""
         return f"{len(self.candidates)} distinct local optima{continua} verified from {len(self.attempts)} starts"
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary (keys as in the command line's `--json`)."""
-        return json_ready(
-            {
-                "status": self.status,
-                "converged": self.converged,
-                "best": self.best.to_dict(),
-                "candidates": [candidate.to_dict() for candidate in self.candidates],
-                "initial": self.initial and self.initial.to_dict(),
-                "attempts": [vars(attempt) for attempt in self.attempts],
-                "kept": [vars(kept) for kept in self.kept],
-                "problem": self.problem.to_dict(),
-                "provenance": self.provenance,
-            }
-        )
 
     @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:

@@ -6,15 +6,16 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, path, public
-from flexopt.foundation.documents import json_ready, write_netcdf
+from flexopt.foundation.documents import write_netcdf
 from flexopt.foundation.pictures import drawn
+from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
@@ -34,7 +35,7 @@ def _as_many(arguments: Arguments, given: Mapping[str, Any]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Result):
     """A closed-loop run. K samples from the start to the end; SI and rad.
 
     Attributes:
@@ -73,6 +74,12 @@ class Trajectory:
         model: the machine.
         skeleton: points as in `Plant.skeleton` at each sample (K, points, 2 or 3), m.
         warnings: sentences.
+    """
+
+    DOCUMENT = """
+    machine control verdict growth_rate[1/s] growth_rate_error[1/s] run_verdict=run.word linear_growth_rate[1/s]
+    verdict_reason self_motion_rate[1/s] settling_time[s] overshoot end_error[m] peak_base_rotation[rad]
+    residual_oscillation frequencies_hz[Hz] duration[s] samples warnings provenance
     """
 
     machine: str
@@ -127,6 +134,16 @@ class Trajectory:
     def verdict(self) -> Verdict:
         """See the class."""
         return self._judgement.verdict
+
+    @property
+    def duration(self) -> float:
+        """Of the run, s."""
+        return float(self.time[-1])
+
+    @property
+    def samples(self) -> int:
+        """How many there are."""
+        return len(self.time)
 
     @property
     def verdict_reason(self) -> str:
@@ -184,20 +201,6 @@ class Trajectory:
             "joint": list(self.joints), "passive": passive, "placement": list(self.model.base_coordinates),
         }  # fmt: skip
         return xr.Dataset(variables, labels, {"verdict": self.verdict, "machine": self.machine})
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary of the measures (keys as in the command line's `--json`)."""
-        document = {
-            "machine": self.machine, "control": self.control, "verdict": self.verdict, "growth_rate": self.growth_rate,
-            "growth_rate_error": self.growth_rate_error, "run_verdict": self.run.word,
-            "linear_growth_rate": self.linear_growth_rate, "verdict_reason": self.verdict_reason,
-            "self_motion_rate": self.self_motion_rate, "settling_time": self.settling_time,
-            "overshoot": self.overshoot, "end_error": self.end_error, "peak_base_rotation": self.peak_base_rotation,
-            "residual_oscillation": self.residual_oscillation, "frequencies_hz": self.frequencies_hz,
-            "duration": float(self.time[-1]), "samples": len(self.time), "warnings": self.warnings,
-            "provenance": self.provenance,
-        }  # fmt: skip
-        return cast(dict[str, Any], json_ready(document))
 
     @public(path=path())
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:

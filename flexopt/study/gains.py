@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
 from flexopt.robustness import Evaluation
 from flexopt.simulation import StabilityBorder, sampled_loop, simulate_ensemble, stability_border
@@ -30,7 +31,7 @@ BEYOND = 1.01
 
 
 @dataclass(frozen=True)
-class BorderRow:
+class BorderRow(Result):
     """Gains Kp that one posture allows, Kv or Kv/Kp held.
 
     Attributes:
@@ -39,6 +40,10 @@ class BorderRow:
         integrator: of the plant between samples, `"exact"` for none.
         border: the intervals.
         frequency_hz: of the pole that becomes unstable just beyond the lowest interval; None without one.
+    """
+
+    DOCUMENT = """
+    posture=stand held integrator intervals=border.intervals searched=border.searched frequency_beyond_hz=frequency_hz
     """
 
     stand: str
@@ -57,14 +62,6 @@ class BorderRow:
             words.append(f"{first}up to {end:.4g}" if end < high else f"{first}without a border")
         return "; ".join(words) or "none"
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
-        return {
-            "posture": self.stand, "held": self.held, "integrator": self.integrator,
-            "intervals": self.border.intervals, "searched": self.border.searched,
-            "frequency_beyond_hz": self.frequency_hz,
-        }  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Disagreement:
@@ -78,7 +75,7 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
-class GainMap:
+class GainMap(Result):
     """Growth rates of the sampled linear loop over Kp and Kv, and nonlinear verdicts on a coarser grid.
 
     Attributes:
@@ -91,6 +88,11 @@ class GainMap:
         offset, duration: of these, rad and s.
         borders: in Kp.
         integrator: of the runs.
+    """
+
+    DOCUMENT = """
+    postures=names kp kv growth_rate[1/s] stated_growth_rate[1/s] integrator hidden tested_kp tested_kv grows
+    offset[rad] duration[s] band[1/s] sentence disagreements borders
     """
 
     names: tuple[str, ...]
@@ -160,32 +162,6 @@ class GainMap:
     def border(self, stand: str, held: str, integrator: str) -> BorderRow:
         """One row."""
         return next(row for row in self.borders if (row.stand, row.held, row.integrator) == (stand, held, integrator))
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready but for arrays.
-
-        Keys: `postures`, `kp`, `kv`, `growth_rate` (posture, kv, kp), 1/s, exact, and `stated_growth_rate`; of the
-        nonlinear runs `integrator`, `tested_kp`, `tested_kv`, `grows` (posture, kv, kp), `offset`, rad, `duration`, s;
-        `disagreements` with the exact loop, `hidden`, `band`, 1/s; `borders`; `sentence`.
-        """
-        names = (
-            "kp",
-            "kv",
-            "growth_rate",
-            "stated_growth_rate",
-            "integrator",
-            "hidden",
-            "tested_kp",
-            "tested_kv",
-            "grows",
-            "offset",
-            "duration",
-            "band",
-            "sentence",
-        )
-        document: dict[str, Any] = {"postures": self.names} | {name: getattr(self, name) for name in names}
-        document["disagreements"] = [vars(d) for d in self.disagreements]
-        return document | {"borders": [row.to_dict() for row in self.borders]}
 
 
 def held_words(ratio: float | None, kv: float = KV_HELD) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from flexopt.export.verify.tools import StepFailed, ToolMissing
+from flexopt.foundation.results import Result
 
 Target = Literal["host", "cortex-m4f", "cortex-m7"]
 TARGETS: tuple[Target, ...] = ("host", "cortex-m4f", "cortex-m7")
@@ -38,7 +39,7 @@ def _shown(value: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Result):
     """One finding.
 
     Attributes:
@@ -50,23 +51,14 @@ class Check:
         missing: programs that were not there.
     """
 
+    DOCUMENT = "name target state finding tables missing"
+
     name: str
     target: Target
     state: State
     finding: str
     tables: tuple[Table, ...] = ()
     missing: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
-        return {
-            "name": self.name,
-            "target": self.target,
-            "state": self.state,
-            "finding": self.finding,
-            "tables": [table.to_dict() for table in self.tables],
-            "missing": list(self.missing),
-        }
 
 
 @dataclass

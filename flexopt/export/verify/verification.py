@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from flexopt.errors import InputError
 from flexopt.export.bundle import (
@@ -31,8 +31,9 @@ from flexopt.export.verify.objects import check_objects
 from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
 from flexopt.foundation.boundary import public, whole, words
-from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.documents import package_version
 from flexopt.foundation.rendering import render
+from flexopt.foundation.results import Result
 from flexopt.foundation.writing import make_folder, write_files
 
 INPUTS, FUZZ_CALLS = 1000, 10_000
@@ -44,7 +45,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Verification:
+class Verification(Result):
     """What was found.
 
     Attributes:
@@ -54,6 +55,10 @@ class Verification:
         checks: each finding.
         tools: versions of the programs used.
         manifest: the bundle's.
+    """
+
+    DOCUMENT = """
+    passed complete folder machine real bundle_sha256 targets inputs fuzz_calls checks not_verified tools provenance
     """
 
     folder: Path
@@ -66,6 +71,11 @@ class Verification:
     inputs: int
     fuzz_calls: int
     manifest: dict[str, Any] = field(repr=False)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Of the bundle."""
+        return self.manifest["provenance"]
 
     @property
     def failed(self) -> tuple[Check, ...]:
@@ -100,25 +110,6 @@ class Verification:
         counts = {state: sum(c.state == state for c in self.checks) for state in ("passed", "failed", "not verified")}
         return ", ".join(f"{count} checks {state}" for state, count in counts.items() if count)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary (keys as in the command line's `--json`)."""
-        document = {
-            "passed": self.passed,
-            "complete": self.complete,
-            "folder": str(self.folder),
-            "machine": self.machine,
-            "real": self.real,
-            "bundle_sha256": self.bundle_sha256,
-            "targets": list(self.targets),
-            "inputs": self.inputs,
-            "fuzz_calls": self.fuzz_calls,
-            "checks": [check.to_dict() for check in self.checks],
-            "not_verified": list(self.not_verified),
-            "tools": self.tools,
-            "provenance": self.manifest["provenance"],
-        }
-        return cast(dict[str, Any], json_ready(document))
-
     def __repr__(self) -> str:
         marks = {"passed": "ok", "failed": "FAILED", "not verified": "none"}
         lines = [f"{marks[c.state]:>7}  {c.target:10}  {c.name}: {c.finding}" for c in self.checks]
@@ -130,9 +121,7 @@ class Verification:
         make_folder(self.page.parent)
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
         title = f"Verification of {self.machine} ({self.real})"
-        page = render(
-            "export/templates/verification.html", title=title, result=self, provenance=self.manifest["provenance"]
-        )
+        page = render("export/templates/verification.html", title=title, result=self, provenance=self.provenance)
         write_files({self.page.with_suffix(".json"): text, self.page: page})
 
 

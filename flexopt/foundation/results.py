@@ -1,0 +1,106 @@
+"""A result as a document: its keys and units are said once, for JSON and for tables in notebooks.
+
+In: objects of classes derived from `Result`. Out: dictionaries of plain data; rows of a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from functools import lru_cache
+from operator import attrgetter
+from typing import Any, ClassVar, NamedTuple, cast
+
+import numpy as np
+
+from flexopt.foundation.documents import json_ready
+from flexopt.foundation.rendering import render
+
+# Longer arrays are shown by their shape.
+ENTRIES_SHOWN = 12
+LETTERS_SHOWN = 200
+
+
+class Key(NamedTuple):
+    """A key of a document, its parts outermost first; the attribute behind it; the unit, empty where there is none."""
+
+    path: tuple[str, ...]
+    attribute: str
+    unit: str
+
+
+class Result:
+    """What a call found.
+
+    Attributes:
+        DOCUMENT: the keys of its document in order, separated by white space: `key` of the attribute of that name or
+            `key=attribute`, both with dots for what lies inside, and `[unit]` behind them where there is one. Where it
+            is empty, every field.
+    """
+
+    DOCUMENT: ClassVar[str] = ""
+
+    @classmethod
+    def keys(cls) -> tuple[Key, ...]:
+        """The keys of its document; every field where `DOCUMENT` says none."""
+        return _keys(cls.DOCUMENT or " ".join(field.name for field in fields(cast(Any, cls))))
+
+    def document(self) -> dict[str, Any]:
+        """Values by their keys, arrays and results as they are."""
+        found: dict[str, Any] = {}
+        for (*outer, last), attribute, _ in self.keys():
+            inside = found
+            for part in outer:
+                inside = inside.setdefault(part, {})
+            inside[last] = attrgetter(attribute)(self)
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary (keys as in the command line's `--json`)."""
+        return cast(dict[str, Any], json_ready(self.document()))
+
+    def _repr_html_(self) -> str:
+        units = {".".join(key.path): key.unit for key in self.keys()}
+        rows = [(name, text, units.get(name, "")) for name, text in _rows(self.to_dict(), "")]
+        return render("foundation/templates/result.html", title=type(self).__name__, rows=rows)
+
+
+@lru_cache
+def _keys(document: str) -> tuple[Key, ...]:
+    found: list[Key] = []
+    for word in document.split():
+        named, _, unit = word.removesuffix("]").partition("[")
+        key, _, attribute = named.partition("=")
+        found.append(Key(tuple(key.split(".")), attribute or key, unit.replace("_", " ")))
+    return tuple(found)
+
+
+def _rows(document: Mapping[str, Any], outer: str) -> Iterator[tuple[str, str]]:
+    """Names with their values as text; what is inside tables comes by itself, provenance not at all."""
+    for key, value in document.items():
+        if key == "provenance":
+            continue
+        if isinstance(value, dict) and value:
+            yield from _rows(cast(dict[str, Any], value), f"{outer}{key}.")
+        else:
+            yield f"{outer}{key}", _text(value)
+
+
+def _text(value: Any) -> str:
+    """A value of a document as a cell shows it."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if not isinstance(value, list):
+        return "–" if value is None else str(value)[:LETTERS_SHOWN]
+    parts = cast(list[Any], value)
+    if any(isinstance(part, dict) for part in parts):
+        return f"{len(parts)} of them"
+    sizes = np.shape(parts) if _is_regular(parts) else (len(parts),)
+    if np.prod(sizes, dtype=int) > ENTRIES_SHOWN:
+        return " × ".join(map(str, sizes)) + " numbers"
+    return "[" + ", ".join(map(_text, parts)) + "]"
+
+
+def _is_regular(parts: list[Any]) -> bool:
+    """Whether these are rows of as many entries each."""
+    return len({len(cast(list[Any], part)) if isinstance(part, list) else -1 for part in parts}) == 1
