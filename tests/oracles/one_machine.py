@@ -256,9 +256,9 @@ def selection(machine: AnyMachine, rng: np.random.Generator) -> Results:
 
 
 def simulation(machine: AnyMachine, rng: np.random.Generator) -> Results:
-    """A run of half a second."""
+    """A short run."""
     run = flexopt.simulate(
-        machine, posture=_regular(machine, rng), kp=1e3, kv=1e2, duration=0.5, integrator="gauss",
+        machine, posture=_regular(machine, rng), kp=1e3, kv=1e2, duration=0.2, integrator="gauss",
         offset=[0.01] * len(machine.joints),
     )  # fmt: skip
     return {
