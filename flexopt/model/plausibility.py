@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.model.kinematic_tree import TreeBody
-from flexopt.model.machine import AnyMachine, Machine
+from flexopt.model.machine import AnyMachine
+from flexopt.model.planar import Machine
 from flexopt.model.tree import Tree
 
 Array = NDArray[np.float64]
