@@ -34,6 +34,9 @@ class Parameter(NamedTuple):
     unit: str
 
 
+Entry = tuple[str, Parameter]
+
+
 class AnyMachine(BuiltByCall):
     """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more."""
 
@@ -181,8 +184,12 @@ class AnyMachine(BuiltByCall):
         return self.kinematic_tree.end_point.rows
 
     @abstractmethod
+    def parameter_entries(self) -> list[Entry]:
+        """The parameters but those of cylinders, in order, and which of `KinematicTree.entries` each is."""
+
     def list_parameters(self) -> list[Parameter]:
-        """See `parameters`."""
+        """The parameters but those of cylinders."""
+        return [parameter for _, parameter in self.parameter_entries()]
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -23,7 +23,7 @@ from flexopt.foundation.quantities import (
     Torque,
 )
 from flexopt.model.kinematic_tree import EndPoint, KinematicTree, TreeBody, TreeJoint
-from flexopt.model.machine import AnyMachine, Parameter
+from flexopt.model.machine import AnyMachine, Entry, Parameter
 from flexopt.model.tables import FileModel, Payload, Span
 
 NORMAL = (0.0, 0.0, 1.0)
@@ -139,71 +139,41 @@ class Machine(AnyMachine):
             end_point=EndPoint.model_construct(body=bodies[-1].name, position=tip, rows=("x", "y")),
             placement=("x",),
             axes=("x", "y"),
-            entries=self._entries(first),
+            entries={entry: parameter.name for entry, parameter in self.parameter_entries()},
             drawn=tuple(range(first, len(bodies))),
             held=frozenset(() if turns else (first,)),
         )
-
-    def _entries(self, first: int) -> dict[str, str]:
-        """Which parameter each number of the tree is; `first` is the index of the base's body."""
-        free = self.free_base_directions
-        names = ["base", *(link.name for link in self.links)]
-        entries = {"payload": "payload.mass", "gravity": "gravity", "tip.x": f"{names[-1]}.length"}
-        entries[f"rest{first}"] = "base.rest_angle"
-        for k, direction in enumerate(free):
-            entries |= {f"{word}{k}.{k}": f"base.{word}.{direction}" for word in ("stiffness", "damping")}
-        for i, name in enumerate(names, first):
-            entries |= {f"mass{i}": f"{name}.mass", f"inertia{i}.zz": f"{name}.inertia"}
-            entries |= {f"com{i}.x": f"{name}.com", f"com{i}.y": f"{name}.com_offset"}
-        for i, (link, before) in enumerate(zip(self.links, names, strict=False), first + 1):
-            entries[f"offset{i}.x"] = f"{before}.length"
-            if link.passive:
-                entries |= {f"{word}{i}.{i}": f"{link.name}.{word}" for word in ("stiffness", "damping")}
-                entries[f"rest{i}"] = f"{link.name}.rest"
-            else:
-                entries[f"damping{i}.{i}"] = f"{link.name}.joint_damping"
-        return entries
 
     @property
     def support_points(self) -> tuple[tuple[float, ...], ...]:
         """The two ends (x,) of what the undercarriage stands on, m, rear first; empty where none is given."""
         return () if self.support is None else tuple((x,) for x in self.support.span)
 
-    def list_parameters(self) -> list[Parameter]:
-        """See `parameters`."""
-        base = self.base
-        listed = [
-            Parameter("base.length", base.length, "m"),
-            Parameter("base.com", base.com, "m"),
-            Parameter("base.com_offset", base.com_offset, "m"),
-            Parameter("base.mass", base.mass, "kg"),
-            Parameter("base.inertia", base.inertia, "kg m²"),
-            Parameter("base.rest_angle", base.rest_angle, "rad"),
-        ]
-        for direction in self.free_base_directions:
-            turn = direction == "rotation"
-            stiffness: float = getattr(base.stiffness, direction)
-            damping: float = getattr(base.damping, direction)
-            listed.append(Parameter(f"base.stiffness.{direction}", stiffness, "N m/rad" if turn else "N/m"))
-            listed.append(Parameter(f"base.damping.{direction}", damping, "N m s/rad" if turn else "N s/m"))
-        for link in self.links:
-            listed += [
-                Parameter(f"{link.name}.length", link.length, "m"),
-                Parameter(f"{link.name}.com", link.com, "m"),
-                Parameter(f"{link.name}.com_offset", link.com_offset, "m"),
-                Parameter(f"{link.name}.mass", link.mass, "kg"),
-                Parameter(f"{link.name}.inertia", link.inertia, "kg m²"),
-            ]
+    def parameter_entries(self) -> list[Entry]:
+        """See `AnyMachine`. A body's length is where the next joint stands, the last one's where the end-point is."""
+        base, free = self.base, self.free_base_directions
+        first = sum(direction != "rotation" for direction in free)
+        listed = _of_body("base", base, first, f"offset{first + 1}.x")
+        listed.append((f"rest{first}", Parameter("base.rest_angle", base.rest_angle, "rad")))
+        for k, direction in enumerate(free):
+            units = ("N m/rad", "N m s/rad") if direction == "rotation" else ("N/m", "N s/m")
+            for word, table, unit in zip(("stiffness", "damping"), (base.stiffness, base.damping), units, strict=True):
+                name, value = f"base.{word}.{direction}", float(getattr(table, direction))
+                listed.append((f"{word}{k}.{k}", Parameter(name, value, unit)))
+        for i, link in enumerate(self.links, first + 1):
+            name, last = link.name, i == first + len(self.links)
+            listed += _of_body(name, link, i, "tip.x" if last else f"offset{i + 1}.x")
             if link.passive and link.stiffness is not None:
                 listed += [
-                    Parameter(f"{link.name}.stiffness", link.stiffness, "N m/rad"),
-                    Parameter(f"{link.name}.damping", link.damping, "N m s/rad"),
-                    Parameter(f"{link.name}.rest", link.rest, "rad"),
+                    (f"stiffness{i}.{i}", Parameter(f"{name}.stiffness", link.stiffness, "N m/rad")),
+                    (f"damping{i}.{i}", Parameter(f"{name}.damping", link.damping, "N m s/rad")),
+                    (f"rest{i}", Parameter(f"{name}.rest", link.rest, "rad")),
                 ]
             else:
-                listed.append(Parameter(f"{link.name}.joint_damping", link.joint_damping, "N m s/rad"))
-        listed += [Parameter("payload.mass", self.payload.mass, "kg"), Parameter("gravity", self.gravity, "m/s²")]
-        return listed
+                friction = Parameter(f"{name}.joint_damping", link.joint_damping, "N m s/rad")
+                listed.append((f"damping{i}.{i}", friction))
+        listed.append(("payload", Parameter("payload.mass", self.payload.mass, "kg")))
+        return [*listed, ("gravity", Parameter("gravity", self.gravity, "m/s²"))]
 
     def __repr__(self) -> str:
         gives = ", ".join(self.free_base_directions) or "nothing"
@@ -236,3 +206,14 @@ def _body(name: str, of: Base | Link, joint: TreeJoint, parent: str | None, alon
         com=(of.com, of.com_offset, 0.0),
         inertia=(0.0, 0.0, of.inertia, 0.0, 0.0, 0.0),
     )
+
+
+def _of_body(name: str, of: Base | Link, i: int, end: str) -> list[Entry]:
+    """Geometry and inertia of body i; `end` is the entry that its length is."""
+    return [
+        (end, Parameter(f"{name}.length", of.length, "m")),
+        (f"com{i}.x", Parameter(f"{name}.com", of.com, "m")),
+        (f"com{i}.y", Parameter(f"{name}.com_offset", of.com_offset, "m")),
+        (f"mass{i}", Parameter(f"{name}.mass", of.mass, "kg")),
+        (f"inertia{i}.zz", Parameter(f"{name}.inertia", of.inertia, "kg m²")),
+    ]
