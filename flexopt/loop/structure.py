@@ -122,7 +122,7 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
     """Entries of c: the motion's constants, and those of controller, sensors and actuators."""
     s, shape = structure, motion_of(structure.motion, {})
     n, m, hinges, known = shape.n_joints, shape.n_passive, len(shape.hinges), set(shape.known_names)
-    sizes = {name: 1 for name in shape.constant_names if name not in s.motion.zeros}
+    sizes = {name: 1 for name in shape.structure.constants if name not in s.motion.zeros}
     sizes |= {f"{MODEL}{name}": 1 for name in sizes if s.own_model and name in known}
     sizes |= {"h": 1, "design": m, "design_directions": 2 * hinges}
     sizes |= {"u_design": shape.n, "modes": m * shape.n, "omega_squared": m}

@@ -7,8 +7,8 @@ that lists every fault. Nothing symbolic.
 from flexopt.model import boundary as boundary
 from flexopt.model.files import shipped_names as shipped_names
 from flexopt.model.machine import AnyMachine as AnyMachine
-from flexopt.model.machine import Machine as Machine
 from flexopt.model.machine import Parameter as Parameter
+from flexopt.model.planar import Machine as Machine
 from flexopt.model.problem import Problem as Problem
 from flexopt.model.problem import SelectionOptions as SelectionOptions
 from flexopt.model.reading import load as load

@@ -12,7 +12,8 @@ from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.foundation.nearest import hint
 from flexopt.foundation.plain import Unreadable, plain_table, shown
 from flexopt.model.cylinder_faults import cylinder_faults
-from flexopt.model.machine import BASE_DIRECTIONS, FileModel
+from flexopt.model.planar import BASE_DIRECTIONS
+from flexopt.model.tables import FileModel
 
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
 # Far beyond any machine; what is larger is refused at once, before its parts are looked at.

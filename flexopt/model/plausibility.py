@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.results import Result
 from flexopt.model.kinematic_tree import TreeBody
-from flexopt.model.machine import AnyMachine, Machine
+from flexopt.model.machine import AnyMachine
+from flexopt.model.planar import Machine
 from flexopt.model.tree import Tree
 
 Array = NDArray[np.float64]

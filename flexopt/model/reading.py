@@ -12,7 +12,7 @@ from flexopt.foundation.coordinates import check_placement, check_task
 from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, check_extent, machine_faults, problem_faults, read_table, validated
 from flexopt.model.files import KINDS, Source, read_source
-from flexopt.model.machine import Machine
+from flexopt.model.planar import Machine
 from flexopt.model.problem import Problem
 from flexopt.model.targets import target_faults
 from flexopt.model.tree import Tree

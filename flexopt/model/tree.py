@@ -18,11 +18,9 @@ from flexopt.model.kinematic_tree import (
     TreeBody,
     TreeJoint,
 )
-from flexopt.model.machine import AnyMachine, Parameter
+from flexopt.model.machine import AnyMachine, Entry, Parameter
 from flexopt.model.tables import Payload, Polygon
 from flexopt.model.tree_faults import tree_faults
-
-Entry = tuple[str, Parameter]
 
 
 class Tree(AnyMachine):
@@ -68,7 +66,7 @@ class Tree(AnyMachine):
             bodies=self.bodies,
             end_point=self.end_point,
             placement=self.placement,
-            entries={entry: parameter.name for entry, parameter in self._entries()},
+            entries={entry: parameter.name for entry, parameter in self.parameter_entries()},
             drawn=(None, *range(len(self.bodies))),
             coupled_springs=springs,
             coupled_dampers=dampers,
@@ -79,16 +77,12 @@ class Tree(AnyMachine):
         """Corners (x, y) of the polygon that the undercarriage stands on, m, counter-clockwise; empty without one."""
         return () if self.support is None else self.support.polygon
 
-    def list_parameters(self) -> list[Parameter]:
-        """See `parameters`.
+    def parameter_entries(self) -> list[Entry]:
+        """See `AnyMachine`.
 
         Directions (axes, rotations) are no parameters, nor are mass and inertia of a body that has none and a zero
         armature.
         """
-        return [parameter for _, parameter in self._entries()]
-
-    def _entries(self) -> list[Entry]:
-        """The parameters, and which entry of `KinematicTree` each is."""
         listed: list[Entry] = []
         for i, body in enumerate(self.bodies):
             listed += _vector(f"offset{i}", f"{body.name}.position", body.position)

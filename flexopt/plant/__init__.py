@@ -1,6 +1,6 @@
 """From a machine to CasADi graphs: kinematics and its inverse, dynamics, rest and static deflection, linearisation.
 
-In: a validated `Machine` or `Tree`. Out: a `Plant` of SX graphs and named Functions; everything downstream reads
+In: a validated machine. Out: a `Plant` of SX graphs and named Functions; everything downstream reads
 only that.
 """
 

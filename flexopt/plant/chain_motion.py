@@ -9,8 +9,7 @@ position of mass j is (x, y) + Σ_k [c_jk e(φ_k) + d_jk n(φ_k)], and with
     t_kl = Σ_j m_j (c_jk d_jl − d_jk c_jl)
 
 the mass matrix has the angular block s_kl cos(φ_k − φ_l) + t_kl sin(φ_k − φ_l) and the columns a_k n(φ_k) − b_k e(φ_k)
-beside m I. All of these are what `tree_constants` has moved inwards: a_k and b_k are body k's first moment, s_kk its
-second one, and what hangs on body l at (c_l, d_l) has s_kl = c_l a_k + d_l b_k, t_kl = d_l a_k − c_l b_k.
+beside m I; `chain_constants` has them from what `tree_constants` has moved inwards.
 
 With both translations free, x and y are eliminated on paper: with p_k = a_k n_k − b_k e_k and Δ = φ_k − φ_l,
 
@@ -25,137 +24,30 @@ changes it: where only one translation is free, its share of p_k p_l is subtract
 # (trees need u where a chain in a plane does not)
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 
+from flexopt.plant.chain_constants import sum_of, translations_of
 from flexopt.plant.motion import Directions, Motion, Pair
-from flexopt.plant.tree_constants import AXES
-from flexopt.plant.tree_structure import Numbers, Skeleton
-
-
-def chain_constants(structure: Skeleton, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-    """The constants of the motion by name, from those of the tree's recursions."""
-    slides, hinges = structure.leading_slides, structure.hinges
-    zero = ca.SX(0)
-    result = {"gravity": value["gravity"]}
-    carried = [*slides, hinges[0]]
-    result |= {f"origin_{axis}": _sum(value[f"offset{i}.{axis}"] for i in carried) for axis in "xy"}
-    total = _sum(value[f"m{i}"] for i in slides)
-    if slides:
-        result |= {"total": total, "inverse_total": 1 / total}
-    directions = _translations(structure)
-    for (direction, sign), i in zip(directions, slides, strict=True):
-        result[f"rest_{direction}"] = sign * value[f"rest{i}"]
-        for word in ("stiffness", "damping"):
-            result[f"{word}_{direction}"] = value.get(f"{word}{i}.{i}", zero)
-            result[f"{word}_{direction}_m"] = result[f"{word}_{direction}"] / total
-    both = len(slides) == 2
-    axes = structure.axes_of_chain
-    a, b = zip(*(_in_plane(axes[k], value, f"c{i}") for k, i in enumerate(hinges)), strict=True)
-    ends = [f"offset{i}" for i in hinges[1:]] + ["tip"]
-    reach = [_in_plane(axes[k], value, end) for k, end in enumerate(ends)]
-    for k, i in enumerate(hinges):
-        along, left = reach[k]
-        result |= {f"a{k}": a[k], f"b{k}": b[k], f"length{k}": along, f"lateral{k}": left}
-        result |= {f"am{k}": a[k] / total, f"bm{k}": b[k] / total} if slides else {}
-        for m in range(k + 1):
-            along, left = reach[m]
-            s = value[f"s{i}.xx"] if m == k else along * a[k] + left * b[k]
-            t = zero if m == k else left * a[k] - along * b[k]
-            if both:
-                s -= (a[k] * a[m] + b[k] * b[m]) / total
-                t -= (a[k] * b[m] - b[k] * a[m]) / total
-            result |= {f"s{k}_{m}": s} | ({f"t{k}_{m}": t} if m < k else {})
-        segment = structure.segments[i]
-        result |= {f"rest{k}": structure.sense_across(i) * value[f"rest{i}"]} if segment.passive else {}
-        words = ("stiffness",) * segment.passive + ("damping",)
-        result |= {} if segment.held else {f"{word}{k}": value.get(f"{word}{i}.{i}", zero) for word in words}
-    held = structure.segments[hinges[0]].held
-    if held:
-        result |= {"base_cos": ca.cos(result["rest0"]), "base_sin": ca.sin(result["rest0"])}
-    if both:
-        first = 1 if held else 0
-        result["inverse_pivot"] = 1 / result[f"s{first}_{first}"]
-    return result
-
-
-def _translations(structure: Skeleton) -> list[tuple[str, float]]:
-    """Of each slide, whether it goes along the first row, "x", or the second, "y", and its sign."""
-    axes = [structure.segments[i].axis for i in structure.leading_slides]
-    return [("x", axis[0]) if axis[0] else ("y", axis[1]) for axis in axes]
-
-
-def _in_plane(axes: Numbers, value: Mapping[str, ca.SX], name: str) -> tuple[ca.SX, ca.SX]:
-    """A constant of a body along the task's rows where all joints are at zero; `axes` are the rows of its frame."""
-    first, second = (
-        _sum(row[k] * value[f"{name}.{axis}"] for k, axis in enumerate(AXES) if row[k]) for row in axes[:2]
-    )
-    return first, second
 
 
 @dataclass(frozen=True)
 class ChainMotion(Motion):
-    """See `Motion`. Nothing here depends on u but the springs and where the end-point is.
+    """See `Motion`. Nothing here depends on u but the springs and where the end-point is."""
 
-    Attributes:
-        structure: which parts exist; a chain in a vertical plane (`Skeleton.chain`).
-        value: the constants by name, symbols or numbers; those in `structure.zeros` are ignored.
-    """
-
-    structure: Skeleton
-    value: Mapping[str, ca.SX]
-
-    @property
-    def constant_names(self) -> list[str]:
-        """See `Motion`."""
-        names = ["gravity", "origin_x", "origin_y", *(["total", "inverse_total"] if self.translations else [])]
-        for direction, _ in self.translations:
-            names.append(f"rest_{direction}")
-            names += [f"{word}_{direction}{per}" for word in ("stiffness", "damping") for per in ("", "_m")]
-        for k in range(self.n_bodies):
-            names += [f"{word}{k}" for word in ("a", "b", "length", "lateral")]
-            names += [f"am{k}", f"bm{k}"] if self.translations else []
-            for m in range(k + 1):
-                names += [f"s{k}_{m}"] + ([f"t{k}_{m}"] if m < k else [])
-            names += [] if k in self.joints else [f"rest{k}"]
-            names += [f"stiffness{k}"] * (k in self.hinged) + [f"damping{k}"] * (k >= self.first)
-        names += ["base_cos", "base_sin"] if self.first else []
-        return [*names, "inverse_pivot"] if len(self.translations) == 2 else names
-
-    @property
-    def known_names(self) -> list[str]:
-        """See `Motion`."""
-        bodies = range(self.n_bodies)
-        names = [f"{word}{k}" for k in bodies for word in ("a", "b", "length", "lateral")]
-        return ["gravity", "origin_x", "origin_y", *names]
-
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """See `Motion`."""
-        return self.structure.rows
-
-    @property
-    def placement(self) -> tuple[str, ...]:
-        """See `Motion`."""
-        return self.structure.placement
+    KNOWN = frozenset(("a", "b", "length", "lateral", "gravity", "origin_x", "origin_y"))
 
     @cached_property
     def translations(self) -> list[tuple[str, float]]:
         """Of each slide, whether it goes along "x", the first task row, or "y", the second, and its sign."""
-        return _translations(self.structure)
+        return translations_of(self.structure)
 
     @cached_property
     def senses(self) -> list[float]:
         """Of each hinge, 1 where it turns the first task row towards the second, else −1."""
         return [self.structure.sense_across(i) for i in self.structure.hinges]
-
-    @property
-    def n_translations(self) -> int:
-        """Free translations of the base, the first entries of u."""
-        return len(self.translations)
 
     @property
     def n_bodies(self) -> int:
@@ -167,16 +59,6 @@ class ChainMotion(Motion):
         """The first body that can turn."""
         return int(self.structure.segments[self.structure.hinges[0]].held)
 
-    @property
-    def n(self) -> int:
-        """n_q, entries of u."""
-        return self.n_translations + self.n_bodies - self.first
-
-    @property
-    def n_joints(self) -> int:
-        """See `Motion`."""
-        return len(self.joints)
-
     @cached_property
     def hinged(self) -> list[int]:
         """The bodies that hang on a passive hinge."""
@@ -187,17 +69,6 @@ class ChainMotion(Motion):
     def joints(self) -> list[int]:
         """The bodies that an actuated joint carries."""
         return [k for k, i in enumerate(self.structure.hinges) if not self.structure.segments[i].passive]
-
-    @property
-    def hinges(self) -> list[int]:
-        """See `Motion`."""
-        return list(range(self.n_translations, self.n_translations + len(self.hinged)))
-
-    @property
-    def base_hinges(self) -> list[int]:
-        """Passive hinges that no actuated joint carries."""
-        first = min(self.joints, default=self.n_bodies)
-        return [row for row, k in zip(self.hinges, self.hinged, strict=True) if k < first]
 
     @property
     def absorbed(self) -> dict[str, tuple[int, float]]:
@@ -223,12 +94,12 @@ class ChainMotion(Motion):
         column = ca.SX.zeros(self.n, 1)
         if self.first:
             row = next(i for i, body in enumerate([*self.hinged, *self.joints]) if body == 1)
-            column[self.n_translations + row] = -self.senses[1] * self._of("rest0")
+            column[self.n_translations + row] = -self.senses[1] * self.of("rest0")
         return column
 
     def with_base(self, directions: Directions) -> Directions:
         """Directions of all bodies from those that can turn."""
-        return directions if not self.first else [(self._of("base_cos"), self._of("base_sin")), *directions]
+        return directions if not self.first else [(self.of("base_cos"), self.of("base_sin")), *directions]
 
     def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:
         """See `Motion`.
@@ -255,7 +126,7 @@ class ChainMotion(Motion):
         """The end-point r (2,), m."""
         point = self._translation(u, base)
         for k, (c, s) in enumerate(along):
-            point += self._of(f"length{k}") * ca.vertcat(c, s) + self._of(f"lateral{k}") * ca.vertcat(-s, c)
+            point += self.of(f"length{k}") * ca.vertcat(c, s) + self.of(f"lateral{k}") * ca.vertcat(-s, c)
         return point
 
     def end_point_rate(self, u: ca.SX, w: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
@@ -263,8 +134,8 @@ class ChainMotion(Motion):
         rate = self._along_rows(w)
         for k in range(self.first, self.n_bodies):
             c, s = along[k]
-            rate += self._of(f"length{k}") * w[self._at(k)] * ca.vertcat(-s, c)
-            rate -= self._of(f"lateral{k}") * w[self._at(k)] * ca.vertcat(c, s)
+            rate += self.of(f"length{k}") * w[self._at(k)] * ca.vertcat(-s, c)
+            rate -= self.of(f"lateral{k}") * w[self._at(k)] * ca.vertcat(c, s)
         return rate
 
     def rigid_jacobian(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
@@ -273,7 +144,7 @@ class ChainMotion(Motion):
         reach = ca.SX.zeros(2, 1)
         for k in reversed(range(self.joints[0], self.n_bodies)):
             c, s = along[k]
-            reach += self._of(f"length{k}") * ca.vertcat(-s, c) - self._of(f"lateral{k}") * ca.vertcat(c, s)
+            reach += self.of(f"length{k}") * ca.vertcat(-s, c) - self.of(f"lateral{k}") * ca.vertcat(c, s)
             if k in self.joints:
                 columns.insert(0, self.senses[k] * ca.SX(reach))
         return ca.horzcat(*columns)
@@ -281,22 +152,22 @@ class ChainMotion(Motion):
     def holding_torque(self, u: ca.SX, along: Directions) -> ca.SX:
         """g_a (n,), N m: what the actuated joints must give to carry the weight, the arm pointing along `along`."""
         forces = [self._weight(k, along) for k in range(self.n_bodies)]
-        return ca.vertcat(*(self.senses[k] * _sum(forces[k:]) for k in self.joints))
+        return ca.vertcat(*(self.senses[k] * sum_of(forces[k:]) for k in self.joints))
 
     def potential(self, u: ca.SX, along: Directions) -> ca.SX:
         """Gravity's potential, J."""
-        height = self._of("total") * self._translation(u, ca.SX(0))[1] if self.translations else ca.SX(0)
+        height = self.of("total") * self._translation(u, ca.SX(0))[1] if self.translations else ca.SX(0)
         for k, (c, s) in enumerate(along):
-            height += self._of(f"a{k}") * s + self._of(f"b{k}") * c
-        return self._of("gravity") * height
+            height += self.of(f"a{k}") * s + self.of(f"b{k}") * c
+        return self.of("gravity") * height
 
     def spring_energy(self, u: ca.SX, base: ca.SX) -> ca.SX:
         """½ (q − q_rest)ᵀ K (q − q_rest), J."""
         total = ca.SX(0)
         for i, (direction, _) in enumerate(self.translations):
-            total += self._of(f"stiffness_{direction}") * (u[i] - self._anchor(i, base) - self._rest(i)) ** 2
+            total += self.of(f"stiffness_{direction}") * (u[i] - self._anchor(i, base) - self._rest(i)) ** 2
         for k in self.hinged:
-            total += self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}")) ** 2
+            total += self.of(f"stiffness{k}") * (self._relative(u, k) - self.of(f"rest{k}")) ** 2
         return 0.5 * total
 
     def momentum(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
@@ -304,13 +175,13 @@ class ChainMotion(Motion):
         moving, columns, axes, block = self._block(along)
         turning = {k: w[self._at(k)] for k in moving}
         linear = [
-            self._of("total") * w[i] + _sum(columns[k][axis] * turning[k] for k in moving)
+            self.of("total") * w[i] + sum_of(columns[k][axis] * turning[k] for k in moving)
             for i, axis in enumerate(axes)
         ]
-        inverse = self._of("inverse_total") if axes else ca.SX(0)
+        inverse = self.of("inverse_total") if axes else ca.SX(0)
         angular = [
-            _sum(block[max(k, m), min(k, m)] * turning[m] for m in moving)
-            + _sum(columns[k][axis] * linear[i] for i, axis in enumerate(axes)) * inverse
+            sum_of(block[max(k, m), min(k, m)] * turning[m] for m in moving)
+            + sum_of(columns[k][axis] * linear[i] for i, axis in enumerate(axes)) * inverse
             for k in moving
         ]
         return ca.vertcat(*linear, *angular)
@@ -318,14 +189,15 @@ class ChainMotion(Motion):
     def rates_of_momentum(self, u: ca.SX, momentum: ca.SX, along: Directions) -> ca.SX:
         """Rates M_u⁻¹ p (n_q,)."""
         moving, columns, axes, block = self._block(along)
-        inverse = self._of("inverse_total") if axes else ca.SX(0)
+        inverse = self.of("inverse_total") if axes else ca.SX(0)
         right = {
-            k: momentum[self._at(k)] - _sum(columns[k][axis] * momentum[i] for i, axis in enumerate(axes)) * inverse
+            k: momentum[self._at(k)] - sum_of(columns[k][axis] * momentum[i] for i, axis in enumerate(axes)) * inverse
             for k in moving
         }
         turning = _solve_symmetric(block, right, moving, self._pivot(block))
         linear = [
-            (momentum[i] - _sum(columns[k][axis] * turning[k] for k in moving)) * inverse for i, axis in enumerate(axes)
+            (momentum[i] - sum_of(columns[k][axis] * turning[k] for k in moving)) * inverse
+            for i, axis in enumerate(axes)
         ]
         return ca.vertcat(*linear, *(turning[k] for k in moving))
 
@@ -337,7 +209,7 @@ class ChainMotion(Motion):
         angular = self._joint_forces(u, w, torque)
         if gravity:
             linear = [
-                f - self._of("gravity") * self._of("total") if direction == "y" else f
+                f - self.of("gravity") * self.of("total") if direction == "y" else f
                 for f, (direction, _) in zip(linear, self.translations, strict=True)
             ]
             angular = {k: f - self._weight(k, along) for k, f in angular.items()}
@@ -352,19 +224,19 @@ class ChainMotion(Motion):
         # last.
         free = [direction for direction, _ in self.translations]
         moving = range(self.first, self.n_bodies)
-        shares = {k: (self._of(f"am{k}"), self._of(f"bm{k}")) for k in moving} if free else {}
+        shares = {k: (self.of(f"am{k}"), self.of(f"bm{k}")) for k in moving} if free else {}
         squares = {k: w[self._at(k)] ** 2 for k in moving}
         spin = {k: (along[k][0] * squares[k], along[k][1] * squares[k]) for k in moving}
         pull = dict.fromkeys("xy", ca.SX(0))  # on the base, per total mass
         for i, direction in enumerate(free):
             pull[direction] = self._base_force(i, u, w, base, base_rate, "_m")
             if len(free) == 1:
-                pull[direction] += _sum(_along(shares[k], spin[k])[direction == "y"] for k in moving)
+                pull[direction] += sum_of(_along(shares[k], spin[k])[direction == "y"] for k in moving)
 
         right = self._joint_forces(u, w, torque)
         for k in moving:
-            a, b = self._of(f"a{k}"), self._of(f"b{k}")
-            weight = self._of("gravity") if gravity and "y" not in free else ca.SX(0)
+            a, b = self.of(f"a{k}"), self.of(f"b{k}")
+            weight = self.of("gravity") if gravity and "y" not in free else ca.SX(0)
             to_sine, to_cosine = -weight * b, -weight * a
             for m in moving:
                 if m != k:
@@ -377,7 +249,7 @@ class ChainMotion(Motion):
         block = self._block(along)[3]
         turning = _solve_symmetric(block, right, list(moving), self._pivot(block))
 
-        falling = {"y": self._of("gravity")} if gravity else {}
+        falling = {"y": self.of("gravity")} if gravity else {}
         linear = {direction: pull[direction] - falling.get(direction, 0) for direction in free}
         for k in moving if free else ():
             (c, s), (x, y) = along[k], spin[k]
@@ -399,17 +271,14 @@ class ChainMotion(Motion):
         return moving, columns, axes, block
 
     def _pivot(self, block: dict[tuple[int, int], ca.SX]) -> ca.SX:
-        return self._of("inverse_pivot") if self.n_translations == 2 else 1 / block[self.first, self.first]
+        return self.of("inverse_pivot") if self.n_translations == 2 else 1 / block[self.first, self.first]
 
     def _base_force(self, i: int, u: ca.SX, w: ca.SX, base: ca.SX, base_rate: ca.SX, per: str = "") -> ca.SX:
         """Spring and damper of the i-th free translation; with "_m" over the total mass."""
         direction, _ = self.translations[i]
         anchor, rate = self._anchor(i, base) + self._rest(i), self._anchor(i, base_rate)
-        stiffness, damping = self._of(f"stiffness_{direction}{per}"), self._of(f"damping_{direction}{per}")
+        stiffness, damping = self.of(f"stiffness_{direction}{per}"), self.of(f"damping_{direction}{per}")
         return -stiffness * (u[i] - anchor) - damping * (w[i] - rate)
-
-    def _of(self, name: str) -> ca.SX:
-        return ca.SX(0) if name in self.structure.zeros else self.value[name]
 
     def _at(self, body: int) -> int:
         return self.n_translations + body - self.first
@@ -417,14 +286,14 @@ class ChainMotion(Motion):
     def _relative(self, u: ca.SX, body: int) -> ca.SX:
         """Angle of a body's hinge."""
         angle = self._relative_rate(u, body)
-        return angle - self._of("rest0") if body == 1 == self.first else angle
+        return angle - self.of("rest0") if body == 1 == self.first else angle
 
     def _anchor(self, i: int, base: ca.SX) -> ca.SX:
         """What the placement, or its rate, adds to the i-th translation."""
         return base if self.placement and self.translations[i][0] == "x" else ca.SX(0)
 
     def _rest(self, i: int) -> ca.SX:
-        return self._of(f"rest_{self.translations[i][0]}")
+        return self.of(f"rest_{self.translations[i][0]}")
 
     def _relative_rate(self, w: ca.SX, body: int) -> ca.SX:
         rate = w[self._at(body)]
@@ -434,7 +303,7 @@ class ChainMotion(Motion):
         """Where the first hinge is; `base` where x is rigid."""
         free = any(direction == "x" for direction, _ in self.translations)
         placed = ca.SX(0) if free or not self.placement else base
-        return self._along_rows(u) + ca.vertcat(self._of("origin_x") + placed, self._of("origin_y"))
+        return self._along_rows(u) + ca.vertcat(self.of("origin_x") + placed, self.of("origin_y"))
 
     def _along_rows(self, u: ca.SX) -> ca.SX:
         """The translations along the task's rows."""
@@ -444,17 +313,17 @@ class ChainMotion(Motion):
     def _column(self, k: int, along: Directions) -> tuple[ca.SX, ca.SX]:
         """p_k = a_k n_k − b_k e_k."""
         c, s = along[k]
-        a, b = self._of(f"a{k}"), self._of(f"b{k}")
+        a, b = self.of(f"a{k}"), self.of(f"b{k}")
         return -a * s - b * c, a * c - b * s
 
     def _weight(self, k: int, along: Directions) -> ca.SX:
-        return self._of("gravity") * self._column(k, along)[1]
+        return self.of("gravity") * self._column(k, along)[1]
 
     def _coupling(self, k: int, m: int) -> Pair:
         """S_km and T_km, which changes sign with the order."""
         high, low = max(k, m), min(k, m)
-        t = self._of(f"t{high}_{low}")
-        return self._of(f"s{high}_{low}"), t if k > m else -t
+        t = self.of(f"t{high}_{low}")
+        return self.of(f"s{high}_{low}"), t if k > m else -t
 
     def _inertia(
         self,
@@ -465,12 +334,12 @@ class ChainMotion(Motion):
         axes: list[int],
     ) -> ca.SX:
         """Entry k ≥ m of the angular block, translations eliminated."""
-        entry = self._of(f"s{k}_{m}")
+        entry = self.of(f"s{k}_{m}")
         if k != m:
             cosine, sine = _difference(along[k], along[m])
-            entry = entry * cosine + self._of(f"t{k}_{m}") * sine
+            entry = entry * cosine + self.of(f"t{k}_{m}") * sine
         if len(axes) == 1:
-            entry -= columns[k][axes[0]] * columns[m][axes[0]] * self._of("inverse_total")
+            entry -= columns[k][axes[0]] * columns[m][axes[0]] * self.of("inverse_total")
         return entry
 
     def _joint_forces(self, u: ca.SX, w: ca.SX, torque: ca.SX) -> dict[int, ca.SX]:
@@ -478,11 +347,11 @@ class ChainMotion(Motion):
         actuated = self.joints
         at_hinge: dict[int, ca.SX] = {}
         for k in range(self.first, self.n_bodies):
-            force = -self._of(f"damping{k}") * self._relative_rate(w, k)
+            force = -self.of(f"damping{k}") * self._relative_rate(w, k)
             if k in actuated:
                 force += self.senses[k] * torque[actuated.index(k)]
             else:
-                force -= self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}"))
+                force -= self.of(f"stiffness{k}") * (self._relative(u, k) - self.of(f"rest{k}"))
             at_hinge[k] = force
         return {k: at_hinge[k] - at_hinge.get(k + 1, ca.SX(0)) for k in range(self.first, self.n_bodies)}
 
@@ -538,7 +407,3 @@ def _along(scale: Pair, vector: Pair) -> Pair:
     """(a x − b y, a y + b x)."""
     (a, b), (x, y) = scale, vector
     return a * x - b * y, a * y + b * x
-
-
-def _sum(terms: Iterable[ca.SX]) -> ca.SX:
-    return sum(terms, start=ca.SX(0))

@@ -13,7 +13,8 @@ from functools import lru_cache
 import casadi as ca
 
 from flexopt.model import AnyMachine
-from flexopt.plant.chain_motion import ChainMotion, chain_constants
+from flexopt.plant.chain_constants import chain_constants
+from flexopt.plant.chain_motion import ChainMotion
 from flexopt.plant.motion import Motion
 from flexopt.plant.tree_constants import constant_graphs
 from flexopt.plant.tree_motion import TreeMotion
@@ -35,8 +36,9 @@ def structure_of(machine: AnyMachine) -> Skeleton:
 @lru_cache(maxsize=64)
 def full_structure(machine: AnyMachine) -> Skeleton:
     """A machine's structure with every constant kept that some parameters make other than zero."""
-    zeros = frozenset(name for name, graph in _graphs(machine)[1].items() if graph.is_zero())
-    return replace(skeleton(machine.kinematic_tree), zeros=zeros, local=True)
+    graphs = _graphs(machine)[1]
+    zeros = frozenset(name for name, graph in graphs.items() if graph.is_zero())
+    return replace(skeleton(machine.kinematic_tree), constants=tuple(graphs), zeros=zeros, local=True)
 
 
 @lru_cache(maxsize=64)

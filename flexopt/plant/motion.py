@@ -8,63 +8,96 @@ from a machine to them.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import ClassVar, TypeVar
 
 import casadi as ca
+
+from flexopt.plant.tree_structure import Skeleton
 
 Pair = tuple[ca.SX, ca.SX]
 Directions = list[Pair]  # (cos, sin) of what turns, in the order of u
 Entry = TypeVar("Entry")
 
 
+@dataclass(frozen=True)
 class Motion(ABC):
     """Graph builders of the equations of motion. All take and return SX.
 
     Shapes: u, w (n_q,) are coordinates and rates, `along` the directions of all bodies as `with_base` gives them,
     `base` (n_d,) what places the anchor frame, by `drive`: x and y count in the axes in which it stands at first.
+
+    Attributes:
+        structure: which parts exist.
+        value: the constants by name, symbols or numbers; those in `structure.zeros` are ignored.
+        KNOWN: constants that a controller uses, without numbers and axes.
     """
 
-    @property
-    @abstractmethod
-    def constant_names(self) -> list[str]:
-        """Names of all constants of the structure, those that are zero included."""
+    structure: Skeleton
+    value: Mapping[str, ca.SX]
+    KNOWN: ClassVar[frozenset[str]]
 
     @property
-    @abstractmethod
     def known_names(self) -> list[str]:
-        """Those that a controller uses: for its Jacobian, or to carry the weight."""
+        """Constants that a controller uses: for its Jacobian, or to carry the weight."""
+        return [name for name in self.structure.constants if re.split(r"[\d.]", name)[0] in self.KNOWN]
 
     @property
-    @abstractmethod
     def rows(self) -> tuple[str, ...]:
         """Names of the task rows."""
+        return self.structure.rows
 
     @property
-    @abstractmethod
     def placement(self) -> tuple[str, ...]:
         """Names of the placement coordinates."""
+        return self.structure.placement
 
     @property
     def drive(self) -> tuple[str, ...]:
         """Names of the n_d entries of `base`: the placement, and what a motion along it drives besides."""
-        return self.placement
+        return self.structure.drive
 
     @property
-    @abstractmethod
     def n(self) -> int:
         """n_q, entries of u."""
+        return len(self.structure.order)
 
     @property
-    @abstractmethod
     def n_translations(self) -> int:
         """Slides, the first entries of u."""
+        return sum(segment.slide for segment in self.structure.segments)
 
     @property
-    @abstractmethod
     def n_joints(self) -> int:
         """Actuated joints, the last entries of q."""
+        return len(self.structure.actuated)
+
+    @property
+    def hinges(self) -> list[int]:
+        """Rows of q that are passive hinges."""
+        return [row for row, i in enumerate(self.structure.passive) if not self.structure.segments[i].slide]
+
+    @property
+    def base_hinges(self) -> list[int]:
+        """Those of them that no actuated joint carries: by these the base turns."""
+        passive, actuated = self.structure.passive, self.structure.actuated
+        return [row for row in self.hinges if not set(self.structure.way_to(passive[row])) & set(actuated)]
+
+    @property
+    def offset(self) -> ca.SX:
+        """The constant part of q = A u + `offset`, the placement being 0."""
+        return ca.SX.zeros(self.n, 1)
+
+    def with_base(self, directions: Directions) -> Directions:
+        """Directions of all bodies from those of what turns."""
+        return directions
+
+    def of(self, name: str) -> ca.SX:
+        """A constant, 0 where the structure says so."""
+        return ca.SX(0) if name in self.structure.zeros else self.value[name]
 
     @property
     @abstractmethod
@@ -73,27 +106,8 @@ class Motion(ABC):
 
     @property
     @abstractmethod
-    def offset(self) -> ca.SX:
-        """The constant part of q = A u + `offset`, the placement being 0."""
-
-    @property
-    @abstractmethod
-    def hinges(self) -> list[int]:
-        """Rows of q that are passive hinges."""
-
-    @property
-    @abstractmethod
-    def base_hinges(self) -> list[int]:
-        """Those of them by which the base turns."""
-
-    @property
-    @abstractmethod
     def absorbed(self) -> Mapping[str, tuple[int, float]]:
         """Placement coordinates along which springs carry the machine: entry of u, and sign."""
-
-    @abstractmethod
-    def with_base(self, directions: Directions) -> Directions:
-        """Directions of all bodies from those of what turns."""
 
     @abstractmethod
     def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:

@@ -8,7 +8,6 @@ vertical.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,23 +16,16 @@ import casadi as ca
 from flexopt.plant.motion import Directions, Motion
 from flexopt.plant.tree_algebra import ORIGIN, ZERO, add, solve_symmetric
 from flexopt.plant.tree_anchor import TurningAnchor
-from flexopt.plant.tree_constants import AXES, SECOND
 from flexopt.plant.tree_recursion import Recursion
-from flexopt.plant.tree_structure import TURN, Skeleton
+from flexopt.plant.tree_structure import TURN
 from flexopt.plant.tree_task import task
 
 
 @dataclass(frozen=True)
 class TreeMotion(Motion):
-    """See `Motion`.
+    """See `Motion`."""
 
-    Attributes:
-        structure: which parts exist.
-        value: the constants by name, symbols or numbers; those in `structure.zeros` are ignored.
-    """
-
-    structure: Skeleton
-    value: Mapping[str, ca.SX]
+    KNOWN = frozenset(("offset", "c", "m", "tip", "gravity", "task_length"))
 
     @cached_property
     def bodies(self) -> list[int]:
@@ -42,78 +34,9 @@ class TreeMotion(Motion):
         return slides + [i for i, segment in enumerate(self.structure.segments) if not segment.slide]
 
     @property
-    def constant_names(self) -> list[str]:
-        """See `Motion`."""
-        s, names = self.structure, list[str]()
-        for i, segment in enumerate(s.segments):
-            names += [f"{word}{i}.{axis}" for word in ("offset", "c") for axis in AXES]
-            names += [f"m{i}", *(f"s{i}.{ab}" for ab in SECOND), f"armature{i}"]
-            names += [f"rest{i}"] * segment.passive + [f"inverse{i}"] * segment.slide
-        names += [f"tip.{axis}" for axis in AXES] + ["gravity", "task_length"]
-        names += [f"stiffness{i}.{j}" for i, j in s.coupled_springs]
-        return names + [f"damping{i}.{j}" for i, j in s.coupled_dampers]
-
-    @property
-    def known_names(self) -> list[str]:
-        """See `Motion`."""
-        names = [f"{word}{i}.{axis}" for i in range(self.n) for word in ("offset", "c") for axis in AXES]
-        names += [f"m{i}" for i in range(self.n)] + [f"tip.{axis}" for axis in AXES]
-        return [*names, "gravity", "task_length"]
-
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """See `Motion`."""
-        return self.structure.rows
-
-    @property
-    def placement(self) -> tuple[str, ...]:
-        """See `Motion`."""
-        return self.structure.placement
-
-    @property
-    def drive(self) -> tuple[str, ...]:
-        """See `Motion`."""
-        return self.structure.drive
-
-    @property
-    def n(self) -> int:
-        """See `Motion`."""
-        return len(self.structure.segments)
-
-    @property
-    def n_translations(self) -> int:
-        """See `Motion`."""
-        return sum(segment.slide for segment in self.structure.segments)
-
-    @property
-    def n_joints(self) -> int:
-        """See `Motion`."""
-        return len(self.structure.actuated)
-
-    @property
-    def hinges(self) -> list[int]:
-        """See `Motion`."""
-        segments = self.structure.segments
-        return [row for row, i in enumerate(self._passive) if not segments[i].slide]
-
-    @property
-    def base_hinges(self) -> list[int]:
-        """Passive hinges that no actuated joint carries."""
-        segments, on_base = self.structure.segments, set[int]()
-        for i, segment in enumerate(segments):
-            if segment.passive and (segment.parent < 0 or segment.parent in on_base):
-                on_base.add(i)
-        return [row for row in self.hinges if self._passive[row] in on_base]
-
-    @property
     def absorbed(self) -> dict[str, tuple[int, float]]:
         """See `Motion`."""
         return {name: (self.bodies.index(i), sign) for name, (i, sign) in self.structure.absorbed.items()}
-
-    @property
-    def _passive(self) -> list[int]:
-        """Bodies on passive joints, in the order of q."""
-        return [i for i, segment in enumerate(self.structure.segments) if segment.passive]
 
     @property
     def to_q(self) -> ca.DM:
@@ -123,19 +46,10 @@ class TreeMotion(Motion):
             rows[row, self.bodies.index(body)] = 1
         return rows
 
-    @property
-    def offset(self) -> ca.SX:
-        """The constant part of q = A u + `offset`: none."""
-        return ca.SX.zeros(self.n, 1)
-
-    def with_base(self, directions: Directions) -> Directions:
-        """Directions of all hinges: nothing to add."""
-        return directions
-
     def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:
         """See `Motion`."""
         coordinates, directions, hinges = self._by_body(u), list(along), self.hinges
-        for row, i in enumerate(self._passive):
+        for row, i in enumerate(self.structure.passive):
             coordinates[i] = design[row]
             if row in hinges:
                 directions[self.bodies.index(i) - self.n_translations] = pairs[hinges.index(row)]
@@ -144,7 +58,7 @@ class TreeMotion(Motion):
     def passive(self, u: ca.SX, base: ca.SX) -> ca.SX:
         """See `Motion`."""
         coordinates = self._by_body(self.relative(u, base))
-        return ca.vertcat(*(coordinates[i] for i in self._passive))
+        return ca.vertcat(*(coordinates[i] for i in self.structure.passive))
 
     def relative(self, u: ca.SX, base: ca.SX) -> ca.SX:
         """See `Motion`."""
@@ -190,7 +104,7 @@ class TreeMotion(Motion):
 
     def holding_torque(self, u: ca.SX, along: Directions) -> ca.SX:
         """g_a (n,): what the actuated joints must give to carry the weight."""
-        weight = self._at(u, along).forces([ZERO] * self.n, self._gravity)
+        weight = self._at(u, along).forces([ZERO] * self.n, self.of("gravity"))
         return ca.vertcat(*(weight[i] for i in self.structure.actuated))
 
     def potential(self, u: ca.SX, along: Directions) -> ca.SX:
@@ -199,7 +113,7 @@ class TreeMotion(Motion):
         for i in range(self.n):
             mass, first = at.of(f"m{i}"), at.vector(f"c{i}")
             total += mass * at.point(i, ORIGIN)[up] + at.to_ground(i, first)[up]
-        return self._gravity * total
+        return self.of("gravity") * total
 
     def spring_energy(self, u: ca.SX, base: ca.SX) -> ca.SX:
         """½ (q − q_rest)ᵀ K (q − q_rest), J."""
@@ -226,7 +140,7 @@ class TreeMotion(Motion):
         """Generalised forces on u but those of inertia, (n_q,): springs, dampers, torques, weight."""
         forces = self._joint_forces(u, w, torque, base, base_rate)
         if gravity:
-            weight = self._at(u, along).forces([ZERO] * self.n, self._gravity)
+            weight = self._at(u, along).forces([ZERO] * self.n, self.of("gravity"))
             forces = [force - part for force, part in zip(forces, weight, strict=True)]
         return self._stacked(forces)
 
@@ -241,19 +155,15 @@ class TreeMotion(Motion):
             if abs(self.structure.segments[i].axis[self.structure.up]) == 1 and at.of(f"armature{i}").is_zero()
         ]
         borne = gravity and bool(vertical)
-        pull = self._gravity if gravity and not borne else ZERO
+        pull = self.of("gravity") if gravity and not borne else ZERO
         inertia = at.forces(self._by_body(w), pull)
         right = [
             force - part for force, part in zip(self._joint_forces(u, w, torque, base, base_rate), inertia, strict=True)
         ]
         result = self._solved(at, right)
         if borne:  # all fall alike
-            result[vertical[0]] -= self.structure.segments[vertical[0]].axis[self.structure.up] * self._gravity
+            result[vertical[0]] -= self.structure.segments[vertical[0]].axis[self.structure.up] * self.of("gravity")
         return self._stacked(result)
-
-    @property
-    def _gravity(self) -> ca.SX:
-        return ZERO if "gravity" in self.structure.zeros else self.value["gravity"]
 
     def _by_body(self, column: ca.SX) -> list[ca.SX]:
         result = [ZERO] * self.n

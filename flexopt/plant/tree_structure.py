@@ -62,7 +62,7 @@ class Skeleton:
             plane first, where it has one.
         up: which of these points up.
         coupled_springs, coupled_dampers: pairs of bodies whose joints have a stiffness or damping, i ≤ j.
-        zeros: constants that are exactly zero and are left out.
+        constants: names of all that its motion has;  zeros: those that are exactly zero and are left out.
         chain: whether it is a chain of parallel hinges in a vertical plane, on passive slides along its axes, without
             rotors and with all its mass beyond the slides: `ChainMotion` then has its motion in closed form.
         local: whether the placement's x and y count in the axes in which the anchor frame stands at first, instead of
@@ -80,6 +80,7 @@ class Skeleton:
     coupled_dampers: tuple[tuple[int, int], ...]
     ground: Numbers = UNTURNED
     up: int = 2
+    constants: tuple[str, ...] = ()
     zeros: frozenset[str] = frozenset()
     chain: bool = False
     local: bool = False

@@ -328,9 +328,9 @@ def test_steps_with_the_loops_torques_are_the_loop():
 def test_a_structure_knows_its_constants(machine):
     for structure in (structure_of(machine), full_structure(machine)):
         motion = motion_of(structure, {})
-        assert sorted(motion.constant_names) == sorted(constant_names(machine))
-        assert set(motion.known_names) <= set(motion.constant_names)
-        assert structure.zeros <= set(motion.constant_names)
+        assert sorted(structure.constants) == sorted(constant_names(machine))
+        assert set(motion.known_names) <= set(structure.constants)
+        assert structure.zeros <= set(structure.constants)
 
 
 def test_machines_of_one_structure_share_a_loop():

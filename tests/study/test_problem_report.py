@@ -115,7 +115,9 @@ def test_machine_in_space():
     )
     result = made(problem, simulation={"duration": 2.0, "feedback": "pid", "ki": 1e3})
     assert result.map.options["over"] == "end_point"
-    np.testing.assert_allclose(result.marks["chosen"], result.selection.best.evaluation.end_point)
+    # In the workspace frame, as in the plane: from the first joint, beyond the ground's and the base's four frames.
+    best = result.selection.best.evaluation
+    np.testing.assert_allclose(result.marks["chosen"], best.end_point - best.skeleton[[0, 2], 4], atol=1e-12)
     assert {name: loop.run.time[-1] for name, loop in result.loops.items()} == {"present": 2.0, "chosen": 2.0}
     # Borders are those of two gains.
     assert result.borders == ()

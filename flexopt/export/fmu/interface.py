@@ -210,7 +210,7 @@ class Interface:
     def _coordinates(self) -> list[tuple[str, str, str]]:
         """Name, unit and text of each entry of u: a coordinate of q, or where q has differences, an absolute angle."""
         motion, to_q = self.motion, self.loop.to_q
-        symbols = {name: ca.SX.sym(name) for name in motion.constant_names}
+        symbols = {name: ca.SX.sym(name) for name in motion.structure.constants}
         offset = motion_of(self.loop.structure.motion, symbols).offset
         drawn = {entry for entry, _ in motion.absorbed.values()}
         found: list[tuple[str, str, str]] = []
