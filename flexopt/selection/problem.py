@@ -22,7 +22,6 @@ from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.nlp import Coupling, Goal, ObjectiveForm, alone, build_solver, parameters_of
 from flexopt.selection.objective import Objective, Quantities, quantities
 from flexopt.selection.scan import Scan
-from flexopt.selection.starts import Region
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,14 @@ class TravelCost:
 
     cost: float
     now: Vector
+
+
+@dataclass(frozen=True)
+class Region:
+    """Finite ranges of z that samples are taken from: from low to high, (n_z,) each, m or rad."""
+
+    low: Vector
+    high: Vector
 
 
 def _sizes(of: Any) -> dict[str, int]:
@@ -178,6 +185,17 @@ class SelectionProblem:
         return np.array([v.scale for v in self.variables])
 
     @property
+    def row_bounds(self) -> tuple[Vector, Vector, Vector]:
+        """Lower and upper bounds and scales of the constraints, (n_rows,) each."""
+        lower, upper, scale = np.array([(row.lower, row.upper, row.scale) for row in self.constraints]).T
+        return lower, upper, scale
+
+    @property
+    def constants(self) -> Vector:
+        """The constraints' constants c."""
+        return np.zeros(0) if self.constraint_set is None else self.constraint_set.constants.full().ravel()
+
+    @property
     def shift(self) -> tuple[Vector, Vector]:
         """Shifts of z (n_z,) and of the target (n_task,), m, that put the target at the origin for IPOPT.
 
@@ -293,9 +311,8 @@ class SelectionProblem:
 
 def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:
     """By how much each constraint is above (> 0) or below its bounds at z, (n_rows,), in units of the scales."""
-    rows, scales = problem.rows(z), np.array([row.scale for row in problem.constraints])
-    lower, upper = (np.array([getattr(row, end) for row in problem.constraints]) for end in ("lower", "upper"))
-    return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scales
+    rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
+    return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scale
 
 
 def packed_parameters(
@@ -316,7 +333,7 @@ def packed_parameters(
     return parameters_of(first.configuration, coupling, count).packed(
         {
             "target": np.concatenate([problem.target - of_target for problem in problems]),
-            "row_scale": [constraint.scale for constraint in first.constraints],
+            "row_scale": first.row_bounds[2],
             "z_scale": first.scale,
             "alpha": np.array([objective.alpha for objective in objectives]),
             "beta": [objective.beta for objective in objectives],
@@ -326,7 +343,7 @@ def packed_parameters(
             "share": share,
             "level": level,
             "gain": first.gain,
-            "c": np.zeros(0) if first.constraint_set is None else first.constraint_set.constants.full(),
+            "c": first.constants,
             "p": first.measures.plant.parameter_values.full(),
         }
     )

@@ -188,7 +188,7 @@ class Program:
     def linear_of(self, k: int, z: Vector) -> Linearisation:
         """Configuration k at z."""
         problem, scale = self.problems[k], self.first.scale
-        rows = np.array([row.scale for row in problem.constraints])
+        rows = problem.row_bounds[2]
         wanted = np.append(problem.target, np.zeros(rows.size - problem.target.size))
         count = len(problem.kept) + 1
         found = [problem.branches(objective, z) for objective in problem.objectives[:count]]

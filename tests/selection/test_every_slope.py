@@ -284,15 +284,14 @@ def test_the_nullspace_law(spatial):
 def test_steps_onto_rows(spatial):
     """With the right slopes the steps are Newton's: a call from nearby leads to round-off."""
     problem = constrained() if spatial else flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
-    region, start = problem.region, starting_points(problem)[0]
+    start, free = starting_points(problem)[0], (problem.lower < problem.upper).astype(float)
     rng, p = np.random.default_rng(3), problem.measures.plant.parameter_values
-    near = np.clip(start + 1e-3 * rng.uniform(-1, 1, start.size) * problem.scale, region.lower, region.upper)
-    rows = region.row_lower, region.row_upper, region.row_scale
-    left = problem.configuration.feasible.call([near, 1e-9, *region.bounds, *rows, p, region.constants])[2]
+    bounds = problem.lower, problem.upper, free, problem.scale
+    near = np.clip(start + 1e-3 * rng.uniform(-1, 1, start.size) * problem.scale, problem.lower, problem.upper)
+    left = problem.configuration.feasible.call([near, 1e-9, *bounds, *problem.row_bounds, p, problem.constants])[2]
     assert float(left) < 1e-13
-    n_task = problem.target.size
-    target, scale = problem.target, region.row_scale[:n_task]
-    left = reach_steps(problem.machine).call([near, 1e-9, *region.bounds, target, target, scale, p])[2]
+    target, scale = problem.target, problem.row_bounds[2][: problem.target.size]
+    left = reach_steps(problem.machine).call([near, 1e-9, *bounds, target, target, scale, p])[2]
     assert float(left) < 1e-13
 
 
