@@ -10,8 +10,8 @@ Each pair is a random target, a random objective (w_1 alone, or random weights),
 and a random start: half of them any numbers within the bounds, half on the target. Where postures have no closed form
 the target is the end-point of a random posture at a random placement, and the ranges lie about that placement. IPOPT
 solves from that start as `flexopt.select` does from a peak. An answer counts as the same or better where V is not below
-IPOPT's by more than 1e-8 of the problem's scale; where IPOPT fails, any does. Instructions are counted by SysTick under
-`qemu -icount shift=0`, calibrated by a loop of known length. Needs gcc for the host, arm-none-eabi-gcc with newlib and
+IPOPT's by more than 1e-8 of the problem's scale; where IPOPT fails, any does. Programs are built and run, and their
+instructions counted, as `flexopt verify` does. Needs gcc for the host, arm-none-eabi-gcc with newlib and
 qemu-system-arm for Cortex-M7; says what is missing.
 """
 
@@ -20,8 +20,6 @@ from __future__ import annotations
 import argparse
 import math
 import shutil
-import struct
-import subprocess
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,12 +31,20 @@ import numpy as np
 import flexopt
 from benchmarks.timing import table
 from flexopt.errors import FlexoptError, UnreachableTarget
+from flexopt.export.bundle import build_library
 from flexopt.export.kernels import Real
-from flexopt.export.optimiser import OptimiserSources, build_optimiser
+from flexopt.export.optimiser import FIRST_FAILURE, STARTS, STATUSES
+from flexopt.export.sources import Library
+from flexopt.export.verify.bench import Bench
+from flexopt.export.verify.checks import Target
+from flexopt.export.verify.optimiser import PART, Solved, default_calls, host_runner, solve
+from flexopt.export.verify.target import board_runner
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX
+from flexopt.foundation.writing import make_folder, write_file
 from flexopt.model import AnyMachine
+from flexopt.model.problem import SINGULARITY_MARGIN_DEG
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, reach, sampled_ranges
 from flexopt.selection.optima import run_solver
@@ -48,140 +54,6 @@ SAME = 1e-8
 # are rounded.
 ALLOWED: dict[Real, tuple[float, float, float]] = {"double": (SAME, 1e-8, 0.0), "float": (1e-6, 5e-5, 1e-6)}
 BAR = 5_000_000
-FEASIBLE_STATUSES = ("CONVERGED", "BUDGET_SPENT", "DEADLINE", "STALLED")
-WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
-CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16")
-LOOP = 1_000_000
-# Words of the stack that are watched.
-PAINTED = 65536
-
-DRIVER = """
-#include <math.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <string.h>
-#include "optimiser.h"
-#ifdef __arm__
-#define SYST ((volatile uint32_t *)0xE000E010u)
-static volatile uint32_t wraps;
-void SysTick_Handler(void);
-void SysTick_Handler(void) { wraps++; }
-static double ticks(void)
-{
-    uint32_t before, now;
-    do { before = wraps; now = SYST[2]; } while (before != wraps);
-    return (double)before * 16777216.0 + (double)(16777215u - now);
-}
-static double loop(void)
-{
-    double start;
-    uint32_t n = LOOPu;
-    start = ticks();
-    __asm volatile("1: subs %0, #1\\n bne 1b" : "+r"(n) : : "cc");
-    return ticks() - start;
-}
-static void begin(void) { SYST[1] = 0xFFFFFFu; SYST[2] = 0; SYST[0] = 7; while (SYST[2] == 0) {} }
-static volatile uint32_t *stack_now(void) { uint32_t *at; __asm volatile("mov %0, sp" : "=r"(at)); return at; }
-static void paint(void)
-{
-    volatile uint32_t *at = stack_now() - 16;
-    for (int i = 0; i < PAINTED; i++) { at[-i] = 0xA5A5A5A5u; }
-}
-static double used(void)
-{
-    volatile uint32_t *at = stack_now();
-    int i = PAINTED;
-    while ((i > 0) && (at[-i] == 0xA5A5A5A5u)) { i--; }
-    return 4.0 * i;
-}
-#else
-static void paint(void) {}
-static double used(void) { return 0.0; }
-static double ticks(void) { return 0.0; }
-static double loop(void) { return 1.0; }
-static void begin(void) {}
-#endif
-
-static bench_optimiser_workspace workspace;
-
-int main(void)
-{
-    double header[2] = {0.0, sizeof(workspace)}, numbers[CASE_LENGTH];
-    FILE *in = fopen("cases.bin", "rb"), *out = fopen("answers.bin", "wb");
-    if ((in == NULL) || (out == NULL)) { return 1; }
-    begin();
-    header[0] = loop();
-    fwrite(header, sizeof header, 1, out);
-    while (fread(numbers, sizeof numbers, 1, in) == 1) {
-        bench_optimiser_problem problem;
-        bench_optimiser_options options;
-        bench_optimiser_result result;
-        REAL start[N_Z];
-        const double *next = numbers;
-        double answer[N_Z + 8], from;
-        int i;
-        memset(&result, 0, sizeof result);
-        (void)bench_optimiser_default_problem(&problem);
-        (void)bench_optimiser_default_options(&options);
-        for (i = 0; i < N_TASK; i++) { problem.target[i] = (REAL)*next++; }
-        for (i = 0; i < N_Z; i++) { problem.lower[i] = (REAL)*next++; }
-        for (i = 0; i < N_Z; i++) { problem.upper[i] = (REAL)*next++; }
-        for (i = 0; i < N_MODES; i++) { problem.weights[i] = (REAL)*next++; }
-        for (i = 0; i < N_Z; i++) { start[i] = (REAL)*next++; }
-        options.starts = *next++ > 0.5 ? options.starts : 0;
-        paint();
-        from = ticks();
-        answer[0] = (double)bench_optimiser_solve(&problem, start, &options, &workspace, &result);
-        answer[1] = ticks() - from;
-        answer[2] = (double)result.value; answer[3] = (double)result.stationarity;
-        answer[4] = result.iterations; answer[5] = result.cost; answer[6] = result.starts;
-        answer[7] = used();
-        for (i = 0; i < N_Z; i++) { answer[8 + i] = (double)result.z[i]; }
-        fwrite(answer, sizeof answer, 1, out);
-    }
-    fclose(out);
-    return 0;
-}
-"""
-
-STARTUP = """
-#include <stdint.h>
-extern uint32_t stack_top, data_load, data_start, data_end, bss_start, bss_end;
-void _start(void);
-void SysTick_Handler(void);
-void reset(void);
-static void halt(void) { for (;;) {} }
-void reset(void)
-{
-    uint32_t *from = &data_load, *to;
-    *(volatile uint32_t *)0xE000ED88u |= 0xFu << 20; /* floating-point unit on */
-    for (to = &data_start; to < &data_end;) { *to++ = *from++; }
-    for (to = &bss_start; to < &bss_end;) { *to++ = 0; }
-    _start();
-}
-__attribute__((section(".vectors"), used)) static const void *const vectors[16] = {
-    &stack_top, (void *)reset, (void *)halt, (void *)halt, (void *)halt, (void *)halt, (void *)halt, 0, 0, 0, 0,
-    (void *)halt, (void *)halt, 0, (void *)halt, (void *)SysTick_Handler };
-"""
-
-LAYOUT = """
-MEMORY { ROM (rx) : ORIGIN = 0x00000000, LENGTH = 4M  RAM (rw) : ORIGIN = 0x20000000, LENGTH = 4M }
-ENTRY(reset)
-SECTIONS {
-  .text : { KEEP(*(.vectors)) *(.text*) *(.rodata*) KEEP(*(.init)) KEEP(*(.fini)) . = ALIGN(8); } > ROM
-  .ARM.exidx : { *(.ARM.exidx*) } > ROM
-  .init_array : { __preinit_array_start = .; KEEP(*(.preinit_array*)) __preinit_array_end = .;
-    __init_array_start = .; KEEP(*(.init_array*)) __init_array_end = .;
-    __fini_array_start = .; KEEP(*(.fini_array*)) __fini_array_end = .; } > ROM
-  .data : ALIGN(8) { data_start = .; *(.data*) . = ALIGN(8); data_end = .; } > RAM AT> ROM
-  data_load = LOADADDR(.data);
-  .bss : ALIGN(8) { bss_start = .; __bss_start__ = .; *(.bss*) *(COMMON) . = ALIGN(8);
-    bss_end = .; __bss_end__ = .; } > RAM
-  end = .; __end__ = .;
-  stack_top = ORIGIN(RAM) + LENGTH(RAM);
-}
-"""
 
 
 @dataclass(frozen=True)
@@ -197,20 +69,6 @@ class Pair:
     problem: flexopt.SelectionProblem
     start: Vector
     ipopt: float
-
-
-@dataclass(frozen=True)
-class Answers:
-    """What the generated code gave for each pair."""
-
-    status: list[str]
-    instructions: Vector
-    value: Vector
-    iterations: Vector
-    cost: Vector
-    z: Vector
-    stack: int
-    workspace: int
 
 
 def value_of(problem: flexopt.SelectionProblem, z: Vector) -> tuple[float, float]:
@@ -278,67 +136,42 @@ def draw_pairs(machine: AnyMachine, control: Control, count: int, seed: int) -> 
     return pairs
 
 
-def case_numbers(pair: Pair, own_starts: bool) -> list[float]:
-    """A pair as the driver reads it. Bounds of this size, also of angles, mean none to the generated code."""
-    bounds = [bound.clip(-COORDINATE_MAX, COORDINATE_MAX) for bound in (pair.problem.lower, pair.problem.upper)]
-    parts = [pair.problem.target, *bounds, pair.problem.objective.alpha, pair.start, [float(own_starts)]]
-    return np.concatenate(parts).tolist()
+def built(machine: AnyMachine, control: Control, real: Real) -> Library:
+    """The C library of a machine with its optimiser."""
+    return build_library(
+        machine, ("kinematics", PART), real=real, control=control, gain=1.0, baked=False, prefix="bench",
+        singularity_margin_deg=SINGULARITY_MARGIN_DEG,
+    )  # fmt: skip
 
 
-def run(
-    sources: OptimiserSources, pairs: list[Pair], *, own_starts: bool, target: str, real: str = "double"
-) -> Answers:
-    """Compile for "host" or "cortex-m7" and solve every pair there."""
-    n_z, n_task = pairs[0].start.size, pairs[0].problem.target.size
-    n_modes = len(pairs[0].problem.objective.alpha)
-    cases = [case_numbers(pair, own_starts) for pair in pairs]
+def run(library: Library, pairs: list[Pair], *, own_starts: bool, target: Target, times: int = 1) -> Solved:
+    """Compile for "host" or "cortex-m7" and solve every pair there, with `times` the default budget."""
+    part = library.standalone[PART]
+    calls = default_calls(part, len(pairs))
+    # Bounds of this size, also of angles, mean none to the generated code.
+    bounds = [(each.problem.lower, each.problem.upper) for each in pairs]
+    calls.lower[:], calls.upper[:] = np.clip(np.swapaxes(bounds, 0, 1), -COORDINATE_MAX, COORDINATE_MAX)
+    calls.target[:] = [each.problem.target for each in pairs]
+    calls.weights[:] = [each.problem.objective.alpha for each in pairs]
+    calls.start[:] = [each.start for each in pairs]
+    calls.words[:, 1:3] = times * part.sources.budget, STARTS if own_starts else 0
     with tempfile.TemporaryDirectory(prefix="flexopt-") as name:
         folder = Path(name)
-        (folder / "optimiser.h").write_text(sources.header)
-        includes = '#include <math.h>\n#include <stddef.h>\n#include <stdint.h>\n#include "optimiser.h"\n'
-        (folder / "optimiser.c").write_text(includes + sources.source)
-        (folder / "cases.bin").write_bytes(b"".join(struct.pack(f"<{len(c)}d", *c) for c in cases))
-        (folder / "driver.c").write_text(DRIVER.replace("LOOPu", f"{LOOP}u"))
-        sizes = {"N_Z": n_z, "N_TASK": n_task, "N_MODES": n_modes, "CASE_LENGTH": len(cases[0]), "REAL": real}
-        sizes |= {"PAINTED": PAINTED}
-        defines = [f"-D{key}={value}" for key, value in sizes.items()]
-        if target == "host":
-            command = ["gcc", "-O2", *WARNINGS, *defines, "optimiser.c", "driver.c", "-o", "program", "-lm"]
-            launch = ["./program"]
-        else:
-            (folder / "startup.c").write_text(STARTUP)
-            (folder / "layout.ld").write_text(LAYOUT)
-            command = ["arm-none-eabi-gcc", "-O2", "-std=gnu99", "-Wall", "-Wextra", "-Werror", *CORTEX_M7, *defines]
-            command += ["optimiser.c", "driver.c", "startup.c", "-specs=rdimon.specs", "-lm"]
-            command += ["-T", "layout.ld", "-o", "program"]
-            launch = ["qemu-system-arm", "-M", "mps2-an500", "-cpu", "cortex-m7", "-nographic", "-monitor", "none"]
-            launch += ["-semihosting-config", "enable=on,target=native", "-icount", "shift=0", "-kernel", "program"]
-        subprocess.run(command, cwd=folder, check=True)
-        subprocess.run(launch, cwd=folder, check=True, stdin=subprocess.DEVNULL)
-        numbers = np.frombuffer((folder / "answers.bin").read_bytes())
-    loop_ticks, workspace = numbers[:2]
-    rows = numbers[2:].reshape(len(pairs), 8 + n_z)
-    names = {value: name for name, value in sources.statuses.items()}
-    return Answers(
-        status=[names[int(s)] for s in rows[:, 0]],
-        instructions=rows[:, 1] * (2 * LOOP / loop_ticks),
-        value=rows[:, 2],
-        iterations=rows[:, 4],
-        cost=rows[:, 5],
-        stack=int(rows[:, 7].max()),
-        z=rows[:, 8:],
-        workspace=int(workspace),
-    )
+        for path, text in (library.files("") | part.driver_files).items():
+            write_file(make_folder((folder / path).parent) / Path(path).name, text)
+        bench = Bench(folder, folder, {}, library, len(pairs), 0)
+        runner = host_runner(bench, "gcc", bench.sources) if target == "host" else board_runner(bench, target)
+        return solve(bench, calls, runner)
 
 
-def summary(pairs: list[Pair], answers: Answers, real: Real = "double") -> tuple[str, ...]:
+def summary(pairs: list[Pair], answers: Solved, real: Real = "double") -> tuple[str, ...]:
     """Same or better, infeasible successes, answered, converged, failures of IPOPT."""
     same_as, off, rounding = ALLOWED[real]
     same = infeasible = answered = failures = 0
     for pair, status, z in zip(pairs, answers.status, answers.z, strict=True):
         problem, plant = pair.problem, pair.problem.measures.plant
         failures += pair.ipopt == -math.inf
-        if status not in FEASIBLE_STATUSES:
+        if status >= FIRST_FAILURE:
             same += pair.ipopt == -math.inf
             continue
         answered += 1
@@ -352,7 +185,7 @@ def summary(pairs: list[Pair], answers: Answers, real: Real = "double") -> tuple
         same += v >= pair.ipopt - same_as * problem.objective_scale
     n = len(pairs)
     share = f"{same} of {n} ({100 * same / n:.1f} %)"
-    return share, str(infeasible), f"{answered}", f"{sum(s == 'CONVERGED' for s in answers.status)}", f"{failures}"
+    return share, str(infeasible), f"{answered}", f"{(answers.status == STATUSES['CONVERGED'][0]).sum()}", f"{failures}"
 
 
 def spread(values: Vector) -> tuple[str, ...]:
@@ -382,7 +215,7 @@ def compare(
     machine: AnyMachine,
     controls: Sequence[Control],
     runs: Sequence[tuple[Real, bool]],
-    places: Sequence[str],
+    places: Sequence[Target],
     count: int,
     times: int = 1,
 ) -> None:
@@ -402,13 +235,10 @@ def compare(
     for control in controls:
         pairs = draw_pairs(machine, control, count, seed=2026)
         for real, own_starts in runs:
-            sources = build_optimiser(machine, control=control, prefix="bench", real=real)
-            if times > 1:
-                budget = times * sources.budget
-                sources = build_optimiser(machine, control=control, prefix="bench", real=real, budget=budget)
+            library = built(machine, control, real)
             word = "given and own" if own_starts else "given only"
             for place in places:
-                answers = run(sources, pairs, own_starts=own_starts, target=place, real=real)
+                answers = run(library, pairs, own_starts=own_starts, target=place, times=times)
                 quality.append((place, control, real, word, *summary(pairs, answers, real)))
                 if place == "host":
                     continue
@@ -416,8 +246,7 @@ def compare(
                 told = answers.cost > 0
                 unit = round(float((answers.instructions[told] / answers.cost[told]).max()))
                 numbers = (*spread(answers.instructions), f"{BAR:,}", f"{unit:,}", *spread(answers.iterations))
-                stack = f"{answers.stack:,}" if answers.stack < 4 * PAINTED else f"{4 * PAINTED:,} or more"
-                effort.append((control, real, word, *numbers, stack, f"{answers.workspace:,}"))
+                effort.append((control, real, word, *numbers, f"{answers.stack.max():,}", f"{answers.workspace:,}"))
     allowed = "" if times == 1 else f", {times} times the default budget"
     print(table(f"{machine.name}: answers against IPOPT, {count} random targets and starts each{allowed}", quality))
     if effort[1:]:
@@ -434,15 +263,15 @@ def compare_others(count: int) -> None:
     ]
     for name, machine in machines():
         pairs = draw_pairs(machine, "inverse", count, seed=2027)
-        answers = run(build_optimiser(machine, prefix="bench"), pairs, own_starts=True, target="host")
+        answers = run(built(machine, "inverse", "double"), pairs, own_starts=True, target="host")
         rows.append((name, *summary(pairs, answers), *spread(answers.iterations), *spread(answers.cost)))
     print(table(f"The same on the host for other machines, inverse control, given and own starts, {count} each", rows))
 
 
-def places_of(target: str) -> list[str]:
+def places_of(target: str) -> list[Target]:
     """Where to run; of both, those that there are tools for."""
-    tools = {"host": ("gcc",), "cortex-m7": ("arm-none-eabi-gcc", "qemu-system-arm")}
-    asked = list(tools) if target == "both" else [target]
+    tools: dict[Target, tuple[str, ...]] = {"host": ("gcc",), "cortex-m7": ("arm-none-eabi-gcc", "qemu-system-arm")}
+    asked = [place for place in tools if target in (place, "both")]
     absent = {place: missing_tools(tools[place]) for place in asked}
     for place, names in absent.items():
         if names:

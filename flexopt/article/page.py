@@ -5,14 +5,12 @@ In: a `Reproduction`. Out: `report.html` with its pictures inside, `report.json`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexopt.article.findings import ArticleFinding
-from flexopt.foundation.escapes import markup
+from flexopt.foundation.rendering import render
 from flexopt.study.gains import BorderRow
-from flexopt.study.page import page, picture, table, write_files
+from flexopt.study.page import Table, picture, write_files
 
 if TYPE_CHECKING:
     from flexopt.article.reproduction import Reproduction
@@ -43,39 +41,32 @@ def write_report(result: Reproduction, folder: Path) -> tuple[Path, Path]:
 
 def report_html(result: Reproduction) -> str:
     """The page."""
-    pictures = {name: picture(figure, CAPTIONS[name]) for name, figure in result.figures().items()}
-    body = [
-        "<p>Configuration Optimization for End-Point Stabilization of Redundant Manipulators With Base Flexibility, "
-        "ASME Letters in Dynamic Systems and Control 1(2), 021001: its Table 2, Figs. 5 to 12, mean frequencies and "
-        "claims beside what flexopt computes.</p>",
-        "<h2>Table 2</h2>",
-        *_table2(result),
-        "<h2>Mean natural frequencies</h2>",
-        _frequencies(result),
-        "<h2>Figures</h2>",
-        *(pictures[name] for name in ("figure5", "figure6", "figure7", "figure8")),
-        "<h2>The closed loop</h2>",
-        f"<p>{markup(result.loops.sentence)}</p>",
-        _loops(result),
-        *(pictures[name] for name in ("figure9", "figure10", "figures11and12")),
-        "<h2>The gains that a posture allows</h2>",
-        _borders(result),
-        f"<p>{markup(result.gains.sentence)}</p>",
-        pictures["gains"],
-        "<h2>Where the article contradicts itself or the numbers</h2>",
-        _findings(result.contradictions),
-        "<h2>Its claims in words</h2>",
-        _findings(result.claims),
-        "<h2>The link through the gap metric</h2>",
-        f"<p>{markup(result.gaps.sentence)}</p>",
-        _gaps(result),
-        pictures["gaps"],
-    ]
-    return page("The article, computed again", body, result.to_dict()["provenance"])
+    return render(
+        "article/templates/reproduction.html",
+        title="The article, computed again",
+        provenance=result.to_dict()["provenance"],
+        result=result,
+        pictures={name: picture(figure, CAPTIONS[name]) for name, figure in result.figures().items()},
+        servo_gain=_servo_gain(result),
+        table2=_table2(result),
+        frequencies=_frequencies(result),
+        loops=_loops(result),
+        borders=_borders(result),
+        gaps=_gaps(result),
+    )
 
 
-def _table2(result: Reproduction) -> list[str]:
-    gain, rows = result.table.inferred, list[tuple[str, ...]]()
+def _servo_gain(result: Reproduction) -> str:
+    gain = result.table.inferred
+    return (
+        f"The servo gain kr is not printed. kr = {gain.kr:.5g} gives posture A ({gain.reading}) its ε_max of "
+        f"{gain.printed}, and {gain.interval[0]:.4g} to {gain.interval[1]:.4g} round to it; A is thus no test of "
+        f"ε_max, but B is. kr = {gain.other:.4g} would suit A, too, but makes B {gain.other_epsilon_b:.4f}."
+    )
+
+
+def _table2(result: Reproduction) -> Table:
+    rows = list[tuple[str, ...]]()
     for row in result.table.rows:
         name = f"{row.posture}: {row.reading}"
         for i, w in enumerate(row.evaluation.w):
@@ -84,35 +75,19 @@ def _table2(result: Reproduction) -> list[str]:
             )
         difference = row.epsilon_inferred - row.printed_epsilon
         rows.append(("", "ε_max", f"{row.printed_epsilon:.4f}", f"{row.epsilon_inferred:.5f}", f"{difference:+.1e}"))
-    sentence = (
-        f"The servo gain kr is not printed. kr = {gain.kr:.5g} gives posture A ({gain.reading}) its ε_max of "
-        f"{gain.printed}, and {gain.interval[0]:.4g} to {gain.interval[1]:.4g} round to it; A is thus no test of "
-        f"ε_max, but B is. kr = {gain.other:.4g} would suit A, too, but makes B {gain.other_epsilon_b:.4f}."
-    )
     header = ("posture and its input", "measure", "printed", "computed", "deviation (ε_max: difference)")
-    return [f"<p>{markup(sentence)}</p>", table(header, rows), f"<p>{markup(result.table.note)}</p>"]
+    return header, rows
 
 
-def _frequencies(result: Reproduction) -> str:
+def _frequencies(result: Reproduction) -> Table:
     f = result.frequencies
     rows: list[tuple[str, ...]] = [("printed", *(f"{v:.4f}" for v in f.printed))]
     for name, values in f.means.items():
         rows.append((name, *(f"{v:.4f} ({d:+.2%})" for v, d in zip(values, f.deviation[name], strict=True))))
-    return table(("mean, Hz", *(f"mode {i + 1}" for i in range(len(f.printed)))), rows)
+    return ("mean, Hz", *(f"mode {i + 1}" for i in range(len(f.printed)))), rows
 
 
-def _findings(group: Sequence[ArticleFinding]) -> str:
-    rows = "\n".join(
-        f"<tr><td>“{markup(f.quote)}”<br><small>{markup(f.where)}</small></td>"
-        f"<td class={'holds' if f.holds else 'fails'}>{'holds' if f.holds else 'fails'}</td>"
-        f"<td>{markup(f.sentence)}</td></tr>"
-        for f in group
-    )
-    head = "<tr><th>printed</th><th>verdict</th><th>numbers</th></tr>"
-    return f"<table><thead>{head}</thead><tbody>\n{rows}\n</tbody></table>"
-
-
-def _loops(result: Reproduction) -> str:
+def _loops(result: Reproduction) -> Table:
     """Poles and runs of every posture with both pairs of gains."""
     rows: list[tuple[str, ...]] = []
     for row in result.loops.rows:
@@ -125,10 +100,10 @@ def _loops(result: Reproduction) -> str:
         rows.append((row.stand, f"{row.kp:g}", f"{row.kv:g}", stated, accurate, words, turn, off))
     header = ("posture", "Kp", "Kv", "linear, RK4, 1/s", "linear, exact, 1/s", "nonlinear run, 1/s",
               "largest base rotation, mrad", "end-point at the end, mm off")  # fmt: skip
-    return table(header, rows)
+    return header, rows
 
 
-def _borders(result: Reproduction) -> str:
+def _borders(result: Reproduction) -> Table:
     """Stable Kp, a row for each posture and what is held, a column for each integrator."""
     g = result.gains
     methods = list(dict.fromkeys(row.integrator for row in g.borders))
@@ -137,7 +112,7 @@ def _borders(result: Reproduction) -> str:
         for row in g.borders
         if row.integrator == methods[0]
     ]
-    return table(("stable Kp", "held", *(f"{method} at 200 Hz" for method in methods)), rows)
+    return ("stable Kp", "held", *(f"{method} at 200 Hz" for method in methods)), rows
 
 
 def _border(row: BorderRow) -> str:
@@ -145,7 +120,7 @@ def _border(row: BorderRow) -> str:
     return row.text + beyond
 
 
-def _gaps(result: Reproduction) -> str:
+def _gaps(result: Reproduction) -> Table:
     g = result.gaps
     rows: list[tuple[str, ...]] = []
     for k, name in enumerate(g.names):
@@ -155,4 +130,4 @@ def _gaps(result: Reproduction) -> str:
         rows.append((name, f"{g.w1[k]:.3e}", *cells))
     rows.append(("nearer than sin(π/8)", "", *(f"{n} of {len(g.names)}" for n in g.within)))
     rows.append(("rank correlation, ν-gap with ε_max", "", *(f"{c:+.2f}" for c in g.correlation_epsilon)))
-    return table(("ν-gap / gap / ε_max", "w1", *(f"damping × {f:g}" for f in g.factors)), rows)
+    return ("ν-gap / gap / ε_max", "w1", *(f"damping × {f:g}" for f in g.factors)), rows

@@ -15,11 +15,11 @@ from typing import Any, cast
 
 from flexopt.errors import ExportError, Fault, InputError, raise_if_any
 from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
-from flexopt.export.extras import Extras
 from flexopt.export.kernels import Real, Unsupported
 from flexopt.export.naming import identifier
 from flexopt.export.operations import TOLERANCES, Field
 from flexopt.export.parts import PARTS
+from flexopt.export.project import project_files
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import by, number, public, words
@@ -98,7 +98,7 @@ def _check_parts(value: Any) -> tuple[str, ...]:
     if unknown or not given:
         named = f", not {', '.join(unknown[:3])}" if unknown else ""
         raise ValueError(f"must be some of {valid}{named}")
-    if all(PARTS[part].foreign for part in given):
+    if all(PARTS[part].standalone for part in given):
         given = ["kinematics", *given]
     return tuple(part for part in PARTS if part in given)
 
@@ -231,10 +231,10 @@ def build_library(
     )
     try:
         operations = {part: PARTS[part].build(context) for part in PARTS if part in parts}
-        made = {part: PARTS[part].foreign for part in parts}
-        foreign = {part: make(context, prefix, real) for part, make in made.items() if make is not None}
-        operations = {part: group for part, group in operations.items() if part not in foreign}
-        library = Library(context, prefix, real, operations, foreign)
+        made = {part: PARTS[part].standalone for part in parts}
+        standalone = {part: make(context, prefix, real) for part, make in made.items() if make is not None}
+        operations = {part: group for part, group in operations.items() if part not in standalone}
+        library = Library(context, prefix, real, operations, standalone)
         _ = library.kernels
     except Unsupported as error:
         raise ExportError(f"export_c: {error}") from error
@@ -245,7 +245,7 @@ def render_bundle(machine: AnyMachine, parts: Sequence[str], **options: Any) -> 
     """Path -> text of every file, manifest.json among them, and the manifest; options as of `build_library`."""
     library = build_library(machine, parts, **options)
     bundle_hash = hashlib.sha256(library.kernel_digest_text().encode()).hexdigest()
-    texts = library.files(bundle_hash) | Extras(library, bundle_hash).files()
+    texts = library.files(bundle_hash) | project_files(library, bundle_hash)
     manifest = _manifest(library, bundle_hash, texts, {"parts": list(library.parts)} | options)
     texts[MANIFEST] = json.dumps(manifest, indent=1, allow_nan=False) + "\n"
     return texts, manifest
@@ -299,7 +299,7 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
             return about | {"scale": f.scale}
         about |= {"low": list(f.low), "high": list(f.high)}
         about |= {} if f.design is None else {"limits": [list(side) for side in f.design]}
-        return about | ({"turning": list(f.turning)} if any(f.turning) else {})
+        return about | ({"turning": list(f.turning)} if f.turns else {})
 
     parts = {
         part: {
@@ -321,9 +321,9 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         }
         for part, group in library.operations.items()
     }
-    for part, foreign in library.foreign.items():
+    for part, own in library.standalone.items():
         source = f"src/{library.prefix}_{part}.c"
-        parts[part] = {"title": PARTS[part].title, "source": source, "operations": []} | foreign.manifest()
+        parts[part] = {"title": PARTS[part].title, "source": source, "operations": []} | own.manifest()
     parts = {part: parts[part] for part in library.parts}
     listed = [] if library.baked else list(
         zip(parameters.names, parameters.units, parameters.values, parameters.low, parameters.high, strict=True)

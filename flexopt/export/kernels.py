@@ -2,8 +2,8 @@
 
 In: Functions with dense inputs and outputs. Out: static C functions that compile without a warning, in double or wholly
 in single precision. CasADi's generator writes the evaluation; what is done here: definitions that are not reached go,
-as do parameters and variables that are not used; constants and calls of the mathematical library become
-single-precision ones; names say which operation they belong to.
+as do parameters and variables that are not used; constants become single-precision ones; names say which operation they
+belong to.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ MATH = (
     ),
     *("fabs", "fmin", "fmax", "floor", "ceil", "fmod", "copysign", "hypot", "expm1", "log1p", "erf"),
 )
-_CALL = re.compile(rf"\b({'|'.join(MATH)})\(")
 _NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*(?:[eE][+-]?\d+)?|\d+[eE][+-]?\d+)(?![\w.])")
 _SINGLE_MIN, _SINGLE_MAX = 1.17549435e-38, 3.40282347e38
 # Helpers of the generator that test for old compilers, written for ours.
@@ -58,7 +57,7 @@ _PARAMETERS = {
 }
 
 
-# Where the first word stands in a line, the pattern is replaced: tests spelled out, assignments with spaces.
+# Where the first word stands in a line, the pattern is replaced: tests spelled out.
 _TIDIED = tuple(
     (mark, re.compile(pattern), replacement)
     for mark, pattern, replacement in (
@@ -71,7 +70,6 @@ _TIDIED = tuple(
         ("if (", r"if \((res\[\d+\])(?:!=0)?\) (.*)$", r"if (\1 != NULL) { \2 }"),
         ("if (", r"if \((casadi_\w+\(.*\))\) return 1;", r"if (\1 != 0) { return 1; }"),
         ("1[", r"\b(arg1|res1)\[(\d+)\]=0;", r"\1[\2]=NULL;"),
-        ("=", r"^(  [\w\[\]]+)=(?!=)", r"\1 = "),
     )
 )
 
@@ -168,8 +166,12 @@ def kernel_text(functions: Sequence[ca.Function], real: Real, real_type: str) ->
 
 
 def single_precision(text: str) -> str:
-    """Constants with the suffix f, and the single-precision functions of the mathematical library."""
-    return _NUMBER.sub(lambda match: single_constant(match[1]), _CALL.sub(r"\1f(", text))
+    """Constants with the suffix f: no macro gives it, and only GCC has an option (-fsingle-precision-constant).
+
+    A bundle is compiled with its user's own options, by clang and MSVC, too. Calls of the mathematical library
+    are macros of the bundle's own header.
+    """
+    return _NUMBER.sub(lambda match: single_constant(match[1]), text)
 
 
 def single_constant(digits: str) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
-from importlib.resources import files
-from string import Template
+from dataclasses import dataclass
 
 from flexopt.export.kernels import Real, single_constant
 from flexopt.foundation.escapes import c_identifier as identifier
 from flexopt.foundation.escapes import c_text as text_of
+from flexopt.foundation.rendering import render
 
 WIDTH = 118
 
@@ -25,21 +25,6 @@ def constants(names: Sequence[str]) -> list[str]:
             unique, count = f"{word}_{count}", count + 1
         found.append(unique)
     return found
-
-
-def number(value: float, real: Real) -> str:
-    """A constant of the bundle's precision."""
-    digits = repr(float(value))
-    digits = digits if any(c in digits for c in ".en") else digits + "."
-    if real == "double":
-        return digits
-    return f"-{single_constant(digits[1:])}" if value < 0 else single_constant(digits)
-
-
-def listed(values: Sequence[float], real: Real, indent: str = "  ") -> str:
-    """Constants between braces, as many on a line as fit."""
-    body = ", ".join(number(v, real) for v in values)
-    return f"{{\n{wrapped(body, indent + '  ')}\n{indent}}}"
 
 
 def wrapped(text: str, indent: str = "") -> str:
@@ -57,7 +42,37 @@ def comment(text: str, indent: str = "") -> str:
     return f"{body} */" if len(body.splitlines()[-1]) <= WIDTH - 3 else f"{body}\n{indent} */"
 
 
-def template(file: str, /, **values: object) -> str:
-    """A template of this package, filled in."""
-    source = files("flexopt.export").joinpath("templates").joinpath(file).read_text(encoding="utf-8")
-    return Template(source).substitute({key: str(value) for key, value in values.items()})
+@dataclass(frozen=True)
+class CWriter:
+    """Writes the C of one bundle: its names and its precision.
+
+    Attributes:
+        prefix: of every public name.
+        real: precision of every constant.
+    """
+
+    prefix: str
+    real: Real
+
+    @property
+    def upper(self) -> str:
+        """The prefix of macros and constants."""
+        return self.prefix.upper()
+
+    def number(self, value: float) -> str:
+        """A constant of the bundle's precision."""
+        digits = repr(float(value))
+        digits = digits if any(c in digits for c in ".en") else digits + "."
+        if self.real == "double":
+            return digits
+        return f"-{single_constant(digits[1:])}" if value < 0 else single_constant(digits)
+
+    def listed(self, values: Sequence[float], indent: str = "  ") -> str:
+        """Constants between braces, as many on a line as fit."""
+        body = ", ".join(self.number(v) for v in values)
+        return f"{{\n{wrapped(body, indent + '  ')}\n{indent}}}"
+
+    def render(self, file: str, /, **values: object) -> str:
+        """A template of this room with its places filled; each may use `prefix`, `PREFIX`, `real` and what writes C."""
+        shared = {"prefix": self.prefix, "PREFIX": self.upper, "real": self.real, "number": self.number}
+        return render(f"export/templates/{file}", **shared, listed=self.listed, comment=comment, **values)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Literal
 
 import casadi as ca
@@ -67,6 +68,31 @@ class Field:
         """Number of reals."""
         return math.prod(self.shape)
 
+    @property
+    def first(self) -> str:
+        """Its first real, as C names it inside the structure."""
+        return self.name + "[0]" * len(self.dimensions)
+
+    @property
+    def same_range(self) -> bool:
+        """Whether all its elements have one range."""
+        return len(set(self.low)) == len(set(self.high)) == 1
+
+    @property
+    def range_text(self) -> str:
+        """Its range in words, after what it is."""
+        return f"; from {self.low[0]:g} to {self.high[0]:g}" if self.same_range else "; each in its own range"
+
+    @property
+    def turns(self) -> bool:
+        """Whether some of its elements are angles that turn freely."""
+        return any(self.turning)
+
+    @property
+    def has_margin(self) -> bool:
+        """Whether measurements may lie beyond the machine's limits."""
+        return self.design is not None and self.design != (self.low, self.high)
+
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """Random values (count, length)."""
         low, high = self.sample or (self.low, self.high)
@@ -82,7 +108,7 @@ class Field:
             room = np.where(upper, self.high - high, low - np.asarray(self.low))
             beyond = np.where(upper, high + share * room, low - share * room)
             values = np.where((rng.random(shape) < DISPLACED) & (room > 0), beyond, values)
-        if any(self.turning):
+        if self.turns:
             turns = rng.integers(-TURNS, TURNS + 1, values.shape) * (rng.random(values.shape) < DISPLACED)
             values = values + 2 * math.pi * turns * np.asarray(self.turning)
         return values
@@ -94,7 +120,7 @@ class Field:
 
     def unwound(self, values: Array) -> Array:
         """Angles that turn freely, reduced to ±π as the C code does."""
-        if not any(self.turning):
+        if not self.turns:
             return values
         turns = np.floor(values / (2 * math.pi) + 0.5)
         return np.where(self.turning, (values - turns * TURN[0]) - turns * TURN[1], values)
@@ -109,6 +135,11 @@ class Guard:
     status: Status
     minimum: float | None = None
     maximum: float | None = None
+
+    @property
+    def refused(self) -> str:
+        """What it refuses, in words."""
+        return f"{self.name} < {self.minimum:.4g}" if self.minimum is not None else f"{self.name} > {self.maximum:.4g}"
 
     def passes(self, value: Array) -> NDArray[np.bool_]:
         """Whether the results may be used; a NaN may not."""
@@ -142,6 +173,27 @@ class Operation:
     def baked(self) -> bool:
         """Whether the machine's parameters are constants."""
         return self.kernel.n_in() == len(self.inputs)
+
+    @property
+    def n_in(self) -> int:
+        """Reals of its input structure."""
+        return sum(field.length for field in self.inputs)
+
+    @property
+    def n_out(self) -> int:
+        """Reals of its output structure."""
+        return sum(field.length for field in self.outputs)
+
+    @property
+    def offsets(self) -> list[int]:
+        """Where each output, then each guard begins in the workspace."""
+        lengths = [*(field.length for field in self.outputs), *(1 for _ in self.guards)]
+        return list(accumulate(lengths, initial=0))[:-1]
+
+    def about(self, prefix: str) -> str:
+        """What it computes and what its guards refuse; `prefix` of the statuses."""
+        refusals = [f"{prefix}_{g.status} where {g.refused} ({g.text})" for g in self.guards]
+        return self.text + (f" Refused: {'; '.join(refusals)}." if refusals else "")
 
     def random_rows(
         self, parameters: Parameters, rng: np.random.Generator, count: int, *, displaced: bool = False
@@ -189,7 +241,7 @@ class Operation:
     def reference(self, rows: Array) -> Samples:
         """The kernel at given inputs (count, inputs and parameters), by CasADi's virtual machine in double."""
         if not len(rows):
-            empty = np.zeros((0, sum(field.length for field in self.outputs)))
+            empty = np.zeros((0, self.n_out))
             return Samples(rows, empty, empty, np.zeros(0, bool), np.zeros(0, bool))
         parts = self.split(rows)
         measured = [(field, part) for field, part in zip(self.inputs, parts, strict=False) if field.design is not None]

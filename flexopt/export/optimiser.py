@@ -1,8 +1,9 @@
 """C text of the posture optimiser: `flexopt.selection`'s program solved on a controller.
 
-In: a machine, its controller, what shall be constant. Out: declarations and one C source, made of the generated
-kernels and the hand-written search of `templates/optimiser.c`. No heap, no recursion, bounded loops, memory owned by
-the caller; each accepted iterate is feasible, so that the best so far can be used whenever time runs out.
+In: a machine, its controller, what shall be constant. Out: declarations, a configuration with the generated kernels,
+and the search of `optimiser_c/`, plain C that compiles with that configuration. No heap, no recursion, bounded loops,
+memory owned by the caller; each accepted iterate is feasible, so that the best so far can be used whenever time runs
+out.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.export.context import Context, build_context
-from flexopt.export.kernels import Kernel, Real, kernel_text, single_precision
-from flexopt.export.naming import constants, number, text_of
+from flexopt.export.kernels import Kernel, Real, kernel_text
+from flexopt.export.naming import CWriter, constants
 from flexopt.export.operations import Array
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
 from flexopt.export.parameters import parameter_range
@@ -33,6 +34,15 @@ from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures
 
+# The search, and those of its functions that are given memory to work on.
+SEARCH = tuple(
+    f"optimiser{part}"
+    for part in (
+        "_constants.h", "_evaluate.h", "_algebra.h", "_project.h", "_plane.h", "_exact.h", "_differences.h", "_climb.h",
+        "_starts.h", "_closed_form.h", "_sampled.h", ".c",
+    )
+)  # fmt: skip
+WITH_WORK = {"hold", "value", "model", "slope"}
 # Own starts kept, and placements (or points of the redundancy) looked at for them, each elbow; where postures have no
 # closed form, points of the whole range in each of so many rounds.
 STARTS = 16
@@ -60,36 +70,63 @@ SETTLING = {"double": 0, "float": 2}
 PROBES = {"double": 1e-6, "float": 1e-2}
 
 
+# Name -> value and meaning. From `FIRST_FAILURE` on there is no answer.
+FIRST_FAILURE = 16
+STATUSES = {
+    "CONVERGED": (0, "a local optimum: feasible, and stationary to the tolerance, or to {enough} where rounding allows "
+                  "no more; not proved to be the best of all"),
+    "BUDGET_SPENT": (1, "feasible; the budget ended before it was proved stationary, or before every start"),
+    "DEADLINE": (2, "the same, ended by expired()"),
+    "STALLED": (3, "feasible, not stationary, and no step raises V in this precision"),
+    "NULL_POINTER": (16, "a pointer is NULL; start alone may be"),
+    "BAD_WORKSPACE": (17, "the workspace is not aligned as its type asks, or overlaps another argument"),
+    "NOT_FINITE": (18, "an input is NaN or infinite"),
+    "OUT_OF_RANGE": (19, "bounds reversed, margin or tolerance outside (0, 1), weights negative or all 0, budget, "
+                     "starts, a machine parameter outside the range of machine files"),
+    "NO_FEASIBLE": (20, "the target is out of reach, or no start could be brought to a feasible point"),
+    "ENDED_EARLY": (21, "budget or deadline ended before the first feasible point"),
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class OptimiserSources:
     """The optimiser as text, to be put into a bundle.
 
     Attributes:
-        header: declarations for the public header, without an include guard; needs nothing included.
-        kernels_text: the generated functions, all static.
-        search_text: what is written by hand and calls them; needs <math.h>, <stddef.h>, <stdint.h> and the header.
+        header: what users see.
+        configuration: the generated functions, all static, and what the search needs to know of the machine; needs the
+            header.
         workspace_size: name of the macro with the workspace's size in bytes, `sizeof` of the type of the workspace.
-        documentation: what goes in, what comes out, what each status means.
         kernels: the Functions behind it.
         model_cost: cost of one step's derivatives in units of the budget, one evaluation of V.
         budget: default budget of a call.
-        statuses: name -> value, without prefix.
+        status_texts: name, without prefix -> value and meaning.
     """
 
     header: str
-    kernels_text: str
-    search_text: str
+    configuration: str
     workspace_size: str
-    documentation: str
     kernels: OptimiserKernels
     model_cost: int
     budget: int
-    statuses: Mapping[str, int]
+    status_texts: Mapping[str, tuple[int, str]]
+
+    @property
+    def statuses(self) -> dict[str, int]:
+        """Name -> value, without prefix."""
+        return {name: value for name, (value, _) in self.status_texts.items()}
 
     @property
     def source(self) -> str:
-        """Both texts: the C file after its includes."""
-        return f"{self.kernels_text}\n{self.search_text}"
+        """All in one C file, to be put after the header."""
+        chosen = dict(re.findall(r'#define (\w+) "(\w+\.h)"', self.configuration))
+        return f"{self.configuration}\n{_amalgamated('optimiser.c', chosen, set())}"
+
+    def files(self) -> dict[str, str]:
+        """Name -> text of separate files, of which `optimiser.c` is to be compiled: for tools that read C."""
+        config = '#ifndef OPTIMISER_CONFIG_H\n#define OPTIMISER_CONFIG_H\n\n#include "optimiser.h"\n'
+        texts = {"optimiser.h": self.header, "optimiser_config.h": f"{config}{self.configuration}\n#endif\n"}
+        return texts | {name: _search(name) for name in SEARCH}
 
 
 def build_optimiser(
@@ -156,27 +193,27 @@ def build_optimiser(
     kernels = build_optimiser_kernels(at, measures, weights=weights)
     text = kernel_text(kernels.functions, real, real_type or real)
     budget = budget or default_budget(kernels, real)
-    values = _values(at, measures, kernels, text.kernels, weights is None, real, margin, budget)
-    values |= {"p": f"{prefix}_optimiser", "P": f"{prefix}_optimiser".upper(), "real": real_type or real}
-    header = _filled(_template("optimiser.h"), values, real)
-    values |= {
-        "DERIVATIVES": _template("optimiser_exact.c" if kernels.exact_second else "optimiser_differences.c"),
-        "SAMPLING": _template("optimiser_sampled.c" if kernels.posture is None else "optimiser_closed_form.c"),
+    writer = CWriter(prefix, real)
+    values = _values(at, measures, kernels, text.kernels) | {
+        "p": f"{prefix}_optimiser",
+        "P": f"{prefix}_optimiser".upper(),
+        "real_type": real_type or real,
+        "in_bundle": real_type is not None,
+        "weights_at_run_time": weights is None,
+        "budget": budget,
+        "margin_deg": margin,
+        "sine_squared_min": math.sin(math.radians(margin)) ** 2,
     }
-    body = _calls(_filled(_template("optimiser.c"), values, real), text.kernels)
-    enumerated = header[header.index("typedef enum") : header.index(f"}} {values['p']}_status")]
-    statuses = {name: int(value) for name, value in re.findall(rf"{values['P']}_(\w+) = (\d+)", enumerated)}
-    documentation = header[: header.index("*/") + 2] + "\n" + re.sub(r"(?s)^.*?(?=typedef enum)", "", header)
+    enough = writer.number(TOLERANCES[real][1])
+    statuses = {name: (value, text.format(enough=enough)) for name, (value, text) in STATUSES.items()}
     return OptimiserSources(
-        header=header,
-        kernels_text=text.text,
-        search_text=body,
+        header=writer.render("optimiser.h", statuses=statuses, first_failure=FIRST_FAILURE, **values),
+        configuration=writer.render("optimiser_config.h", statuses=statuses, kernels=text.text, **values),
         workspace_size=f"{values['P']}_WORKSPACE_SIZE",
-        documentation=documentation,
         kernels=kernels,
         model_cost=kernels.model_cost,
         budget=budget,
-        statuses=statuses,
+        status_texts=statuses,
     )
 
 
@@ -210,23 +247,30 @@ def _check_prefix(value: Any) -> str:
     return value
 
 
-def _template(name: str) -> str:
-    return (files("flexopt.export") / "templates" / name).read_text(encoding="utf-8")
+def _search(name: str) -> str:
+    """A file of the search."""
+    return (files("flexopt.export") / "optimiser_c" / name).read_text(encoding="utf-8")
 
 
-def _values(
-    at: Context,
-    measures: Measures,
-    kernels: OptimiserKernels,
-    texts: Mapping[str, Kernel],
-    weights_at_run_time: bool,
-    real: Real,
-    margin_deg: float,
-    budget: int,
-) -> dict[str, str]:
-    """What the templates leave open."""
+def _amalgamated(name: str, chosen: Mapping[str, str], seen: set[str]) -> str:
+    """A file of the search with those that it includes in their places, each once, without guards."""
+
+    def included(match: re.Match[str]) -> str:
+        file = match[1].strip('"')
+        file = chosen.get(file, file)
+        if file in seen or file not in SEARCH:
+            return ""
+        seen.add(file)
+        return _amalgamated(file, chosen, seen)
+
+    text = re.sub(r"(?m)^#(ifndef|define) OPTIMISER_\w+_H\n|^#endif /\* OPTIMISER_\w+_H \*/\n", "", _search(name))
+    return re.sub(r"(?m)^#include (.*)\n", included, text)
+
+
+def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: Mapping[str, Kernel]) -> dict[str, Any]:
+    """What header and configuration ask for."""
+    real: Real = "float" if at.single else "double"
     plant, machine = measures.plant, measures.plant.machine
-    n_z = plant.n_base + plant.n_actuated
     units = [*machine.base_units, *machine.joint_units]
     names = [f"base.{c}" for c in machine.base_coordinates] + list(machine.joints)
     bounds = [(-COORDINATE_MAX, COORDINATE_MAX)] * plant.n_base
@@ -234,63 +278,56 @@ def _values(
     ranges = [parameter_range(parameter) for parameter in machine.parameters]
     idle = _idle(measures)
     tolerance, enough, tie = TOLERANCES[real]
-    if not kernels.exact_second:
-        tolerance = max(tolerance, TOLERANCE_MIN)
-    sizes = {f"ARG_{name}": str(kernel.sz_arg) for name, kernel in texts.items()}
-    sizes |= {f"RES_{name}": str(kernel.sz_res) for name, kernel in texts.items()}
-    second = [("end_point_hessian", "@P@_N_TASK * "), ("sine_squared_hessian", "")]
-    fields = [f"  @real@ {name}[{rows}@P@_N_Z * @P@_N_Z];\n" for name, rows in second]
-    return sizes | _sampling(measures, kernels, real) | {
-        "MACHINE": text_of(machine.name),
-        "CONTROL": f"Jacobian {measures.control}",
-        "GRAVITY": ", under static deflection" if measures.gravity else "",
-        "VARIABLES": ", ".join(map(text_of, names)),
-        "INDICES": ",\n".join(f"    @P@_{name} = {k}" for k, name in enumerate(constants(names))),
-        "N_Z": str(n_z),
-        "N_B": str(plant.n_base),
-        "N_TASK": str(plant.n_task),
-        "N_MODES": str(plant.n_passive),
-        "N_P": str(len(plant.parameter_names)),
-        "N_HELD": str(max(1, kernels.hold.size1_out(0))),
-        "N_WORK": str(max(1, *(kernel.sz_w for kernel in texts.values()))),
-        "SECOND": "".join(fields) if kernels.exact_second else "",
-        **_eigenvectors(kernels, plant.n_passive),
-        "HESSIAN": "exact Hessian" if kernels.exact_second else "Hessian by differences of exact slopes",
-        "COST_SLOPE": str(kernels.model_cost if kernels.exact_second else kernels.slope_cost),
-        "BASE_IDLE": str(int(kernels.posture is None and all(idle))),
-        "ROUGH": number(ROUGH[real], real),
-        "MARGIN_EDGE": number(MARGIN_EDGE[real], real) if plant.n_task > 3 else "EDGE",
-        "PROJECTIONS": str(kernels.projections),
-        "ROUNDS": str(ROUNDS) if kernels.posture is None else "1",
-        "SPARE": ", ".join(map(str, [*_spare(measures, idle), *[0] * plant.n_actuated])),
-        "PROBE": number(PROBES[real], real),
-        "ANGLES": ", ".join(str(int(unit == "rad")) for unit in units),
-        "WEIGHTS_AT_RUN_TIME": str(int(weights_at_run_time)),
-        "PARAMETERS_AT_RUN_TIME": str(int(not at.baked)),
-        "PARAMETERS": ", ".join(map(text_of, plant.parameter_names)),
-        "STARTS": str(STARTS),
-        "COST_MODEL": str(kernels.model_cost),
-        "BUDGET": str(budget),
-        "BUDGET_MAX": str(BUDGET_MAX),
-        "MARGIN_DEG": f"{margin_deg:g}",
-        "SINE_SQUARED_MIN": number(math.sin(math.radians(margin_deg)) ** 2, real),
-        "LOWER": ", ".join(number(low, real) for low, _ in bounds),
-        "UPPER": ", ".join(number(high, real) for _, high in bounds),
-        "P_LOW": ", ".join(number(low, real) for low, _ in ranges),
-        "P_HIGH": ", ".join(number(high, real) for _, high in ranges),
-        "P_VALUES": ", ".join(number(parameter.value, real) for parameter in machine.parameters),
-        "PI": number(math.pi, real),
-        "TWO_PI": number(2 * math.pi, real),
-        "EPSILON": number(EPSILON[real], real),
-        "TOLERANCE": number(tolerance, real),
-        "STATIONARY_ENOUGH": number(enough, real),
-        "TIE": number(tie, real),
-        "SETTLING": str(SETTLING[real]),
-        "TARGET_TOLERANCE": number(TARGET_TOLERANCES[real] * EPSILON[real], real),
-        "MARGIN_TOLERANCE": number(4 * (MARGIN_EDGE[real] if plant.n_task > 3 else EDGE * EPSILON[real]), real),
-        "EDGE": f"{EDGE}.0",
-        "FIXED_ROWS": ", ".join(map(str, _fixed_rows(measures))),
-    }  # fmt: skip
+    exact, many_rows = kernels.exact_second, plant.n_task > 3
+    still = [0] * plant.n_actuated
+    with_work = {name for name, kernel in texts.items() if set(kernel.parameters) - {"arg", "res"}}
+    if not with_work <= WITH_WORK or any("iw" in kernel.parameters for kernel in texts.values()):
+        raise ValueError(f"{', '.join(sorted(with_work))}: memory that the search does not give")
+    return _sampling(measures, kernels) | {
+        "machine": machine,
+        "control": measures.control,
+        "gravity": measures.gravity,
+        "variables": names,
+        "indices": constants(names),
+        "n_base": plant.n_base,
+        "n_task": plant.n_task,
+        "n_modes": plant.n_passive,
+        "n_held": max(1, kernels.hold.size1_out(0)),
+        "n_work": max(1, *(kernel.sz_w for kernel in texts.values())),
+        "parameter_names": plant.parameter_names,
+        "parameters_at_run_time": not at.baked,
+        "parameters": [parameter.value for parameter in machine.parameters],
+        "parameters_low": [low for low, _ in ranges],
+        "parameters_high": [high for _, high in ranges],
+        "lower": [low for low, _ in bounds],
+        "upper": [high for _, high in bounds],
+        "unbounded": COORDINATE_MAX,
+        "exact": exact,
+        "closed_form": kernels.posture is not None,
+        "kernel_table": texts,
+        "with_work": WITH_WORK,
+        "cost_slope": kernels.model_cost if exact else kernels.slope_cost,
+        "cost_model": kernels.model_cost,
+        "projections": kernels.projections,
+        "starts": STARTS,
+        "budget_max": BUDGET_MAX,
+        "pi": math.pi,
+        "epsilon": EPSILON[real],
+        "tolerance": tolerance if exact else max(tolerance, TOLERANCE_MIN),
+        "enough": enough,
+        "tie": tie,
+        "rough": ROUGH[real],
+        "probe": PROBES[real],
+        "settling": SETTLING[real],
+        "edge": EDGE,
+        "margin_edge": MARGIN_EDGE[real] if many_rows else 0.0,
+        "target_tolerance": TARGET_TOLERANCES[real] * EPSILON[real],
+        "margin_tolerance": 4 * (MARGIN_EDGE[real] if many_rows else EDGE * EPSILON[real]),
+        "angles": [int(unit == "rad") for unit in units],
+        "spare": [*_spare(measures, idle), *still],
+        "base_idle": kernels.posture is None and all(idle),
+        "fixed_rows": _fixed_rows(measures),
+    }
 
 
 def _idle(measures: Measures) -> list[bool]:
@@ -329,62 +366,18 @@ def _fixed_rows(measures: Measures) -> list[int]:
     return [int(row in ("x", "y", "z") and row not in moved) for row in machine.task_rows]
 
 
-def _eigenvectors(kernels: OptimiserKernels, modes: int) -> dict[str, str]:
-    """How the eigenvectors of one point are handed to the next one, where iterations start from them."""
-    if kernels.exact_second:
-        return dict.fromkeys(("NEAR", "NEXT", "REMEMBER", "FORGET", "NEAR_FIELDS"), "")
-    size = modes * modes
-    loop = f"  for (int i = 0; i < {size}; i++) {{\n    s->near[i] = {{}};\n  }}\n"
-    return {
-        "NEAR": ", s->near",
-        "NEXT": ", s->next",
-        "REMEMBER": loop.replace("{}", "s->next[i]"),
-        "FORGET": loop.replace("{}", f"((i % {modes + 1}) == 0) ? R(1.0) : R(0.0)"),
-        "NEAR_FIELDS": f"  @real@ near[{size}];\n  @real@ next[{size}];\n",
-    }
-
-
-def _sampling(measures: Measures, kernels: OptimiserKernels, real: Real) -> dict[str, str]:
+def _sampling(measures: Measures, kernels: OptimiserKernels) -> dict[str, Any]:
     """How the redundancy is sampled: in closed form placements and `units`, else all variables in their ranges."""
     plant, machine = measures.plant, measures.plant.machine
     if kernels.posture is not None:
         units = plant.n_actuated - 2
-        of_kind = {"STEP_MAX": number(0.5, real), "PROJECTION_STEPS": "15"}
-        of_kind |= {"UNITS": str(units), "SAMPLES": str(SURFACE_SAMPLES if units else CURVE_SAMPLES)}
-        dimensions = units + 1
+        dimensions, samples = units + 1, SURFACE_SAMPLES if units else CURVE_SAMPLES
+        of_kind = {"step_max": 0.5, "projection_steps": 15, "units": units, "samples": samples, "rounds": 1}
     else:
         rows = [machine.task_rows.index(c) if c in machine.task_rows else -1 for c in machine.base_coordinates]
-        # Longer steps and fewer of them, as each costs many times more.
-        of_kind = {
-            "STEP_MAX": number(0.8, real),
-            "PROJECTION_STEPS": "8",
-            "SAMPLES": str(SAMPLES),
-            "ROWS_OF": ", ".join(map(str, [*rows, *[-1] * plant.n_actuated])),
-        }
         dimensions = plant.n_base + plant.n_actuated
+        of_kind = {"step_max": 0.8, "projection_steps": 8, "samples": SAMPLES, "rounds": ROUNDS}
+        of_kind |= {"rows_of": [*rows, *[-1] * plant.n_actuated]}
     # low_discrepancy's first two points, one step apart.
     pair = low_discrepancy(dimensions, 2, 0)
-    return of_kind | {"STEPS": ", ".join(number(s, real) for s in (pair[:, 1] - pair[:, 0]) % 1.0)}
-
-
-def _filled(template: str, values: Mapping[str, str], real: Real) -> str:
-    """The template with its places filled and its constants and functions in the precision."""
-    text = template
-    for _ in range(3):  # some values have places themselves
-        text = re.sub(r"@(\w+)@", lambda match: values[match[1]], text)
-    text = re.sub(r"\bR\(([^()]+)\)", r"\1", text)
-    return single_precision(text) if real == "float" else text
-
-
-def _calls(text: str, kernels: Mapping[str, Kernel]) -> str:
-    """Calls of the kernels with the parameters that each takes."""
-
-    def call(match: re.Match[str]) -> str:
-        kernel = kernels[match[1]]
-        passed = {"arg": match[2], "res": match[3], "w": "s->work"}
-        if not set(kernel.parameters) <= set(passed):
-            raise ValueError(f"{kernel.name}: needs whole numbers to work on")
-        unused = "".join(f"(void){passed[name]}; " for name in ("arg", "res") if name not in kernel.parameters)
-        return f"{unused}(void){kernel.name}({', '.join(passed[name] for name in kernel.parameters)});"
-
-    return re.sub(r"\(void\)KERNEL_(\w+)\((\w+), (\w+)\);", call, text)
+    return of_kind | {"sample_steps": ((pair[:, 1] - pair[:, 0]) % 1.0).tolist()}

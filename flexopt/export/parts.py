@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 from flexopt.export.context import Context
 from flexopt.export.control import controller, kinematics
-from flexopt.export.foreign import Foreign, optimiser
 from flexopt.export.hydraulic import levers, levers_refusal
 from flexopt.export.kernels import Real
 from flexopt.export.modal import margin, measures, nullspace
 from flexopt.export.operations import Operation
 from flexopt.export.optimiser import optimiser_refusal
+from flexopt.export.optimiser_part import OptimiserPart, optimiser
 from flexopt.export.simulator import simulator
 from flexopt.model import AnyMachine
 
@@ -35,13 +35,13 @@ class Part:
     Attributes:
         title: what it is for.
         build: its operations.
-        foreign: its own sources, of a part that is not made of operations: (context, prefix, precision) -> sources.
+        standalone: its own sources, of a part that is not made of operations: (context, prefix, precision) -> sources.
         refusal: why a machine cannot have it, in a sentence; empty where it can.
     """
 
     title: str
     build: Callable[[Context], tuple[Operation, ...]] = _nothing
-    foreign: Callable[[Context, str, Real], Foreign] | None = None
+    standalone: Callable[[Context, str, Real], OptimiserPart] | None = None
     refusal: Callable[[AnyMachine], str] = _takes_all
 
 
@@ -52,6 +52,6 @@ PARTS: dict[str, Part] = {
     "measures": Part("measures w_i, V and its gradient", measures),
     "nullspace": Part("nullspace update of base and joints", nullspace),
     "margin": Part("robust stability margin", margin),
-    "optimiser": Part("posture optimiser", foreign=optimiser, refusal=optimiser_refusal),
+    "optimiser": Part("posture optimiser", standalone=optimiser, refusal=optimiser_refusal),
     "simulator": Part("one step of the machine, for hardware in the loop", simulator),
 }

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 import math
 import os
 from collections.abc import Iterator, Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +21,8 @@ from PIL import Image
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import instance, number, path, public
-from flexopt.foundation.escapes import markup
 from flexopt.foundation.pictures import draws
+from flexopt.foundation.rendering import render
 from flexopt.foundation.writing import write_file
 from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.stage_space import SpaceStage
@@ -135,16 +133,13 @@ def _page(film: Film, images: list[Image.Image]) -> str:
         overlay = Image.fromarray(np.where(pixels == first, TRANSPARENT, pixels).astype(np.uint8), "P")
         overlay.putpalette([*(image.getpalette() or [])[: 3 * COLORS], 255, 255, 255])
         overlays.append(_data_url(overlay, transparency=TRANSPARENT))
-    template = files("flexopt.plotting").joinpath("player.html").read_text(encoding="utf-8")
-    fields = {
-        "TITLE": markup(f"{film.trajectory.machine}, {film.caption}"),
-        "STILL": _data_url(images[0]),
-        "FRAMES": json.dumps(overlays),
-        "DELAY": str(10 * film.delay),
-    }
-    for name, text in fields.items():
-        template = template.replace(f"@{name}@", text)
-    return template
+    return render(
+        "plotting/player.html",
+        title=f"{film.trajectory.machine}, {film.caption}",
+        still=_data_url(images[0]),
+        frames=overlays,
+        delay=10 * film.delay,
+    )
 
 
 def _data_url(image: Image.Image, **options: Any) -> str:

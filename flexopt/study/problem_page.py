@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from flexopt.foundation.rendering import render
 from flexopt.plant import build_plant
-from flexopt.study.page import heading, page, paragraph, picture, table
+from flexopt.study.page import Table, picture
 
 if TYPE_CHECKING:
     from flexopt.study.problem_report import Report
@@ -31,40 +32,25 @@ NAMED = 0.15
 
 def report_html(report: Report) -> str:
     """The page."""
-    pictures = {n: picture(f, CAPTIONS.get(n, f"Nonlinear {n}.")) for n, f in report.figures().items()}
-    selection = report.selection
-    machine = report.machine
-    runs = [name for name in pictures if name.startswith("run ")]
-    body = [
-        paragraph(report.description),
-        paragraph(report.source),
-        paragraph(f"{_sentence(report)} {selection.status}."),
-        heading("The choice"),
-        pictures["selection"],
-        _candidates(report),
-        _constraints(report),
-        heading("The machine"),
-        paragraph(f"{machine.name}. {machine.description}".strip()),
-        paragraph(machine.source),
-        _coordinates(report),
-        _parameters(report, ("kg",), "mass"),
-        _parameters(report, ("N/m", "N m/rad", "N"), "spring"),
-        heading("Modes at rest"),
-        *(_modes(report, name) for name in report.stands),
-        heading("The surroundings of the chosen configuration"),
-        paragraph("" if report.map is None else f"{report.map.dataset.attrs['frame']}."),
-        pictures.get("map", ""),
-        heading("The closed loop"),
-        paragraph(_gains(report)),
-        _loops(report),
-        *([pictures["loops"]] if "loops" in pictures else []),
-        *(pictures[name] for name in runs),
-        heading("The gains that a configuration allows"),
-        _borders(report),
-    ]
-    if report.notes:
-        body += [heading("Notes"), *(paragraph(note) for note in report.notes)]
-    return page(f"Report: {report.name}", body, report.provenance)
+    candidates, note = _candidates(report)
+    return render(
+        "study/templates/report.html",
+        title=f"Report: {report.name}",
+        provenance=report.provenance,
+        report=report,
+        pictures={n: picture(f, CAPTIONS.get(n, f"Nonlinear {n}.")) for n, f in report.figures().items()},
+        sentence=f"{_sentence(report)} {report.selection.status}.",
+        candidates=candidates,
+        candidates_note=note,
+        constraints=_constraints(report),
+        coordinates=_coordinates(report),
+        masses=_parameters(report, ("kg",), "mass"),
+        springs=_parameters(report, ("N/m", "N m/rad", "N"), "spring"),
+        modes_at_rest=[_modes(report, name) for name in report.stands],
+        options=_gains(report),
+        loops=_loops(report),
+        borders=_borders(report),
+    )
 
 
 def _number(value: float | None, digits: int = 5) -> str:
@@ -80,7 +66,8 @@ def _sentence(report: Report) -> str:
     return f"Target of the end-point: {target} m. Objective {problem.name}, Jacobian {problem.control} control{weight}:"
 
 
-def _candidates(report: Report) -> str:
+def _candidates(report: Report) -> tuple[Table, str]:
+    """The table, and a remark on it."""
     selection = report.selection
     best = selection.best.evaluation
     modes = range(1, best.w.size + 1)
@@ -102,19 +89,19 @@ def _candidates(report: Report) -> str:
     more = len(selection.candidates) - SHOWN
     alike = f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
     notes = [f"And {more} more."] * (more > 0) + [alike] * bool(wide)
-    return table(header, rows) + paragraph(" ".join(notes))
+    return (header, rows), " ".join(notes)
 
 
 def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
     return [f"{name}, {unit}" for name, unit in zip(names, units, strict=True)]
 
 
-def _constraints(report: Report) -> str:
+def _constraints(report: Report) -> Table:
     """Values of every constraint at the candidates."""
     shown = report.selection.candidates[:SHOWN]
     names = list(shown[0].constraints)
     if not names:
-        return ""
+        return None
     rows: list[list[str]] = []
     for name in names:
         values = [candidate.constraints[name] for candidate in shown]
@@ -125,7 +112,7 @@ def _constraints(report: Report) -> str:
                 *(_number(value.value) for value in values),
             ]
         )
-    return table(["constraint", "allowed", *(f"{k}" for k in range(1, len(shown) + 1))], rows)
+    return ["constraint", "allowed", *(f"{k}" for k in range(1, len(shown) + 1))], rows
 
 
 def _allowed(low: float, high: float, unit: str) -> str:
@@ -134,7 +121,7 @@ def _allowed(low: float, high: float, unit: str) -> str:
     return f"at least {_number(low)} {unit}" if math.isfinite(low) else f"at most {_number(high)} {unit}"
 
 
-def _coordinates(report: Report) -> str:
+def _coordinates(report: Report) -> Table:
     machine, plant = report.machine, build_plant(report.machine)
     rows: list[list[str]] = []
     limits = dict(zip(machine.joints, machine.limits, strict=True))
@@ -150,10 +137,10 @@ def _coordinates(report: Report) -> str:
                 "" if effort == "–" else f"{effort} {'N m' if unit == 'rad' else 'N'}",
             ]
         )  # fmt: skip
-    return table(["coordinate", "unit", "kind", "limits", "effort"], rows)
+    return ["coordinate", "unit", "kind", "limits", "effort"], rows
 
 
-def _parameters(report: Report, units: tuple[str, ...], what: str) -> str:
+def _parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
     rows = [
         [parameter.name, _number(parameter.value, 6), parameter.unit]
         for parameter in report.machine.parameters
@@ -162,10 +149,10 @@ def _parameters(report: Report, units: tuple[str, ...], what: str) -> str:
     if what == "mass":
         total = sum(p.value for p in report.machine.parameters if p.unit in units)
         rows.append(["total", _number(total, 6), "kg"])
-    return table([what, "value", "unit"], rows) if rows else ""
+    return ([what, "value", "unit"], rows) if rows else None
 
 
-def _modes(report: Report, name: str) -> str:
+def _modes(report: Report, name: str) -> Table:
     stand = report.stands[name]
     shares, names = report.mode_shares(stand), build_plant(report.machine).coordinates
     rows: list[list[str]] = []
@@ -180,7 +167,7 @@ def _modes(report: Report, name: str) -> str:
             ]
         )  # fmt: skip
     header = [f"mode, {name}", "frequency, Hz", "damping ratio", "w", "w/|a||b|", "in phase", "strain energy in"]
-    return table(header, rows)
+    return header, rows
 
 
 def _gains(report: Report) -> str:
@@ -198,7 +185,7 @@ def _told(value: Any) -> str:
     return _number(value, 6) if isinstance(value, float) else str(value)
 
 
-def _loops(report: Report) -> str:
+def _loops(report: Report) -> Table:
     rows: list[list[str]] = []
     for name, loop in report.loops.items():
         run, linear = loop.run, loop.linear
@@ -213,10 +200,10 @@ def _loops(report: Report) -> str:
         )  # fmt: skip
     header = ["configuration", "verdict", "growth rate of the run, 1/s", "linear loop, 1/s", "settles in, s",
               "largest base rotation, mrad", "end-point at the end, mm off", "duration, s"]  # fmt: skip
-    return table(header, rows) if rows else ""
+    return (header, rows) if rows else None
 
 
-def _borders(report: Report) -> str:
+def _borders(report: Report) -> Table:
     rows = [
         [
             row.stand,
@@ -227,4 +214,4 @@ def _borders(report: Report) -> str:
         ]
         for row in report.borders
     ]
-    return table(["configuration", "held", "integrator", "stable Kp", "then grows, Hz"], rows) if rows else ""
+    return (["configuration", "held", "integrator", "stable Kp", "then grows, Hz"], rows) if rows else None

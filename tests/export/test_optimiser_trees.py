@@ -17,7 +17,7 @@ from flexopt.errors import InputError, UnreachableTarget
 from flexopt.export import PARTS, ExportReport, export_c, verify_bundle
 from flexopt.export.bundle import library_of, read_manifest
 from flexopt.export.context import build_context
-from flexopt.export.foreign import Foreign, draw_target, optimiser
+from flexopt.export.optimiser_part import OptimiserPart, draw_target, optimiser
 from flexopt.export.verify import optimiser as verify
 from flexopt.export.verify.bench import Bench
 from flexopt.model import tree_from_dict
@@ -318,7 +318,7 @@ def test_single_precision(slewing, some, tmp_path):
         assert v >= value_of(case.problem, case.start)[0] - 1e-4 * case.problem.objective_scale
 
 
-def part_of(machine: Any) -> Foreign:
+def part_of(machine: Any) -> OptimiserPart:
     context = build_context(
         machine, control="inverse", gain=5e5, single=False, baked=False, singularity_margin_deg=10.0
     )

@@ -11,13 +11,12 @@ import pytest
 
 import flexopt
 from benchmarks.bundles import ended, examine
-from benchmarks.optimiser import draw_pairs, run, summary
+from benchmarks.optimiser import built, draw_pairs, run, summary
 from flexopt.cli import main
 from flexopt.export import PARTS, export_c
 from flexopt.export.closing import settling_start
 from flexopt.export.context import build_context
 from flexopt.export.control import controller, kinematics
-from flexopt.export.optimiser import build_optimiser
 from flexopt.export.simulator import simulator
 from flexopt.model import shipped_names
 from tests.export.programs import GCC, MAKE
@@ -79,8 +78,8 @@ def test_the_example_of_a_redundant_arm_damps_its_self_motion(name: str, stand_i
 def test_single_precision_answers_are_on_their_targets() -> None:
     # Without the last steps onto the target two of these ten are off by more than is allowed.
     pairs = draw_pairs(flexopt.load("slewing-excavator"), "inverse", 10, seed=2026)
-    sources = build_optimiser(flexopt.load("slewing-excavator"), prefix="bench", real="float")
-    answers = run(sources, pairs, own_starts=True, target="host", real="float")
+    library = built(flexopt.load("slewing-excavator"), "inverse", "float")
+    answers = run(library, pairs, own_starts=True, target="host")
     _, infeasible, answered, _, _ = summary(pairs, answers, "float")
     assert infeasible == "0"
     assert answered == "10"

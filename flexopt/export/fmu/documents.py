@@ -5,16 +5,13 @@ In: an `FmuModel`. Out: texts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from string import Template
-
 import numpy as np
 
 from flexopt.export.fmu.model import FmuModel
-from flexopt.export.fmu.source import Version, template
+from flexopt.export.fmu.source import Version
 from flexopt.export.fmu.variable import Variable
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.escapes import markup
+from flexopt.foundation.rendering import render
 
 
 def reference_table(model: FmuModel) -> str:
@@ -48,31 +45,4 @@ def _column(model: FmuModel, variable: Variable) -> Vector:
 
 def page(model: FmuModel, version: Version, tool: str) -> str:
     """`index.html`: what the FMU is, and its variables."""
-    machine = model.scenario.machine
-
-    def rows(variables: tuple[Variable, ...], *, start: bool) -> str:
-        return "\n".join(
-            f"<tr><td><code>{markup(v.name)}</code></td><td>{markup(v.unit)}</td><td>{markup(v.text)}</td>"
-            + (f"<td>{v.start:g}</td><td>{v.low:g} … {v.high:g}</td>" if start else "")
-            + "</tr>"
-            for v in variables
-        )
-
-    values: Mapping[str, str] = {
-        "name": markup(machine.name),
-        "about": markup(machine.description),
-        "version": version,
-        "kind": model.kind,
-        "period": f"{model.scenario.period:g}",
-        "control": model.scenario.options.control,
-        "feedback": model.scenario.options.feedback,
-        "sha256": machine.content_hash,
-        "tool": tool,
-        "parameters": rows(model.parameters, start=True),
-        "inputs": rows(model.inputs, start=True),
-        "outputs": rows(model.outputs, start=False),
-        "calculated": rows(model.calculated, start=False),
-        "advances": template(f"{model.kind}.html"),
-    }
-    advances = Template(values["advances"]).substitute(period=values["period"])
-    return Template(template("index.html")).substitute({**values, "advances": advances})
+    return render("export/fmu/templates/index.html", model=model, scenario=model.scenario, version=version, tool=tool)

@@ -1,32 +1,51 @@
-/* Texts, build information$common_title. */
-#include "${prefix}_internal.h"
+/* Texts, build information{% if not baked %}, default parameters{% endif %}. */
+#include "{{ prefix }}_internal.h"
 
-const char *${prefix}_status_text(${prefix}_status status)
+const char *{{ prefix }}_status_text({{ prefix }}_status status)
 {
   const char *text = "unknown status";
   switch (status) {
-$status_cases
+{% for name, text in statuses.items() %}
+  case {{ PREFIX }}_{{ name }}:
+    text = "{{ text }}";
+    break;
+{% endfor %}
   default:
     break;
   }
   return text;
 }
 
-int ${prefix}_has_output(${prefix}_status status)
+int {{ prefix }}_has_output({{ prefix }}_status status)
 {
-  return ((status == ${PREFIX}_OK) || (status == ${PREFIX}_BEYOND_LIMIT)) ? 1 : 0;
+  return ((status == {{ PREFIX }}_OK) || (status == {{ PREFIX }}_BEYOND_LIMIT)) ? 1 : 0;
 }
 
-const ${prefix}_info *${prefix}_build_info(void)
+const {{ prefix }}_info *{{ prefix }}_build_info(void)
 {
-  static const ${prefix}_info info = {
-    ${PREFIX}_FLEXOPT_VERSION,
-    ${PREFIX}_MACHINE,
-    ${PREFIX}_MACHINE_SHA256,
-    ${PREFIX}_BUNDLE_SHA256,
-    "$real",
-    "$parts"
+  static const {{ prefix }}_info info = {
+    {{ PREFIX }}_FLEXOPT_VERSION,
+    {{ PREFIX }}_MACHINE,
+    {{ PREFIX }}_MACHINE_SHA256,
+    {{ PREFIX }}_BUNDLE_SHA256,
+    "{{ real }}",
+    "{{ parts | join(", ") }}"
   };
   return &info;
 }
-$default_parameters
+{% if not baked %}
+
+{{ prefix }}_status {{ prefix }}_default_parameters({{ prefix }}_parameters *parameters)
+{
+  static const {{ prefix }}_real values[{{ PREFIX }}_PARAMETERS] = {{ listed(parameters) }};
+  {{ prefix }}_status status = {{ PREFIX }}_NULL_POINTER;
+  size_t i;
+  if (parameters != NULL) {
+    for (i = 0U; i < (size_t){{ PREFIX }}_PARAMETERS; ++i) {
+      parameters->value[i] = values[i];
+    }
+    status = {{ PREFIX }}_OK;
+  }
+  return status;
+}
+{% endif %}

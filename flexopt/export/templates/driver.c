@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "${prefix}_table.h"
+#include "{{ prefix }}_table.h"
 
 #ifdef FLEXOPT_TARGET
 uint32_t target_calibrate(void);
@@ -25,8 +25,8 @@ static uint32_t target_stack_used(void) { return 0; }
 
 enum { NULL_IN = 1, NULL_PARAMETERS = 2, NULL_OUT = 4, NULL_WORKSPACE = 8, MISALIGNED = 16, SHORT = 32 };
 
-static ${prefix}_real in[LARGEST_IN], parameters[N_PARAMETERS + 1], out[LARGEST_OUT], before[LARGEST_OUT];
-static ${prefix}_real workspace[${PREFIX}_WORKSPACE + 1U];
+static {{ prefix }}_real in[LARGEST_IN], parameters[N_PARAMETERS + 1], out[LARGEST_OUT], before[LARGEST_OUT];
+static {{ prefix }}_real workspace[{{ PREFIX }}_WORKSPACE + 1U];
 
 static void read_words(FILE *file, void *target, size_t bytes)
 {
@@ -41,7 +41,7 @@ static void replay(const table_entry *f, uint32_t repeats, FILE *source, FILE *s
   uint32_t fault, answer[3], r, start;
   /* Bytes, so that the misaligned address is never one of reals. */
   unsigned char *bytes = (unsigned char *)workspace;
-  ${prefix}_real *memory = workspace;
+  {{ prefix }}_real *memory = workspace;
   size_t length = f->workspace;
   read_words(source, &fault, sizeof fault);
   read_words(source, in, f->n_in * sizeof *in);
@@ -52,7 +52,7 @@ static void replay(const table_entry *f, uint32_t repeats, FILE *source, FILE *s
     memory = NULL;
   } else if (fault & MISALIGNED) {
     void *moved = bytes + 1;
-    memory = (${prefix}_real *)moved;
+    memory = ({{ prefix }}_real *)moved;
   }
   length -= (fault & SHORT) ? 1U : 0U;
   start = target_ticks();

@@ -5,64 +5,76 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "${prefix}_control.h"
-$foreign_includes
-#define RATE_HZ $rate
-#define DURATION_S $duration
-#define STEPS $substeps /* of the machine in a sample of the controller: RK4 wants angular frequency times step below 2.8 */
+#include "{{ prefix }}_control.h"
+{% for part in standalone %}
+#include "{{ prefix }}_{{ part }}.h"
+{% endfor %}
 
-static ${prefix}_real workspace[${PREFIX}_WORKSPACE];
+#define RATE_HZ {{ rate }}
+#define DURATION_S {{ duration }}
+#define STEPS {{ start.substeps }} /* of the machine in a sample of the controller: RK4 wants angular frequency times step below 2.8 */
 
-static void stop_on(${prefix}_status status)
+static {{ prefix }}_real workspace[{{ PREFIX }}_WORKSPACE];
+
+static void stop_on({{ prefix }}_status status)
 {
-  if (!${prefix}_has_output(status)) {
-    printf("refused: %s\n", ${prefix}_status_text(status));
+  if (!{{ prefix }}_has_output(status)) {
+    printf("refused: %s\n", {{ prefix }}_status_text(status));
     exit(EXIT_FAILURE);
   }
 }
 
 int main(void)
 {
-  static ${prefix}_torque_inverse_in controller;
-  static ${prefix}_kinematics_in configuration;
-  static ${prefix}_machine_step_in machine;
-  static const ${prefix}_real start[${PREFIX}_COORDINATES] = $start;
-$parameters_declaration  ${prefix}_kinematics_out arm;
-  ${prefix}_torque_inverse_out command;
-  ${prefix}_machine_step_out moved;
+  static {{ prefix }}_torque_inverse_in controller;
+  static {{ prefix }}_kinematics_in configuration;
+  static {{ prefix }}_machine_step_in machine;
+  static const {{ prefix }}_real start[{{ PREFIX }}_COORDINATES] = {{ listed(coordinates) }};
+{% if not baked %}
+  const {{ prefix }}_parameters parameters = {{ PREFIX }}_DEFAULT_PARAMETERS;
+{% endif %}
+  {{ prefix }}_kinematics_out arm;
+  {{ prefix }}_torque_inverse_out command;
+  {{ prefix }}_machine_step_out moved;
   double error = 0.0;
   int failures = 0, k, i, j;
 
-  printf("%s: machine %s\n", ${prefix}_build_info()->bundle_sha256, ${prefix}_build_info()->machine);
-  controller.proportional_gain = $kp;
-  controller.derivative_gain = $kv;
-$set_damping  machine.step = (${prefix}_real)1 / RATE_HZ / STEPS;
-  for (i = 0; i < ${PREFIX}_COORDINATES; ++i) {
+  printf("%s: machine %s\n", {{ prefix }}_build_info()->bundle_sha256, {{ prefix }}_build_info()->machine);
+  controller.proportional_gain = {{ number(start.kp) }};
+  controller.derivative_gain = {{ number(start.kv) }};
+{% if start.nullspace_damping %}
+  controller.nullspace_damping = {{ number(start.nullspace_damping) }}; /* of the arm's self-motion */
+{% endif %}
+  machine.step = ({{ prefix }}_real)1 / RATE_HZ / STEPS;
+  for (i = 0; i < {{ PREFIX }}_COORDINATES; ++i) {
     machine.coordinates[i] = start[i];
   }
   for (k = 0; k <= DURATION_S * RATE_HZ; ++k) {
     /* What sensors measure: end-point, its rate, joint angles. */
-    for (i = 0; i < ${PREFIX}_COORDINATES; ++i) {
+    for (i = 0; i < {{ PREFIX }}_COORDINATES; ++i) {
       configuration.coordinates[i] = machine.coordinates[i];
     }
-    stop_on(${prefix}_kinematics(&configuration, ${pass}&arm, workspace, ${PREFIX}_WORKSPACE));
-    for (i = 0; i < ${PREFIX}_TASK; ++i) {
+    stop_on({{ prefix }}_kinematics(&configuration, {{ pass }}&arm, workspace, {{ PREFIX }}_WORKSPACE));
+    for (i = 0; i < {{ PREFIX }}_TASK; ++i) {
       controller.measured_point[i] = arm.end_point[i];
       controller.measured_rate[i] = 0;
-      for (j = 0; j < ${PREFIX}_COORDINATES; ++j) {
+      for (j = 0; j < {{ PREFIX }}_COORDINATES; ++j) {
         controller.measured_rate[i] += arm.jacobian[i][j] * machine.rates[j];
       }
       if (k == 0) {
-        controller.target_point[i] = arm.end_point[i] + $distance;
+        controller.target_point[i] = arm.end_point[i] + {{ number(distance) }};
       }
     }
-    for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
-      controller.joint_angles[j] = machine.coordinates[${PREFIX}_COORDINATES - ${PREFIX}_JOINTS + j];
-$set_rates    }
+    for (j = 0; j < {{ PREFIX }}_JOINTS; ++j) {
+      controller.joint_angles[j] = machine.coordinates[{{ PREFIX }}_COORDINATES - {{ PREFIX }}_JOINTS + j];
+{% if start.nullspace_damping %}
+      controller.joint_rates[j] = machine.rates[{{ PREFIX }}_COORDINATES - {{ PREFIX }}_JOINTS + j];
+{% endif %}
+    }
     /* What the controller asks for. */
-    stop_on(${prefix}_torque_inverse(&controller, ${pass}&command, workspace, ${PREFIX}_WORKSPACE));
+    stop_on({{ prefix }}_torque_inverse(&controller, {{ pass }}&command, workspace, {{ PREFIX }}_WORKSPACE));
     error = 0.0;
-    for (i = 0; i < ${PREFIX}_TASK; ++i) {
+    for (i = 0; i < {{ PREFIX }}_TASK; ++i) {
       const double e = (double)(controller.target_point[i] - controller.measured_point[i]);
       error += e * e;
     }
@@ -72,19 +84,21 @@ $set_rates    }
              (double)command.torque[0]);
     }
     /* What the machine does until the next sample. */
-    for (j = 0; j < ${PREFIX}_JOINTS; ++j) {
+    for (j = 0; j < {{ PREFIX }}_JOINTS; ++j) {
       machine.torque[j] = command.torque[j];
     }
     for (i = 0; i < STEPS; ++i) {
-      stop_on(${prefix}_machine_step(&machine, ${pass}&moved, workspace, ${PREFIX}_WORKSPACE));
-      for (j = 0; j < ${PREFIX}_COORDINATES; ++j) {
+      stop_on({{ prefix }}_machine_step(&machine, {{ pass }}&moved, workspace, {{ PREFIX }}_WORKSPACE));
+      for (j = 0; j < {{ PREFIX }}_COORDINATES; ++j) {
         machine.coordinates[j] = moved.next_coordinates[j];
         machine.rates[j] = moved.next_rates[j];
       }
     }
   }
-  failures += (error < $settled) ? 0 : 1;
-  printf((error < $settled) ? "on target\n" : "NOT on target\n");
-$foreign_calls
+  failures += (error < {{ "%.4g" | format(start.settled) }}) ? 0 : 1;
+  printf((error < {{ "%.4g" | format(start.settled) }}) ? "on target\n" : "NOT on target\n");
+{% for part in standalone.values() %}
+{{ part.example_call() -}}
+{% endfor %}
   return failures ? EXIT_FAILURE : EXIT_SUCCESS;
 }

@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "${prefix}_optimiser.h"
+#include "{{ prefix }}_optimiser.h"
 
 #ifdef FLEXOPT_TARGET
 uint32_t target_calibrate(void);
@@ -25,11 +25,11 @@ static uint32_t target_stack_used(void) { return 0; }
 #endif
 
 enum { NULL_PROBLEM = 1, NULL_START = 2, NULL_OPTIONS = 4, NULL_WORKSPACE = 8, NULL_RESULT = 16, MISALIGNED = 32 };
-enum { N_PROBLEM = sizeof(${prefix}_optimiser_problem) / sizeof(${prefix}_real), N_REALS = ${PREFIX}_OPTIMISER_N_Z + 6 };
+enum { N_PROBLEM = sizeof({{ prefix }}_optimiser_problem) / sizeof({{ prefix }}_real), N_REALS = {{ PREFIX }}_OPTIMISER_N_Z + 6 };
 
 static union {
-  ${prefix}_optimiser_workspace inner;
-  unsigned char bytes[sizeof(${prefix}_optimiser_workspace) + 1U];
+  {{ prefix }}_optimiser_workspace inner;
+  unsigned char bytes[sizeof({{ prefix }}_optimiser_workspace) + 1U];
 } memory;
 static uint32_t left;
 
@@ -44,7 +44,7 @@ int main(int argc, char **argv)
 {
   FILE *source, *sink;
   uint32_t call[4], head[2];
-  ${prefix}_real numbers[1 + N_PROBLEM + ${PREFIX}_OPTIMISER_N_Z];
+  {{ prefix }}_real numbers[1 + N_PROBLEM + {{ PREFIX }}_OPTIMISER_N_Z];
   if (argc < 3) {
     fputs("optimiser_driver INPUTS OUTPUTS\n", stderr);
     return 2;
@@ -56,20 +56,20 @@ int main(int argc, char **argv)
     return 2;
   }
   head[0] = target_calibrate();
-  head[1] = (uint32_t)${PREFIX}_OPTIMISER_WORKSPACE_SIZE;
+  head[1] = (uint32_t){{ PREFIX }}_OPTIMISER_WORKSPACE_SIZE;
   fwrite(head, sizeof head, 1, sink);
   while (fread(call, sizeof call, 1, source) == 1) {
-    ${prefix}_optimiser_problem problem;
-    ${prefix}_optimiser_options options;
-    ${prefix}_optimiser_result result, before;
-    ${prefix}_optimiser_workspace *workspace = &memory.inner;
-    ${prefix}_real reals[N_REALS];
+    {{ prefix }}_optimiser_problem problem;
+    {{ prefix }}_optimiser_options options;
+    {{ prefix }}_optimiser_result result, before;
+    {{ prefix }}_optimiser_workspace *workspace = &memory.inner;
+    {{ prefix }}_real reals[N_REALS];
     uint32_t answer[6], began;
     if (fread(numbers, sizeof numbers, 1, source) != 1) {
       fputs("optimiser_driver: the input file is too short\n", stderr);
       return 2;
     }
-    (void)${prefix}_optimiser_default_options(&options);
+    (void){{ prefix }}_optimiser_default_options(&options);
     options.budget = (int)(int32_t)call[1];
     options.starts = (int)(int32_t)call[2];
     options.tolerance = numbers[0];
@@ -84,11 +84,11 @@ int main(int argc, char **argv)
       workspace = NULL;
     } else if (call[0] & MISALIGNED) {
       void *moved = &memory.bytes[1];
-      workspace = (${prefix}_optimiser_workspace *)moved;
+      workspace = ({{ prefix }}_optimiser_workspace *)moved;
     }
     target_paint_stack();
     began = target_ticks();
-    answer[0] = (uint32_t)${prefix}_optimiser_solve(
+    answer[0] = (uint32_t){{ prefix }}_optimiser_solve(
         (call[0] & NULL_PROBLEM) ? NULL : &problem, (call[0] & NULL_START) ? NULL : &numbers[1 + N_PROBLEM],
         (call[0] & NULL_OPTIONS) ? NULL : &options, workspace, (call[0] & NULL_RESULT) ? NULL : &result);
     answer[1] = (target_ticks() - began) & 0xFFFFFFU; /* the counter has 24 bits */
@@ -97,12 +97,12 @@ int main(int argc, char **argv)
     answer[3] = (uint32_t)result.cost;
     answer[4] = (uint32_t)result.iterations;
     memcpy(reals, result.z, sizeof result.z);
-    reals[${PREFIX}_OPTIMISER_N_Z] = result.value;
-    reals[${PREFIX}_OPTIMISER_N_Z + 1] = result.scale;
-    reals[${PREFIX}_OPTIMISER_N_Z + 2] = result.target_error;
-    reals[${PREFIX}_OPTIMISER_N_Z + 3] = result.bound_violation;
-    reals[${PREFIX}_OPTIMISER_N_Z + 4] = result.margin_slack;
-    reals[${PREFIX}_OPTIMISER_N_Z + 5] = result.stationarity;
+    reals[{{ PREFIX }}_OPTIMISER_N_Z] = result.value;
+    reals[{{ PREFIX }}_OPTIMISER_N_Z + 1] = result.scale;
+    reals[{{ PREFIX }}_OPTIMISER_N_Z + 2] = result.target_error;
+    reals[{{ PREFIX }}_OPTIMISER_N_Z + 3] = result.bound_violation;
+    reals[{{ PREFIX }}_OPTIMISER_N_Z + 4] = result.margin_slack;
+    reals[{{ PREFIX }}_OPTIMISER_N_Z + 5] = result.stationarity;
     fwrite(answer, sizeof answer, 1, sink);
     fwrite(reals, sizeof reals, 1, sink);
   }

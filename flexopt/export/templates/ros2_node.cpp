@@ -14,47 +14,63 @@
 #include <cstdio>
 #include <string>
 
-#include "${prefix}_control.h"
+#include "{{ prefix }}_control.h"
 
 class Controller {
  public:
-  static constexpr std::size_t kJoints = ${PREFIX}_JOINTS;
-  static constexpr std::size_t kTask = ${PREFIX}_TASK;
+  static constexpr std::size_t kJoints = {{ PREFIX }}_JOINTS;
+  static constexpr std::size_t kTask = {{ PREFIX }}_TASK;
   static const std::array<std::string, kJoints>& joint_names() {
-    static const std::array<std::string, kJoints> names = {{$joint_names}};
+    static const std::array<std::string, kJoints> names = {{ "{{" }}{% for joint in joints %}"{{ joint | c_text }}"{% if not loop.last %}, {% endif %}{% endfor %}{{ "}}" }};
     return names;
   }
 
   Controller(double proportional_gain, double derivative_gain) {
-    input_.proportional_gain = static_cast<${prefix}_real>(proportional_gain);
-    input_.derivative_gain = static_cast<${prefix}_real>(derivative_gain);
-$set_damping$load_parameters  }
+    input_.proportional_gain = static_cast<{{ prefix }}_real>(proportional_gain);
+    input_.derivative_gain = static_cast<{{ prefix }}_real>(derivative_gain);
+{% if damped %}
+    // Of the self-motion.
+    input_.nullspace_damping = static_cast<{{ prefix }}_real>(derivative_gain);
+{% endif %}
+{% if not baked %}
+    {{ prefix }}_default_parameters(&parameters_);
+{% endif %}
+  }
 
-  void set_joint(std::size_t joint, double angle) { input_.joint_angles[joint] = static_cast<${prefix}_real>(angle); }
-$set_rate$set_placement  void set_target(std::size_t axis, double value) { input_.target_point[axis] = static_cast<${prefix}_real>(value); }
+  void set_joint(std::size_t joint, double angle) { input_.joint_angles[joint] = static_cast<{{ prefix }}_real>(angle); }
+{% if damped %}
+  void set_rate(std::size_t joint, double rate) { input_.joint_rates[joint] = static_cast<{{ prefix }}_real>(rate); }
+{% endif %}
+{% if placement %}
+  void set_placement(std::size_t k, double value) { input_.placement[k] = static_cast<{{ prefix }}_real>(value); }
+{% endif %}
+  void set_target(std::size_t axis, double value) { input_.target_point[axis] = static_cast<{{ prefix }}_real>(value); }
 
   // The rate comes from two measurements, `elapsed` seconds apart.
   void set_measured(const std::array<double, kTask>& point, double elapsed) {
     for (std::size_t i = 0; i < kTask; ++i) {
       const double before = static_cast<double>(input_.measured_point[i]);
-      input_.measured_rate[i] = static_cast<${prefix}_real>(elapsed > 0.0 ? (point[i] - before) / elapsed : 0.0);
-      input_.measured_point[i] = static_cast<${prefix}_real>(point[i]);
+      input_.measured_rate[i] = static_cast<{{ prefix }}_real>(elapsed > 0.0 ? (point[i] - before) / elapsed : 0.0);
+      input_.measured_point[i] = static_cast<{{ prefix }}_real>(point[i]);
     }
   }
 
-  ${prefix}_status step(std::array<double, kJoints>& torque) {
-    ${prefix}_torque_inverse_out command;
-    const ${prefix}_status status =
-        ${prefix}_torque_inverse(&input_, ${pass_member}&command, workspace_.data(), workspace_.size());
-    if (${prefix}_has_output(status)) {
+  {{ prefix }}_status step(std::array<double, kJoints>& torque) {
+    {{ prefix }}_torque_inverse_out command;
+    const {{ prefix }}_status status =
+        {{ prefix }}_torque_inverse(&input_, {% if not baked %}&parameters_, {% endif %}&command, workspace_.data(), workspace_.size());
+    if ({{ prefix }}_has_output(status)) {
       for (std::size_t j = 0; j < kJoints; ++j) torque[j] = static_cast<double>(command.torque[j]);
     }
     return status;
   }
 
  private:
-  ${prefix}_torque_inverse_in input_{};
-$parameters_member  std::array<${prefix}_real, ${PREFIX}_TORQUE_INVERSE_WORKSPACE> workspace_{};
+  {{ prefix }}_torque_inverse_in input_{};
+{% if not baked %}
+  {{ prefix }}_parameters parameters_{};
+{% endif %}
+  std::array<{{ prefix }}_real, {{ PREFIX }}_TORQUE_INVERSE_WORKSPACE> workspace_{};
 };
 
 #if defined(__has_include)
@@ -77,10 +93,17 @@ $parameters_member  std::array<${prefix}_real, ${PREFIX}_TORQUE_INVERSE_WORKSPAC
 class ControllerNode : public rclcpp::Node {
  public:
   ControllerNode()
-      : Node("${prefix}_controller"),
-        controller_(declare_parameter("proportional_gain", $kp), declare_parameter("derivative_gain", $kv)),
+      : Node("{{ prefix }}_controller"),
+        controller_(declare_parameter("proportional_gain", {{ "%.6g" | format(kp) }}), declare_parameter("derivative_gain", {{ "%.6g" | format(kv) }})),
         timeout_(rclcpp::Duration::from_seconds(declare_parameter("timeout", 0.05))) {
-$declare_placement    torques_ = create_publisher<std_msgs::msg::Float64MultiArray>("joint_torques", 1);
+{% if placement %}
+    // Where the base stands: {{ placement | join(", ") }}.
+    const auto placement = declare_parameter("placement", std::vector<double>({{ PREFIX }}_PLACEMENT, 0.0));
+    for (std::size_t k = 0; k < placement.size() && k < {{ PREFIX }}_PLACEMENT; ++k) {
+      controller_.set_placement(k, placement[k]);
+    }
+{% endif %}
+    torques_ = create_publisher<std_msgs::msg::Float64MultiArray>("joint_torques", 1);
     joints_ = create_subscription<sensor_msgs::msg::JointState>(
         "joint_states", rclcpp::SensorDataQoS(), [this](const sensor_msgs::msg::JointState& m) { on_joints(m); });
     measured_ = create_subscription<geometry_msgs::msg::PointStamped>(
@@ -101,7 +124,10 @@ $declare_placement    torques_ = create_publisher<std_msgs::msg::Float64MultiArr
       const auto index = static_cast<std::size_t>(found - m.name.begin());
       if (found == m.name.end() || index >= m.position.size()) return;
       controller_.set_joint(j, m.position[index]);
-$pass_rate    }
+{% if damped %}
+      if (index < m.velocity.size()) controller_.set_rate(j, m.velocity[index]);
+{% endif %}
+    }
     joints_time_ = m.header.stamp;
     have_joints_ = true;
   }
@@ -120,11 +146,11 @@ $pass_rate    }
     have_measured_ = true;
     if (!have_joints_ || !have_target_ || now - joints_time_ > timeout_) return;
     std::array<double, Controller::kJoints> torque{};
-    const ${prefix}_status status = controller_.step(torque);
-    if (status != ${PREFIX}_OK) {
-      RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "%s", ${prefix}_status_text(status));
+    const {{ prefix }}_status status = controller_.step(torque);
+    if (status != {{ PREFIX }}_OK) {
+      RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "%s", {{ prefix }}_status_text(status));
     }
-    if (!${prefix}_has_output(status)) return;
+    if (!{{ prefix }}_has_output(status)) return;
     std_msgs::msg::Float64MultiArray message;
     message.data.assign(torque.begin(), torque.end());
     torques_->publish(message);
@@ -149,19 +175,19 @@ int main(int argc, char** argv) {
 #else
 
 int main() {
-  Controller controller($kp, $kv);
-  const std::array<double, Controller::kJoints> start = {{$start_list}};
+  Controller controller({{ "%.6g" | format(kp) }}, {{ "%.6g" | format(kv) }});
+  const std::array<double, Controller::kJoints> start = {{ "{{" ~ posture | join(", ") ~ "}}" }};
   for (std::size_t j = 0; j < Controller::kJoints; ++j) controller.set_joint(j, start[j]);
   std::array<double, Controller::kTask> origin{};
   controller.set_measured(origin, 0.0);
   for (std::size_t i = 0; i < Controller::kTask; ++i) controller.set_target(i, 0.01);
   std::array<double, Controller::kJoints> torque{};
-  const ${prefix}_status status = controller.step(torque);
-  std::printf("without ROS 2: %s\n", ${prefix}_status_text(status));
+  const {{ prefix }}_status status = controller.step(torque);
+  std::printf("without ROS 2: %s\n", {{ prefix }}_status_text(status));
   for (std::size_t j = 0; j < Controller::kJoints; ++j) {
     std::printf("  %s %.6g N m\n", Controller::joint_names()[j].c_str(), torque[j]);
   }
-  return ${prefix}_has_output(status) ? 0 : 1;
+  return {{ prefix }}_has_output(status) ? 0 : 1;
 }
 
 #endif

@@ -21,9 +21,20 @@ class Table:
     header: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
 
+    @property
+    def texts(self) -> list[list[str]]:
+        """The rows as a page shows them."""
+        return [[_shown(value) for value in row] for row in self.rows]
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready: rows as dictionaries."""
         return {"title": self.title, "rows": [dict(zip(self.header, row, strict=True)) for row in self.rows]}
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.2e}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
 
 
 @dataclass(frozen=True)

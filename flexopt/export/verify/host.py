@@ -32,7 +32,7 @@ def check_host(bench: Bench) -> list[Check]:
     checks += [attempt(f"no warning, {c}", "host", lambda c=c, p=p: _warnings(bench, c, p)) for c, p in COMPILERS]
     checks += [attempt(f"equal to Python, {c}", "host", lambda c=c: _agreement(bench, c)) for c, _ in COMPILERS]
     checks.append(attempt("faulty calls under ASan and UBSan", "host", lambda: _fuzz(bench)))
-    if optimiser.PART in bench.library.foreign:
+    if optimiser.PART in bench.library.standalone:
         checks += [
             attempt(f"optimiser beside IPOPT, {c}", "host", lambda c=c: _optimiser(bench, c)) for c, _ in COMPILERS
         ]

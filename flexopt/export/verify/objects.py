@@ -88,7 +88,7 @@ def _examined(bench: Bench, target: Target, compiler: str, flags: Sequence[str])
         f"{bench.library.prefix}_{name}" for name in ("status_text", "has_output", "build_info", "default_parameters")
     }
     own |= {f"{bench.library.prefix}_{o.name}" for o in bench.library.all_operations}
-    own |= {name for foreign in bench.library.foreign.values() for name in foreign.functions}
+    own |= {name for own in bench.library.standalone.values() for name in own.functions}
     faults: list[str] = []
     exported: set[str] = set()
     for part, path in built.items():

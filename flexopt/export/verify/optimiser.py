@@ -13,9 +13,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from flexopt.export.foreign import LOSS, Foreign, Vector, draw_target
 from flexopt.export.operations import Array
-from flexopt.export.optimiser import STARTS, TOLERANCES
+from flexopt.export.optimiser import FIRST_FAILURE, STARTS, TOLERANCES
+from flexopt.export.optimiser_part import LOSS, OptimiserPart, ReferenceProblem, draw_target
 from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, Table
@@ -31,7 +31,6 @@ FUZZ_SHARE, FUZZ_BUDGET = 10, 60
 REACHED = 0.7
 INSTRUCTIONS = 5_000_000
 SHARE = 0.99
-FEASIBLE = 16  # statuses below come with an answer
 NULL_PROBLEM, NULL_START, NULL_OPTIONS, NULL_WORKSPACE, NULL_RESULT, MISALIGNED = (1 << k for k in range(6))
 
 # Runs the driver: (sources, name of its input, name of its output).
@@ -85,10 +84,15 @@ class Solved:
     value: Array
     target_error: Array
 
+    @property
+    def instructions(self) -> Array:
+        """Of each call; meaningless on the host, which has no such clock."""
+        return self.ticks * (replay.CALIBRATION / max(1, self.calibration))
 
-def of(bench: Bench) -> Foreign:
+
+def of(bench: Bench) -> OptimiserPart:
     """The part."""
-    return bench.library.foreign[PART]
+    return bench.library.standalone[PART]
 
 
 def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
@@ -98,9 +102,9 @@ def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
     vectors = part.vectors(count, SEED)
     calls = _problems(part, vectors)
     alone = replace(calls, words=calls.words | np.array([NULL_START, 0, 0, 0], np.int32))
-    solved = _solve(bench, calls, runner)
+    solved = solve(bench, calls, runner)
     lost, faults = _compared(bench, vectors, solved, "problem")
-    lost_alone, faults_alone = _compared(bench, vectors, _solve(bench, alone, runner), "problem without a start")
+    lost_alone, faults_alone = _compared(bench, vectors, solve(bench, alone, runner), "problem without a start")
     faults += faults_alone
     good, good_alone = (sum(each <= LOSS[part.real] for each in losses) for losses in (lost, lost_alone))
     if good < SHARE * count:
@@ -119,7 +123,7 @@ def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
     ]
     sentence = f"{good} of {count} answers as good as IPOPT's best or better, none off its target"
     if counts:
-        instructions = solved.ticks * (replay.CALIBRATION / solved.calibration)
+        instructions = solved.instructions
         rows += [
             ("instructions, most", int(instructions.max())),
             ("instructions, median", int(np.median(instructions))),
@@ -129,12 +133,14 @@ def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
     return Finding(sentence, faults, [Table("Posture optimiser", ("what", "number"), tuple(rows))])
 
 
-def _compared(bench: Bench, vectors: tuple[Vector, ...], solved: Solved, name: str) -> tuple[list[float], list[str]]:
+def _compared(
+    bench: Bench, vectors: tuple[ReferenceProblem, ...], solved: Solved, name: str
+) -> tuple[list[float], list[str]]:
     """How much V is lower than IPOPT's, of its scale, and which answers are not feasible."""
     part, lost, faults = of(bench), list[float](), list[str]()
     names = {value: name for name, value in part.sources.statuses.items()}
     for k, vector in enumerate(vectors):
-        if solved.status[k] >= FEASIBLE:
+        if solved.status[k] >= FIRST_FAILURE:
             lost.append(math.inf)
             continue
         value, error, sine = _exact(part, vector.weights, solved.z[k], vector.target)
@@ -189,7 +195,7 @@ def faulty_calls(bench: Bench, runner: Runner) -> Finding:
     """Calls with bad pointers and absurd numbers: no silent success, no result written on failure."""
     part = of(bench)
     calls = _faulty(bench, max(1, bench.fuzz_calls // FUZZ_SHARE))
-    solved = _solve(bench, calls, runner)
+    solved = solve(bench, calls, runner)
     names = sorted(part.sources.statuses.items(), key=lambda item: item[1])
     rows = tuple((name, int((solved.status == value).sum())) for name, value in names)
     sentence = f"{len(calls.words)} faulty calls, no silent success, refused results untouched"
@@ -197,15 +203,15 @@ def faulty_calls(bench: Bench, runner: Runner) -> Finding:
     return Finding(sentence, _judged(bench, calls, solved), [table])
 
 
-def _problems(part: Foreign, vectors: tuple[Vector, ...]) -> Calls:
-    calls = _default_calls(part, len(vectors))
+def _problems(part: OptimiserPart, vectors: tuple[ReferenceProblem, ...]) -> Calls:
+    calls = default_calls(part, len(vectors))
     calls.target[:] = [vector.target for vector in vectors]
     calls.weights[:] = [vector.weights for vector in vectors]
     calls.start[:] = [vector.start for vector in vectors]
     return calls
 
 
-def _default_calls(part: Foreign, count: int) -> Calls:
+def default_calls(part: OptimiserPart, count: int) -> Calls:
     """The machine's own problem, target and start 0."""
     plant = part.at.plant
     own = part.at.machine
@@ -230,7 +236,8 @@ def _default_calls(part: Foreign, count: int) -> Calls:
     )
 
 
-def _solve(bench: Bench, calls: Calls, runner: Runner) -> Solved:
+def solve(bench: Bench, calls: Calls, runner: Runner) -> Solved:
+    """Put the calls to the driver and read what it answers."""
     real = np.float32 if bench.single else np.float64
     reals = calls.reals()
     kind = np.dtype([("words", np.int32, (4,)), ("reals", real, (reals.shape[1],))])
@@ -252,7 +259,7 @@ def _solve(bench: Bench, calls: Calls, runner: Runner) -> Solved:
     )  # fmt: skip
 
 
-def _exact(part: Foreign, weights: Array, z: Array, target: Array) -> tuple[float, float, float]:
+def _exact(part: OptimiserPart, weights: Array, z: Array, target: Array) -> tuple[float, float, float]:
     """V, |r − target| and the squared sine at z, by flexopt's own Functions."""
     plant = part.at.plant
     at = [ca.DM(z[: plant.n_base].tolist()), ca.DM(z[plant.n_base :].tolist()), plant.parameter_values]
@@ -269,7 +276,7 @@ def _rounding(bench: Bench) -> float:
 def _faulty(bench: Bench, count: int) -> Calls:
     """Calls of which most have a bad pointer or some absurd numbers; small budgets, some deadlines."""
     part, rng = of(bench), np.random.default_rng(FUZZ_SEED)
-    calls = _default_calls(part, count)
+    calls = default_calls(part, count)
     plant = part.at.plant
     calls.target[:] = rng.uniform(-1.2, 1.2, calls.target.shape) * outer_reach(plant)[1]
     if not plant.closed_form:
@@ -299,7 +306,7 @@ def _faulty(bench: Bench, count: int) -> Calls:
 def _judged(bench: Bench, calls: Calls, solved: Solved) -> list[str]:
     """What is wrong with the answers to faulty calls."""
     part = of(bench)
-    status, ok, faults = part.sources.statuses, solved.status < FEASIBLE, list[str]()
+    status, ok, faults = part.sources.statuses, solved.status < FIRST_FAILURE, list[str]()
     single = np.float32 if bench.single else np.float64
 
     def note(which: np.ndarray, sentence: str) -> None:

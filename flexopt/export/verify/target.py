@@ -14,7 +14,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from flexopt.export.naming import listed, template
 from flexopt.export.operations import Operation
 from flexopt.export.verify import objects, optimiser, replay
 from flexopt.export.verify.bench import Bench
@@ -56,9 +55,9 @@ def check_target(bench: Bench, target: Target) -> list[Check]:
         attempt("flash and RAM by part", target, lambda: _memory(bench, target, flags)),
         objects.check_objects(bench, target, COMPILER, flags),
     ]
-    if optimiser.PART in bench.library.foreign:
+    if optimiser.PART in bench.library.standalone:
         name = "optimiser beside IPOPT; instructions, stack"
-        checks.append(attempt(name, target, lambda: _optimiser(bench, board, target, flags)))
+        checks.append(attempt(name, target, lambda: _optimiser(bench, target, flags)))
     if bench.single and target == "cortex-m4f" and "controller" in bench.library.operations:
         checks.append(attempt("against the plain CasADi export", target, lambda: _against_plain(bench, board)))
     return checks
@@ -90,18 +89,23 @@ def _agreement(bench: Bench, board: Board, target: Target, flags: Sequence[str])
     return Finding(found.sentence, found.faults, [*found.tables, table])
 
 
-def _optimiser(bench: Bench, board: Board, target: Target, flags: Sequence[str]) -> Finding:
-    need(COMPILER, EMULATOR)
+def _optimiser(bench: Bench, target: Target, flags: Sequence[str]) -> Finding:
     built = objects.accounted(bench, target, COMPILER, flags)
-    source = bench.folder / "test" / "optimiser_driver.c"
-    program = _program(bench, board, f"optimiser-{target}", [source, *built.values()])
-
-    def launch(_: Path, calls: str, answers: str) -> None:
-        _emulate(bench, board, program, [calls, answers])
-
-    found = optimiser.agreement(bench, launch, counts=True)
+    found = optimiser.agreement(bench, board_runner(bench, target, list(built.values())), counts=True)
     # Doubles in software cost what they cost; the bar is for processors that have the precision.
     return optimiser.within_bar(found) if bench.single or target == "cortex-m7" else found
+
+
+def board_runner(bench: Bench, target: Target, library: Sequence[Path] | None = None) -> optimiser.Runner:
+    """The optimiser's driver on an emulated board, linked with the library's objects, by default with its sources."""
+    need(COMPILER, EMULATOR)
+    sources = [bench.folder / "test" / "optimiser_driver.c", *(library or bench.sources)]
+    program = _program(bench, BOARDS[target], f"optimiser-{target}", sources)
+
+    def launch(_: Path, calls: str, answers: str) -> None:
+        _emulate(bench, BOARDS[target], program, [calls, answers])
+
+    return launch
 
 
 def _repeats(operation: Operation) -> int:
@@ -120,8 +124,8 @@ def _memory(bench: Bench, target: Target, flags: Sequence[str]) -> Finding:
         names = [f"{bench.library.prefix}_{o.name}" for o in bench.library.operations.get(part, ())]
         stack = max((graph.stack_from(name) for name in names), default=0)
         space = max((bench.library.workspace(o) for o in bench.library.operations.get(part, ())), default=0) * real
-        if part in bench.library.foreign:
-            names = list(bench.library.foreign[part].functions)
+        if part in bench.library.standalone:
+            names = list(bench.library.standalone[part].functions)
             stack = max(graph.stack_from(name) for name in names)
             space = _workspace_bytes(bench, part, flags)
         rows.append((part, sizes["flash"], sizes["ram"], space, stack))
@@ -151,23 +155,9 @@ def _against_plain(bench: Bench, board: Board) -> Finding:
     generator.add(operation.kernel)
     generator.generate(f"{bench.scratch}/")
     row = bench.samples[operation.name].inputs[0]
-    n_in = sum(field.length for field in operation.inputs)
-    fields = [field.name if field.dimensions else f"{field.name}" for field in operation.inputs]
-    addresses = [f"in.{n}" if f.dimensions else f"&in.{n}" for n, f in zip(fields, operation.inputs, strict=True)]
-    addresses += [] if library.baked else ["parameters.value"]
-    pointers = [f"  arg[{k}] = plain_arg[{k}] = {address};" for k, address in enumerate(addresses)]
-    n_joints = sum(field.length for field in operation.outputs)
-    guards = [
-        f"  plain_res[{k + 1}] = &plain_result[{n_joints + k}];\n  res[{k + 1}] = &workspace[{n_joints + k}];"
-        for k in range(len(operation.guards))
-    ]
-    values = listed(row[n_in:].tolist(), "float")
-    parameters = f"static const {library.prefix}_parameters parameters = {{{values}}};"
-    text = template(
-        "target/compare.c", prefix=library.prefix, PREFIX=library.upper, row=listed(row[:n_in].tolist(), "float"),
-        n_guards=len(operation.guards), parameters="" if library.baked else parameters,
-        sz_arg=operation.kernel.sz_arg(), sz_res=operation.kernel.sz_res(), pointers="\n".join(pointers),
-        guard_pointers="\n".join(guards), **{"pass": "" if library.baked else "&parameters, "},
+    text = library.writer.render(
+        "target/compare.c", o=operation, kernel=operation.kernel, row=row[: operation.n_in].tolist(),
+        parameters=row[operation.n_in :].tolist(), baked=library.baked,
     )  # fmt: skip
     write_file(bench.scratch / "compare.c", text)
     common = next(source for source in bench.sources if source.stem == f"{library.prefix}_common")
@@ -193,7 +183,7 @@ def _against_plain(bench: Bench, board: Board) -> Finding:
 def _program(bench: Bench, board: Board, name: str, sources: Sequence[Path], extra: Sequence[str] = ()) -> Path:
     """Link for a board, with semihosting."""
     for file in ("startup.c", "link.ld"):
-        write_file(bench.scratch / file, template(f"target/{file}"))
+        write_file(bench.scratch / file, bench.library.writer.render(f"target/{file}"))
     flags = [
         "-std=gnu99", "-O2", *board.flags, "-DFLEXOPT_TARGET", *extra, "--specs=rdimon.specs",
         f"-T{bench.scratch / 'link.ld'}", "-Wl,--no-warn-rwx-segments",

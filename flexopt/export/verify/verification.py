@@ -28,11 +28,11 @@ from flexopt.export.verify.checks import TARGETS, Check, Finding, Target, attemp
 from flexopt.export.verify.host import check_host
 from flexopt.export.verify.misra import check_misra
 from flexopt.export.verify.objects import check_objects
-from flexopt.export.verify.report import report_html
 from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
 from flexopt.foundation.boundary import public, whole, words
 from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.rendering import render
 from flexopt.foundation.writing import make_folder, write_files
 
 INPUTS, FUZZ_CALLS = 1000, 10_000
@@ -129,7 +129,11 @@ class Verification:
         """Write `report.html` and `report.json` into the bundle's folder `verification`."""
         make_folder(self.page.parent)
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-        write_files({self.page.with_suffix(".json"): text, self.page: report_html(self)})
+        title = f"Verification of {self.machine} ({self.real})"
+        page = render(
+            "export/templates/verification.html", title=title, result=self, provenance=self.manifest["provenance"]
+        )
+        write_files({self.page.with_suffix(".json"): text, self.page: page})
 
 
 _COUNT = whole(1, COUNT_MAX)

@@ -40,7 +40,7 @@ typedef struct {
 
 typedef const fmi2CallbackFunctions *Logger;
 
-$common
+{% include "export/fmu/templates/common.c" %}
 static void emit(Instance *m, int status, const char *category, const char *text) {
   if (m->logger->logger != NULL) {
     m->logger->logger(m->logger->componentEnvironment, m->name, (fmi2Status)status, category, "%s", text);

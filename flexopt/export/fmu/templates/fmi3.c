@@ -45,7 +45,7 @@ typedef struct {
   fmi3LogMessageCallback message;
 } Logger;
 
-$common
+{% include "export/fmu/templates/common.c" %}
 static void emit(Instance *m, int status, const char *category, const char *text) {
   if (m->logger.message != NULL) {
     m->logger.message(m->logger.environment, (fmi3Status)status, category, text);

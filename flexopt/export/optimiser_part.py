@@ -1,14 +1,13 @@
-"""A part of a bundle whose sources are written elsewhere than `sources.py`: the posture optimiser.
+"""The posture optimiser as a part of a bundle, which is not made of operations.
 
-In: a `Context`, the bundle's prefix and precision. Out: a `Foreign`, which brings its own header, source, tests, texts.
+In: a `Context`, the bundle's prefix and precision. Out: an `OptimiserPart`: its header, source, tests, texts.
 """
 
 from __future__ import annotations
 
 import math
-import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from flexopt.errors import ExportError, FlexoptError, FlexoptWarning
 from flexopt.export.context import Context, unit_list
 from flexopt.export.kernels import Real
-from flexopt.export.naming import listed, number, template, text_of
+from flexopt.export.naming import CWriter
 from flexopt.export.operations import Array
 from flexopt.export.optimiser import BUDGET_MAX, STARTS, OptimiserSources, build_optimiser
 from flexopt.foundation.control import Control
@@ -47,7 +46,7 @@ AWAY, NEARBY = 0.3, 0.01
 
 
 @dataclass(frozen=True)
-class Vector:
+class ReferenceProblem:
     """A problem, a start, and the best of the local optima that IPOPT found and flexopt verified.
 
     Attributes:
@@ -68,7 +67,7 @@ class Vector:
 
 
 @dataclass(frozen=True)
-class Foreign:
+class OptimiserPart:
     """The posture optimiser as a part.
 
     Attributes:
@@ -87,18 +86,22 @@ class Foreign:
         """Public names in C."""
         return tuple(f"{self.prefix}_optimiser_{name}" for name in ("default_problem", "default_options", "solve"))
 
-    def _template(self, file: str, /, **values: object) -> str:
-        return template(file, prefix=self.prefix, PREFIX=self.prefix.upper(), **values)
+    @cached_property
+    def writer(self) -> CWriter:
+        """What writes the bundle's texts."""
+        return CWriter(self.prefix, self.real)
 
     @cached_property
     def header(self) -> str:
         """The public header."""
-        return self._template("optimiser_header.h", declarations=self.sources.header.strip())
+        return self.sources.header
 
     @cached_property
     def library_files(self) -> dict[str, str]:
         """Path -> text of header and source."""
-        source = self._template("optimiser_part.c", casadi=package_version("casadi"), body=self.sources.source.strip())
+        source = self.writer.render(
+            "optimiser_part.c", casadi=package_version("casadi"), body=self.sources.source.strip()
+        )
         return {
             f"include/{self.prefix}_optimiser.h": self.header,
             f"src/{self.prefix}_optimiser.c": source,
@@ -111,22 +114,27 @@ class Foreign:
         rows = [
             np.concatenate([v.target, v.weights, v.start, [v.value, v.scale, float(v.unique)], v.z]) for v in vectors
         ]
-        selftest = self._template(
+        selftest = self.writer.render(
             "optimiser_selftest.h",
             count=len(vectors),
             length=len(rows[0]),
-            values=listed(np.concatenate(rows).tolist(), self.real, ""),
-            loss=number(LOSS[self.real], self.real),
-            on_target=number(self.on_target, self.real),
-            z_tolerance=number(Z_TOLERANCE, self.real),
+            values=np.concatenate(rows).tolist(),
+            loss=self.writer.number(LOSS[self.real]),
+            on_target=self.writer.number(self.on_target),
+            z_tolerance=self.writer.number(Z_TOLERANCE),
             compare_z=int(self.real == "double"),
-            turns=", ".join(str(int(unit == "rad")) for unit in self.units),
+            turns=[int(unit == "rad") for unit in self.units],
             far_known=int(_far_row(self.at.machine) >= 0),
             far_row=_far_row(self.at.machine),
             nan_target=f"({self.prefix}_real)NAN",
-            far=number(1e5, self.real),
+            far=self.writer.number(1e5),
         )
-        return {"test/optimiser_selftest.h": selftest, "test/optimiser_driver.c": self._template("optimiser_driver.c")}
+        return {"test/optimiser_selftest.h": selftest} | self.driver_files
+
+    @property
+    def driver_files(self) -> dict[str, str]:
+        """Path -> text of the program that replays calls from a file."""
+        return {"test/optimiser_driver.c": self.writer.render("optimiser_driver.c")}
 
     @property
     def on_target(self) -> float:
@@ -144,7 +152,7 @@ class Foreign:
         """Unit of each variable of z, m or rad."""
         return (*self.at.machine.base_units, *self.at.machine.joint_units)
 
-    def vectors(self, count: int, seed: int) -> tuple[Vector, ...]:
+    def vectors(self, count: int, seed: int) -> tuple[ReferenceProblem, ...]:
         """Random problems and starts with their verified optima."""
         return _vectors(self.at.machine, self.at.control, self.margin_deg, count, seed)
 
@@ -153,58 +161,32 @@ class Foreign:
         """The distance from singular postures that the problems keep, degrees."""
         return float(f"{math.degrees(math.asin(self.at.singularity_margin)):.12g}")
 
-    @cached_property
-    def statuses(self) -> dict[str, tuple[int, str]]:
-        """Name -> value and meaning, read from the header."""
-        pattern = rf"{self.prefix.upper()}_OPTIMISER_(\w+) = (\d+),?\s*/\*(.*?)\*/"
-        found = re.findall(pattern, self.sources.header, flags=re.DOTALL)
-        texts = {name: (int(value), re.sub(r"[\s*]+", " ", text).strip()) for name, value, text in found}
-        assert {name: value for name, (value, _) in texts.items()} == dict(self.sources.statuses)
-        return texts
+    @property
+    def statuses(self) -> Mapping[str, tuple[int, str]]:
+        """Name -> value and meaning."""
+        return self.sources.status_texts
 
-    def example(self, workspace: str = "static ") -> list[str]:
+    @cached_property
+    def _example(self) -> str:
         """C statements that solve one problem and leave `found` (a status) and `answer`."""
-        name, vector = f"{self.prefix}_optimiser", self.vectors(VECTOR_COUNT, VECTOR_SEED)[0]
-        targets = [f"problem.target[{k}] = {number(x, self.real)};" for k, x in enumerate(vector.target)]
-        return [
-            f"{workspace}{name}_workspace memory;",
-            f"{name}_problem problem;",
-            f"{name}_options options;",
-            f"{name}_result answer;",
-            f"{name}_status found;",
-            f"(void){name}_default_problem(&problem);",
-            f"(void){name}_default_options(&options);",
-            *targets,
-            f"found = {name}_solve(&problem, NULL, &options, &memory, &answer);",
-        ]
+        target = self.vectors(VECTOR_COUNT, VECTOR_SEED)[0].target
+        return self.writer.render("optimiser_example.c", target=target.tolist())
 
     def example_call(self) -> str:
         """The same as a block of an example's main()."""
-        lines = [
-            *self.example(),
-            'printf("optimiser: status %d", (int)found);',
-            f"if (found < {self.prefix.upper()}_OPTIMISER_NULL_POINTER) {{",
-            '  printf("; V %.9g at z[0] %.9g ...", (double)answer.value, (double)answer.z[0]);',
-            "} else {",
-            "  ++failures;",
-            "}",
-            'printf("\\n");',
-        ]
-        return "  {\n" + "\n".join(f"    {line}" for line in lines) + "\n  }"
+        return self.writer.render("optimiser_example_call.c", example=self._example)
 
     def readme(self) -> str:
         """A section of the README."""
-        rows = [f"| {value} | `{self.prefix.upper()}_OPTIMISER_{name}` | {text} |" for name, (value, text) in
-                self.statuses.items()]  # fmt: skip
-        return self._template(
+        return self.writer.render(
             "optimiser_readme.md",
             budget=self.sources.budget,
             model_cost=self.sources.model_cost,
             control=self.at.control,
-            variables=", ".join(f"{text_of(z)} ({unit})" for z, unit in zip(self.variables, self.units, strict=True)),
-            rows=", ".join(f"{row} (m)" for row in self.at.machine.task_rows),
-            call="\n".join(self.example()),
-            statuses="\n".join(rows),
+            variables=list(zip(self.variables, self.units, strict=True)),
+            rows=self.at.machine.task_rows,
+            example=self._example,
+            statuses=self.statuses,
         )
 
     def manifest(self) -> dict[str, Any]:
@@ -244,7 +226,7 @@ class Foreign:
             "units": list(self.units),
             "inputs": inputs,
             "outputs": outputs,
-            "statuses": dict(self.sources.statuses),
+            "statuses": self.sources.statuses,
             "workspace": self.sources.workspace_size,
             "budget": {"unit": "evaluations of V", "default": self.sources.budget, "most": BUDGET_MAX,
                        "derivatives_cost": self.sources.model_cost},
@@ -253,11 +235,11 @@ class Foreign:
         }  # fmt: skip
 
 
-def optimiser(at: Context, prefix: str, real: Real) -> Foreign:
+def optimiser(at: Context, prefix: str, real: Real) -> OptimiserPart:
     """The posture optimiser of a bundle."""
     margin_deg = math.degrees(math.asin(at.singularity_margin))
     sources = _sources(at.machine, at.control, at.baked, margin_deg, prefix, real)
-    return Foreign(at, prefix, real, sources)
+    return OptimiserPart(at, prefix, real, sources)
 
 
 @lru_cache(maxsize=8)
@@ -276,9 +258,11 @@ def _sources(
 
 
 @lru_cache(maxsize=16)
-def _vectors(machine: AnyMachine, control: Control, margin_deg: float, count: int, seed: int) -> tuple[Vector, ...]:
+def _vectors(
+    machine: AnyMachine, control: Control, margin_deg: float, count: int, seed: int
+) -> tuple[ReferenceProblem, ...]:
     rng = np.random.default_rng(seed)
-    plant, made = build_plant(machine), list[Vector]()
+    plant, made = build_plant(machine), list[ReferenceProblem]()
     reached = AWAY if plant.closed_form else NEARBY
 
     def rounded(values: Array) -> Array:
@@ -306,7 +290,7 @@ def _vectors(machine: AnyMachine, control: Control, margin_deg: float, count: in
         # V to nine digits of its scale, so that every computer exports the same.
         value = round(best.objective / scale, 9) * scale + 0.0
         z, unique = best.z, _determined(found, scale)
-        made.append(Vector(target, weights, rounded(z + away), value, scale, z.round(6), unique))
+        made.append(ReferenceProblem(target, weights, rounded(z + away), value, scale, z.round(6), unique))
     raise ExportError(
         f"optimiser: only {len(made)} of {DRAWS_MAX * count} random targets have a verified optimum under a "
         f"singularity margin of {margin_deg:g} degrees, so it would be of no use; leave the part out"

@@ -1,0 +1,147 @@
+"""What surrounds the library: self-test with its vectors, driver, examples, build files, README.
+
+In: the library. Out: texts. Numbers in them (vectors, the example's start posture) come from the same kernels,
+evaluated in CasADi's virtual machine.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from flexopt.export.closing import DURATION_S, RATE_HZ, settling_start
+from flexopt.export.control import damps_self_motion
+from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Array, Field, Operation, Samples
+from flexopt.export.sources import WITH_OUTPUT, Library
+
+VECTOR_COUNT = 12
+VECTOR_SEED = 1
+# rad/s of the closed loop of the ROS 2 node's default gains.
+BANDWIDTH = 3.0
+
+
+def project_files(library: Library, bundle_hash: str) -> dict[str, str]:
+    """Path -> text of everything around a library."""
+    return _Project(library, bundle_hash).files()
+
+
+class _Project:
+    """The texts around one library."""
+
+    def __init__(self, library: Library, bundle_hash: str) -> None:
+        self.library, self.bundle_hash, self.prefix = library, bundle_hash, library.prefix
+
+    def files(self) -> dict[str, str]:
+        """Path -> text."""
+        sources = [f"src/{self.prefix}_common.c", *(f"src/{self.prefix}_{part}.c" for part in self.library.parts)]
+        first = {"o": self.library.all_operations[0], "values": self._accepted(self.library.all_operations[0])}
+        files = {
+            f"test/{self.prefix}_table.h": self._render("table.h"),
+            f"test/{self.prefix}_vectors.h": self._vectors(),
+            "test/selftest.c": self._selftest(),
+            "test/driver.c": self._render("driver.c"),
+            "test/cpp_check.cpp": self._render("cpp_check.cpp", **first),
+            "examples/main.c": self._example(),
+            "Makefile": self._render("Makefile", sources=sources),
+            "CMakeLists.txt": self._render("CMakeLists.txt", sources=sources),
+            "README.md": self._readme(first),
+            "misra_deviations.json": self._render("misra_deviations.json"),
+        }
+        if "controller" in self.library.operations:
+            files["examples/ros2_node.cpp"] = self._ros2_node()
+        for part in self.library.standalone.values():
+            files |= part.test_files
+        return files
+
+    def _render(self, file: str, /, **values: object) -> str:
+        return self.library.writer.render(file, **self.library.described, **values)
+
+    def _vectors(self) -> str:
+        parameters, vectors = self.library.context.parameters, dict[str, list[float]]()
+        for operation in self.library.all_operations:
+            samples = operation.draw(parameters, VECTOR_COUNT, VECTOR_SEED)
+            bars = allowed(samples, self.library.real)
+            rows = np.hstack([samples.inputs, samples.beyond[:, None], samples.outputs, bars])
+            vectors[operation.name] = rows.ravel().tolist()
+        return self._render("vectors.h", count=VECTOR_COUNT, vectors=vectors)
+
+    def _selftest(self) -> str:
+        real = self.library.real
+        huge = self.library.writer.number(1e300 if real == "double" else 1e30)
+        return self._render("selftest.c", huge=huge, bar=f"{TOLERANCES[real]:g}")
+
+    def _accepted(self, operation: Operation) -> list[tuple[Field, list[float]]]:
+        """An input that is accepted, by members."""
+        parameters = self.library.context.parameters
+        own = replace(parameters, spread=(0.0,) * len(parameters.spread))
+        samples = operation.draw(own, 1, VECTOR_SEED, displaced=False)
+        parts = operation.split(samples.inputs)
+        return [(field, part[0].tolist()) for field, part in zip(operation.inputs, parts, strict=False)]
+
+    def _example(self) -> str:
+        operations = {o.name: o for o in self.library.all_operations}
+        if {"kinematics", "controller"} <= set(self.library.operations):
+            # With the machine itself where its loop settles, else with a stand-in.
+            for file in ("example_machine.c",) * ("machine_step" in operations) + ("example_loop.c",):
+                start = settling_start(self.library.context, operations)
+                operations.pop("machine_step", None)
+                if start is not None:
+                    return self._render(
+                        file,
+                        start=start,
+                        rate=RATE_HZ,
+                        duration=DURATION_S,
+                        coordinates=[*start.rest, *start.posture],
+                        distance=float(f"{start.distance:.6g}"),
+                    )
+        return self._render("example_calls.c", calls=[(o, self._accepted(o)) for o in self.library.all_operations])
+
+    def _ros2_node(self) -> str:
+        posture, inertia = self._start()
+        context = self.library.context
+        return self._render(
+            "ros2_node.cpp",
+            joints=context.machine.joints,
+            placement=context.machine.base_coordinates if context.placement_matters else (),
+            damped=damps_self_motion(context.plant, "inverse"),
+            kp=inertia * BANDWIDTH**2,
+            kv=2 * inertia * BANDWIDTH,
+            posture=[repr(float(v)) for v in posture],
+        )
+
+    def _start(self) -> tuple[Array, float]:
+        """A posture far from singular ones, and the mean inertia of its joints."""
+        context = self.library.context
+        plant, p, base = context.plant, context.plant.parameter_values, ca.DM.zeros(context.plant.n_base, 1)
+        postures = context.joint_angles.draw(np.random.default_rng(VECTOR_SEED), 64)
+        sines = plant.singularity_sine_squared.call([base, ca.DM(postures.T), p])[0].full().ravel()
+        posture = postures[int(np.argmax(sines))].round(4)
+        rest = plant.rest.call([base, ca.DM(posture), p])[0]
+        mass = plant.mass.call([rest, base, p])[0].full()
+        inertia = float(np.trace(mass[plant.n_passive :, plant.n_passive :])) / plant.n_actuated
+        return posture, float(f"{inertia:.4g}")
+
+    def _readme(self, first: dict[str, Any]) -> str:
+        library = self.library
+        return self._render(
+            "README.md",
+            **first,
+            bundle_hash=self.bundle_hash,
+            control=library.context.control,
+            groups=library.operations,
+            acceptance=library.acceptance,
+            acceptance_count=ACCEPTANCE_COUNT,
+            guarded=any(o.guards for o in library.all_operations),
+            loop_closed={"kinematics", "controller"} <= set(library.operations),
+            with_output=WITH_OUTPUT,
+            allowance_deg=math.degrees(library.context.limit_allowance["rad"]),
+        )
+
+
+def allowed(samples: Samples, real: str) -> Array:
+    """Largest error allowed of each output, (count, n_out)."""
+    return TOLERANCES[real] * samples.scales

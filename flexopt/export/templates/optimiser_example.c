@@ -1,0 +1,11 @@
+static {{ prefix }}_optimiser_workspace memory;
+{{ prefix }}_optimiser_problem problem;
+{{ prefix }}_optimiser_options options;
+{{ prefix }}_optimiser_result answer;
+{{ prefix }}_optimiser_status found;
+(void){{ prefix }}_optimiser_default_problem(&problem);
+(void){{ prefix }}_optimiser_default_options(&options);
+{% for x in target %}
+problem.target[{{ loop.index0 }}] = {{ number(x) }};
+{% endfor %}
+found = {{ prefix }}_optimiser_solve(&problem, NULL, &options, &memory, &answer);

@@ -1,0 +1,10 @@
+  {
+{{ example | indent(4, first=True) -}}
+{{ "    " }}printf("optimiser: status %d", (int)found);
+    if (found < {{ PREFIX }}_OPTIMISER_NULL_POINTER) {
+      printf("; V %.9g at z[0] %.9g ...", (double)answer.value, (double)answer.z[0]);
+    } else {
+      ++failures;
+    }
+    printf("\n");
+  }
