@@ -220,8 +220,8 @@ def test_every_kind_of_constraint(walk, objectives):
 @pytest.mark.parametrize("goal", ["worst", "weighted", "motion"])
 def test_several(walk, goal):
     machine = flexopt.load("excavator")
-    options = {"objective": "w1", "control": "inverse", "weights": None, "gravity": False}
-    problems = build_problems("test", machine, np.array([(0.0, 1.6), (0.2, 1.5)]), "targets", options)
+    targets = np.array([(0.0, 1.6), (0.2, 1.5)])
+    problems = build_problems("test", machine, targets, "targets", flexopt.SelectionOptions(), None)
     if goal == "motion":
         together = _along(problems, np.array([0.0, 1.0]), np.full(3, 0.5), None).kept(-0.1)
     else:
