@@ -55,7 +55,7 @@ def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
 
 
 def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    """As `ask`, for the boundary."""
+    """Note what arguments of a selection do not fit together."""
     ask(arguments, given)
 
 

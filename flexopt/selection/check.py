@@ -70,7 +70,7 @@ def prove(problem: SelectionProblem, z: Vector) -> Proof:
 
 
 def prove_program(program: Program, x: Vector) -> Proof:
-    """The same of a point x of a program."""
+    """Check a point x of a program from the equations, in double, by functions that no solver used."""
     local = _linearised(program, x)
     violations = _infeasible(program, x, local.g)
     multipliers, kept = _multipliers(local)

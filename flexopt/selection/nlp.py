@@ -83,7 +83,7 @@ class Coupling:
 
     @property
     def count(self) -> int:
-        """K."""
+        """Number of configurations, K."""
         return len(self.places)
 
     @cached_property
@@ -100,7 +100,7 @@ class Coupling:
 
 
 def alone(n_z: int) -> Coupling:
-    """One configuration: x is its z."""
+    """The coupling of one configuration with nothing: x is its z."""
     return Coupling((tuple(range(n_z)),))
 
 
@@ -306,7 +306,7 @@ class _Arranged:
     goal: Goal
 
     def values(self, members: Sequence[tuple[Branches, ca.MX]]) -> tuple[ca.MX, ca.MX]:
-        """F and g."""
+        """Objective f and constraints g."""
         steps = self._steps @ self.x
         level = self.x[-1] if self.goal == "worst" else self.s["level"]
         g = self._stacked(members, steps, level)

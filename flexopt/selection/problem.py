@@ -153,7 +153,7 @@ class SelectionProblem:
 
     @property
     def objective_scale(self) -> float:
-        """Its scale."""
+        """Scale of the objective being solved."""
         return self.objective_scales[len(self.kept)]
 
     @public(best=number("", low=-1e100, high=1e100))
