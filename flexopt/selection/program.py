@@ -201,7 +201,7 @@ class Program:
         )
 
     def local(self, x: Vector, members: Sequence[Linearisation], level: float, *, lowest: bool = False) -> Local:
-        """Objective and constraints at x, with slopes by x / scale, and by t, last, for "worst"; `members` from `linear`."""
+        """Objective and constraints at x, slopes by x / scale and, for "worst", by t, last; `members` from `linear`."""
         goal: Goal = "weighted" if lowest and self.first.objective.has_kinks else self.goal
         n_x = self.coupling.n_x
         steps = self.coupling.steps(n_x)
@@ -236,7 +236,7 @@ class Program:
         return float(np.sum((self.coupling.steps(self.coupling.n_x) @ (x / self.scale)) ** 2))
 
     def unwound(self, x: Vector) -> Vector:
-        """The same way, unlimited angles shifted by whole turns so that it begins within half a turn of the present ones."""
+        """The same way, unlimited angles shifted by whole turns so that it begins nearest to the present ones."""
         turns = self.first.wrapped(self.of(x, 0)) - self.of(x, 0)
         return self.packed([self.of(x, k) + turns for k in range(self.coupling.count)])
 
