@@ -292,10 +292,10 @@ def _bent(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -
     of_value = program.share[k] if weighted else -weights[before + kept * count + k]
 
     def pull(there: Vector) -> Vector:
-        member = program.linear_of(k, there)
-        total = of_value * member.slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ member.row_slopes
+        row_slopes, _, slopes = program.slopes_of(k, there)
+        total = of_value * slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ row_slopes
         for j in range(kept):
-            total = total - weights[before + j * count + k] * member.slopes[j][0]
+            total = total - weights[before + j * count + k] * slopes[j][0]
         return total
 
     second = np.zeros((len(basis), len(basis)))

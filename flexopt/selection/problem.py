@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -184,7 +185,7 @@ class SelectionProblem:
         """Scales of z."""
         return np.array([v.scale for v in self.variables])
 
-    @property
+    @cached_property
     def row_bounds(self) -> tuple[Vector, Vector, Vector]:
         """Lower and upper bounds and scales of the constraints, (n_rows,) each."""
         lower, upper, scale = np.array([(row.lower, row.upper, row.scale) for row in self.constraints]).T

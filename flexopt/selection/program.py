@@ -187,17 +187,20 @@ class Program:
 
     def linear_of(self, k: int, z: Vector) -> Linearisation:
         """Objectives and constraints of configuration k at z, with slopes."""
+        problem, scale = self.problems[k], self.first.row_bounds[2]
+        wanted = np.append(problem.target, np.zeros(scale.size - problem.target.size))
+        return Linearisation((problem.rows(z) - wanted) / scale, *self.slopes_of(k, z))
+
+    def slopes_of(self, k: int, z: Vector) -> tuple[Vector, list[Vector], list[Vector]]:
+        """Slopes of the constraints, values and slopes of the objectives, as `Linearisation` has them."""
         problem, scale = self.problems[k], self.first.scale
-        rows = problem.row_bounds[2]
-        wanted = np.append(problem.target, np.zeros(rows.size - problem.target.size))
         count = len(problem.kept) + 1
         found = [problem.branches(objective, z) for objective in problem.objectives[:count]]
         sizes = problem.objective_scales[:count]
-        return Linearisation(
-            rows=(problem.rows(z) - wanted) / rows,
-            row_slopes=row_gradients(problem, z) / rows[:, None] * scale,
-            values=[values / size for (values, _), size in zip(found, sizes, strict=True)],
-            slopes=[slopes / size * scale for (_, slopes), size in zip(found, sizes, strict=True)],
+        return (
+            row_gradients(problem, z) / self.first.row_bounds[2][:, None] * scale,
+            [values / size for (values, _), size in zip(found, sizes, strict=True)],
+            [slopes / size * scale for (_, slopes), size in zip(found, sizes, strict=True)],
         )
 
     def local(self, x: Vector, members: Sequence[Linearisation], level: float, *, lowest: bool = False) -> Local:
