@@ -121,11 +121,11 @@ class Program:
 
         `lowest`: of V's branches the smallest alone, with no level t below them.
         """
-        rows = self.first.constraints
-        n_task = self.first.target.size
-        of_one = [replace(row, lower=0.0, upper=0.0) for row in rows[:n_task]]
-        of_one += [replace(row, lower=row.lower / row.scale, upper=row.upper / row.scale) for row in rows[n_task:]]
-        found = [replace(row, name=self.prefix(k) + row.name) for k in range(self.coupling.count) for row in of_one]
+        n_task, found = self.first.target.size, list[Constraint]()
+        for k in range(self.coupling.count):
+            for number, row in enumerate(self.first.constraints):
+                ends = (0.0, 0.0) if number < n_task else (row.lower / row.scale, row.upper / row.scale)
+                found.append(Constraint(self.prefix(k) + row.name, row.unit, *ends, row.scale))
         found += [Constraint("steps between targets", "", -step, step, 1.0) for step in self.steps.tolist()]
         earlier = zip(self.first.objectives, self.first.kept, self.first.objective_scales, strict=False)
         for objective, kept, size in earlier:
