@@ -16,7 +16,6 @@ from typing import Any, cast
 from flexopt.errors import ExportError, Fault, InputError, raise_if_any
 from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
 from flexopt.export.kernels import Real, Unsupported
-from flexopt.export.naming import identifier
 from flexopt.export.operations import TOLERANCES, Field
 from flexopt.export.parts import PARTS
 from flexopt.export.project import project_files
@@ -25,6 +24,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import by, number, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, package_version, provenance
+from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.plain import shown
 from flexopt.foundation.writing import replace_folder
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
@@ -173,7 +173,7 @@ def export_c(
         WriteError: the folder cannot be written; what was there is as it was.
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
     """
-    prefix = identifier(machine.name)[:PREFIX_MAX].rstrip("_") if prefix is None else prefix
+    prefix = c_identifier(machine.name)[:PREFIX_MAX].rstrip("_") if prefix is None else prefix
     left_out = {} if parts is not None else _left_out(machine, tuple(PARTS))
     wanted = tuple(part for part in (PARTS if parts is None else parts) if part not in left_out)
     target = Path(folder)
@@ -205,30 +205,9 @@ def export_c(
     )
 
 
-def build_library(
-    machine: AnyMachine,
-    parts: Sequence[str],
-    *,
-    real: Real,
-    control: Control,
-    gain: float,
-    baked: bool,
-    singularity_margin_deg: float,
-    prefix: str,
-    limit_allowance_deg: float = LIMIT_ALLOWANCE_DEG,
-    limit_allowance_m: float = LIMIT_ALLOWANCE_M,
-) -> Library:
-    """The C library of checked options."""
-    context = build_context(
-        machine,
-        control=control,
-        gain=gain,
-        single=real == "float",
-        baked=baked,
-        singularity_margin_deg=singularity_margin_deg,
-        limit_allowance_deg=limit_allowance_deg,
-        limit_allowance_m=limit_allowance_m,
-    )
+def build_library(machine: AnyMachine, parts: Sequence[str], *, real: Real, prefix: str, **options: Any) -> Library:
+    """The C library of checked options; the others as of `build_context`."""
+    context = build_context(machine, single=real == "float", **options)
     try:
         operations = {part: PARTS[part].build(context) for part in PARTS if part in parts}
         made = {part: PARTS[part].standalone for part in parts}

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from flexopt.export.kernels import Real, single_constant
-from flexopt.foundation.escapes import c_identifier as identifier
-from flexopt.foundation.escapes import c_text as text_of
+from flexopt.foundation.escapes import c_identifier, c_text
 from flexopt.foundation.rendering import render
 
 WIDTH = 118
@@ -19,7 +18,7 @@ def constants(names: Sequence[str]) -> list[str]:
     """Different names in upper case; what would coincide is numbered."""
     found: list[str] = []
     for name in names:
-        word, count = re.sub(r"[^A-Z0-9]+", "_", identifier(name).upper()), 2
+        word, count = re.sub(r"[^A-Z0-9]+", "_", c_identifier(name).upper()), 2
         unique = word
         while unique in found:
             unique, count = f"{word}_{count}", count + 1
@@ -34,7 +33,7 @@ def wrapped(text: str, indent: str = "") -> str:
 
 def comment(text: str, indent: str = "") -> str:
     """A block comment."""
-    plain = text_of(text)
+    plain = c_text(text)
     single = f"{indent}/* {plain} */"
     if len(single) <= WIDTH:
         return single

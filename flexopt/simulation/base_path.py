@@ -12,6 +12,7 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
+from flexopt.loop.rest import in_base_axes
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
 from flexopt.plant.machine_motion import motion_of, structure_of
@@ -24,8 +25,8 @@ def moved(motion: Motion, points: Vector, base: Vector) -> Vector:
     away = dict(zip(motion.placement, (points - base).T, strict=True))
     if "yaw" in away:
         yaw, nothing = float(base[motion.placement.index("yaw")]), np.zeros(len(points))
-        c, s, x, y = math.cos(yaw), math.sin(yaw), away.get("x", nothing), away.get("y", nothing)
-        away |= {"x": x * c + y * s, "y": y * c - x * s, TURN: away["yaw"]}
+        cosine, sine = np.full_like(nothing, math.cos(yaw)), np.full_like(nothing, math.sin(yaw))
+        away = in_base_axes(away, cosine, sine, nothing) | {TURN: away["yaw"]}
     columns: Vector = np.stack([away[name] for name in motion.drive], axis=1)
     return columns
 

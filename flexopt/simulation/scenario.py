@@ -21,13 +21,14 @@ from flexopt.foundation.boundary import Check, anything
 from flexopt.foundation.control import Control, control_damping, control_method
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.levers import with_servo_gain
+from flexopt.loop.rest import design_constants, placed, state_at_rest
 from flexopt.loop.robust import robust_law
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.model.faults import read_table, validated
 from flexopt.model.simulation import Path, SimulationOptions, dead_time
 from flexopt.plant import Plant, build_plant, inverse_kinematics
-from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
+from flexopt.plant.machine_motion import constant_values, constants_at, motion_of
 from flexopt.plant.motion import Motion
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
@@ -137,7 +138,7 @@ class Scenario:
 
 def _place(motion: Motion, base: Vector) -> Vector:
     """What a placement adds to the end-point, (n_task,), m."""
-    return np.array(motion.on_rows(base.tolist(), 0.0))
+    return ca.evalf(placed(motion, ca.SX(base))).full().ravel()
 
 
 # Arguments that are options of a loop: `checked_options` checks them together.
@@ -213,12 +214,10 @@ def build_scenario(
     n, rows = shape.n_joints, shape.n_task
     parts |= {
         "h": period / substeps,
-        "design": design.passive,
-        "base": design.base,
         "target": design.target - _place(shape, design.base),
     }
-    hinges = design.passive[shape.hinges]
-    parts["design_directions"] = np.stack([np.cos(hinges), np.sin(hinges)], axis=1).ravel()
+    held = design_constants(shape, ca.SX(design.q[:-n]), ca.SX(design.base))
+    parts |= {name: ca.evalf(value).full().ravel() for name, value in held.items()}
     parts |= {name: np.broadcast_to(getattr(options, name), rows) for name in ("kp", "kv", "ki")}
     parts |= {"servo_gain": options.actuator.servo_gain}
     parts |= {"integral_limit": options.integral_limit, "nullspace_damping": options.nullspace_damping}
@@ -271,17 +270,10 @@ def _modal(loop: ClosedLoop, machine: AnyMachine, design: _Design, parts: Mappin
     projection = design.modes.T @ mass @ loop.to_q
     omega = 2 * np.pi * design.frequencies_hz
     return {
-        "u_design": _to_u(loop, parts, design.q[:, None])[:, 0],
+        "u_design": start_states(machine, loop, parts, design.q[:, None])[loop.states.slices["u"], 0],
         "modes": projection.ravel(order="F"),
         "omega_squared": omega**2,
     }
-
-
-def _to_u(loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
-    """Coordinates u (n_q, N) of configurations q."""
-    origin = motion_of(loop.structure.motion, parts).origin(ca.SX(parts["base"]))
-    u: Vector = np.asarray(np.linalg.solve(loop.to_q, q - ca.evalf(origin).full()), dtype=np.float64)
-    return u
 
 
 @dataclass(frozen=True)
@@ -291,7 +283,6 @@ class _Design:
     posture: Vector
     base: Vector
     q: Vector
-    passive: Vector
     target: Vector
     frequencies_hz: Vector
     modes: Vector
@@ -320,10 +311,8 @@ def _design(
         _check_static(plant, q, placement)
         stiffness = check_held(plant, q, placement)
     frequencies, modes = _flexible_modes(stiffness, plant.mass.call([q, placement, p])[0].full(), m)
-    motion = motion_of(structure_of(machine), {})
-    passive = q[:m] - ca.evalf(motion.drawn(ca.SX(placement))).full().ravel()[:m]
     target = plant.end_point.call([q, placement, p])[0].full().ravel()
-    return _Design(angles, placement, q, passive, target, frequencies, modes)
+    return _Design(angles, placement, q, target, frequencies, modes)
 
 
 def _check_static(plant: Plant, q: Vector, base: Vector) -> None:
@@ -384,18 +373,18 @@ def default_offset(n: int) -> Vector:
 
 
 def start_states(machine: AnyMachine, loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
-    """States x (n_x, N) at rest in configurations q (n_q, N).
-
-    Servos start with the torque that carries the weight, measurements on their way show the start.
-    """
-    x = np.zeros((loop.states.total, q.shape[1]))
-    x[loop.states.slices["u"]] = _to_u(loop, parts, q)
-    plant, base = build_plant(machine), np.atleast_1d(parts["base"])
-    if loop.structure.compensated and loop.structure.lagging:
-        weight = plant.gravity(q, base, plant.parameter_values).full()
-        x[loop.states.slices["torque"]] = weight[plant.n_passive :]
-    if loop.structure.delay:
-        points = plant.end_point(q, base, plant.parameter_values).full() - _place(loop.shape, base)[:, None]
-        measured = np.concatenate([points, np.zeros_like(points)])
-        x[loop.states.slices["queue"]] = np.tile(measured, (loop.structure.delay, 1))
+    """States x (n_x, N) at rest in configurations q (n_q, N)."""
+    function = _at_rest(machine, loop.structure)
+    x: Vector = function(q, np.atleast_1d(parts["base"]), build_plant(machine).parameter_values).full()
     return x
+
+
+@lru_cache(maxsize=64)
+def _at_rest(machine: AnyMachine, structure: LoopStructure) -> ca.Function:
+    """The state at rest. Inputs q, base, p; output x."""
+    plant = build_plant(machine)
+    q, base, p = (ca.SX.sym(name, n) for name, n in (("q", plant.n_coordinates), ("base", plant.n_base),
+                  ("p", len(plant.parameter_names))))  # fmt: skip
+    motion = motion_of(structure.motion, constants_at(machine, p))
+    x = state_at_rest(closed_loop(structure), plant, motion, q, base, p)
+    return ca.Function("at_rest", [q, base, p], [ca.densify(x)], ["q", "base", "p"], ["x"], {"cse": True})

@@ -52,7 +52,7 @@ class InstallationReport:
 
 def examine() -> InstallationReport:
     """Run every check."""
-    names = ("flexopt", "casadi", "numpy", "scipy", "matplotlib", "xarray", "pydantic", "click")
+    names = ("flexopt", "casadi", "numpy", "scipy", "matplotlib", "xarray", "pydantic", "click", "jinja2")
     versions = ", ".join(f"{name} {package_version(name)}" for name in names)
     return InstallationReport(
         (

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ import pytest
 import flexopt
 from benchmarks.optimiser import draw_pairs, value_of
 from flexopt.errors import InputError
-from flexopt.export.optimiser import build_optimiser
+from flexopt.export.optimiser import SEARCH, build_optimiser
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
 from flexopt.selection.check import prove
@@ -324,6 +326,31 @@ def test_compiles_without_a_warning(three_joints, tmp_path, compiler, standard):
         [compiler, *flags, "-O1", "-c", "optimiser.c"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr[:2000]
+
+
+@pytest.mark.parametrize(("name", "real"), [("excavator", "double"), ("slewing-excavator", "float")])
+def test_the_search_is_plain_c_that_tools_can_read(name, real, tmp_path):
+    """Every file compiles by itself with the generated configuration; bundles hold the same text in one file."""
+    sources = build_optimiser(flexopt.load(name), prefix="case", real=real)
+    for file, text in sources.files().items():
+        (tmp_path / file).write_text(text)
+    (tmp_path / "whole.c").write_text(f"{sources.header}\n{sources.source}")
+    package = Path(flexopt.__file__).parent / "export" / "optimiser_c"
+    assert {path.name for path in package.iterdir()} == set(SEARCH)
+    included = re.findall(r'define (?:SECOND_DERIVATIVES|STARTS_FROM) "(.*)"', sources.configuration)
+    variants = {"optimiser_exact.h", "optimiser_differences.h", "optimiser_closed_form.h", "optimiser_sampled.h"}
+    for file in sorted(set(SEARCH) - (variants - set(included))):
+        assert (package / file).read_text() == (tmp_path / file).read_text()
+        # What a header alone does not use, others do.
+        alone = ["gcc", "-x", "c", *WARNINGS, "-Wno-unused-function", "-fsyntax-only", file]
+        subprocess.run(alone, cwd=tmp_path, check=True)
+    defined = []
+    for file in ("optimiser.c", "whole.c"):
+        subprocess.run(["gcc", *WARNINGS, "-O0", "-c", file, "-o", "file.o"], cwd=tmp_path, check=True)
+        defined.append(
+            subprocess.run(["objdump", "-d", "file.o"], cwd=tmp_path, check=True, capture_output=True).stdout
+        )
+    assert defined[0] == defined[1]
 
 
 def test_single_precision(machine, tmp_path):

@@ -20,9 +20,9 @@ from flexopt.export.fmu.interface import Interface
 from flexopt.loop.directions import Computed
 from flexopt.loop.flow import Flow
 from flexopt.loop.integrators import State
+from flexopt.loop.rest import design_constants, in_base_axes, placed, state_at_rest
 from flexopt.loop.structure import JACOBIAN_DAMPING, Layout
 from flexopt.plant.machine_motion import constants_at, motion_of
-from flexopt.plant.motion import Motion
 from flexopt.simulation.run import RESIDUAL_MAX
 
 
@@ -66,10 +66,7 @@ class FmuModel(Interface):
         design = ca.vertcat(passive, posture)
         parts: dict[str, Any] = dict(constants_at(machine, p))
         motion = motion_of(loop.structure.motion, parts)
-        hinges = passive[motion.hinges]
-        relative = passive - motion.drawn(base)[:m]
-        parts |= {"h": s.parts["h"], "base": base, "design": relative}
-        parts["design_directions"] = ca.vec(ca.horzcat(ca.cos(hinges), ca.sin(hinges)).T)
+        parts |= {"h": s.parts["h"]} | design_constants(motion, passive, base)
         parts |= {name: of[name] for name in loop.constants.sizes if name in of}
         resolutions = {name: of[name] for name in ("resolution", "rate_resolution") if name in of}
         parts |= {name: ca.repmat(value, plant.n_task, 1) for name, value in resolutions.items()}
@@ -83,7 +80,7 @@ class FmuModel(Interface):
         limited = self.kind == "co-simulation" and loop.structure.method == "rk4"
         at = Configuration(plant, loop.structure, design, base, p)
         guarded = at.guarded(float(s.parts["h"]) if limited else None, of.get("bandwidth_hz"))
-        outputs = [c, self._start(motion, q, base, p), plant.end_point(design, base, p)]
+        outputs = [c, state_at_rest(loop, plant, motion, q, base, p), plant.end_point(design, base, p)]
         outputs = [ca.densify(output) for output in (*outputs, ca.vertcat(*(number for _, number in guarded)))]
         names = ["c", "x", "point", "guards"]
         return ca.Function("setup", [a], outputs, ["a"], names, {"cse": True}), guarded
@@ -94,19 +91,6 @@ class FmuModel(Interface):
         rest = [name for name in names if name not in self.moving]
         at = dict(zip((*self.moving, *rest), (*moving, *still), strict=True))
         return ca.vertcat(ca.SX(0, 1), *(at[name] for name in names))
-
-    def _start(self, motion: Motion, q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
-        """States at rest in q; see `simulation.scenario.start_states`."""
-        loop, plant = self.loop, self.plant
-        u = ca.inv(motion.to_q) @ (q - motion.origin(base))
-        parts = {name: ca.SX.zeros(size, 1) for name, size in loop.states.sizes.items()} | {"u": u}
-        if loop.structure.compensated and loop.structure.lagging:
-            parts["torque"] = plant.gravity(q, base, p)[plant.n_passive :]
-        if loop.structure.delay:
-            still = ca.SX.zeros(plant.n_task, 1)
-            measured = plant.end_point(q, base, p) - ca.vertcat(*motion.on_rows(ca.vertsplit(base), ca.SX(0)))
-            parts["queue"] = ca.repmat(ca.vertcat(measured, still), loop.structure.delay, 1)
-        return ca.vertcat(*parts.values())
 
     @cached_property
     def step(self) -> ca.Function:
@@ -166,18 +150,17 @@ class FmuModel(Interface):
             moved = self._assembled(ca.vertsplit(of["placement"]), still) - start
             rates = self._assembled(ca.vertsplit(of["placement_rate"]), nothing)
             parts |= {"base": self._turned(moved, start), "base_rate": self._turned(rates, start)}
-        parts["target"] = of["target"] - ca.vertcat(*self.motion.on_rows(ca.vertsplit(start), ca.SX(0)))
+        parts["target"] = of["target"] - placed(self.motion, start)
         e = ca.vertcat(*(parts[name] for name in self.loop.signals.sizes))
         return ca.Function("signals", [i, c], [e], ["i", "c"], ["e"])
 
     def _turned(self, column: ca.SX, start: ca.SX) -> ca.SX:
-        """A change of placement in the axes in which the anchor frame stands; see `simulation.scenario.moved`."""
+        """A change of placement in the axes in which the anchor frame stands; see `simulation.base_path.moved`."""
         names = self.motion.placement
         if "yaw" not in names:
             return column
-        yaw, (x, y) = start[names.index("yaw")], (column[names.index(name)] for name in "xy")
-        c, s = ca.cos(yaw), ca.sin(yaw)
-        turned = {"x": x * c + y * s, "y": y * c - x * s, "yaw": ca.SX(0)}
+        yaw, away = start[names.index("yaw")], dict(zip(names, ca.vertsplit(column), strict=True))
+        turned = in_base_axes(away, ca.cos(yaw), ca.sin(yaw), ca.SX(0)) | {"yaw": ca.SX(0)}
         return ca.vertcat(*(turned[name] for name in names))
 
 

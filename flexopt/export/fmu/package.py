@@ -24,10 +24,10 @@ from flexopt.export.fmu.interface import KINDS, Kind, moving_placement
 from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import VERSIONS, Version, body, source
 from flexopt.export.kernels import Unsupported
-from flexopt.export.naming import identifier
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import path, public, words
 from flexopt.foundation.documents import json_ready, package_version, provenance
+from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.writing import write_files
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import Sensor, SimulationOptions
@@ -156,7 +156,7 @@ def export_fmu(
         content = body(model)
     except Unsupported as error:
         raise ExportError(f"export_fmu: {error}") from error
-    name = identifier(machine.name)
+    name = c_identifier(machine.name)
     table = reference_table(model)
     files, token = _files(model, version, name, content, table)
     library = _compiled(files["sources/fmu.c"])

@@ -14,7 +14,7 @@ from typing import Any
 
 from flexopt.export.operations import Samples
 from flexopt.export.sources import Library
-from flexopt.export.verify.tools import Said, run
+from flexopt.export.verify.tools import ProgramOutput, run
 
 SAMPLE_SEED = 20
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes", "-Werror")
@@ -99,6 +99,6 @@ class Bench:
         return {name.removeprefix(f"{self.library.prefix}_"): folder / f"{name}.o" for name in names}
 
 
-def warnings_in(said: Said) -> list[str]:
+def warnings_in(said: ProgramOutput) -> list[str]:
     """Lines of a compiler's that complain."""
     return [line for line in said.both.splitlines() if re.search(r"\b(warning|error):", line)]

@@ -17,7 +17,7 @@ from flexopt.export.operations import Array, Operation
 from flexopt.export.verify import optimiser, replay
 from flexopt.export.verify.bench import STRICT, Bench, warnings_in
 from flexopt.export.verify.checks import Check, Finding, Table, attempt
-from flexopt.export.verify.tools import Said, StepFailed, need, run, sanitizing_compiler
+from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run, sanitizing_compiler
 
 COMPILERS = (("gcc", "g++"), ("clang", "clang++"))
 STANDARDS = ("c99", "c11")
@@ -65,7 +65,7 @@ def readme_commands(folder: Path) -> list[str]:
     return [line.strip().split("  #")[0].strip() for line in section.splitlines() if line.startswith("    ")]
 
 
-def follow(folder: Path, command: str, compiler: str, copy: Path) -> Said:
+def follow(folder: Path, command: str, compiler: str, copy: Path) -> ProgramOutput:
     """What such a command says in a copy of the folder, as it was exported.
 
     Raises:

@@ -19,7 +19,7 @@ from flexopt.export.verify import objects, optimiser, replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Check, Finding, Table, Target, attempt
 from flexopt.export.verify.host import agreement
-from flexopt.export.verify.tools import Said, StepFailed, need, run
+from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run
 from flexopt.foundation.writing import write_file
 
 COMPILER = "arm-none-eabi-gcc"
@@ -191,7 +191,7 @@ def _program(bench: Bench, board: Board, name: str, sources: Sequence[Path], ext
     return bench.program(f"{name}.elf", COMPILER, [bench.scratch / "startup.c", *sources], flags)
 
 
-def _emulate(bench: Bench, board: Board, program: Path, arguments: Sequence[str]) -> Said:
+def _emulate(bench: Bench, board: Board, program: Path, arguments: Sequence[str]) -> ProgramOutput:
     names = "".join(f",arg={word}" for word in [program.stem, *arguments])
     command = [
         EMULATOR, "-M", board.machine, "-icount", "shift=0", "-display", "none", "-serial", "null", "-monitor", "none",

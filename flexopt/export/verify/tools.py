@@ -39,7 +39,7 @@ class StepFailed(Exception):
 
 
 @dataclass(frozen=True)
-class Said:
+class ProgramOutput:
     """What a program printed."""
 
     out: str
@@ -65,7 +65,7 @@ def run(
     environment: dict[str, str] | None = None,
     seconds: float = SECONDS,
     may_fail: bool = False,
-) -> Said:
+) -> ProgramOutput:
     """Run a program that is there.
 
     Raises:
@@ -85,7 +85,7 @@ def run(
     if done.returncode != 0 and not may_fail:
         said = (done.stderr.strip() or done.stdout.strip())[-1500:]
         raise StepFailed(f"{' '.join(words[:1])} ended with {done.returncode}: {said}")
-    return Said(done.stdout, done.stderr)
+    return ProgramOutput(done.stdout, done.stderr)
 
 
 def sanitizing_compiler(flags: Sequence[str], folder: Path) -> str:

@@ -1,3 +1,5 @@
+{% set fmi, component, state, deserialize, reals = "fmi2", "fmi2Component", "FMUstate", "DeSerialize", "Real" %}
+{% set allocate, release = "m->logger->allocateMemory", "m->logger->freeMemory" %}
 /* FMI 2.0: its types, and its functions around the model. */
 
 #ifndef FMI2_FUNCTION_PREFIX
@@ -47,42 +49,11 @@ static void emit(Instance *m, int status, const char *category, const char *text
   }
 }
 
-static fmi2Status no_variables(fmi2Component c, size_t n, const char *call) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, READABLE, call)) {
-    return fmi2Error;
-  }
-  return n == 0 ? fmi2OK : (fmi2Status)report(m, ERROR, "%s: the model has variables of type Real alone", call);
-}
-
-static fmi2Status unsupported(fmi2Component c, const char *call) {
-  Instance *m = (Instance *)c;
-  return permitted(m, READABLE, call) ? (fmi2Status)report(m, ERROR, "%s: is not offered", call) : fmi2Error;
-}
-
-static Saved *new_saved(Instance *m) {
-  Saved *saved = (Saved *)m->logger->allocateMemory(1, sizeof(Saved));
-  if (saved == NULL) {
-    (void)report(m, ERROR, "no memory");
-  } else {
-    saved->key = MODEL_KEY;
-  }
-  return saved;
-}
+{% include "export/fmu/templates/interface.c" %}
 
 EXPORT const char *F(GetTypesPlatform)(void) { return "default"; }
 
 EXPORT const char *F(GetVersion)(void) { return "2.0"; }
-
-EXPORT fmi2Status F(SetDebugLogging)(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
-  Instance *m = (Instance *)c;
-  (void)n, (void)categories;
-  if (!permitted(m, READABLE, "fmi2SetDebugLogging")) {
-    return fmi2Error;
-  }
-  m->logging = on;
-  return fmi2OK;
-}
 
 EXPORT fmi2Component F(Instantiate)(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                                     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
@@ -136,29 +107,6 @@ EXPORT fmi2Status F(EnterInitializationMode)(fmi2Component c) {
   return fmi2OK;
 }
 
-EXPORT fmi2Status F(ExitInitializationMode)(fmi2Component c) {
-  Instance *m = (Instance *)c;
-  return permitted(m, INITIALIZATION, "fmi2ExitInitializationMode") ? (fmi2Status)begin(m) : fmi2Error;
-}
-
-EXPORT fmi2Status F(Terminate)(fmi2Component c) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, RUNNING, "fmi2Terminate")) {
-    return fmi2Error;
-  }
-  m->core.mode = TERMINATED;
-  return fmi2OK;
-}
-
-EXPORT fmi2Status F(Reset)(fmi2Component c) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, READABLE, "fmi2Reset")) {
-    return fmi2Error;
-  }
-  restart(&m->core);
-  return fmi2OK;
-}
-
 EXPORT fmi2Status F(GetReal)(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
   Instance *m = (Instance *)c;
   return permitted(m, READABLE, "fmi2GetReal") ? (fmi2Status)get_reals(m, vr, n, value) : fmi2Error;
@@ -182,86 +130,6 @@ EXPORT fmi2Status F(SetReal)(fmi2Component c, const fmi2ValueReference vr[], siz
 NO_VARIABLES(Integer)
 NO_VARIABLES(Boolean)
 NO_VARIABLES(String)
-
-EXPORT fmi2Status F(GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, READABLE, "fmi2GetFMUstate")) {
-    return fmi2Error;
-  }
-  if (state == NULL) {
-    return (fmi2Status)report(m, ERROR, "fmi2GetFMUstate: a pointer is NULL");
-  }
-  if (*state == NULL) {
-    *state = new_saved(m);
-    if (*state == NULL) {
-      return fmi2Error;
-    }
-  }
-  ((Saved *)*state)->core = m->core;
-  return fmi2OK;
-}
-
-EXPORT fmi2Status F(SetFMUstate)(fmi2Component c, fmi2FMUstate state) {
-  Instance *m = (Instance *)c;
-  return permitted(m, READABLE, "fmi2SetFMUstate") ? (fmi2Status)restore(m, (const Saved *)state) : fmi2Error;
-}
-
-EXPORT fmi2Status F(FreeFMUstate)(fmi2Component c, fmi2FMUstate *state) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, READABLE, "fmi2FreeFMUstate")) {
-    return fmi2Error;
-  }
-  if (state != NULL && *state != NULL) {
-    m->logger->freeMemory(*state);
-    *state = NULL;
-  }
-  return fmi2OK;
-}
-
-EXPORT fmi2Status F(SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, size_t *size) {
-  Instance *m = (Instance *)c;
-  (void)state;
-  if (!permitted(m, READABLE, "fmi2SerializedFMUstateSize")) {
-    return fmi2Error;
-  }
-  if (size == NULL) {
-    return (fmi2Status)report(m, ERROR, "fmi2SerializedFMUstateSize: a pointer is NULL");
-  }
-  *size = sizeof(Saved);
-  return fmi2OK;
-}
-
-EXPORT fmi2Status F(SerializeFMUstate)(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, READABLE, "fmi2SerializeFMUstate")) {
-    return fmi2Error;
-  }
-  return (fmi2Status)serialize(m, (const Saved *)state, (unsigned char *)bytes, size);
-}
-
-EXPORT fmi2Status F(DeSerializeFMUstate)(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
-  Instance *m = (Instance *)c;
-  Saved saved;
-  int status;
-  if (!permitted(m, READABLE, "fmi2DeSerializeFMUstate")) {
-    return fmi2Error;
-  }
-  if (state == NULL) {
-    return (fmi2Status)report(m, ERROR, "fmi2DeSerializeFMUstate: a pointer is NULL");
-  }
-  status = deserialize(m, (const unsigned char *)bytes, size, &saved);
-  if (status != OK) {
-    return (fmi2Status)status;
-  }
-  if (*state == NULL) {
-    *state = new_saved(m);
-    if (*state == NULL) {
-      return fmi2Error;
-    }
-  }
-  *(Saved *)*state = saved;
-  return fmi2OK;
-}
 
 EXPORT fmi2Status F(GetDirectionalDerivative)(fmi2Component c, const fmi2ValueReference unknown[], size_t n_unknown,
                                               const fmi2ValueReference known[], size_t n_known, const fmi2Real seed[],
@@ -289,30 +157,6 @@ EXPORT fmi2Status F(NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
     return (fmi2Status)report(m, ERROR, "fmi2NewDiscreteStates: a pointer is NULL");
   }
   memset(info, 0, sizeof *info);
-  return fmi2OK;
-}
-
-EXPORT fmi2Status F(EnterContinuousTimeMode)(fmi2Component c) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, EVENT, "fmi2EnterContinuousTimeMode")) {
-    return fmi2Error;
-  }
-  m->core.mode = CONTINUOUS;
-  return fmi2OK;
-}
-
-EXPORT fmi2Status F(CompletedIntegratorStep)(fmi2Component c, fmi2Boolean final, fmi2Boolean *enter_event_mode,
-                                             fmi2Boolean *terminate) {
-  Instance *m = (Instance *)c;
-  (void)final;
-  if (!permitted(m, CONTINUOUS, "fmi2CompletedIntegratorStep")) {
-    return fmi2Error;
-  }
-  if (enter_event_mode == NULL || terminate == NULL) {
-    return (fmi2Status)report(m, ERROR, "fmi2CompletedIntegratorStep: a pointer is NULL");
-  }
-  *enter_event_mode = 0;
-  *terminate = 0;
   return fmi2OK;
 }
 

@@ -1,3 +1,5 @@
+{% set fmi, component, state, deserialize, reals = "fmi3", "fmi3Instance", "FMUState", "Deserialize", "Float64" %}
+{% set allocate, release = "calloc", "free" %}
 /* FMI 3.0: its types, and its functions around the model. */
 
 #include <stdbool.h>
@@ -52,18 +54,7 @@ static void emit(Instance *m, int status, const char *category, const char *text
   }
 }
 
-static fmi3Status no_variables(fmi3Instance instance, size_t n, const char *call) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, call)) {
-    return fmi3Error;
-  }
-  return n == 0 ? fmi3OK : (fmi3Status)report(m, ERROR, "%s: the model has variables of type Float64 alone", call);
-}
-
-static fmi3Status unsupported(fmi3Instance instance, const char *call) {
-  Instance *m = (Instance *)instance;
-  return permitted(m, READABLE, call) ? (fmi3Status)report(m, ERROR, "%s: is not offered", call) : fmi3Error;
-}
+{% include "export/fmu/templates/interface.c" %}
 
 static fmi3Instance created(const char *name, const char *token, int logging, Logger logger, const char *fault) {
   Instance *m;
@@ -85,27 +76,7 @@ static fmi3Instance created(const char *name, const char *token, int logging, Lo
   return m;
 }
 
-static Saved *new_saved(Instance *m) {
-  Saved *saved = (Saved *)calloc(1, sizeof(Saved));
-  if (saved == NULL) {
-    (void)report(m, ERROR, "no memory");
-  } else {
-    saved->key = MODEL_KEY;
-  }
-  return saved;
-}
-
 EXPORT const char *F(GetVersion)(void) { return "3.0"; }
-
-EXPORT fmi3Status F(SetDebugLogging)(fmi3Instance instance, fmi3Boolean on, size_t n, const fmi3String categories[]) {
-  Instance *m = (Instance *)instance;
-  (void)n, (void)categories;
-  if (!permitted(m, READABLE, "fmi3SetDebugLogging")) {
-    return fmi3Error;
-  }
-  m->logging = on;
-  return fmi3OK;
-}
 
 EXPORT fmi3Instance F(InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
                                                 fmi3Boolean visible, fmi3Boolean logging,
@@ -164,35 +135,12 @@ EXPORT fmi3Status F(EnterInitializationMode)(fmi3Instance instance, fmi3Boolean 
   return (fmi3Status)status;
 }
 
-EXPORT fmi3Status F(ExitInitializationMode)(fmi3Instance instance) {
-  Instance *m = (Instance *)instance;
-  return permitted(m, INITIALIZATION, "fmi3ExitInitializationMode") ? (fmi3Status)begin(m) : fmi3Error;
-}
-
 EXPORT fmi3Status F(EnterEventMode)(fmi3Instance instance) {
   Instance *m = (Instance *)instance;
   if (!permitted(m, MODEL_EXCHANGE ? CONTINUOUS | EVENT : 0, "fmi3EnterEventMode")) {
     return fmi3Error;
   }
   m->core.mode = EVENT;
-  return fmi3OK;
-}
-
-EXPORT fmi3Status F(Terminate)(fmi3Instance instance) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, RUNNING, "fmi3Terminate")) {
-    return fmi3Error;
-  }
-  m->core.mode = TERMINATED;
-  return fmi3OK;
-}
-
-EXPORT fmi3Status F(Reset)(fmi3Instance instance) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "fmi3Reset")) {
-    return fmi3Error;
-  }
-  restart(&m->core);
   return fmi3OK;
 }
 
@@ -272,87 +220,6 @@ EXPORT fmi3Status F(GetVariableDependencies)(fmi3Instance instance, fmi3ValueRef
   return unsupported(instance, "fmi3GetVariableDependencies");
 }
 
-EXPORT fmi3Status F(GetFMUState)(fmi3Instance instance, fmi3FMUState *state) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "fmi3GetFMUState")) {
-    return fmi3Error;
-  }
-  if (state == NULL) {
-    return (fmi3Status)report(m, ERROR, "fmi3GetFMUState: a pointer is NULL");
-  }
-  if (*state == NULL) {
-    *state = new_saved(m);
-    if (*state == NULL) {
-      return fmi3Error;
-    }
-  }
-  ((Saved *)*state)->core = m->core;
-  return fmi3OK;
-}
-
-EXPORT fmi3Status F(SetFMUState)(fmi3Instance instance, fmi3FMUState state) {
-  Instance *m = (Instance *)instance;
-  return permitted(m, READABLE, "fmi3SetFMUState") ? (fmi3Status)restore(m, (const Saved *)state) : fmi3Error;
-}
-
-EXPORT fmi3Status F(FreeFMUState)(fmi3Instance instance, fmi3FMUState *state) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "fmi3FreeFMUState")) {
-    return fmi3Error;
-  }
-  if (state != NULL) {
-    free(*state);
-    *state = NULL;
-  }
-  return fmi3OK;
-}
-
-EXPORT fmi3Status F(SerializedFMUStateSize)(fmi3Instance instance, fmi3FMUState state, size_t *size) {
-  Instance *m = (Instance *)instance;
-  (void)state;
-  if (!permitted(m, READABLE, "fmi3SerializedFMUStateSize")) {
-    return fmi3Error;
-  }
-  if (size == NULL) {
-    return (fmi3Status)report(m, ERROR, "fmi3SerializedFMUStateSize: a pointer is NULL");
-  }
-  *size = sizeof(Saved);
-  return fmi3OK;
-}
-
-EXPORT fmi3Status F(SerializeFMUState)(fmi3Instance instance, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "fmi3SerializeFMUState")) {
-    return fmi3Error;
-  }
-  return (fmi3Status)serialize(m, (const Saved *)state, bytes, size);
-}
-
-EXPORT fmi3Status F(DeserializeFMUState)(fmi3Instance instance, const fmi3Byte bytes[], size_t size,
-                                         fmi3FMUState *state) {
-  Instance *m = (Instance *)instance;
-  Saved saved;
-  int status;
-  if (!permitted(m, READABLE, "fmi3DeserializeFMUState")) {
-    return fmi3Error;
-  }
-  if (state == NULL) {
-    return (fmi3Status)report(m, ERROR, "fmi3DeserializeFMUState: a pointer is NULL");
-  }
-  status = deserialize(m, bytes, size, &saved);
-  if (status != OK) {
-    return (fmi3Status)status;
-  }
-  if (*state == NULL) {
-    *state = new_saved(m);
-    if (*state == NULL) {
-      return fmi3Error;
-    }
-  }
-  *(Saved *)*state = saved;
-  return fmi3OK;
-}
-
 #define NO_DERIVATIVES(name)                                                                                      \
   EXPORT fmi3Status F(name)(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t n_unknowns,        \
                             const fmi3ValueReference knowns[], size_t n_knowns, const fmi3Float64 seed[],         \
@@ -420,31 +287,8 @@ EXPORT fmi3Status F(UpdateDiscreteStates)(fmi3Instance instance, fmi3Boolean *ag
   return fmi3OK;
 }
 
-EXPORT fmi3Status F(EnterContinuousTimeMode)(fmi3Instance instance) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, EVENT, "fmi3EnterContinuousTimeMode")) {
-    return fmi3Error;
-  }
-  m->core.mode = CONTINUOUS;
-  return fmi3OK;
-}
-
 EXPORT fmi3Status F(EnterStepMode)(fmi3Instance instance) {
   return unsupported(instance, "fmi3EnterStepMode");
-}
-
-EXPORT fmi3Status F(CompletedIntegratorStep)(fmi3Instance instance, fmi3Boolean final, fmi3Boolean *enter_event_mode,
-                                             fmi3Boolean *terminate) {
-  Instance *m = (Instance *)instance;
-  (void)final;
-  if (!permitted(m, CONTINUOUS, "fmi3CompletedIntegratorStep")) {
-    return fmi3Error;
-  }
-  if (enter_event_mode == NULL || terminate == NULL) {
-    return (fmi3Status)report(m, ERROR, "fmi3CompletedIntegratorStep: a pointer is NULL");
-  }
-  *enter_event_mode = *terminate = false;
-  return fmi3OK;
 }
 
 #if MODEL_EXCHANGE

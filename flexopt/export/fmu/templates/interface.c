@@ -1,0 +1,166 @@
+{# What both versions of FMI have in common but for names: modes, and the state of an instance. #}
+static {{ fmi }}Status no_variables({{ component }} instance, size_t n, const char *call) {
+  Instance *m = (Instance *)instance;
+  if (!permitted(m, READABLE, call)) {
+    return {{ fmi }}Error;
+  }
+  return n == 0 ? {{ fmi }}OK : ({{ fmi }}Status)report(m, ERROR, "%s: the model has variables of type {{ reals }} alone", call);
+}
+
+static {{ fmi }}Status unsupported({{ component }} instance, const char *call) {
+  Instance *m = (Instance *)instance;
+  return permitted(m, READABLE, call) ? ({{ fmi }}Status)report(m, ERROR, "%s: is not offered", call) : {{ fmi }}Error;
+}
+
+static Saved *new_saved(Instance *m) {
+  Saved *saved = (Saved *){{ allocate }}(1, sizeof(Saved));
+  if (saved == NULL) {
+    (void)report(m, ERROR, "no memory");
+  } else {
+    saved->key = MODEL_KEY;
+  }
+  return saved;
+}
+
+EXPORT {{ fmi }}Status F(SetDebugLogging)({{ component }} instance, {{ fmi }}Boolean on, size_t n, const {{ fmi }}String categories[]) {
+  Instance *m = (Instance *)instance;
+  (void)n, (void)categories;
+  if (!permitted(m, READABLE, "{{ fmi }}SetDebugLogging")) {
+    return {{ fmi }}Error;
+  }
+  m->logging = on;
+  return {{ fmi }}OK;
+}
+
+EXPORT {{ fmi }}Status F(ExitInitializationMode)({{ component }} instance) {
+  Instance *m = (Instance *)instance;
+  return permitted(m, INITIALIZATION, "{{ fmi }}ExitInitializationMode") ? ({{ fmi }}Status)begin(m) : {{ fmi }}Error;
+}
+
+EXPORT {{ fmi }}Status F(Terminate)({{ component }} instance) {
+  Instance *m = (Instance *)instance;
+  if (!permitted(m, RUNNING, "{{ fmi }}Terminate")) {
+    return {{ fmi }}Error;
+  }
+  m->core.mode = TERMINATED;
+  return {{ fmi }}OK;
+}
+
+EXPORT {{ fmi }}Status F(Reset)({{ component }} instance) {
+  Instance *m = (Instance *)instance;
+  if (!permitted(m, READABLE, "{{ fmi }}Reset")) {
+    return {{ fmi }}Error;
+  }
+  restart(&m->core);
+  return {{ fmi }}OK;
+}
+
+EXPORT {{ fmi }}Status F(Get{{ state }})({{ component }} instance, {{ fmi }}{{ state }} *state) {
+  Instance *m = (Instance *)instance;
+  if (!permitted(m, READABLE, "{{ fmi }}Get{{ state }}")) {
+    return {{ fmi }}Error;
+  }
+  if (state == NULL) {
+    return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}Get{{ state }}: a pointer is NULL");
+  }
+  if (*state == NULL) {
+    *state = new_saved(m);
+    if (*state == NULL) {
+      return {{ fmi }}Error;
+    }
+  }
+  ((Saved *)*state)->core = m->core;
+  return {{ fmi }}OK;
+}
+
+EXPORT {{ fmi }}Status F(Set{{ state }})({{ component }} instance, {{ fmi }}{{ state }} state) {
+  Instance *m = (Instance *)instance;
+  return permitted(m, READABLE, "{{ fmi }}Set{{ state }}") ? ({{ fmi }}Status)restore(m, (const Saved *)state) : {{ fmi }}Error;
+}
+
+EXPORT {{ fmi }}Status F(Free{{ state }})({{ component }} instance, {{ fmi }}{{ state }} *state) {
+  Instance *m = (Instance *)instance;
+  if (!permitted(m, READABLE, "{{ fmi }}Free{{ state }}")) {
+    return {{ fmi }}Error;
+  }
+  if (state != NULL && *state != NULL) {
+    {{ release }}(*state);
+    *state = NULL;
+  }
+  return {{ fmi }}OK;
+}
+
+EXPORT {{ fmi }}Status F(Serialized{{ state }}Size)({{ component }} instance, {{ fmi }}{{ state }} state, size_t *size) {
+  Instance *m = (Instance *)instance;
+  (void)state;
+  if (!permitted(m, READABLE, "{{ fmi }}Serialized{{ state }}Size")) {
+    return {{ fmi }}Error;
+  }
+  if (size == NULL) {
+    return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}Serialized{{ state }}Size: a pointer is NULL");
+  }
+  *size = sizeof(Saved);
+  return {{ fmi }}OK;
+}
+
+EXPORT {{ fmi }}Status F(Serialize{{ state }})({{ component }} instance, {{ fmi }}{{ state }} state, {{ fmi }}Byte bytes[], size_t size) {
+  Instance *m = (Instance *)instance;
+  if (!permitted(m, READABLE, "{{ fmi }}Serialize{{ state }}")) {
+    return {{ fmi }}Error;
+  }
+  return ({{ fmi }}Status)serialize(m, (const Saved *)state, (unsigned char *)bytes, size);
+}
+
+EXPORT {{ fmi }}Status F({{ deserialize }}{{ state }})({{ component }} instance, const {{ fmi }}Byte bytes[], size_t size,
+                                         {{ fmi }}{{ state }} *state) {
+  Instance *m = (Instance *)instance;
+  Saved saved;
+  int status;
+  if (!permitted(m, READABLE, "{{ fmi }}{{ deserialize }}{{ state }}")) {
+    return {{ fmi }}Error;
+  }
+  if (state == NULL) {
+    return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}{{ deserialize }}{{ state }}: a pointer is NULL");
+  }
+  status = deserialize(m, (const unsigned char *)bytes, size, &saved);
+  if (status != OK) {
+    return ({{ fmi }}Status)status;
+  }
+  if (*state == NULL) {
+    *state = new_saved(m);
+    if (*state == NULL) {
+      return {{ fmi }}Error;
+    }
+  }
+  *(Saved *)*state = saved;
+  return {{ fmi }}OK;
+}
+
+{% if fmi == "fmi2" %}
+#if MODEL_EXCHANGE
+{% endif %}
+EXPORT {{ fmi }}Status F(EnterContinuousTimeMode)({{ component }} instance) {
+  Instance *m = (Instance *)instance;
+  if (!permitted(m, EVENT, "{{ fmi }}EnterContinuousTimeMode")) {
+    return {{ fmi }}Error;
+  }
+  m->core.mode = CONTINUOUS;
+  return {{ fmi }}OK;
+}
+
+EXPORT {{ fmi }}Status F(CompletedIntegratorStep)({{ component }} instance, {{ fmi }}Boolean final, {{ fmi }}Boolean *enter_event_mode,
+                                             {{ fmi }}Boolean *terminate) {
+  Instance *m = (Instance *)instance;
+  (void)final;
+  if (!permitted(m, CONTINUOUS, "{{ fmi }}CompletedIntegratorStep")) {
+    return {{ fmi }}Error;
+  }
+  if (enter_event_mode == NULL || terminate == NULL) {
+    return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}CompletedIntegratorStep: a pointer is NULL");
+  }
+  *enter_event_mode = *terminate = 0;
+  return {{ fmi }}OK;
+}
+{% if fmi == "fmi2" %}
+#endif
+{% endif %}
