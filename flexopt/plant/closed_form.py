@@ -19,7 +19,7 @@ from flexopt.plant.tree_task import placed
 
 
 @dataclass(frozen=True)
-class ReachingGraph:
+class InverseKinematicsGraph:
     """Closed-form inverse kinematics and the arm's segments, as SX graphs.
 
     Attributes:
@@ -39,7 +39,7 @@ class ReachingGraph:
 
 
 def has_closed_form(structure: Skeleton) -> bool:
-    """Whether `build_reaching` applies.
+    """Whether `build_inverse_kinematics` applies.
 
     The task has two position rows in the order of the axes, the placement moves along the first of them, and every
     joint on the way to the end-point is a hinge across their plane or a passive slide; all actuated joints are there.
@@ -50,7 +50,7 @@ def has_closed_form(structure: Skeleton) -> bool:
     return 2 <= len(structure.actuated) == len(structure.actuated_way) and structure.is_across(way)
 
 
-def build_reaching(graph: MachineGraph) -> ReachingGraph:
+def build_inverse_kinematics(graph: MachineGraph) -> InverseKinematicsGraph:
     """Postures that put the end-point on a target, passive joints at rest; angles turn row 1 to row 2.
 
     The last two segments close the chain: with d the vector from their first joint to the target, the cosine of the
@@ -100,7 +100,7 @@ def build_reaching(graph: MachineGraph) -> ReachingGraph:
     bend = elbow * _acos(cos_elbow)
     absolute = ca.atan2(away[1], away[0]) - ca.atan2(l2 * ca.sin(bend), l1 + l2 * ca.cos(bend))
     angles += [absolute - bearings[-2] - turned, bend - (bearings[-1] - bearings[-2])]
-    return ReachingGraph(
+    return InverseKinematicsGraph(
         target=target,
         unit=unit,
         elbow=elbow,

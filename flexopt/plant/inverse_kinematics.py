@@ -163,7 +163,7 @@ def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: floa
         plant: the machine's plant.
         target: (2,), m, inertial frame.
         bases: (n_b, N) placements.
-        unit: (n − 2, N) coordinates in [0, 1] of the joints before the last two, see `planar.build_reaching`.
+        unit: (n − 2, N) coordinates in [0, 1] of the joints before the last two, see `InverseKinematicsGraph`.
         sign: −1 elbow up, +1 elbow down.
 
     Returns:

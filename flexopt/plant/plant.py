@@ -12,7 +12,7 @@ from flexopt.errors import Fault, InputError
 from flexopt.foundation.boundary import instance, public, public_class
 from flexopt.foundation.control import Control, control_method
 from flexopt.model import AnyMachine
-from flexopt.plant.closed_form import ReachingGraph, build_reaching, has_closed_form
+from flexopt.plant.closed_form import InverseKinematicsGraph, build_inverse_kinematics, has_closed_form
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.frames import Frames, build_frames
 from flexopt.plant.graph import MachineGraph, build_graph
@@ -214,7 +214,7 @@ class Plant:
         return has_closed_form(self.graph.at.skeleton)
 
     @cached_property
-    def reaching(self) -> ReachingGraph:
+    def reaching(self) -> InverseKinematicsGraph:
         """Closed-form inverse kinematics.
 
         Raises:
@@ -223,7 +223,7 @@ class Plant:
         if not self.closed_form:
             sentence = "is a spatial machine; its postures have no closed form, and only planar arms have a known reach"
             raise InputError(f"machine {self.machine.name!r} {sentence}", [Fault("machine", sentence)])
-        return build_reaching(self.graph)
+        return build_inverse_kinematics(self.graph)
 
     @cached_property
     def posture_at(self) -> ca.Function:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
@@ -18,12 +19,11 @@ from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held
-from flexopt.selection.configuration import build_configuration
-from flexopt.selection.constraints import ConstraintSet, build_constraints, constraint_faults
+from flexopt.selection.constraints import build_constraints, constraint_faults
 from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
-from flexopt.selection.problem import Constraint, DecisionVariable, SelectionProblem, TravelCost
-from flexopt.selection.scan import Scan, scan_redundancy
-from flexopt.selection.starts import STARTS, Region, sample_configurations
+from flexopt.selection.problem import Constraint, DecisionVariable, Region, SelectionProblem, TravelCost
+from flexopt.selection.scan import Scan, empty_scan, scan_redundancy
+from flexopt.selection.starts import STARTS, sample_configurations
 
 Ranges = dict[str, tuple[float, float]]
 FREE = (-math.inf, math.inf)
@@ -55,7 +55,7 @@ def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
 
 
 def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    """As `ask`, for the boundary."""
+    """Note what arguments of a selection do not fit together."""
     ask(arguments, given)
 
 
@@ -86,7 +86,7 @@ def build_selection(
     assert read is not None  # the machine is one
     objectives, kept, limits, travel_now = read
     names, units = machine.base_coordinates, machine.base_units
-    present, seed, starts = asked.base, asked.seed, asked.starts
+    present = asked.base
     ranges: Ranges = asked.base_range or {}
     margin = math.radians(asked.singularity_margin_deg)
 
@@ -116,18 +116,7 @@ def build_selection(
             rows.labels, rows.units, rows.lower, rows.upper, rows.scales, strict=True
         )
     ]
-    region = _region(plant, variables, bounds, sampled, constraint_set, limits)
-    off = 0.0
-    if plant.closed_form:
-        scan = scan_redundancy(
-            functions, target, intervals, objectives[0], math.sin(margin) ** 2, limits, constraint_set, seed
-        )
-    else:
-        configuration = build_configuration(machine, asked.control, asked.gravity, constraint_set)
-        scan, off = sample_configurations(functions, configuration, region, objectives[0], starts or STARTS, seed)
-    if scan.size == 0:
-        raise _nothing_found(functions, target, ranges, margin, scan, off)
-    return SelectionProblem(
+    problem = SelectionProblem(
         machine=machine,
         target=target,
         objectives=objectives,
@@ -141,16 +130,28 @@ def build_selection(
         constraint_set=constraint_set,
         asked=kept,
         travel=None if travel_now is None or kept.travel is None else TravelCost(kept.travel.cost, travel_now),
-        objective_scales=tuple(float(np.median(o.alpha @ scan.factor)) + o.beta or 1.0 for o in objectives),
-        scan=scan,
-        region=region,
+        objective_scales=(1.0,) * len(objectives),
+        scan=empty_scan(plant, reached=False),
+        region=_region(machine, arm_length(plant), sampled, limits),
         present_base=present,
         present_posture=asked.posture,
         elbow=asked.elbow,
         singularity_margin=margin,
-        starts=starts,
-        seed=seed,
+        starts=asked.starts,
+        seed=asked.seed,
     )
+    off = 0.0
+    if plant.closed_form:
+        sine_squared = math.sin(margin) ** 2
+        scan = scan_redundancy(
+            functions, target, intervals, objectives[0], sine_squared, limits, constraint_set, asked.seed
+        )
+    else:
+        scan, off = sample_configurations(problem, asked.starts or STARTS)
+    if scan.size == 0:
+        raise _nothing_found(functions, target, ranges, margin, scan, off)
+    sizes = tuple(float(np.median(o.alpha @ scan.factor)) + o.beta or 1.0 for o in objectives)
+    return replace(problem, scan=scan, objective_scales=sizes)
 
 
 def _suiting(arguments: Arguments, machine: AnyMachine, asked: Constraints) -> Constraints:
@@ -222,30 +223,11 @@ def _placements(
     return bounds, sampled, []
 
 
-def _region(
-    plant: Plant,
-    variables: list[DecisionVariable],
-    constraints: list[Constraint],
-    sampled: Ranges,
-    constraint_set: ConstraintSet | None,
-    limits: Vector,
-) -> Region:
+def _region(machine: AnyMachine, length: float, sampled: Ranges, limits: Vector) -> Region:
     """Where configurations are looked for; `limits` (n, 2) are those of the joints."""
-    machine = plant.machine
-    inside = sampled_ranges(machine, arm_length(plant))
-    inside = np.clip(inside, limits[:, :1], limits[:, 1:])
+    inside = np.clip(sampled_ranges(machine, length), limits[:, :1], limits[:, 1:])
     ranges = np.vstack([np.array([sampled[name] for name in machine.base_coordinates]).reshape(-1, 2), inside])
-    return Region(
-        lower=np.array([v.lower for v in variables]),
-        upper=np.array([v.upper for v in variables]),
-        scale=np.array([v.scale for v in variables]),
-        low=ranges[:, 0],
-        high=ranges[:, 1],
-        row_lower=np.array([c.lower for c in constraints]),
-        row_upper=np.array([c.upper for c in constraints]),
-        row_scale=np.array([c.scale for c in constraints]),
-        constants=np.zeros(0) if constraint_set is None else constraint_set.constants.full().ravel(),
-    )
+    return Region(ranges[:, 0], ranges[:, 1])
 
 
 def _nothing_found(

@@ -70,7 +70,7 @@ def prove(problem: SelectionProblem, z: Vector) -> Proof:
 
 
 def prove_program(program: Program, x: Vector) -> Proof:
-    """The same of a point x of a program."""
+    """Check a point x of a program from the equations, in double, by functions that no solver used."""
     local = _linearised(program, x)
     violations = _infeasible(program, x, local.g)
     multipliers, kept = _multipliers(local)
@@ -292,10 +292,10 @@ def _bent(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -
     of_value = program.share[k] if weighted else -weights[before + kept * count + k]
 
     def pull(there: Vector) -> Vector:
-        member = program.linear_of(k, there)
-        total = of_value * member.slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ member.row_slopes
+        row_slopes, _, slopes = program.slopes_of(k, there)
+        total = of_value * slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ row_slopes
         for j in range(kept):
-            total = total - weights[before + j * count + k] * member.slopes[j][0]
+            total = total - weights[before + j * count + k] * slopes[j][0]
         return total
 
     second = np.zeros((len(basis), len(basis)))

@@ -73,7 +73,8 @@ class Configuration:
         return ca.vertcat(self._symbols["base"], self._symbols["posture"])
 
     @cached_property
-    def _expansion(self) -> Expansion:
+    def expansion(self) -> Expansion:
+        """V = Σ αi wi with its derivatives by z, from (base, posture, p, held, alpha)."""
         return Expansion(self.measures)
 
     @cached_property
@@ -102,21 +103,6 @@ class Configuration:
     def feasible(self) -> ca.Function:
         """`feasible_steps` of the rows at rest in z; its last inputs are p and c."""
         return feasible_steps(self._rows_at_rest, self._z, [self._symbols["p"], self._symbols["c"]])
-
-    @property
-    def value(self) -> ca.Function:
-        """(base, posture, p, held, alpha) -> V = Σ αi wi."""
-        return self._expansion.value
-
-    @property
-    def slope(self) -> ca.Function:
-        """(base, posture, p, held, alpha) -> V = Σ αi wi and ∂V/∂z (n_z,)."""
-        return self._expansion.slope
-
-    @property
-    def curvature(self) -> ca.Function:
-        """(base, posture, p, held, alpha) -> ∂²V/∂z² (n_z, n_z)."""
-        return self._expansion.curvature
 
     @cached_property
     def row_values(self) -> ca.Function:

@@ -83,7 +83,7 @@ class Coupling:
 
     @property
     def count(self) -> int:
-        """K."""
+        """Number of configurations, K."""
         return len(self.places)
 
     @cached_property
@@ -100,7 +100,7 @@ class Coupling:
 
 
 def alone(n_z: int) -> Coupling:
-    """One configuration: x is its z."""
+    """The coupling of one configuration with nothing: x is its z."""
     return Coupling((tuple(range(n_z)),))
 
 
@@ -230,12 +230,12 @@ class _Member:
 
     def values(self) -> tuple[Branches, ca.MX]:
         """V / size less travel of every objective, and the rows."""
-        smooth = [found[0] for found in self._of_modes(self.configuration.value)]
+        smooth = [found[0] for found in self._of_modes(self.configuration.expansion.value)]
         return self._objectives(smooth), self._rows(self.configuration.row_values.call(self.row_inputs)[0])
 
     def slopes(self) -> tuple[tuple[Branches, ca.MX], tuple[Branches, ca.MX]]:
         """As `values`, from the calls that give the slopes, too; and the slopes by x."""
-        s, found = self.s, self._of_modes(self.configuration.slope)
+        s, found = self.s, self._of_modes(self.configuration.expansion.slope)
         rows, row_slopes = self.configuration.row_slopes.call(self.row_inputs)
         by_x = [
             [self._by_x((s["z_scale"] * v_z / s["size"][j] - 2 * s["cost"] * self.away).T) for v_z in branches]
@@ -248,7 +248,7 @@ class _Member:
     def curvature(self, of_values: ca.MX, of_rows: ca.MX) -> ca.MX:
         """Σ of_values_j ∂²(V_j / size_j less travel) + Σ of_rows_i ∂²row_i by x, (n_x, n_x)."""
         s, configuration = self.s, self.configuration
-        second = configuration.curvature.call([*self.at, self.held, self.alphas @ (of_values / s["size"])])[0]
+        second = configuration.expansion.curvature.call([*self.at, self.held, self.alphas @ (of_values / s["size"])])[0]
         second += configuration.row_curvature.call([*self.row_inputs, of_rows / s["row_scale"]])[0]
         n_z = second.shape[0]
         scaled = second * (s["z_scale"] @ s["z_scale"].T) - 2 * s["cost"] * ca.sum1(of_values) * ca.MX.eye(n_z)
@@ -306,7 +306,7 @@ class _Arranged:
     goal: Goal
 
     def values(self, members: Sequence[tuple[Branches, ca.MX]]) -> tuple[ca.MX, ca.MX]:
-        """F and g."""
+        """Objective f and constraints g."""
         steps = self._steps @ self.x
         level = self.x[-1] if self.goal == "worst" else self.s["level"]
         g = self._stacked(members, steps, level)

@@ -23,7 +23,7 @@ from flexopt.foundation.quantities import check_number, check_numbers
 from flexopt.model import AnyMachine
 from flexopt.model.problem import SINGULARITY_MARGIN_DEG
 from flexopt.plant.reach import outer_reach
-from flexopt.robustness.evaluation import Evaluation, evaluate_checked
+from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop
 from flexopt.selection.nullspace_law import NullspaceLaw, PathPoint, climb, retime
 from flexopt.selection.objective import Quantities, quantities, read_objectives
@@ -172,19 +172,17 @@ def nullspace_trajectory(
 
     Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, section 4.
     """
-    angles, placement, kr, k_xi = posture, _placement(machine, base), gain, step_gain
+    placement = _placement(machine, base)
     goal = read_objectives(Arguments("nullspace_trajectory", machine), machine, objective, weights)[0]
-    w = np.ones(placement.size + angles.size) if metric is None else np.asarray(metric)
-    hertz, seconds = rate, duration
-    base_rate, turn_rate, joint_rate = max_base_rate, max_turn_rate, max_joint_rate
+    w = np.ones(placement.size + posture.size) if metric is None else np.asarray(metric)
     lower, upper = _ends(machine, base_range)
     margin = math.radians(singularity_margin_deg)
 
-    functions = quantities(machine, control, gravity, kr)
-    start = np.concatenate([placement, angles])
-    initial = _evaluated(functions, start)
+    functions = quantities(machine, control, gravity, gain)
+    start = np.concatenate([placement, posture])
+    initial = functions.evaluated(start)
     size = float(np.dot(goal.alpha, initial.scale)) + goal.beta or 1.0
-    k_xi = _climbing_gain(functions, size, hertz) if k_xi is None else k_xi
+    k_xi = _climbing_gain(functions, size, rate) if step_gain is None else step_gain
     least = GAIN_SHARE * size if min_gain is None else min_gain
     law = NullspaceLaw(
         functions=functions,
@@ -192,32 +190,29 @@ def nullspace_trajectory(
         k_xi=k_xi,
         root=np.sqrt(w),
         target=initial.end_point,
-        rate=hertz,
-        base_step=base_rate / hertz,
-        turn_step=turn_rate / hertz,
-        joint_step=joint_rate / hertz,
+        rate=rate,
+        base_step=max_base_rate / rate,
+        turn_step=max_turn_rate / rate,
+        joint_step=max_joint_rate / rate,
         lower=lower,
         upper=upper,
         sine_squared=math.sin(margin) ** 2,
     )
     first = law.point(start)
     _check_start(law, first, initial, margin)
-    points, stop = climb(law, first, least, int(seconds * hertz + 1e-9), on_descent == "stop")
+    points, stop = climb(law, first, least, int(duration * rate + 1e-9), on_descent == "stop")
     if max_base_acceleration is not None:
-        points, cut = retime(law, points, max_base_acceleration, seconds)
+        points, cut = retime(law, points, max_base_acceleration, duration)
         stop = Stop.DURATION if cut else stop
 
-    options = {"base": placement.tolist(), "posture": angles.tolist(), "objective": goal.name}
-    options |= {"weights": goal.weights.tolist(), "control": control, "gain": kr, "gravity": gravity}
-    options |= {"step_gain": k_xi.tolist(), "metric": w.tolist(), "rate": hertz, "max_base_rate": base_rate}
-    options |= {
-        "max_turn_rate": turn_rate,
-        "max_joint_rate": joint_rate,
-        "max_base_acceleration": max_base_acceleration,
-    }
+    options = {"base": placement.tolist(), "posture": posture.tolist(), "objective": goal.name}
+    options |= {"weights": goal.weights.tolist(), "control": control, "gain": gain, "gravity": gravity}
+    options |= {"step_gain": k_xi.tolist(), "metric": w.tolist(), "rate": rate, "max_base_rate": max_base_rate}
+    options |= {"max_turn_rate": max_turn_rate, "max_joint_rate": max_joint_rate}
+    options |= {"max_base_acceleration": max_base_acceleration}
     ends = dict(zip(machine.base_coordinates, zip(lower.tolist(), upper.tolist(), strict=True), strict=True))
     options |= {"base_range": None if base_range is None else ends}
-    options |= {"singularity_margin_deg": math.degrees(margin), "min_gain": least, "duration": seconds}
+    options |= {"singularity_margin_deg": math.degrees(margin), "min_gain": least, "duration": duration}
     return _trajectory(law, points, stop, initial, size, provenance(machine, **options, on_descent=on_descent))
 
 
@@ -256,21 +251,8 @@ def _trajectory(
         stop=stop,
         descents=tuple(Descent(k, float(values[k] - values[k + 1]), bool(predictions[k] < 0)) for k in falls),
         initial=initial,
-        final=_evaluated(law.functions, points[-1].z),
+        final=law.functions.evaluated(points[-1].z),
         provenance=origin,
-    )
-
-
-def _evaluated(functions: Quantities, z: Vector) -> Evaluation:
-    measures, n_base = functions.measures, functions.measures.plant.n_base
-    return evaluate_checked(
-        measures.plant.machine,
-        z[n_base:],
-        z[:n_base],
-        control=measures.control,
-        gain=functions.gain,
-        damped=False,
-        gravity=measures.gravity,
     )
 
 

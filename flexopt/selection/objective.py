@@ -13,6 +13,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
+from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import Measures, build_measures
 
@@ -80,6 +81,19 @@ class Quantities:
         rows = objective.beta * out[1].full()
         rows[:2] += gradient
         return value + objective.beta * out[0].full().ravel(), rows
+
+    def evaluated(self, z: Vector) -> Evaluation:
+        """Every measure at z."""
+        measures, n_base = self.measures, self.measures.plant.n_base
+        return evaluate_checked(
+            measures.plant.machine,
+            z[n_base:],
+            z[:n_base],
+            control=measures.control,
+            gain=self.gain,
+            damped=False,
+            gravity=measures.gravity,
+        )
 
 
 def quantities(machine: AnyMachine, control: Control, gravity: bool, gain: float) -> Quantities:

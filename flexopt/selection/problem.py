@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -22,7 +23,6 @@ from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.nlp import Coupling, Goal, ObjectiveForm, alone, build_solver, parameters_of
 from flexopt.selection.objective import Objective, Quantities, quantities
 from flexopt.selection.scan import Scan
-from flexopt.selection.starts import Region
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,14 @@ class TravelCost:
 
     cost: float
     now: Vector
+
+
+@dataclass(frozen=True)
+class Region:
+    """Finite ranges of z that samples are taken from: from low to high, (n_z,) each, m or rad."""
+
+    low: Vector
+    high: Vector
 
 
 def _sizes(of: Any) -> dict[str, int]:
@@ -146,7 +154,7 @@ class SelectionProblem:
 
     @property
     def objective_scale(self) -> float:
-        """Its scale."""
+        """Scale of the objective being solved."""
         return self.objective_scales[len(self.kept)]
 
     @public(best=number("", low=-1e100, high=1e100))
@@ -176,6 +184,17 @@ class SelectionProblem:
     def scale(self) -> Vector:
         """Scales of z."""
         return np.array([v.scale for v in self.variables])
+
+    @cached_property
+    def row_bounds(self) -> tuple[Vector, Vector, Vector]:
+        """Lower and upper bounds and scales of the constraints, (n_rows,) each."""
+        lower, upper, scale = np.array([(row.lower, row.upper, row.scale) for row in self.constraints]).T
+        return lower, upper, scale
+
+    @property
+    def constants(self) -> Vector:
+        """The constraints' constants c."""
+        return np.zeros(0) if self.constraint_set is None else self.constraint_set.constants.full().ravel()
 
     @property
     def shift(self) -> tuple[Vector, Vector]:
@@ -293,9 +312,8 @@ class SelectionProblem:
 
 def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:
     """By how much each constraint is above (> 0) or below its bounds at z, (n_rows,), in units of the scales."""
-    rows, scales = problem.rows(z), np.array([row.scale for row in problem.constraints])
-    lower, upper = (np.array([getattr(row, end) for row in problem.constraints]) for end in ("lower", "upper"))
-    return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scales
+    rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
+    return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scale
 
 
 def packed_parameters(
@@ -316,7 +334,7 @@ def packed_parameters(
     return parameters_of(first.configuration, coupling, count).packed(
         {
             "target": np.concatenate([problem.target - of_target for problem in problems]),
-            "row_scale": [constraint.scale for constraint in first.constraints],
+            "row_scale": first.row_bounds[2],
             "z_scale": first.scale,
             "alpha": np.array([objective.alpha for objective in objectives]),
             "beta": [objective.beta for objective in objectives],
@@ -326,7 +344,7 @@ def packed_parameters(
             "share": share,
             "level": level,
             "gain": first.gain,
-            "c": np.zeros(0) if first.constraint_set is None else first.constraint_set.constants.full(),
+            "c": first.constants,
             "p": first.measures.plant.parameter_values.full(),
         }
     )

@@ -72,12 +72,12 @@ class Program:
 
     @cached_property
     def scale(self) -> Vector:
-        """Of x, (n_x,)."""
+        """Scales of x, (n_x,)."""
         return self._spread(self.first.scale)
 
     @cached_property
     def names(self) -> list[str]:
-        """Of the entries of x."""
+        """Names of the entries of x."""
         names = [""] * self.coupling.n_x
         for k, place in enumerate(self.coupling.places):
             for i, variable in zip(place, self.first.variables, strict=True):
@@ -85,11 +85,11 @@ class Program:
         return names
 
     def prefix(self, k: int) -> str:
-        """Says in a name which configuration is meant; empty where there is one."""
+        """What stands before a name of configuration k; nothing where there is one configuration."""
         return f"target {k + 1}: " if self.coupling.count > 1 else ""
 
     def of(self, x: Vector, k: int) -> Vector:
-        """Configuration k: its z."""
+        """The z of configuration k."""
         return x[list(self.coupling.places[k])]
 
     def packed(self, zs: Sequence[Vector]) -> Vector:
@@ -101,7 +101,7 @@ class Program:
 
     @property
     def shift(self) -> tuple[Vector, Vector]:
-        """As of a problem alone; configurations that share something stay where they are."""
+        """Shift of z and of the targets to the origin: that of a single problem; none where several share variables."""
         of_z, of_target = self.first.shift
         return (of_z, of_target) if self.coupling.count == 1 else (0 * of_z, 0 * of_target)
 
@@ -121,11 +121,11 @@ class Program:
 
         `lowest`: of V's branches the smallest alone, with no level t below them.
         """
-        rows = self.first.constraints
-        n_task = self.first.target.size
-        of_one = [replace(row, lower=0.0, upper=0.0) for row in rows[:n_task]]
-        of_one += [replace(row, lower=row.lower / row.scale, upper=row.upper / row.scale) for row in rows[n_task:]]
-        found = [replace(row, name=self.prefix(k) + row.name) for k in range(self.coupling.count) for row in of_one]
+        n_task, found = self.first.target.size, list[Constraint]()
+        for k in range(self.coupling.count):
+            for number, row in enumerate(self.first.constraints):
+                ends = (0.0, 0.0) if number < n_task else (row.lower / row.scale, row.upper / row.scale)
+                found.append(Constraint(self.prefix(k) + row.name, row.unit, *ends, row.scale))
         found += [Constraint("steps between targets", "", -step, step, 1.0) for step in self.steps.tolist()]
         earlier = zip(self.first.objectives, self.first.kept, self.first.objective_scales, strict=False)
         for objective, kept, size in earlier:
@@ -177,31 +177,34 @@ class Program:
         return packed_parameters(self.problems, self.coupling, self.share, self.level, self.shift)
 
     def _stated(self, shift: Vector, x: Vector) -> Local:
-        """What the solver climbs, at its x."""
+        """Objective and constraints of the solver's program at the solver's x, with slopes."""
         there = x[: self.coupling.n_x] * self.scale + shift
         return self.local(there, self.linear(there), float(x[-1]))
 
     def linear(self, x: Vector) -> list[Linearisation]:
-        """Every configuration at x, by functions that no solver uses."""
+        """Objectives and constraints of every configuration at x, with slopes, by functions that no solver uses."""
         return [self.linear_of(k, self.of(x, k)) for k in range(self.coupling.count)]
 
     def linear_of(self, k: int, z: Vector) -> Linearisation:
-        """Configuration k at z."""
+        """Objectives and constraints of configuration k at z, with slopes."""
+        problem, scale = self.problems[k], self.first.row_bounds[2]
+        wanted = np.append(problem.target, np.zeros(scale.size - problem.target.size))
+        return Linearisation((problem.rows(z) - wanted) / scale, *self.slopes_of(k, z))
+
+    def slopes_of(self, k: int, z: Vector) -> tuple[Vector, list[Vector], list[Vector]]:
+        """Slopes of the constraints, values and slopes of the objectives, as `Linearisation` has them."""
         problem, scale = self.problems[k], self.first.scale
-        rows = np.array([row.scale for row in problem.constraints])
-        wanted = np.append(problem.target, np.zeros(rows.size - problem.target.size))
         count = len(problem.kept) + 1
         found = [problem.branches(objective, z) for objective in problem.objectives[:count]]
         sizes = problem.objective_scales[:count]
-        return Linearisation(
-            rows=(problem.rows(z) - wanted) / rows,
-            row_slopes=row_gradients(problem, z) / rows[:, None] * scale,
-            values=[values / size for (values, _), size in zip(found, sizes, strict=True)],
-            slopes=[slopes / size * scale for (_, slopes), size in zip(found, sizes, strict=True)],
+        return (
+            row_gradients(problem, z) / self.first.row_bounds[2][:, None] * scale,
+            [values / size for (values, _), size in zip(found, sizes, strict=True)],
+            [slopes / size * scale for (_, slopes), size in zip(found, sizes, strict=True)],
         )
 
     def local(self, x: Vector, members: Sequence[Linearisation], level: float, *, lowest: bool = False) -> Local:
-        """The program at x, by x / scale, and t last where it has one; `members` from `linear`."""
+        """Objective and constraints at x, slopes by x / scale and, for "worst", by t, last; `members` from `linear`."""
         goal: Goal = "weighted" if lowest and self.first.objective.has_kinks else self.goal
         n_x = self.coupling.n_x
         steps = self.coupling.steps(n_x)
@@ -236,17 +239,17 @@ class Program:
         return float(np.sum((self.coupling.steps(self.coupling.n_x) @ (x / self.scale)) ** 2))
 
     def unwound(self, x: Vector) -> Vector:
-        """The same way, all of it turned by whole turns so that it begins within half a turn of the present angles."""
+        """The same way, unlimited angles shifted by whole turns so that it begins nearest to the present ones."""
         turns = self.first.wrapped(self.of(x, 0)) - self.of(x, 0)
         return self.packed([self.of(x, k) + turns for k in range(self.coupling.count)])
 
     def kept(self, level: float) -> Program:
-        """The problem of the shortest way that keeps every V_k / size at the level."""
+        """The program of the shortest way on which every V_k / size is at least the level."""
         return replace(self, goal="motion", level=level)
 
 
 def single(problem: SelectionProblem) -> Program:
-    """One configuration alone."""
+    """The program of one configuration."""
     return Program((problem,), alone(problem.scale.size), np.zeros(0), np.ones(1), problem.goal)
 
 

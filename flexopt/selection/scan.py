@@ -65,7 +65,7 @@ class Scan:
 
     @property
     def size(self) -> int:
-        """N."""
+        """Number of points, N."""
         return self.objective.size
 
 

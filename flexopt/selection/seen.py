@@ -97,14 +97,13 @@ def settled(problem: SelectionProblem, z: Vector) -> Vector | None:
 
     A scan's points are feasible to its own tolerance, and with the passive joints at rest.
     """
-    scales = np.array([constraint.scale for constraint in problem.constraints])
-    equal = np.array([constraint.lower == constraint.upper for constraint in problem.constraints])
+    lower, upper, scale = problem.row_bounds
     freed = np.where(problem.lower == problem.upper, 0.0, problem.scale)
 
     def linear(there: Vector) -> tuple[Vector, Vector]:
         wrong = beyond_bounds(problem, there)
-        pulls = (wrong != 0) | equal
-        return wrong, (row_gradients(problem, there) / scales[:, None]) * pulls[:, None]
+        pulls = (wrong != 0) | (lower == upper)
+        return wrong, (row_gradients(problem, there) / scale[:, None]) * pulls[:, None]
 
     there, error = shortest_steps(linear, z, freed, ON_ROWS, bounds=(problem.lower, problem.upper))
     return there if error <= ON_ROWS else None

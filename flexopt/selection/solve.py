@@ -17,7 +17,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant.inverse_kinematics import inverse_kinematics
-from flexopt.robustness.evaluation import Evaluation, evaluate_checked
+from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.continua import grouped
@@ -113,7 +113,7 @@ def _candidate(problem: SelectionProblem, group: list[Found]) -> Candidate:
         target_error=proof.target_error,
         stationarity=proof.stationarity,
         iterations=iterations,
-        evaluate=partial(evaluated, problem, z),
+        evaluate=partial(problem.quantities.evaluated, z),
         continuum=tuple(tuple(other[:n_base].tolist()) for other, _, _ in others),
     )
 
@@ -130,20 +130,6 @@ def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, Constra
         constraint.name: ConstraintValue(value, constraint.lower, constraint.upper, constraint.unit)
         for constraint, value in zip(problem.constraints[n_task:], values, strict=True)
     }
-
-
-def evaluated(problem: SelectionProblem, z: Vector) -> Evaluation:
-    """Every measure at z."""
-    n_base = problem.measures.plant.n_base
-    return evaluate_checked(
-        problem.machine,
-        z[n_base:],
-        z[:n_base],
-        control=problem.control,
-        gain=problem.gain,
-        damped=False,
-        gravity=problem.gravity,
-    )
 
 
 def _ranked(problem: SelectionProblem, candidates: list[Candidate]) -> list[Candidate]:
@@ -192,6 +178,6 @@ def _initial(problem: SelectionProblem) -> Evaluation | None:
                 elbow=problem.elbow if closed else None,
                 seed=problem.seed,
             )[0]
-        return evaluated(problem, np.concatenate([base, posture]))
+        return problem.quantities.evaluated(np.concatenate([base, posture]))
     except FlexoptError:
         return None

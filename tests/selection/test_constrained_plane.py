@@ -97,7 +97,7 @@ def _fails() -> None:
 
 MANY = """
 import time
-from flexopt.selection.parallel import in_parallel
+from flexopt.foundation.processes import in_parallel
 def large(number):
     time.sleep(2e-4)
     return bytes(300_000)
@@ -175,7 +175,7 @@ def test_a_start_whose_processes_are_killed_costs_the_others_nothing(monkeypatch
 
 INTERRUPTED = """
 import os, signal, threading, time, multiprocessing
-from flexopt.selection.parallel import in_parallel
+from flexopt.foundation.processes import in_parallel
 # Where the tests run in the background, interrupts are ignored from the start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 def interrupt():

@@ -220,8 +220,8 @@ def test_every_kind_of_constraint(walk, objectives):
 @pytest.mark.parametrize("goal", ["worst", "weighted", "motion"])
 def test_several(walk, goal):
     machine = flexopt.load("excavator")
-    options = {"objective": "w1", "control": "inverse", "weights": None, "gravity": False}
-    problems = build_problems("test", machine, np.array([(0.0, 1.6), (0.2, 1.5)]), "targets", options)
+    targets = np.array([(0.0, 1.6), (0.2, 1.5)])
+    problems = build_problems("test", machine, targets, "targets", flexopt.SelectionOptions(), None)
     if goal == "motion":
         together = _along(problems, np.array([0.0, 1.0]), np.full(3, 0.5), None).kept(-0.1)
     else:
@@ -284,15 +284,14 @@ def test_the_nullspace_law(spatial):
 def test_steps_onto_rows(spatial):
     """With the right slopes the steps are Newton's: a call from nearby leads to round-off."""
     problem = constrained() if spatial else flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
-    region, start = problem.region, starting_points(problem)[0]
+    start, free = starting_points(problem)[0], (problem.lower < problem.upper).astype(float)
     rng, p = np.random.default_rng(3), problem.measures.plant.parameter_values
-    near = np.clip(start + 1e-3 * rng.uniform(-1, 1, start.size) * problem.scale, region.lower, region.upper)
-    rows = region.row_lower, region.row_upper, region.row_scale
-    left = problem.configuration.feasible.call([near, 1e-9, *region.bounds, *rows, p, region.constants])[2]
+    bounds = problem.lower, problem.upper, free, problem.scale
+    near = np.clip(start + 1e-3 * rng.uniform(-1, 1, start.size) * problem.scale, problem.lower, problem.upper)
+    left = problem.configuration.feasible.call([near, 1e-9, *bounds, *problem.row_bounds, p, problem.constants])[2]
     assert float(left) < 1e-13
-    n_task = problem.target.size
-    target, scale = problem.target, region.row_scale[:n_task]
-    left = reach_steps(problem.machine).call([near, 1e-9, *region.bounds, target, target, scale, p])[2]
+    target, scale = problem.target, problem.row_bounds[2][: problem.target.size]
+    left = reach_steps(problem.machine).call([near, 1e-9, *bounds, target, target, scale, p])[2]
     assert float(left) < 1e-13
 
 

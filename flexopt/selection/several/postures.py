@@ -98,4 +98,4 @@ def _starts(problem: SelectionProblem, bases: Vector, seed: int, finer: int) -> 
 def _violation(problem: SelectionProblem, z: Vector) -> Vector:
     """Largest violation of bounds and rows of z (n_z, N), in units of the scales."""
     outside = np.maximum(problem.lower[:, None] - z, z - problem.upper[:, None]) / problem.scale[:, None]
-    return np.maximum(violated(problem.configuration, problem.region, z), outside.max(axis=0))
+    return np.maximum(violated(problem, z), outside.max(axis=0))

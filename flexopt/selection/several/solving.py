@@ -19,7 +19,7 @@ from flexopt.selection.optima import Progress
 from flexopt.selection.program import SOLVED, Program
 from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import TargetConfiguration
-from flexopt.selection.solve import constraint_values, evaluated
+from flexopt.selection.solve import constraint_values
 
 # Points that were seen and are better than every optimum: how many are tried.
 TRIED = 4
@@ -128,7 +128,6 @@ def places_at(program: Program, x: Vector) -> tuple[TargetConfiguration, ...]:
     places: list[TargetConfiguration] = []
     for k, (problem, value) in enumerate(zip(program.problems, program.values(x), strict=True)):
         z = program.of(x, k)
-        places.append(
-            TargetConfiguration(problem.target, evaluated(problem, z), float(value), constraint_values(problem, z))
-        )
+        evaluation, constraints = problem.quantities.evaluated(z), constraint_values(problem, z)
+        places.append(TargetConfiguration(problem.target, evaluation, float(value), constraints))
     return tuple(places)
