@@ -16,7 +16,7 @@ import ctypes
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,13 @@ from flexopt.compiled import recurrence
 from flexopt.loop.directions import Carried, Computed, stacked
 from flexopt.loop.integrators import State, classical_step
 from flexopt.model.tree import tree_from_dict
+from flexopt.plant.chain_motion import ChainMotion
+from flexopt.plant.graph import build_graph
 from flexopt.plant.machine_motion import constant_values, structure_of
-from flexopt.plant.planar_motion import PlanarMotion
 from flexopt.plant.plant import Plant
-from flexopt.plant.spatial import build_spatial
+from flexopt.plant.tree_constants import constant_graphs
 from flexopt.plant.tree_motion import TreeMotion
+from flexopt.plant.tree_structure import skeleton
 from tests.oracles.spatial import grounded, in_space, mujoco_tree
 
 OTHERS: dict[str, type[TreeMotion]] = {"articulated bodies": Articulated, "composite bodies, world axes": WorldAxes}
@@ -94,7 +96,7 @@ class _Flow:
     def rates(self, t: ca.SX, state: State, along: Any) -> State:  # noqa: ARG002 - nothing depends on time
         base = ca.SX.zeros(3, 1)
         given = (self.torque, base, base)
-        if isinstance(self.motion, PlanarMotion):
+        if isinstance(self.motion, ChainMotion):
             given = (self.torque, base[0], base[0])
         acceleration = self.motion.acceleration(state.u, state.w, along, *given, gravity=True)
         return State(state.w, acceleration, state.z)
@@ -207,15 +209,18 @@ class Mujoco:
 
 
 def spatial(tree: Any, case: Case, build: Callable[..., Any] = TreeMotion) -> Ours:
-    """A tree through the spatial path."""
-    structure = structure_of(tree)
-    return Ours(lambda value: build(structure, value), constant_values(tree), structure.zeros, case)
+    """A tree through the recursions, also where its structure has a closed form."""
+    given = {parameter.name: ca.SX(parameter.value) for parameter in tree.parameters}
+    values = {name: float(ca.evalf(graph)) for name, graph in constant_graphs(tree.kinematic_tree, given).items()}
+    zeros = frozenset(name for name, value in values.items() if value == 0)
+    structure = replace(skeleton(tree.kinematic_tree), zeros=zeros, local=True)
+    return Ours(lambda value: build(structure, value), values, zeros, case)
 
 
 def closed_form(machine: Any, case: Case) -> Ours:
-    """A planar machine by its own closed form."""
+    """A chain in a plane by its closed form."""
     structure = structure_of(machine)
-    return Ours(lambda value: PlanarMotion(structure, value), constant_values(machine), structure.zeros, case)
+    return Ours(lambda value: ChainMotion(structure, value), constant_values(machine), structure.zeros, case)
 
 
 def case_of(plant: Any, posture: np.ndarray, base: Any, offset: float = 0.03) -> Case:
@@ -258,7 +263,7 @@ def main() -> None:
     for arm, bar in ((4, "bar: at least 5"), (7, "no bar")):
         data = grounded(arm, 0, coupled=False)
         tree = tree_from_dict(data)
-        case = case_of(Plant(tree, build_spatial(tree)), np.linspace(0.4, -0.5, arm), np.zeros(3))
+        case = case_of(Plant(tree, build_graph(tree)), np.linspace(0.4, -0.5, arm), np.zeros(3))
         rows = {"flexopt": spatial(tree, case)}
         rows |= {name: spatial(tree, case, build) for name, build in OTHERS.items()}
         try:

@@ -7,6 +7,7 @@ from flexopt.algebra.dense import apply_damped_inverse as apply_damped_inverse
 from flexopt.algebra.dense import apply_damped_inverse_transposed as apply_damped_inverse_transposed
 from flexopt.algebra.dense import apply_pseudo_inverse as apply_pseudo_inverse
 from flexopt.algebra.dense import apply_pseudo_inverse_transposed as apply_pseudo_inverse_transposed
+from flexopt.algebra.dense import determinant as determinant
 from flexopt.algebra.dense import diagonal as diagonal
 from flexopt.algebra.dense import safe_norm as safe_norm
 from flexopt.algebra.dense import solve_spd as solve_spd

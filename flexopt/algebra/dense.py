@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import casadi as ca
 
 # Keeps derivatives of norms finite at zero; far below the square of any quantity in SI units.
@@ -73,3 +75,19 @@ def safe_norm(vector: ca.SX) -> ca.SX:
 def diagonal(vector: ca.SX) -> ca.SX:
     """Dense square matrix with `vector` on its diagonal."""
     return ca.densify(ca.diag(vector))
+
+
+def determinant(matrix: ca.SX) -> ca.SX:
+    """Determinant of a small square matrix by minors of its first rows, each made once: no division, 2ⁿ n products."""
+    n = matrix.shape[0]
+    minors: dict[tuple[int, ...], ca.SX] = {(): ca.SX(1)}
+    for row in range(n):
+        larger: dict[tuple[int, ...], ca.SX] = {}
+        for columns in combinations(range(n), row + 1):
+            terms = (
+                (-1) ** (row + k) * matrix[row, column] * minors[columns[:k] + columns[k + 1 :]]
+                for k, column in enumerate(columns)
+            )
+            larger[columns] = sum(terms, start=ca.SX(0))
+        minors = larger
+    return minors[tuple(range(n))]

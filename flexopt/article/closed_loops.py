@@ -14,7 +14,7 @@ import numpy as np
 
 from flexopt.article.tables import TARGET, X_MOBILE
 from flexopt.foundation.arrays import Vector
-from flexopt.model import Machine, load_experiment
+from flexopt.model import AnyMachine, load_experiment
 from flexopt.plant import inverse_kinematics
 from flexopt.robustness import Evaluation, evaluate
 from flexopt.selection import BaseTrajectory, Selection, nullspace_trajectory
@@ -179,7 +179,7 @@ def climb_numbers(climb: BaseTrajectory) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def article_stands(machine: Machine, selection: Selection, gain: float) -> dict[str, Evaluation]:
+def article_stands(machine: AnyMachine, selection: Selection, gain: float) -> dict[str, Evaluation]:
     """Postures A and B of Table 2 from its inertial end-point and x_mobile, and the best local optimum."""
     found: dict[str, Evaluation] = {}
     for name, base in X_MOBILE.items():
@@ -189,7 +189,7 @@ def article_stands(machine: Machine, selection: Selection, gain: float) -> dict[
     return found | {OPTIMUM: evaluate(machine, best.posture, base=best.base, gain=gain)}
 
 
-def close_loops(machine: Machine, stands: Mapping[str, Evaluation]) -> ClosedLoops:
+def close_loops(machine: AnyMachine, stands: Mapping[str, Evaluation]) -> ClosedLoops:
     """Run everything; `stands` from `article_stands`."""
     experiment = load_experiment(EXPERIMENT)
     options, law = experiment.simulation, experiment.nullspace
@@ -231,7 +231,7 @@ def close_loops(machine: Machine, stands: Mapping[str, Evaluation]) -> ClosedLoo
     )
 
 
-def _row(machine: Machine, name: str, stand: Evaluation, gains: dict[str, float], given: dict[str, Any]) -> LoopRow:
+def _row(machine: AnyMachine, name: str, stand: Evaluation, gains: dict[str, float], given: dict[str, Any]) -> LoopRow:
     options: dict[str, Any] = given | gains | {"base": stand.base}
     return LoopRow(
         stand=name,
@@ -243,7 +243,7 @@ def _row(machine: Machine, name: str, stand: Evaluation, gains: dict[str, float]
     )
 
 
-def _robust_rows(machine: Machine, stand: Evaluation, given: dict[str, Any]) -> tuple[RobustRow, ...]:
+def _robust_rows(machine: AnyMachine, stand: Evaluation, given: dict[str, Any]) -> tuple[RobustRow, ...]:
     """With the stated integrator, which shows the loop falsely, no run."""
     options = given | {"feedback": "robust", "base": stand.base}
     exact: dict[str, Any] = options | {"integrator": EXACT}

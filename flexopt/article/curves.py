@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.foundation.turns import in_turn
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.problem import Elbow
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
@@ -57,7 +57,7 @@ class Curve:
 
 @in_turn
 def curve(
-    machine: Machine, y: float, *, control: Control, elbow: Elbow, gain: float = 5e5, margin_deg: float = 10.0
+    machine: AnyMachine, y: float, *, control: Control, elbow: Elbow, gain: float = 5e5, margin_deg: float = 10.0
 ) -> Curve:
     """Evaluate the measures along the height y (workspace frame, m), a two-joint arm's whole reach."""
     plant = build_plant(machine)

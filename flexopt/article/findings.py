@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.article.curves import Curve, rank_correlation
 from flexopt.article.tables import ArticleTable, epsilon_at
 from flexopt.foundation.arrays import Vector
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.robustness.margin import build_margin
 from flexopt.selection import Selection
 from flexopt.study.workspace_map import WorkspaceMap
@@ -119,7 +119,7 @@ def semidefinite(table: ArticleTable, inverse: WorkspaceMap, transpose: Workspac
     )
 
 
-def gain_independent(machine: Machine, postures: dict[str, Vector], gain: float) -> ArticleFinding:
+def gain_independent(machine: AnyMachine, postures: dict[str, Vector], gain: float) -> ArticleFinding:
     """Does ε_max depend on the servo gain?"""
     margin = build_margin(machine)
     p = margin.plant.parameter_values
@@ -148,7 +148,7 @@ def concave(curves: Sequence[Curve]) -> ArticleFinding:
     return ArticleFinding("concavity", quote, "section 4", holds, sentence, {"maxima": peaks})
 
 
-def b_is_optimal(machine: Machine, points: dict[str, Vector], inverse_up: Curve) -> ArticleFinding:
+def b_is_optimal(machine: AnyMachine, points: dict[str, Vector], inverse_up: Curve) -> ArticleFinding:
     """Is w_1 stationary along the redundancy at Table 2's posture B?"""
     from flexopt.robustness import build_measures  # noqa: PLC0415  (kept beside its only use)
 

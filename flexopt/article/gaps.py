@@ -20,7 +20,7 @@ from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.foundation.turns import in_turn
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.robustness import build_measures
 from flexopt.robustness.margin import build_margin
 
@@ -113,7 +113,7 @@ class GapSweep:
 
 @in_turn
 def sweep_gaps(
-    machine: Machine,
+    machine: AnyMachine,
     postures: Mapping[str, Vector],
     *,
     control: Control = "inverse",

@@ -30,7 +30,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import CONTROLS, Control
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.turns import in_turn
-from flexopt.model import Machine
+from flexopt.model import AnyMachine
 from flexopt.model.problem import ELBOWS
 from flexopt.plant import build_plant
 from flexopt.selection import Selection, select
@@ -250,7 +250,7 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
     )
 
 
-def mean_frequencies(machine: Machine, inverse: WorkspaceMap) -> MeanFrequencies:
+def mean_frequencies(machine: AnyMachine, inverse: WorkspaceMap) -> MeanFrequencies:
     """Averages over the area and over the joint angles: the article does not say which it takes."""
     steps = round(3.0 / GRID_STEP)
     edge = (-steps * GRID_STEP, steps * GRID_STEP)
@@ -272,7 +272,7 @@ def mean_frequencies(machine: Machine, inverse: WorkspaceMap) -> MeanFrequencies
     )
 
 
-def _named_postures(machine: Machine) -> dict[str, Vector]:
+def _named_postures(machine: AnyMachine) -> dict[str, Vector]:
     return {
         "A": workspace_posture(machine, PRINTED_WORKSPACE["A"]),
         "B, printed point": workspace_posture(machine, PRINTED_WORKSPACE["B"]),
@@ -280,12 +280,12 @@ def _named_postures(machine: Machine) -> dict[str, Vector]:
     }
 
 
-def _random_postures(machine: Machine) -> Vector:
+def _random_postures(machine: AnyMachine) -> Vector:
     """Even over the joint angles, (n, RANDOM_POSTURES), rad."""
     return np.random.default_rng(0).uniform(-np.pi, np.pi, (len(machine.joints), RANDOM_POSTURES))
 
 
-def _arm(machine: Machine, posture: Vector) -> Vector:
+def _arm(machine: AnyMachine, posture: Vector) -> Vector:
     """Joints and end-point in the workspace frame, (2, n + 1), m."""
     plant = build_plant(machine)
     p, base = plant.parameter_values, np.zeros(plant.n_base)

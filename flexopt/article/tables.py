@@ -13,7 +13,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.turns import in_turn
-from flexopt.model import Machine, load
+from flexopt.model import AnyMachine, load
 from flexopt.model.problem import Elbow
 from flexopt.plant import inverse_kinematics
 from flexopt.plant.plant import build_plant
@@ -141,25 +141,23 @@ class ArticleTable:
         return "\n".join([*lines, "", self.note])
 
 
-def article_machine() -> Machine:
+def article_machine() -> AnyMachine:
     """The article's excavator."""
-    machine = load("excavator")
-    assert isinstance(machine, Machine)
-    return machine
+    return load("excavator")
 
 
-def workspace_origin(machine: Machine) -> Vector:
+def workspace_origin(machine: AnyMachine) -> Vector:
     """The first joint at rest with the base at 0, (2,), m, inertial frame: the workspace frame's origin."""
     plant = build_plant(machine)
     return plant.arm_segments(p=plant.parameter_values)["first_joint"].full().ravel()
 
 
-def workspace_posture(machine: Machine, point: tuple[float, float], elbow: Elbow = "up") -> Vector:
+def workspace_posture(machine: AnyMachine, point: tuple[float, float], elbow: Elbow = "up") -> Vector:
     """The posture with the end-point on a point of the workspace frame, m."""
     return inverse_kinematics(machine, np.array(point) + workspace_origin(machine), elbow=elbow)[0]
 
 
-def infer_gain(machine: Machine, posture: Vector, reading: str) -> InferredGain:
+def infer_gain(machine: AnyMachine, posture: Vector, reading: str) -> InferredGain:
     """The gains with which `posture` has the ε_max printed for posture A: ε_max first falls with kr, then rises."""
     from scipy.optimize import brentq, minimize_scalar  # noqa: PLC0415  (slow to import)
 
@@ -181,7 +179,7 @@ def infer_gain(machine: Machine, posture: Vector, reading: str) -> InferredGain:
     return InferredGain(reading, printed, kr, (ends[0], ends[1]), other, epsilon_at(machine, at_b, other))
 
 
-def epsilon_at(machine: Machine, posture: Vector, kr: float) -> float:
+def epsilon_at(machine: AnyMachine, posture: Vector, kr: float) -> float:
     """ε_max of a posture, Jacobian inverse control."""
     margin = build_margin(machine)
     return float(margin.values.call([0.0, posture, margin.plant.parameter_values, kr])[0][0])

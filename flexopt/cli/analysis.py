@@ -34,9 +34,9 @@ from flexopt.cli.common import (
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.writing import write_file
-from flexopt.model import AnyMachine, Machine, Problem, load, load_any
+from flexopt.model import AnyMachine, Problem, load, load_any
 from flexopt.model.problem import ELBOWS
-from flexopt.plant import inverse_kinematics
+from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import evaluate
 
 if TYPE_CHECKING:
@@ -80,17 +80,17 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
         faults.append(Fault("--posture, --end-point", "give one of the two"))
     if posture is not None and options["elbow"] is not None:
         faults.append(Fault("--elbow", "goes with --end-point only", options["elbow"]))
-    joints, planar = machine.joints, isinstance(machine, Machine)
+    joints, closed_form = machine.joints, build_plant(machine).closed_form
     if end_point is not None and len(joints) > len(machine.task_rows):
         sentence = f"does not name one posture of {len(joints)} actuated joints; use select, or --posture"
         faults.append(Fault("--end-point", sentence, options["end_point"]))
-    if options["elbow"] is not None and not planar:
+    if options["elbow"] is not None and not closed_form:
         faults.append(Fault("--elbow", "names a branch of planar arms only", options["elbow"]))
     raise_if_any(InputError, "evaluate", faults)
     if posture is not None:
         return posture
     arguments = Arguments("evaluate")
-    elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS) if planar else None
+    elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS) if closed_form else None
     arguments.point(end_point, "end-point", machine)
     if base is not None:
         arguments.base(machine, base)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from flexopt.foundation.control import DAMPED, Control
 from flexopt.loop.feedback import FeedbackLaw, Law
 from flexopt.model import AnyMachine
-from flexopt.plant.machine_motion import Structure, motion_of
+from flexopt.plant.machine_motion import motion_of
+from flexopt.plant.tree_structure import Skeleton
 
 Method = Literal["rk4", "dop853", "gauss"]
 METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
@@ -46,7 +47,7 @@ class LoopStructure:
         own_model: whether the controller has constants of its own for geometry and weight, in place of the machine's.
     """
 
-    motion: Structure
+    motion: Skeleton
     control: Control = "inverse"
     law: Law = "pd"
     order: int = 0

@@ -7,6 +7,7 @@ from abc import abstractmethod
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from flexopt.errors import Fault, InputError, raise_if_any
@@ -32,9 +33,13 @@ from flexopt.foundation.quantities import (
     checked,
 )
 from flexopt.model.hydraulics import Cylinder, JointFrame
+from flexopt.model.kinematic_tree import EndPoint, KinematicTree, TreeBody, TreeJoint, units_of
 from flexopt.model.strokes import CylinderTravel, usable_range
 from flexopt.model.tables import BuiltByCall, Capsule, FileModel, Payload, Span
+from flexopt.model.tree_quantities import axes_about, snapped_rows
 
+NORMAL = (0.0, 0.0, 1.0)
+LINK_JOINT = ("passive", "stiffness", "damping", "rest", "limits", "effort", "speed", "joint_damping")
 BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
 
 
@@ -108,24 +113,52 @@ class AnyMachine(BuiltByCall):
     capsules: tuple[Capsule, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
 
-    @property
     @abstractmethod
-    def joints(self) -> tuple[str, ...]:
-        """Names of the actuated joints."""
+    def build_tree(self) -> KinematicTree:
+        """See `kinematic_tree`."""
+
+    @cached_property
+    def kinematic_tree(self) -> KinematicTree:
+        """The machine as bodies and joints: all that is computed from it starts there."""
+        return self.build_tree()
 
     @property
-    @abstractmethod
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of q: the passive joints, then the actuated ones."""
+        tree = self.kinematic_tree
+        return tuple(body.joint.name for body in (*tree.passive, *tree.actuated))
+
+    @property
+    def coordinate_units(self) -> tuple[str, ...]:
+        """Unit of each entry of q."""
+        return (*units_of(self.kinematic_tree.passive), *self.joint_units)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the actuated joints, from the base outwards."""
+        return tuple(body.joint.name for body in self.kinematic_tree.actuated)
+
+    @property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each actuated joint, rad or m."""
+        return units_of(self.kinematic_tree.actuated)
 
     @property
-    @abstractmethod
     def joint_limits(self) -> tuple[tuple[float, float], ...]:
         """Limits of the actuated joints as they were given, rad or m; infinite where none are."""
+        unlimited = (-float("inf"), float("inf"))
+        return tuple(body.joint.limits or unlimited for body in self.kinematic_tree.actuated)
 
-    @abstractmethod
     def joint_frame(self, joint: str) -> JointFrame:
-        """How an actuated joint stands between the bodies that it joins."""
+        """How an actuated joint stands between the bodies that it joins; its axis is the third of its frame."""
+        self._check_joint("joint_frame", joint)
+        tree = self.kinematic_tree
+        i = next(i for i, body in enumerate(tree.bodies) if body.joint.name == joint)
+        body = tree.bodies[i]
+        of_body = axes_about(body.joint.axis)
+        of_parent = snapped_rows(np.array(of_body) @ np.array(body.rotation).T)
+        x, y, z = (tree.entries.get(f"offset{i}.{axis}", "") for axis in "xyz")
+        return JointFrame(body.joint.kind == "slide", (x, y, z), of_parent, of_body)
 
     def _check_joint(self, call: str, joint: Any) -> None:
         """Raise where that is no name of an actuated joint."""
@@ -178,14 +211,14 @@ class AnyMachine(BuiltByCall):
         return [fault for _, faults in self.stroke_ranges for fault in faults]
 
     @property
-    @abstractmethod
     def efforts(self) -> tuple[float, ...]:
         """Largest torque or force of the actuated joints either way, N m or N; infinite where none is given."""
+        return tuple(body.joint.effort or float("inf") for body in self.kinematic_tree.actuated)
 
     @property
-    @abstractmethod
     def speeds(self) -> tuple[float, ...]:
         """Largest speed of the actuated joints either way, rad/s or m/s; infinite where none is given."""
+        return tuple(body.joint.speed or float("inf") for body in self.kinematic_tree.actuated)
 
     @property
     @abstractmethod
@@ -196,24 +229,24 @@ class AnyMachine(BuiltByCall):
         """
 
     @property
-    @abstractmethod
     def damped_joints(self) -> bool:
         """Whether any actuated joint has friction."""
+        return any(body.joint.joint_damping > 0 for body in self.kinematic_tree.actuated)
 
     @property
-    @abstractmethod
     def base_coordinates(self) -> tuple[str, ...]:
         """Names of the placement coordinates that the operator chooses."""
+        return self.kinematic_tree.placement
 
     @property
-    @abstractmethod
     def base_units(self) -> tuple[str, ...]:
         """Unit of each placement coordinate, m or rad."""
+        return tuple("rad" if name == "yaw" else "m" for name in self.base_coordinates)
 
     @property
-    @abstractmethod
     def task_rows(self) -> tuple[str, ...]:
         """Names of the end-point's coordinates: x, y, z, and in space roll, pitch, yaw."""
+        return self.kinematic_tree.end_point.rows
 
     @abstractmethod
     def list_parameters(self) -> list[Parameter]:
@@ -268,62 +301,65 @@ class Machine(AnyMachine):
         """The directions in which the base gives, in the order x, y, rotation."""
         return tuple(d for d in BASE_DIRECTIONS if getattr(self.base.stiffness, d) is not None)
 
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the actuated joints, from the base outwards."""
-        return tuple(link.name for link in self.links if not link.passive)
+    def build_tree(self) -> KinematicTree:
+        """A chain in the plane of x and y, y up: slides and a hinge of the base, then a hinge for each link.
 
-    @property
-    def joint_units(self) -> tuple[str, ...]:
-        """Unit of each actuated joint: rad."""
-        return ("rad",) * len(self.joints)
+        A direction in which the base is rigid has no slide; a base that cannot turn is held at its rest angle.
+        """
+        free = self.free_base_directions
+        slides = [_slide(direction, self.base, free[:k]) for k, direction in enumerate(free) if direction != "rotation"]
+        turns = "rotation" in free
+        joint = TreeJoint.model_construct(
+            name="base.rotation",
+            kind="hinge",
+            axis=NORMAL,
+            passive=True,
+            stiffness=self.base.stiffness.rotation,
+            damping=self.base.damping.rotation,
+            rest=self.base.rest_angle,
+        )
+        bodies = [*slides, _body("base", self.base, joint, slides[-1].name if slides else None, 0.0)]
+        first = len(slides)
+        for link in self.links:
+            said = {key: getattr(link, key) for key in LINK_JOINT}
+            joint = TreeJoint.model_construct(name=link.name, kind="hinge", axis=NORMAL, **said)
+            before = self.base if len(bodies) == first + 1 else self.links[len(bodies) - first - 2]
+            bodies.append(_body(link.name, link, joint, bodies[-1].name, before.length))
+        tip = (self.links[-1].length, 0.0, 0.0)
+        return KinematicTree(
+            bodies=tuple(bodies),
+            end_point=EndPoint.model_construct(body=bodies[-1].name, position=tip, rows=("x", "y")),
+            placement=("x",),
+            axes=("x", "y"),
+            entries=self._entries(first),
+            drawn=tuple(range(first, len(bodies))),
+            held=frozenset(() if turns else (first,)),
+        )
 
-    @property
-    def damped_joints(self) -> bool:
-        """Whether any actuated joint has friction."""
-        return any(link.joint_damping > 0 for link in self.links if not link.passive)
-
-    @property
-    def joint_limits(self) -> tuple[tuple[float, float], ...]:
-        """Limits of the actuated joints as they were given, rad; infinite where none are."""
-        unlimited = (-float("inf"), float("inf"))
-        return tuple(link.limits or unlimited for link in self.links if not link.passive)
-
-    def joint_frame(self, joint: str) -> JointFrame:
-        """At the far end of the body that carries the joint."""
-        self._check_joint("joint_frame", joint)
-        bodies = ["base", *(link.name for link in self.links)]
-        return JointFrame(slide=False, origin=(f"{bodies[bodies.index(joint) - 1]}.length", "", ""))
-
-    @property
-    def efforts(self) -> tuple[float, ...]:
-        """Largest torque of the actuated joints either way, N m; infinite where none is given."""
-        return tuple(link.effort or float("inf") for link in self.links if not link.passive)
-
-    @property
-    def speeds(self) -> tuple[float, ...]:
-        """Largest speed of the actuated joints either way, rad/s; infinite where none is given."""
-        return tuple(link.speed or float("inf") for link in self.links if not link.passive)
+    def _entries(self, first: int) -> dict[str, str]:
+        """Which parameter each number of the tree is; `first` is the index of the base's body."""
+        free = self.free_base_directions
+        names = ["base", *(link.name for link in self.links)]
+        entries = {"payload": "payload.mass", "gravity": "gravity", "tip.x": f"{names[-1]}.length"}
+        entries[f"rest{first}"] = "base.rest_angle"
+        for k, direction in enumerate(free):
+            entries |= {f"{word}{k}.{k}": f"base.{word}.{direction}" for word in ("stiffness", "damping")}
+        for i, name in enumerate(names, first):
+            entries |= {f"mass{i}": f"{name}.mass", f"inertia{i}.zz": f"{name}.inertia"}
+            entries |= {f"com{i}.x": f"{name}.com", f"com{i}.y": f"{name}.com_offset"}
+        for i, (link, before) in enumerate(zip(self.links, names, strict=False), first + 1):
+            entries[f"offset{i}.x"] = f"{before}.length"
+            if link.passive:
+                entries |= {f"{word}{i}.{i}": f"{link.name}.{word}" for word in ("stiffness", "damping")}
+                entries[f"rest{i}"] = f"{link.name}.rest"
+            else:
+                entries[f"damping{i}.{i}"] = f"{link.name}.joint_damping"
+        return entries
 
     @property
     def support_points(self) -> tuple[tuple[float, ...], ...]:
         """The two ends (x,) of what the undercarriage stands on, m, rear first; empty where none is given."""
         return () if self.support is None else tuple((x,) for x in self.support.span)
-
-    @property
-    def base_coordinates(self) -> tuple[str, ...]:
-        """Names of the placement coordinates that the operator chooses."""
-        return ("x",)
-
-    @property
-    def base_units(self) -> tuple[str, ...]:
-        """Unit of each placement coordinate."""
-        return ("m",)
-
-    @property
-    def task_rows(self) -> tuple[str, ...]:
-        """Names of the end-point's coordinates."""
-        return ("x", "y")
 
     def list_parameters(self) -> list[Parameter]:
         """See `parameters`."""
@@ -366,3 +402,29 @@ class Machine(AnyMachine):
         passive = [link.name for link in self.links if link.passive]
         flexible = f"; flexible joints: {', '.join(passive)}" if passive else ""
         return f"Machine({self.name!r}: base gives in {gives}; actuated joints: {', '.join(self.joints)}{flexible})"
+
+
+def _slide(direction: str, base: Base, before: tuple[str, ...]) -> TreeBody:
+    """The massless body that gives in a direction."""
+    joint = TreeJoint.model_construct(
+        name=f"base.{direction}",
+        kind="slide",
+        axis=(1.0, 0.0, 0.0) if direction == "x" else (0.0, 1.0, 0.0),
+        passive=True,
+        stiffness=getattr(base.stiffness, direction),
+        damping=getattr(base.damping, direction),
+    )
+    parent = f"base.{before[-1]}" if before else None
+    return TreeBody.model_construct(name=f"base.{direction}", parent=parent, joint=joint)
+
+
+def _body(name: str, of: Base | Link, joint: TreeJoint, parent: str | None, along: float) -> TreeBody:
+    return TreeBody.model_construct(
+        name=name,
+        parent=parent,
+        joint=joint,
+        position=(along, 0.0, 0.0),
+        mass=of.mass,
+        com=(of.com, of.com_offset, 0.0),
+        inertia=(0.0, 0.0, of.inertia, 0.0, 0.0, 0.0),
+    )

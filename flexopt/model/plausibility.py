@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.model.kinematic_tree import TreeBody
 from flexopt.model.machine import AnyMachine, Machine
-from flexopt.model.tree import Tree, TreeBody
+from flexopt.model.tree import Tree
 
 Array = NDArray[np.float64]
 

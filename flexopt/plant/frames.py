@@ -10,13 +10,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from flexopt.model import AnyMachine, Machine, Tree
-from flexopt.plant.planar import ChainGraph
-from flexopt.plant.spatial import SpatialGraph
+from flexopt.model import AnyMachine
+from flexopt.plant.graph import MachineGraph
 from flexopt.plant.tree_algebra import ORIGIN, ZERO, Vector, turned_back
-from flexopt.plant.tree_constants import constant_graphs
-from flexopt.plant.tree_recursion import Recursion
-from flexopt.plant.tree_structure import rounded, segments_and_frames, skeleton
+from flexopt.plant.tree_structure import rounded, segments_and_frames
 from flexopt.plant.tree_task import in_inertial_axes, placed
 
 
@@ -43,58 +40,26 @@ class Frames:
         return self.tip.shape[0]
 
 
-def build_frames(machine: AnyMachine, graph: ChainGraph) -> Frames:
+def build_frames(machine: AnyMachine, graph: MachineGraph) -> Frames:
     """The frames of a machine whose graph this is."""
-    if isinstance(machine, Tree):
-        assert isinstance(graph, SpatialGraph)
-        return _of_tree(machine, graph)
-    assert isinstance(machine, Machine)
-    return _of_chain(machine, graph)
-
-
-def _of_chain(machine: Machine, graph: ChainGraph) -> Frames:
-    names = [parameter.name for parameter in machine.parameters]
-    of_q = {name: graph.q[k] for k, name in enumerate(graph.coordinates)}
-    angle = of_q.get("base.rotation", graph.p[names.index("base.rest_angle")])
-    rotations = [_rotation(angle)]
-    for link in machine.links:
-        angle += of_q[link.name]
-        rotations.append(_rotation(angle))
-    return Frames(
-        names=("base", *(link.name for link in machine.links)),
-        origins=tuple(graph.skeleton[:, k] for k in range(len(rotations))),
-        rotations=tuple(rotations),
-        tip=graph.end_point,
-        tip_rotation=rotations[-1],
-    )
-
-
-def _rotation(angle: ca.SX) -> ca.SX:
-    c, s = ca.cos(angle), ca.sin(angle)
-    return ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))
-
-
-def _of_tree(tree: Tree, graph: SpatialGraph) -> Frames:
-    structure = skeleton(tree)
-    value = {parameter.name: graph.p[k] for k, parameter in enumerate(tree.parameters)}
-    coordinate = [graph.q[structure.order.index(i)] for i in range(len(tree.bodies))]
-    along = [(ca.cos(angle), ca.sin(angle)) for angle in coordinate]
-    at = Recursion(structure, constant_graphs(tree, value), along, coordinate)
+    tree, at = machine.kinematic_tree, graph.at
     _, own = segments_and_frames(tree)
+    axes = ["xyz".index(axis) for axis in tree.axes]
     origins: list[ca.SX] = []
     rotations: list[ca.SX] = []
-    for i in range(len(tree.bodies)):
-        origins.append(ca.vertcat(*placed(at, at.point(i, ORIGIN), graph.base)))
+    for i in tree.frames:
+        origins.append(ca.vertcat(*placed(at, at.point(i, ORIGIN), graph.base))[axes])
         # The recursion's frame of a body is its own choice; `own` leads from it to the machine file's.
-        axes = [turned_back(rounded(own[i]), _unit(k)) for k in range(3)]
-        inertial = [in_inertial_axes(at, at.to_ground(i, axis), graph.base) for axis in axes]
-        rotations.append(ca.horzcat(*(ca.vertcat(*axis) for axis in inertial)))
+        directions = [turned_back(rounded(own[i]), _unit(k)) for k in axes]
+        inertial = [in_inertial_axes(at, at.to_ground(i, direction), graph.base) for direction in directions]
+        rotations.append(ca.horzcat(*(ca.vertcat(*axis) for axis in inertial))[axes, :])
+    tip = placed(at, at.point(at.skeleton.tip, at.vector("tip")), graph.base)
     return Frames(
-        names=tuple(body.name for body in tree.bodies),
+        names=tuple(tree.bodies[i].name for i in tree.frames),
         origins=tuple(origins),
         rotations=tuple(rotations),
-        tip=ca.vertcat(*placed(at, at.point(structure.tip, at.vector("tip")), graph.base)),
-        tip_rotation=graph.end_rotation,
+        tip=ca.vertcat(*tip)[axes],
+        tip_rotation=graph.end_rotation[axes, axes],
     )
 
 

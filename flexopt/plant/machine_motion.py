@@ -12,37 +12,31 @@ from functools import lru_cache
 
 import casadi as ca
 
-from flexopt.model import AnyMachine, Machine, Tree
-from flexopt.plant import planar_constants, tree_constants
+from flexopt.model import AnyMachine
+from flexopt.plant.chain_motion import ChainMotion, chain_constants
 from flexopt.plant.motion import Motion
-from flexopt.plant.planar_constants import PlanarStructure
-from flexopt.plant.planar_motion import PlanarMotion
+from flexopt.plant.tree_constants import constant_graphs
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.plant.tree_structure import Skeleton, skeleton
 
-Structure = PlanarStructure | Skeleton
 
-
-def motion_of(structure: Structure, value: Mapping[str, ca.SX]) -> Motion:
+def motion_of(structure: Skeleton, value: Mapping[str, ca.SX]) -> Motion:
     """The equations of motion; `value` holds the constants by name, symbols or numbers."""
-    return TreeMotion(structure, value) if isinstance(structure, Skeleton) else PlanarMotion(structure, value)
+    return ChainMotion(structure, value) if structure.chain else TreeMotion(structure, value)
 
 
 @lru_cache(maxsize=64)
-def structure_of(machine: AnyMachine) -> Structure:
+def structure_of(machine: AnyMachine) -> Skeleton:
     """A machine's structure, with the constants that are zero for its own parameters left out."""
     zeros = frozenset(name for name, value in constant_values(machine).items() if value == 0)
     return replace(full_structure(machine), zeros=zeros)
 
 
 @lru_cache(maxsize=64)
-def full_structure(machine: AnyMachine) -> Structure:
+def full_structure(machine: AnyMachine) -> Skeleton:
     """A machine's structure with every constant kept that some parameters make other than zero."""
-    if isinstance(machine, Tree):
-        zeros = frozenset(name for name, graph in _graphs(machine)[1].items() if graph.is_zero())
-        return replace(skeleton(machine), zeros=zeros, local=True)
-    assert isinstance(machine, Machine)
-    return planar_constants.full_structure(machine)
+    zeros = frozenset(name for name, graph in _graphs(machine)[1].items() if graph.is_zero())
+    return replace(skeleton(machine.kinematic_tree), zeros=zeros, local=True)
 
 
 @lru_cache(maxsize=64)
@@ -81,7 +75,6 @@ def _graphs(machine: AnyMachine) -> tuple[ca.SX, dict[str, ca.SX]]:
     names = [parameter.name for parameter in machine.parameters]
     p = ca.SX.sym("p", len(names))
     value = {name: p[i] for i, name in enumerate(names)}
-    if isinstance(machine, Tree):
-        return p, tree_constants.constant_graphs(machine, value)
-    assert isinstance(machine, Machine)
-    return p, planar_constants.constant_graphs(machine, value)
+    tree = machine.kinematic_tree
+    structure, graphs = skeleton(tree), constant_graphs(tree, value)
+    return p, chain_constants(structure, graphs) if structure.chain else graphs

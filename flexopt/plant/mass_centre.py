@@ -13,13 +13,14 @@ from flexopt.plant.frames import Frames
 
 def centre_of_mass(machine: AnyMachine, p: ca.SX, frames: Frames) -> ca.SX:
     """Σ m_j r_j / Σ m_j over every body that has mass and the payload at the end-point: (d,), m, inertial frame."""
-    value = {parameter.name: p[k] for k, parameter in enumerate(machine.parameters)}
-    total = value["payload.mass"]
+    tree = machine.kinematic_tree
+    parameter = {parameter.name: p[k] for k, parameter in enumerate(machine.parameters)}
+    value = {entry: parameter[name] for entry, name in tree.entries.items()}
+    total = value["payload"]
     moment = total * frames.tip
-    words = ("com", "com_offset") if frames.dimension == 2 else ("com.x", "com.y", "com.z")
-    for name, origin, rotation in zip(frames.names, frames.origins, frames.rotations, strict=True):
-        if f"{name}.mass" in value:
-            mass, own = value[f"{name}.mass"], ca.vertcat(*(value[f"{name}.{word}"] for word in words))
+    for i, origin, rotation in zip(tree.frames, frames.origins, frames.rotations, strict=True):
+        if f"mass{i}" in value:
+            mass, own = value[f"mass{i}"], ca.vertcat(*(value[f"com{i}.{axis}"] for axis in tree.axes))
             total += mass
             moment += mass * (origin + rotation @ own)
     return moment / total

@@ -2,7 +2,7 @@
 
 In: a structure and its constants. Out: graphs in coordinates u (n_q,), the slides first, then the angles of what turns.
 Cosines and sines of these angles come in from outside as `Directions`, so the caller decides whether it computes them
-or carries them along by small rotations. `planar_motion` and `tree_motion` build the graphs; `machine_motion` leads
+or carries them along by small rotations. `chain_motion` and `tree_motion` build the graphs; `machine_motion` leads
 from a machine to them.
 """
 

@@ -11,12 +11,12 @@ from flexopt.algebra import solve_spd
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.boundary import instance, public, public_class
 from flexopt.foundation.control import Control, control_method
-from flexopt.model import AnyMachine, Machine, Tree
+from flexopt.model import AnyMachine
+from flexopt.plant.closed_form import ReachingGraph, build_reaching, has_closed_form
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.frames import Frames, build_frames
+from flexopt.plant.graph import MachineGraph, build_graph
 from flexopt.plant.mass_centre import centre_of_mass
-from flexopt.plant.planar import ChainGraph, ReachingGraph, build_chain, build_reaching
-from flexopt.plant.spatial import build_spatial
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
@@ -39,7 +39,7 @@ class OperatingPoint:
 _SX = instance(ca.SX, "a ca.SX")
 
 
-@public_class(graph=instance(ChainGraph, "the ChainGraph of a machine, as flexopt.build_plant makes it"))
+@public_class(graph=instance(MachineGraph, "the MachineGraph of a machine, as flexopt.build_plant makes it"))
 @dataclass(frozen=True)
 class Plant:
     """The equations of one machine: M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = τ (article, section 2).
@@ -55,7 +55,7 @@ class Plant:
     """
 
     machine: AnyMachine
-    graph: ChainGraph
+    graph: MachineGraph
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -191,9 +191,9 @@ class Plant:
     def singularity_sine_squared(self) -> ca.Function:
         """Distance from singular postures at rest: 0 where Jv loses rank, at most 1.
 
-        In the plane the mean sin² of the angles between the arm's segments, sin² θ3 for two links; in space the square
-        of the conditioning index of Jv, of two rows sin² of twice the angle whose tangent is 1/cond Jv. Inputs base,
-        posture, p.
+        The mean sin² of the angles by which what each body of the arm does to the end-point, alone, leaves what the
+        others do: in the plane of the angles between the arm's segments, sin² θ3 for two links. See
+        `singular_distance`. Inputs base, posture, p.
         """
         g = self.graph
         at_rest = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
@@ -210,20 +210,20 @@ class Plant:
 
     @property
     def closed_form(self) -> bool:
-        """Whether postures on a target have a closed form (`posture_at`): planar machines."""
-        return isinstance(self.machine, Machine)
+        """Whether postures on a target have a closed form (`posture_at`): see `closed_form.has_closed_form`."""
+        return has_closed_form(self.graph.at.skeleton)
 
     @cached_property
     def reaching(self) -> ReachingGraph:
-        """Closed-form inverse kinematics, of planar machines only.
+        """Closed-form inverse kinematics.
 
         Raises:
-            InputError: the machine is spatial.
+            InputError: the machine's structure has none.
         """
-        if not isinstance(self.machine, Machine):
+        if not self.closed_form:
             sentence = "is a spatial machine; its postures have no closed form, and only planar arms have a known reach"
             raise InputError(f"machine {self.machine.name!r} {sentence}", [Fault("machine", sentence)])
-        return build_reaching(self.machine, self.graph)
+        return build_reaching(self.graph)
 
     @cached_property
     def posture_at(self) -> ca.Function:
@@ -368,7 +368,4 @@ def build_plant(machine: AnyMachine) -> Plant:
 
 @lru_cache(maxsize=32)
 def _built(machine: AnyMachine) -> Plant:
-    if isinstance(machine, Tree):
-        return Plant(machine, build_spatial(machine))
-    assert isinstance(machine, Machine)
-    return Plant(machine, build_chain(machine))
+    return Plant(machine, build_graph(machine))

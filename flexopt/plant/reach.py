@@ -11,8 +11,9 @@ import numpy as np
 
 from flexopt.errors import UnreachableTarget
 from flexopt.foundation.arrays import Vector
-from flexopt.model import AnyMachine, Tree
+from flexopt.model import AnyMachine
 from flexopt.plant.plant import Plant, build_plant
+from flexopt.plant.tree_task import points
 
 Interval = tuple[float, float]
 
@@ -111,24 +112,20 @@ def path_to_end_point(machine: AnyMachine) -> tuple[ca.Function, tuple[str, ...]
 
     Joints and placement are at 0, passive coordinates at rest.
     """
-    assert isinstance(machine, Tree)
     plant = build_plant(machine)
-    index = {body.name: k for k, body in enumerate(machine.bodies)}
-    way: list[int] = []
-    name: str | None = machine.end_point.body
-    while name is not None:
-        way.insert(0, index[name])
-        name = machine.bodies[index[name]].parent
-    while way and machine.bodies[way[0]].joint.passive:
+    g, bodies = plant.graph, machine.kinematic_tree.bodies
+    structure = g.at.skeleton
+    way = structure.way_to(structure.tip)
+    while way and structure.segments[way[0]].passive:
         way.pop(0)
-    p, base = plant.graph.p, ca.SX.zeros(plant.n_base, 1)
-    points = plant.skeleton(plant.rest(base, ca.SX.zeros(plant.n_actuated, 1), p), base, p)
-    corners = points[:, [*(1 + k for k in way), points.shape[1] - 1]]
+    corners = points(g.at, g.base)[:, [*(1 + k for k in way), structure.n + 1]]
+    still = [ca.SX.zeros(plant.n_base, 1), ca.SX.zeros(plant.n_actuated, 1)]
+    corners = ca.Function("corners", [g.q, g.base, g.p], [corners])(plant.rest(*still, g.p), still[0], g.p)
     length = sum((ca.norm_2(part) for part in ca.horzsplit(ca.diff(corners, 1, 1))), start=ca.SX(0))
-    joints = [machine.bodies[k].joint for k in way]
+    joints = [bodies[k].joint for k in way]
     slides = tuple(joint.name for joint in joints if joint.kind == "slide" and not joint.passive)
     outputs = [ca.densify(corners[:, 0]), length]
-    return ca.Function("path", [p], outputs, ["p"], ["first_joint", "length"]), slides
+    return ca.Function("path", [g.p], outputs, ["p"], ["first_joint", "length"]), slides
 
 
 def arm_length(plant: Plant) -> float:

@@ -1,7 +1,7 @@
 """The constants of a tree's recursions as graphs of its parameters: inertia moved towards the ground.
 
-In: a `Tree`. Out: named constants, of which each recursion needs few. About its frame's origin a body has mass m, first
-moment c and second moment S (the integral of r rᵀ dm, whose shifts and rotations are those of r rᵀ; inertia is
+In: a `KinematicTree`. Out: named constants, of which each recursion needs few. About its frame's origin a body has mass
+m, first moment c and second moment S (the integral of r rᵀ dm, whose shifts and rotations are those of r rᵀ; inertia is
 tr(S) 1 − S). What hangs on a hinge z and looks the same however it is turned (m, c_z, S_zz) belongs to its parent as
 well as to it: it is moved there, body by body, which leaves a body on a hinge without mass (base parameters; Khalil and
 Dombre, Modeling, Identification and Control of Robots, section 9.4). All of S is moved from a body on a slide. A body
@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from flexopt.model.tree import INERTIA_ENTRIES, Tree
-from flexopt.plant.tree_structure import Matrix, Segment, rounded, segments_and_frames
+from flexopt.model.kinematic_tree import INERTIA_ENTRIES, KinematicTree
+from flexopt.plant.tree_structure import Matrix, Segment, ground_frame, rounded, segments_and_frames
 
 AXES = "xyz"
 SECOND = INERTIA_ENTRIES
@@ -38,7 +38,7 @@ class _Moments:
         self.second += second + at @ first.T + first @ at.T + mass * at @ at.T
 
 
-def constant_graphs(tree: Tree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+def constant_graphs(tree: KinematicTree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     """The constants of the recursions by name, from the parameters by name.
 
     For body i: offset{i}.x … of its joint in the parent's frame, m{i}, c{i}.x …, s{i}.xx …; joints: stiffness{i}.{j},
@@ -46,23 +46,24 @@ def constant_graphs(tree: Tree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     body's frame; gravity; task_length.
     """
     segments, frames = segments_and_frames(tree)
+    entry = {key: value[name] for key, name in tree.entries.items()}
     index = {body.name: i for i, body in enumerate(tree.bodies)}
     result: dict[str, ca.SX] = {}
     offsets: list[ca.SX] = []
     moments: list[_Moments] = []
-    for i, (body, segment) in enumerate(zip(tree.bodies, segments, strict=True)):
-        of_parent = np.eye(3) if segment.parent < 0 else frames[segment.parent]
-        offsets.append(_turned(of_parent.T, _vector(value, f"{body.name}.position")))
+    for i, segment in enumerate(segments):
+        of_parent = ground_frame(tree) if segment.parent < 0 else frames[segment.parent]
+        offsets.append(_turned(of_parent.T, _vector(entry, f"offset{i}")))
         own = _Moments(ca.SX(0), ca.SX.zeros(3, 1), ca.SX.zeros(3, 3))
-        if not body.massless:
-            at = _turned(frames[i].T, _vector(value, f"{body.name}.com"))
-            inertia = [value[f"{body.name}.inertia.{entry}"] for entry in SECOND]
+        if f"mass{i}" in entry:
+            at = _turned(frames[i].T, _vector(entry, f"com{i}"))
+            inertia = [entry.get(f"inertia{i}.{ab}", ca.SX(0)) for ab in SECOND]
             zero = ca.SX.zeros(3, 1)
-            own.add(value[f"{body.name}.mass"], zero, _both(frames[i].T, _second_of(inertia)), at)
+            own.add(entry[f"mass{i}"], zero, _both(frames[i].T, _second_of(inertia)), at)
         moments.append(own)
     tip = index[tree.end_point.body]
-    end = _turned(frames[tip].T, _vector(value, "end_point.position"))
-    moments[tip].add(value["payload.mass"], ca.SX.zeros(3, 1), ca.SX.zeros(3, 3), end)
+    end = _turned(frames[tip].T, _vector(entry, "tip"))
+    moments[tip].add(entry["payload"], ca.SX.zeros(3, 1), ca.SX.zeros(3, 3), end)
     carried = _carried(segments, [own.mass for own in moments])
     _move_inwards(segments, offsets, moments)
 
@@ -71,12 +72,13 @@ def constant_graphs(tree: Tree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
         result |= {f"m{i}": own.mass} | {f"c{i}.{axis}": own.first[k] for k, axis in enumerate(AXES)}
         result |= {f"s{i}.{ab}": own.second[AXES.index(ab[0]), AXES.index(ab[1])] for ab in SECOND}
     result |= {f"tip.{axis}": end[k] for k, axis in enumerate(AXES)}
-    result |= _joint_constants(tree, value)
-    rotors = [value.get(f"{body.joint.name}.armature", ca.SX(0)) for body in tree.bodies]
+    result |= {key: graph for key, graph in entry.items() if key.startswith(("stiffness", "damping"))}
+    result |= {f"rest{i}": entry.get(f"rest{i}", ca.SX(0)) for i, segment in enumerate(segments) if segment.passive}
+    rotors = [entry.get(f"armature{i}", ca.SX(0)) for i in range(len(segments))]
     result |= {f"armature{i}": rotor for i, rotor in enumerate(rotors)}
     moved = [mass + rotor for mass, rotor in zip(carried, rotors, strict=True)]
     result |= {f"inverse{i}": 1 / mass for i, mass in enumerate(moved) if segments[i].slide}
-    return result | {"gravity": value["gravity"], "task_length": ca.SX(tree.end_point.length)}
+    return result | {"gravity": entry["gravity"], "task_length": ca.SX(tree.end_point.length)}
 
 
 def _carried(segments: tuple[Segment, ...], masses: list[ca.SX]) -> list[ca.SX]:
@@ -107,27 +109,8 @@ def _move_inwards(segments: tuple[Segment, ...], offsets: list[ca.SX], moments: 
             own.second[0, 0] = about
 
 
-def _joint_constants(tree: Tree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-    at = {body.joint.name: i for i, body in enumerate(tree.bodies)}
-    result: dict[str, ca.SX] = {}
-    for i, body in enumerate(tree.bodies):
-        name = body.joint.name
-        for word, key in (("stiffness", "stiffness"), ("damping", "damping"), ("damping", "joint_damping")):
-            if f"{name}.{key}" in value:
-                result[f"{word}{i}.{i}"] = value[f"{name}.{key}"]
-        if body.joint.passive:
-            result[f"rest{i}"] = value[f"{name}.rest"]
-    for word, coupling in (("stiffness", tree.stiffness_matrix), ("damping", tree.damping_matrix)):
-        names = coupling.joints if coupling is not None else ()
-        for k, a in enumerate(names):
-            for b in names[k:]:
-                i, j = sorted((at[a], at[b]))
-                result[f"{word}{i}.{j}"] = value[f"{word}.{a}.{b}"]
-    return result
-
-
-def _vector(value: Mapping[str, ca.SX], name: str) -> ca.SX:
-    return ca.vertcat(*(value[f"{name}.{axis}"] for axis in AXES))
+def _vector(entry: Mapping[str, ca.SX], name: str) -> ca.SX:
+    return ca.vertcat(*(entry.get(f"{name}.{axis}", ca.SX(0)) for axis in AXES))
 
 
 def _turned(matrix: Matrix, vector: ca.SX) -> ca.SX:

@@ -195,10 +195,10 @@ class TreeMotion(Motion):
 
     def potential(self, u: ca.SX, along: Directions) -> ca.SX:
         """Gravity's potential, J."""
-        at, total = self._at(u, along), ZERO
+        at, total, up = self._at(u, along), ZERO, self.structure.up
         for i in range(self.n):
             mass, first = at.of(f"m{i}"), at.vector(f"c{i}")
-            total += mass * at.point(i, ORIGIN)[2] + at.to_ground(i, first)[2]
+            total += mass * at.point(i, ORIGIN)[up] + at.to_ground(i, first)[up]
         return self._gravity * total
 
     def spring_energy(self, u: ca.SX, base: ca.SX) -> ca.SX:
@@ -238,7 +238,7 @@ class TreeMotion(Motion):
         vertical = [
             i
             for i in self.structure.leading_slides
-            if abs(self.structure.segments[i].axis[2]) == 1 and at.of(f"armature{i}").is_zero()
+            if abs(self.structure.segments[i].axis[self.structure.up]) == 1 and at.of(f"armature{i}").is_zero()
         ]
         borne = gravity and bool(vertical)
         pull = self._gravity if gravity and not borne else ZERO
@@ -248,7 +248,7 @@ class TreeMotion(Motion):
         ]
         result = self._solved(at, right)
         if borne:  # all fall alike
-            result[vertical[0]] -= self.structure.segments[vertical[0]].axis[2] * self._gravity
+            result[vertical[0]] -= self.structure.segments[vertical[0]].axis[self.structure.up] * self._gravity
         return self._stacked(result)
 
     @property

@@ -56,12 +56,14 @@ class Recursion:
         value: the constants by name; those in `skeleton.zeros` are ignored.
         along: of each body, (cos q, sin q) of its hinge; of slides anything.
         displacement: of each body, q of its slide; of hinges anything.
+        angles: of each body, q of its hinge, where sums of these may be taken; else directions are multiplied.
     """
 
     skeleton: Skeleton
     value: Mapping[str, ca.SX]
     along: Sequence[Pair]
     displacement: Sequence[Scalar]
+    angles: Sequence[Scalar] = ()
 
     @property
     def n(self) -> int:
@@ -86,11 +88,24 @@ class Recursion:
                 result.append(before)
             elif not segment.in_row:
                 result.append(None)
+            elif self.angles:
+                angle = self._turn(i)
+                result.append((ca.cos(angle), ca.sin(angle)))
             else:
                 c, s = self.along[i]
                 turn = (c, s) if before is None else (c * before[0] - s * before[1], s * before[0] + c * before[1])
                 result.append(turn)
         return result
+
+    def _turn(self, i: int) -> Scalar:
+        """Angle of a body about z since the first body of its row."""
+        angle = ZERO
+        while i >= 0 and (self.skeleton.segments[i].slide or self.skeleton.segments[i].in_row):
+            angle, i = (
+                angle + (ZERO if self.skeleton.segments[i].slide else self.angles[i]),
+                self.skeleton.segments[i].parent,
+            )
+        return angle
 
     def _heading(self, i: int) -> Pair | None:
         return self.headings[i] if i >= 0 else None
@@ -99,10 +114,14 @@ class Recursion:
         """From the body's own axes to those of its row; −1 is the ground."""
         return about_z(self._heading(i), a)
 
+    def direction(self, i: int) -> Vector:
+        """Of a joint's axis, in its body's own axes."""
+        x, y, z = self.skeleton.segments[i].axis
+        return ca.SX(x), ca.SX(y), ca.SX(z)
+
     def axis(self, i: int) -> Vector:
         """Of a slide."""
-        x, y, z = self.skeleton.segments[i].axis
-        return self.of_body(self.skeleton.segments[i].parent, (ca.SX(x), ca.SX(y), ca.SX(z)))
+        return self.of_body(self.skeleton.segments[i].parent, self.direction(i))
 
     def offset(self, i: int) -> Vector:
         """Of the body's origin from its parent's, in the parent's row."""
@@ -154,6 +173,15 @@ class Recursion:
         at = self.of_body(i, at)
         while i >= 0:
             at, i = add(self.offset(i), self.inwards(i, at)), self.skeleton.segments[i].parent
+        return at
+
+    def step(self, start: int, i: int, at: Vector) -> Vector:
+        """From the origin of a body to a point of one that it carries, in the ground's axes."""
+        at = self.of_body(i, at)
+        while i != start:
+            at, i = add(self.offset(i), self.inwards(i, at)), self.skeleton.segments[i].parent
+        while i >= 0:
+            at, i = self.inwards(i, at), self.skeleton.segments[i].parent
         return at
 
     @cached_property
@@ -222,12 +250,13 @@ class Recursion:
 
     def forces(self, rates: Sequence[Scalar], gravity: Scalar) -> list[Scalar]:
         """What the joints must give so that none accelerates, h + g, by body."""
-        spins = self.spins(rates)
+        spins, up = self.spins(rates), self.skeleton.up
+        fall = (gravity if up == 0 else ZERO, gravity if up == 1 else ZERO, gravity if up == 2 else ZERO)
         accelerations: list[Vector] = []
         wrenches: list[Wrench] = []
         for i, segment in enumerate(self.skeleton.segments):
             parent, spin = segment.parent, spins[i]
-            before = accelerations[parent] if parent >= 0 else (ZERO, ZERO, gravity)
+            before = accelerations[parent] if parent >= 0 else fall
             if parent >= 0:
                 at = self.offset(i)
                 before = add(before, times(spins[parent].u, at))

@@ -1,24 +1,27 @@
 """A tree of bodies prepared for recursions: who carries whom, in frames that leave few constants.
 
-In: a validated `Tree`. Out: its `Skeleton`, numbers and words only. Each body gets a frame of its own choice. A slide's
+In: a `KinematicTree`. Out: its `Skeleton`, numbers and words only. Each body gets a frame of its own choice. A slide's
 keeps the orientation of its parent's, a hinge's turns about its z axis, so that the rotation from parent to body is
 E Rz(q) with a constant E; where axes are parallel E = 1, where they are at right angles E is a signed permutation.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.model.tree import Tree
+from flexopt.model.kinematic_tree import UNTURNED, KinematicTree
 from flexopt.model.tree_quantities import axes_about
 
 Matrix = NDArray[np.float64]
 Numbers = tuple[tuple[float, float, float], ...]
 # Products of rotations this near to 0 or ±1 are meant to be it.
 SNAP = 1e-14
+PLANES = ("xy", "xz", "yz")
 TURN = "turn"  # of the anchor frame since it stood at first
 
 
@@ -32,7 +35,8 @@ class Segment:
         turn: E (3, 3), by rows, of a hinge.
         axis: of a slide, in the parent's frame.
         passive: whether the joint is passive.
-        in_row: whether it is a hinge parallel to the last one before it: E = 1.
+        held: whether it stays at its rest value and is no coordinate.
+        in_row: whether it is a hinge parallel to the last one before it: E = 1; in a plane also to its normal.
         parallel: whether it is a hinge parallel to all between it and the ground.
     """
 
@@ -41,6 +45,7 @@ class Segment:
     turn: Numbers
     axis: tuple[float, float, float]
     passive: bool
+    held: bool
     in_row: bool
     parallel: bool
 
@@ -52,9 +57,14 @@ class Skeleton:
     Attributes:
         segments: the bodies, each after its parent.
         tip: index of the end-point's body; tip_rotation: of its frame in that body's.
-        rows, reference, placement: as in `EndPoint` and `Tree`.
+        rows, reference, placement: as in `EndPoint` and `KinematicTree`.
+        ground: the axes in which the recursions see the ground, as columns in the anchor frame's: those of the task's
+            plane first, where it has one.
+        up: which of these points up.
         coupled_springs, coupled_dampers: pairs of bodies whose joints have a stiffness or damping, i ≤ j.
         zeros: constants that are exactly zero and are left out.
+        chain: whether it is a chain of parallel hinges in a vertical plane, on passive slides along its axes, without
+            rotors and with all its mass beyond the slides: `ChainMotion` then has its motion in closed form.
         local: whether the placement's x and y count in the axes in which the anchor frame stands at first, instead of
             inertial ones: slides take them up although the frame is turned.
         also: what the anchor frame is driven along besides its placement: of x and y what that leaves out, `TURN`.
@@ -68,9 +78,17 @@ class Skeleton:
     placement: tuple[str, ...]
     coupled_springs: tuple[tuple[int, int], ...]
     coupled_dampers: tuple[tuple[int, int], ...]
+    ground: Numbers = UNTURNED
+    up: int = 2
     zeros: frozenset[str] = frozenset()
+    chain: bool = False
     local: bool = False
     also: tuple[str, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of bodies."""
+        return len(self.segments)
 
     @property
     def drive(self) -> tuple[str, ...]:
@@ -80,13 +98,67 @@ class Skeleton:
     @property
     def order(self) -> list[int]:
         """Bodies in the order of q: on passive joints, then on actuated ones."""
-        passive = [i for i, segment in enumerate(self.segments) if segment.passive]
-        return passive + self.actuated
+        return self.passive + self.actuated
+
+    @property
+    def passive(self) -> list[int]:
+        """Bodies on passive joints that move."""
+        return [i for i, segment in enumerate(self.segments) if segment.passive and not segment.held]
 
     @property
     def actuated(self) -> list[int]:
         """Bodies on actuated joints."""
         return [i for i, segment in enumerate(self.segments) if not segment.passive]
+
+    def way_to(self, body: int) -> list[int]:
+        """Bodies from the ground to one, itself included."""
+        way = [body]
+        while self.segments[way[0]].parent >= 0:
+            way.insert(0, self.segments[way[0]].parent)
+        return way
+
+    @property
+    def actuated_way(self) -> list[int]:
+        """Bodies on actuated joints between the ground and the end-point."""
+        return [i for i in self.way_to(self.tip) if not self.segments[i].passive]
+
+    def sense_along(self, inner: int, outer: int) -> float:
+        """±1 where the hinges of both bodies, and all between them, are parallel, −1 where they point apart; else 0."""
+        between = self.way_to(outer)
+        turning = [self.segments[i] for i in between[between.index(inner) + 1 :] if not self.segments[i].slide]
+        if self.segments[inner].slide or self.segments[outer].slide:
+            return 0.0
+        senses = [segment.turn[2][2] for segment in turning]
+        return math.prod(senses) if all(abs(sense) == 1 for sense in senses) else 0.0
+
+    @property
+    def hinges(self) -> list[int]:
+        """Bodies on hinges."""
+        return [i for i, segment in enumerate(self.segments) if not segment.slide]
+
+    @property
+    def axes_of_chain(self) -> list[Numbers]:
+        """Of each hinge of a chain, the axes of its body where all joints are at zero, as columns in the ground's."""
+        found: list[Numbers] = []
+        for i in self.hinges:
+            turn = np.array(self.segments[i].turn)
+            found.append(rounded(np.array(found[-1]) @ turn if found else turn))
+        return found
+
+    @property
+    def has_plane(self) -> bool:
+        """Whether the task's rows are two positions in order, whose plane the placement does not turn."""
+        return "".join(self.rows) in PLANES and "yaw" not in self.placement
+
+    def is_across(self, bodies: Sequence[int]) -> bool:
+        """Whether the hinges among the bodies of one branch are parallel to the normal of the task's plane."""
+        hinges = [self.segments[i] for i in bodies if not self.segments[i].slide]
+        return self.has_plane and all(hinge.parallel for hinge in hinges) and abs(hinges[0].turn[2][2]) == 1
+
+    def sense_across(self, body: int) -> float:
+        """1 where a body's hinge across the task's plane turns the first row towards the second, else −1."""
+        hinges = [i for i in self.way_to(body) if not self.segments[i].slide]
+        return self.segments[hinges[0]].turn[2][2] * self.sense_along(hinges[0], body)
 
     @property
     def leading_slides(self) -> list[int]:
@@ -112,10 +184,10 @@ class Skeleton:
         if "yaw" in self.placement and not self.local:
             return found
         for i in self.leading_slides:
-            for k, name in enumerate("xy"):
-                axis = self.segments[i].axis
-                if name in self.drive and self.segments[i].passive and abs(axis[k]) == 1 and name not in found:
-                    found[name] = (i, axis[k])
+            for name, direction in zip("xy", self.ground, strict=False):
+                along = sum(a * b for a, b in zip(self.segments[i].axis, direction, strict=True))
+                if name in self.drive and self.segments[i].passive and abs(along) == 1 and name not in found:
+                    found[name] = (i, along)
         return found
 
     @property
@@ -130,7 +202,7 @@ class Skeleton:
         after = [i for i, segment in enumerate(self.segments) if segment.parent == inner]
         if len(after) != 1 or self.segments[after[0]].slide or not self.segments[after[0]].passive:
             return None
-        level = [self.segments[i] for i in slides if abs(self.segments[i].axis[2]) != 1]
+        level = [self.segments[i] for i in slides if abs(self.segments[i].axis[self.up]) != 1]
         axes = sorted(tuple(abs(part) for part in segment.axis) for segment in level if segment.passive)
         sign = self.segments[after[0]].turn[2][2]
         if len(level) != len(axes) or axes != [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0)] or abs(sign) != 1:
@@ -138,20 +210,16 @@ class Skeleton:
         return after[0], sign
 
 
-def skeleton(tree: Tree) -> Skeleton:
+def skeleton(tree: KinematicTree) -> Skeleton:
     """The structure of a tree, every constant kept."""
     segments, frames = segments_and_frames(tree)
-    index = {body.name: i for i, body in enumerate(tree.bodies)}
-    tip = index[tree.end_point.body]
-    at = {body.joint.name: i for i, body in enumerate(tree.bodies)}
+    ground = rounded(ground_frame(tree))
+    tip = next(i for i, body in enumerate(tree.bodies) if body.name == tree.end_point.body)
     own = [(i, i) for i in range(len(tree.bodies))]
-    springs, dampers = [pair for pair in own if tree.bodies[pair[0]].joint.stiffness is not None], own
-    if tree.stiffness_matrix is not None:
-        springs += _pairs([at[name] for name in tree.stiffness_matrix.joints])
-    if tree.damping_matrix is not None:
-        names = [at[name] for name in tree.damping_matrix.joints]
-        dampers = [pair for pair in own if pair[0] not in names] + _pairs(names)
-    return Skeleton(
+    springs = [pair for pair in own if f"stiffness{pair[0]}.{pair[0]}" in tree.entries]
+    springs = [pair for pair in springs if pair[0] not in tree.coupled_springs] + _pairs(tree.coupled_springs)
+    dampers = [pair for pair in own if pair[0] not in (*tree.coupled_dampers, *tree.held)]
+    whole = Skeleton(
         segments=segments,
         tip=tip,
         tip_rotation=rounded(frames[tip].T @ np.array(tree.end_point.rotation)),
@@ -159,11 +227,28 @@ def skeleton(tree: Tree) -> Skeleton:
         reference=tree.end_point.reference,
         placement=tuple(tree.placement),
         coupled_springs=tuple(springs),
-        coupled_dampers=tuple(dampers),
+        coupled_dampers=(*dampers, *_pairs(tree.coupled_dampers)),
+        ground=ground,
+        up=[abs(part) for part in ground[tree.up]].index(1.0),
     )
+    return replace(whole, chain=_is_chain(whole, tree))
 
 
-def _pairs(members: list[int]) -> list[tuple[int, int]]:
+def _is_chain(s: Skeleton, tree: KinematicTree) -> bool:
+    slides, hinges = s.leading_slides, s.hinges
+    if not s.actuated or not s.is_across(hinges) or s.up != 1 or s.placement not in ((), s.rows[:1]):
+        return False
+    in_line = [segment.parent for segment in s.segments] == list(range(-1, s.n - 1)) and s.tip == s.n - 1
+    upright = [tuple(abs(part) for part in s.segments[i].axis) for i in slides]
+    standing = all(axis in UNTURNED[:2] and upright.count(axis) == 1 for axis in upright)
+    plain = not tree.coupled_springs and not tree.coupled_dampers
+    loaded = any(f"armature{i}" in tree.entries for i in range(s.n))
+    loaded = loaded or any(f"mass{i}" in tree.entries for i in slides[:-1])
+    passive = all(s.segments[i].passive for i in slides)
+    return in_line and slides + hinges == list(range(s.n)) and standing and plain and passive and not loaded
+
+
+def _pairs(members: tuple[int, ...]) -> list[tuple[int, int]]:
     return [(min(a, b), max(a, b)) for i, a in enumerate(members) for b in members[i:]]
 
 
@@ -174,16 +259,25 @@ def rounded(matrix: Matrix) -> Numbers:
     return tuple((float(a), float(b), float(c)) for a, b, c in snapped)
 
 
-def segments_and_frames(tree: Tree) -> tuple[tuple[Segment, ...], list[Matrix]]:
+def ground_frame(tree: KinematicTree) -> Matrix:
+    """See `Skeleton.ground`."""
+    rows = tree.end_point.rows
+    if "".join(rows) not in PLANES or "yaw" in tree.placement:
+        return np.eye(3)
+    first, second = (UNTURNED["xyz".index(row)] for row in rows)
+    return np.array([first, second, np.cross(first, second)]).T
+
+
+def segments_and_frames(tree: KinematicTree) -> tuple[tuple[Segment, ...], list[Matrix]]:
     """The segments, and of each body the rotation from its new frame to the one that the tree gives it."""
     index = {body.name: i for i, body in enumerate(tree.bodies)}
     segments: list[Segment] = []
     frames: list[Matrix] = []
     after_hinge: list[bool] = []  # between the ground and the body, itself included, there is a hinge
     only_parallel: list[bool] = []  # … and all such hinges are parallel
-    for body in tree.bodies:
+    for number, body in enumerate(tree.bodies):
         parent = -1 if body.parent is None else index[body.parent]
-        of_parent = np.eye(3) if parent < 0 else frames[parent]
+        of_parent = ground_frame(tree) if parent < 0 else frames[parent]
         placed = of_parent.T @ np.array(body.rotation)
         axis = rounded(np.atleast_2d(placed @ np.array(body.joint.axis)))[0]
         slide = body.joint.kind == "slide"
@@ -200,8 +294,13 @@ def segments_and_frames(tree: Tree) -> tuple[tuple[Segment, ...], list[Matrix]]:
                 turn=turn,
                 axis=axis if slide else (0.0, 0.0, 1.0),
                 passive=body.joint.passive,
+                held=number in tree.held,
                 in_row=hinged and not slide and turn[2][2] == 1,
                 parallel=not slide and only_parallel[-1],
             )
         )
+    if all(segment.slide or segment.parallel for segment in segments):
+        # What turns about the normal needs no axes of its own.
+        unturned = [not segment.slide and segment.turn == UNTURNED for segment in segments]
+        segments = [replace(s, in_row=s.in_row or same) for s, same in zip(segments, unturned, strict=True)]
     return tuple(segments), frames

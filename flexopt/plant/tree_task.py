@@ -53,7 +53,8 @@ def points(at: Recursion, base: ca.SX) -> ca.SX:
 
 
 def in_inertial_axes(at: Recursion, a: Vector, base: ca.SX) -> Vector:
-    """A direction of the anchor frame in inertial axes."""
+    """A direction as the recursions see it in inertial axes."""
+    a = turned(at.skeleton.ground, a)
     if "yaw" not in at.skeleton.placement:
         return a
     yaw = base[at.skeleton.placement.index("yaw")]

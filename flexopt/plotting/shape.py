@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
-from flexopt.plant.spatial import SpatialGraph
 from flexopt.robustness.evaluation import Evaluation
 
 Points = NDArray[np.float64]
@@ -81,10 +80,7 @@ class View:
 
 def machine_segments(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
     """Columns of the skeleton that are joined."""
-    graph = build_plant(machine).graph
-    if isinstance(graph, SpatialGraph):
-        return graph.segments
-    return tuple((k, k + 1) for k in range(graph.skeleton.shape[1] - 1))
+    return build_plant(machine).graph.segments
 
 
 def shape_at(machine: AnyMachine, q: Points, base: Points) -> Shape:

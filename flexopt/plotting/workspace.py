@@ -20,10 +20,9 @@ from flexopt.plotting.files import write
 def dataset_plane(dataset: Any) -> FieldPlane:
     """The axes of a map's dataset."""
     rows, columns = dataset["reachable"].dims
-    if columns == "x" and dataset.attrs["frame"].startswith("workspace"):
-        return FieldPlane(
-            _array(dataset, "x"), _array(dataset, "y"), "x, m (workspace frame)", "y, m (workspace frame)"
-        )
+    if dataset.attrs["frame"].startswith("workspace"):
+        labels = [f"{columns}, m (workspace frame)", f"{rows}, m (workspace frame)"]
+        return FieldPlane(_array(dataset, columns), _array(dataset, rows), *labels)
     labels = [
         f"{mathtext(dataset[name].attrs['long_name'], TITLE_MAX)}, {dataset[name].attrs['units']}"
         for name in (columns, rows)

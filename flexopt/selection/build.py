@@ -201,8 +201,9 @@ def _placements(
             raise unreachable(plant, target, None, margin=margin)
         # Beyond the margin's own ends, so that the margin and not the range is what stops the base.
         whole = reach(plant).base_intervals(target)
-        span = given.get("x", (whole[0][0], whole[-1][1]))
-        return {"x": span}, {"x": span}, clipped(intervals, span)
+        (name,) = machine.base_coordinates
+        span = given.get(name, (whole[0][0], whole[-1][1]))
+        return {name: span}, {name: span}, clipped(intervals, span)
     center, outer = outer_reach(plant)
     rows = machine.task_rows
     rise = float(target[rows.index("z")] - center[2]) if "z" in rows else 0.0
@@ -256,7 +257,7 @@ def _nothing_found(
         return not_held()
     if not plant.closed_form:
         return missed(plant, target, None, off)
-    return _why_unreachable(plant, target, ranges["x"], margin, scan.reached)
+    return _why_unreachable(plant, target, ranges[plant.machine.base_coordinates[0]], margin, scan.reached)
 
 
 def _why_unreachable(

@@ -215,17 +215,19 @@ def _linearised(program: Program, x: Vector) -> _FirstOrderModel:
 
 
 def _multipliers(local: _FirstOrderModel) -> tuple[Vector, list[int]]:
-    """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, and the inequalities that pull."""
-    kept = list(range(len(local.inequalities)))
-    if not np.all(np.isfinite(local.gradient)) or not np.all(np.isfinite(local.rows(kept))):
-        return np.full(len(local.equalities) + len(kept), np.nan), kept
-    while True:
-        multipliers: Vector = np.linalg.pinv(local.rows(kept).T) @ local.gradient
-        signs = multipliers[len(local.equalities) :]
-        if not kept or signs.max() <= 0:
-            left = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
-            return (multipliers, kept) if left <= STATIONARITY_TOLERANCE else _nearest_multipliers(local)
-        del kept[int(np.argmax(signs))]
+    """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, and the inequalities that pull.
+
+    The nearest there are: non-negative least squares on what the equalities cannot take up.
+    """
+    every = list(range(len(local.inequalities)))
+    if not np.all(np.isfinite(local.gradient)) or not np.all(np.isfinite(local.rows(every))):
+        return np.full(len(local.equalities) + len(every), np.nan), every
+    inverse = np.linalg.pinv(local.equalities.T)
+    free = np.eye(local.gradient.size) - local.equalities.T @ inverse
+    pull = nonnegative_least_squares(-free @ local.inequalities.T, free @ local.gradient)
+    kept: list[int] = np.flatnonzero(pull > 0).tolist()
+    of_equalities = inverse @ (local.gradient + pull @ local.inequalities)
+    return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
 def _at_kink(local: _FirstOrderModel, multipliers: Vector, kept: list[int], stationarity: float) -> float:
@@ -250,18 +252,6 @@ def _at_kink(local: _FirstOrderModel, multipliers: Vector, kept: list[int], stat
     )
     others, pulling = _multipliers(plain)
     return float(np.linalg.norm(plain.gradient - others @ plain.rows(pulling)))
-
-
-def _nearest_multipliers(local: _FirstOrderModel) -> tuple[Vector, list[int]]:
-    """As `_multipliers`, the nearest there are: non-negative least squares on what equalities cannot take up."""
-    if not len(local.inequalities):
-        return np.linalg.pinv(local.equalities.T) @ local.gradient, []
-    inverse = np.linalg.pinv(local.equalities.T)
-    free = np.eye(local.gradient.size) - local.equalities.T @ inverse
-    pull = nonnegative_least_squares(-free @ local.inequalities.T, free @ local.gradient)
-    kept: list[int] = np.flatnonzero(pull > 0).tolist()
-    of_equalities = inverse @ (local.gradient + pull @ local.inequalities)
-    return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
 def _curvature(program: Program, x: Vector, local: _FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:

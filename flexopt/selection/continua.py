@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, beyond_bounds
 
 # Joints that differ by less, in scaled variables, are the same posture.
 SAME_POSTURE = 1e-4
@@ -131,8 +131,4 @@ def _alike(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
 
 def _kept(problem: SelectionProblem, z: Vector) -> bool:
     """Whether z reaches the target and keeps the constraints."""
-    scales = np.array([constraint.scale for constraint in problem.constraints])
-    lower, upper = (np.array([getattr(c, end) for c in problem.constraints]) for end in ("lower", "upper"))
-    rows, n_task = problem.rows(z), problem.target.size
-    lower[:n_task] = upper[:n_task] = problem.target
-    return bool(np.all(np.maximum(lower - rows, rows - upper) <= ALIKE * scales))
+    return bool(np.abs(beyond_bounds(problem, z)).max() <= ALIKE)

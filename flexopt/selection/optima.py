@@ -16,7 +16,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.check import Proof, prove
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, beyond_bounds
 from flexopt.selection.program import SOLVED, single
 from flexopt.selection.result import Attempt, Kept
 from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
@@ -240,15 +240,8 @@ def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[in
     good = [z for z, proof, _, status in solved if proof is not None and _accepted(problem, proof, status)]
     best = max((value_at(problem, z) for z in good), default=-np.inf)
     short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
-    return [k for k in short if not good or (_near(problem, solved[k][0]) and value_at(problem, solved[k][0]) > best)]
-
-
-def _near(problem: SelectionProblem, z: Vector) -> bool:
-    """Whether no constraint is violated by more than a small share of its scale."""
-    beyond = [
-        max(c.lower - v, v - c.upper) / c.scale for c, v in zip(problem.constraints, problem.rows(z), strict=True)
-    ]
-    return max(beyond) <= NEARLY
+    near = [k for k in short if np.abs(beyond_bounds(problem, solved[k][0])).max() <= NEARLY]
+    return [k for k in near if value_at(problem, solved[k][0]) > best] if good else short
 
 
 def next_stage(problem: SelectionProblem, found: list[Found]) -> tuple[SelectionProblem, Kept]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, instance, number, public
@@ -214,14 +215,19 @@ class SelectionProblem:
         away = (z - self.travel.now) / self.scale
         return size * np.sum(away**2, axis=-1), 2 * size * away / self.scale
 
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """Which entries of z are angles without limits, (n_z,): whole turns of theirs do not matter."""
+        units = np.array((*self.machine.base_units, *self.machine.joint_units))
+        free: NDArray[np.bool_] = ~np.isfinite(self.lower) & ~np.isfinite(self.upper)
+        return free & (units == "rad")
+
     @public(sizes=_sizes, z=_MANY)
     def wrapped(self, z: Vector) -> Vector:
         """The same configurations (…, n_z) with unlimited angles within half a turn of the present ones, or of 0."""
-        units = (*self.machine.base_units, *self.machine.joint_units)
-        turns = ~np.isfinite(self.lower) & ~np.isfinite(self.upper) & (np.array(units) == "rad")
         now = np.zeros(z.shape[-1]) if self.travel is None else self.travel.now
         away = (z - now + math.pi) % (2 * math.pi) - math.pi
-        return np.where(turns, now + away, z)
+        return np.where(self.turning, now + away, z)
 
     @public(sizes=_sizes, z=array_of(("n_z",)))
     def rows(self, z: Vector) -> Vector:
@@ -283,6 +289,13 @@ class SelectionProblem:
             "seed": self.seed,
             "scanned_points": self.scan.size,
         }
+
+
+def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:
+    """By how much each constraint is above (> 0) or below its bounds at z, (n_rows,), in units of the scales."""
+    rows, scales = problem.rows(z), np.array([row.scale for row in problem.constraints])
+    lower, upper = (np.array([getattr(row, end) for row in problem.constraints]) for end in ("lower", "upper"))
+    return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scales
 
 
 def packed_parameters(

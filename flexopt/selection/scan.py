@@ -89,6 +89,42 @@ def empty_scan(plant: Plant, *, reached: bool, unsound: bool = False) -> Scan:
     )
 
 
+def scanned(
+    functions: Quantities,
+    objective: Objective,
+    redundancy: Vector,
+    elbow: Vector,
+    base: Vector,
+    posture: Vector,
+    index: NDArray[np.int64],
+    violation: Vector,
+) -> Scan:
+    """A scan of points that reach the target, those left out whose measures are no numbers."""
+    w, factor = (
+        x.full() for x in functions.measures.w.call([base, posture, functions.measures.plant.parameter_values])[:2]
+    )
+    value = np.array(objective.alpha) @ w
+    epsilon = np.full(value.size, np.nan)
+    if objective.has_kinks:
+        epsilon = functions.epsilon_max(base, posture)
+        value = value + objective.beta * epsilon
+    sound = np.isfinite(value) & np.all(np.isfinite(w), axis=0)
+    return Scan(
+        redundancy=redundancy[:, sound],
+        elbow=elbow[sound],
+        base=base[:, sound],
+        posture=posture[:, sound],
+        w=w[:, sound],
+        factor=factor[:, sound],
+        epsilon=epsilon[sound],
+        objective=value[sound],
+        index=index[sound].astype(np.int64),
+        violation=violation[sound],
+        reached=True,
+        unsound=not bool(sound.all()),
+    )
+
+
 def scan_redundancy(
     functions: Quantities,
     target: Vector,
@@ -103,7 +139,7 @@ def scan_redundancy(
 
     `limits` (n, 2) are those of the joints.
     """
-    measures, plant = functions.measures, functions.measures.plant
+    plant = functions.measures.plant
     p = plant.parameter_values
     unit, bases, joints, numbers = _sample(intervals, plant.n_actuated - 2, seed)
 
@@ -117,34 +153,12 @@ def scan_redundancy(
             reaches & _inside(limits, postures) & (sines >= sine_squared_min - EDGE)
         )
         if good.size:
-            w, factor = (x.full() for x in measures.w.call([bases[:, good], postures[:, good], p])[:2])
-            branch_of = np.full(good.size, sign)
-            kept.append((unit[:, good], branch_of, bases[:, good], postures[:, good], w, factor, numbers[good]))
+            kept.append((unit[:, good], np.full(good.size, sign), bases[:, good], postures[:, good], numbers[good]))
     if not kept:
         return empty_scan(plant, reached=reached)
-    redundancy, elbow, base, posture, w, factor, index = (
-        np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True)
-    )
-    epsilon = np.full(elbow.size, np.nan)
-    value = np.array(objective.alpha) @ w
-    if objective.has_kinks:
-        epsilon = functions.epsilon_max(base, posture)
-        value = value + objective.beta * epsilon
-    finite = np.isfinite(value) & np.all(np.isfinite(w), axis=0)
-    return Scan(
-        redundancy=redundancy[:, finite],
-        elbow=elbow[finite],
-        base=base[:, finite],
-        posture=posture[:, finite],
-        w=w[:, finite],
-        factor=factor[:, finite],
-        epsilon=epsilon[finite],
-        objective=value[finite],
-        index=index[finite].astype(np.int64),
-        violation=_violation(constraint_set, base[:, finite], posture[:, finite], p),
-        reached=reached,
-        unsound=not bool(finite.all()),
-    )
+    redundancy, elbow, base, posture, index = (np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True))
+    violation = _violation(constraint_set, base, posture, p)
+    return scanned(functions, objective, redundancy, elbow, base, posture, index, violation)
 
 
 def _inside(limits: Vector, postures: Vector) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.objective import Objective
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, beyond_bounds
 from flexopt.selection.program import row_gradients
 from flexopt.selection.scan import peaks
 from flexopt.selection.starts import FEASIBLE
@@ -98,13 +98,12 @@ def settled(problem: SelectionProblem, z: Vector) -> Vector | None:
     A scan's points are feasible to its own tolerance, and with the passive joints at rest.
     """
     scales = np.array([constraint.scale for constraint in problem.constraints])
-    lower, upper = (np.array([getattr(c, end) for c in problem.constraints]) for end in ("lower", "upper"))
+    equal = np.array([constraint.lower == constraint.upper for constraint in problem.constraints])
     freed = np.where(problem.lower == problem.upper, 0.0, problem.scale)
 
     def linear(there: Vector) -> tuple[Vector, Vector]:
-        rows = problem.rows(there)
-        wrong = (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scales
-        pulls = (wrong != 0) | (lower == upper)
+        wrong = beyond_bounds(problem, there)
+        pulls = (wrong != 0) | equal
         return wrong, (row_gradients(problem, there) / scales[:, None]) * pulls[:, None]
 
     there, error = shortest_steps(linear, z, freed, ON_ROWS, bounds=(problem.lower, problem.upper))

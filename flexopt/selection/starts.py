@@ -18,7 +18,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import low_discrepancy, reach_steps
 from flexopt.selection.configuration import Configuration
 from flexopt.selection.objective import Objective, Quantities
-from flexopt.selection.scan import Scan, empty_scan, peaks
+from flexopt.selection.scan import Scan, empty_scan, peaks, scanned
 
 if TYPE_CHECKING:
     from flexopt.selection.problem import SelectionProblem
@@ -94,7 +94,7 @@ def sample_configurations(
         The points that reach the target, and the smallest violation of a target row among all, m.
     """
     plant = functions.measures.plant
-    n_b, p = plant.n_base, plant.parameter_values
+    n_b = plant.n_base
     loose = region.lower < region.upper
     unit = low_discrepancy(int(loose.sum()), _count(starts), seed) if loose.any() else np.zeros((0, 1))
     z = np.repeat(region.low[:, None], unit.shape[1], axis=1)
@@ -115,29 +115,10 @@ def sample_configurations(
         z[:, nearest[better]], left[nearest[better]] = there[:, better], still[better]
     if np.sum(left <= FEASIBLE) >= starts:
         z, unit, left = z[:, left <= FEASIBLE], unit[:, left <= FEASIBLE], left[left <= FEASIBLE]
-    w, factor = (x.full() for x in functions.measures.w.call([z[:n_b], z[n_b:], p])[:2])
-    value = np.array(objective.alpha) @ w
-    epsilon = np.full(value.size, np.nan)
-    if objective.has_kinks:
-        margin = functions.margin.values
-        epsilon = margin.call([z[:n_b], z[n_b:], p, functions.gain])[0].full()[0]
-        value = value + objective.beta * epsilon
-    sound = np.isfinite(value) & np.all(np.isfinite(w), axis=0)
-    scan = Scan(
-        redundancy=unit[:, sound],
-        elbow=np.zeros(int(sound.sum())),
-        base=z[:n_b, sound],
-        posture=z[n_b:, sound],
-        w=w[:, sound],
-        factor=factor[:, sound],
-        epsilon=epsilon[sound],
-        objective=value[sound],
-        index=np.flatnonzero(sound).astype(np.int64),
-        violation=np.where(left[sound] <= FEASIBLE, 0.0, left[sound]),
-        reached=True,
-        unsound=not bool(sound.all()),
-    )
-    return scan, 0.0
+    count = left.size
+    violation = np.where(left <= FEASIBLE, 0.0, left)
+    number = np.arange(count, dtype=np.int64)
+    return scanned(functions, objective, unit, np.zeros(count), z[:n_b], z[n_b:], number, violation), 0.0
 
 
 def _count(starts: int) -> int:

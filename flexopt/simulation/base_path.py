@@ -13,9 +13,9 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.rest import in_base_axes
-from flexopt.model import AnyMachine, Tree
+from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
-from flexopt.plant.machine_motion import Structure, motion_of, structure_of
+from flexopt.plant.machine_motion import motion_of, structure_of
 from flexopt.plant.motion import Motion
 from flexopt.plant.tree_structure import TURN, Skeleton
 
@@ -31,10 +31,10 @@ def moved(motion: Motion, points: Vector, base: Vector) -> Vector:
     return columns
 
 
-def driven_structure(machine: AnyMachine, options: SimulationOptions) -> Structure:
+def driven_structure(machine: AnyMachine, options: SimulationOptions) -> Skeleton:
     """The machine's structure, and what a base path drives besides its placement."""
     structure, path = structure_of(machine), options.base_path
-    if not isinstance(structure, Skeleton) or path is None or "yaw" not in structure.placement:
+    if path is None or "yaw" not in structure.placement:
         return structure
     placement, base = structure.placement, np.array(options.placement(machine))
     k = placement.index("yaw")
@@ -60,10 +60,11 @@ def path_faults(machine: AnyMachine, options: SimulationOptions) -> list[Fault]:
         if name in ("x", "y") and name not in motion.absorbed and (goes or turns)
     ]
     found: list[Fault] = []
-    if turns and isinstance(machine, Tree) and isinstance(structure, Skeleton):
+    if turns:
         rigid += ["yaw"] if structure.turned_hinge is None else []
         carriers = [*structure.leading_slides, *(structure.turned_hinge or ())[:1]]
-        geared = [machine.bodies[int(i)].joint for i in carriers if machine.bodies[int(i)].joint.armature]
+        joints = [machine.kinematic_tree.bodies[int(i)].joint for i in carriers]
+        geared = [joint for joint in joints if joint.armature]
         if geared:
             named = ", ".join(joint.name for joint in geared)
             found.append(Fault("base_path.points", f"cannot turn a base whose joints {named} have an armature"))

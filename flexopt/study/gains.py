@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.model import AnyMachine, Machine
+from flexopt.model import AnyMachine
 from flexopt.robustness import Evaluation
 from flexopt.simulation import StabilityBorder, sampled_loop, simulate_ensemble, stability_border
 from flexopt.simulation.linear import EXACT, linear_scenario, linearised
@@ -193,7 +193,7 @@ def held_words(ratio: float | None, kv: float = KV_HELD) -> str:
     return f"Kv = {kv:g}" if ratio is None else f"Kv/Kp = {ratio:g} s"
 
 
-def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mapping[str, Any]) -> GainMap:
+def map_gains(machine: AnyMachine, stands: Mapping[str, Evaluation], stated: Mapping[str, Any]) -> GainMap:
     """Compute the map.
 
     Args:
@@ -234,7 +234,7 @@ def map_gains(machine: Machine, stands: Mapping[str, Evaluation], stated: Mappin
 
 
 def _verdicts(
-    machine: Machine, stands: Mapping[str, Evaluation], given: dict[str, Any], towards: Any, kp: Vector, kv: Vector
+    machine: AnyMachine, stands: Mapping[str, Evaluation], given: dict[str, Any], towards: Any, kp: Vector, kv: Vector
 ) -> NDArray[np.bool_]:
     """(s, l', k'): whether the nonlinear runs grow, displaced by `OFFSET` in the signs of `towards`."""
     pairs = np.meshgrid(kp, kv)
@@ -247,7 +247,7 @@ def _verdicts(
     return np.array(verdicts).reshape(-1, kv.size, kp.size)
 
 
-def _growth_rates(machine: Machine, options: Mapping[str, Any], kp: Vector, kv: Vector) -> Vector:
+def _growth_rates(machine: AnyMachine, options: Mapping[str, Any], kp: Vector, kv: Vector) -> Vector:
     """(l, k), 1/s. As `sampled_loop` at every pair, the scenario built once."""
     s = linear_scenario(machine, options, "map_gains")
     rows = s.loop.structure.n_task

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.model import AnyMachine, Machine
+from flexopt.model import AnyMachine
 from flexopt.model.problem import Elbow
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
@@ -102,7 +102,7 @@ def _sample(plant: Plant, base: Vector) -> list[Vector]:
     return [plant.rest.call([bases, posture, p])[0].full(), bases, p]
 
 
-def end_point_grid(machine: Machine, x_range: Range, y_range: Range, points: tuple[int, int], elbow: Elbow) -> Grid:
+def end_point_grid(machine: AnyMachine, x_range: Range, y_range: Range, points: tuple[int, int], elbow: Elbow) -> Grid:
     """Postures of a two-joint arm whose end-point at rest is on each point of the workspace frame.
 
     A row is one target seen from many placements: the posture depends on where the target is from the base alone.
@@ -117,7 +117,8 @@ def end_point_grid(machine: Machine, x_range: Range, y_range: Range, points: tup
         reachable[row] = reaches & inside_limits(machine, angles)
         posture[:, row, reachable[row]] = angles[:, reachable[row]]
     frame = "of the end-point at rest, workspace frame (origin at the first joint at rest)"
-    axes = Axis("y", y, "m", f"y {frame}"), Axis("x", x, "m", f"x {frame}")
+    across, up = machine.task_rows
+    axes = Axis(up, y, "m", f"{up} {frame}"), Axis(across, x, "m", f"{across} {frame}")
     return Grid(*axes, posture, reachable, np.zeros((plant.n_base, y.size, x.size)))
 
 

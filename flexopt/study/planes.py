@@ -16,7 +16,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, check_pair, coordinate_max, range_sentence
-from flexopt.model import AnyMachine, Machine
+from flexopt.model import AnyMachine
 from flexopt.model.problem import Elbow
 from flexopt.plant import build_plant
 from flexopt.study.grid import (
@@ -78,7 +78,7 @@ class Plane:
         if self.followed:
             make = task_grid if self.over == "end_point" else placement_grid
             return make(machine, self.ranges, points, self.varies, self.end_point, self.base, self.posture)
-        return end_point_grid(cast(Machine, machine), *self.ranges, points, elbow)
+        return end_point_grid(machine, *self.ranges, points, elbow)
 
     def options(self, elbow: Elbow) -> dict[str, Any]:
         """What a map's options and provenance say of it."""
@@ -123,7 +123,8 @@ def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, giv
         over: what varies; None where it is not usable.
         given: joints, rows, coordinates, posture, end_point, base, x_range, y_range as they were passed.
     """
-    followed = over == "base" or (over == "end_point" and not closed_form(machine))
+    direct = over == "end_point" and given["posture"] is None and closed_form(machine)
+    followed = over != "posture" and over is not None and not direct
     plane = Plane(over or "end_point", followed, base=np.zeros(len(machine.base_coordinates)), rows=machine.task_rows)
     if over is None:
         return plane
@@ -140,8 +141,6 @@ def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, giv
         plane.posture = _other_joints(arguments, machine, plane.varies, given["posture"])
     elif followed:
         _read_reference(arguments, machine, plane, given)
-    elif given["posture"] is not None:
-        _note(arguments, "posture", "goes with over = 'posture' only", given["posture"])
     _read_ranges(arguments, machine, plane, given)
     return plane
 
@@ -218,7 +217,7 @@ def _read_reference(arguments: Arguments, machine: AnyMachine, plane: Plane, giv
             arguments.faults.append(Fault("posture", sentence))
             return
         wanted = "an end-point does not name one posture; give the posture to start from, or map over the posture"
-        if isinstance(machine, Machine):
+        if build_plant(machine).closed_form:
             wanted = f"needs two actuated joints, not {len(names)} ({', '.join(names)}): {wanted}"
         _note(arguments, "over", wanted, plane.over)
         return

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.model.problem import Elbow
 from flexopt.plant import build_plant
@@ -42,7 +43,7 @@ def surroundings(selection: Selection, points: int) -> WorkspaceMap | None:
         end_point = problem.target.tolist()
         return map_workspace(machine, over="base", posture=best.posture, base=best.base, end_point=end_point, **given)
     if closed_form(machine):
-        return map_workspace(machine, elbow=elbow_of(best), **given)
+        return map_workspace(machine, elbow=elbow_of(machine, best), **given)
     if len(rows) > 1:
         upright = ("x", "z") if {"x", "z"} <= set(rows) else rows[:2]
         return map_workspace(machine, over="end_point", rows=upright, posture=best.posture, base=best.base, **given)
@@ -51,9 +52,19 @@ def surroundings(selection: Selection, points: int) -> WorkspaceMap | None:
     return None
 
 
-def elbow_of(stand: Evaluation) -> Elbow:
-    """Branch of a two-joint planar arm."""
-    return "up" if stand.posture[1] < 0 else "down"
+def elbow_of(machine: AnyMachine, stand: Evaluation) -> Elbow:
+    """Branch of an arm of two parallel hinges."""
+    first, second = _arm(machine, stand)
+    return "up" if first[0] * second[1] < first[1] * second[0] else "down"
+
+
+def _arm(machine: AnyMachine, stand: Evaluation) -> tuple[Vector, Vector]:
+    """The two links of an arm with a closed form along the task rows, (2,) each, m."""
+    tree = machine.kinematic_tree
+    rows = [tree.axes.index(row) for row in machine.task_rows]
+    moved = [k for k, i in enumerate(tree.drawn) if i is not None and not tree.bodies[i].joint.passive]
+    shoulder, elbow, tip = stand.skeleton[rows][:, [*moved, -1]].T
+    return elbow - shoulder, tip - elbow
 
 
 def marks_in(selection: Selection, drawn: WorkspaceMap) -> dict[str, tuple[float, float]]:
@@ -68,10 +79,10 @@ def marks_in(selection: Selection, drawn: WorkspaceMap) -> dict[str, tuple[float
         elif drawn.options["over"] == "posture":
             at = {n: float(x) for n, x in zip((columns, rows), stand.posture[:2], strict=True)}
         elif closed_form(machine):
-            if drawn.options["elbow"] != elbow_of(stand):
+            if drawn.options["elbow"] != elbow_of(machine, stand):
                 continue
-            # The first actuated joint stands before the last two points: its link ends and the end-point.
-            at = dict(zip("xy", (stand.skeleton[:, -1] - stand.skeleton[:, -3]).tolist(), strict=True))
+            first, second = _arm(machine, stand)
+            at = dict(zip(machine.task_rows, (first + second).tolist(), strict=True))
         else:
             at = {n: float(x) for n, x in zip(machine.task_rows, stand.end_point, strict=True)}
         marks[name] = at[columns], at[rows]

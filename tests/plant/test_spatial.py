@@ -14,11 +14,11 @@ from flexopt import build_plant
 from flexopt.errors import ModelError
 from flexopt.model import machine_from_dict
 from flexopt.model.tree import tree_from_dict
-from flexopt.plant.machine_motion import constant_values, structure_of
+from flexopt.plant.graph import build_graph
+from flexopt.plant.machine_motion import constant_values, motion_of, structure_of
 from flexopt.plant.orientation import rotation_vector
 from flexopt.plant.plant import Plant
-from flexopt.plant.spatial import build_spatial, conditioning_index
-from flexopt.plant.tree_motion import TreeMotion
+from flexopt.plant.singular_distance import sine_squared
 from flexopt.plant.tree_structure import skeleton
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.oracles.spatial import (
@@ -50,7 +50,7 @@ class Case:
 
     def __init__(self, data, seed):
         self.data, self.tree = data, tree_from_dict(data)
-        self.plant = Plant(self.tree, build_spatial(self.tree))
+        self.plant = Plant(self.tree, build_graph(self.tree))
         rng = np.random.default_rng(seed)
         n = len(self.tree.bodies)
         self.n, self.m = n, self.plant.n_passive
@@ -77,7 +77,7 @@ class Case:
     def motion(self, structure=None):
         values = {name: ca.SX(value) for name, value in constant_values(self.tree).items()}
         # Here u counts from where q does.
-        motion = TreeMotion(structure or replace(structure_of(self.tree), local=False), values)
+        motion = motion_of(structure or replace(structure_of(self.tree), local=False), values)
         to_u = np.linalg.inv(motion.to_q.full())
         u, w = to_u @ self.q, to_u @ self.v
         angles = u[motion.n_translations :]
@@ -123,7 +123,7 @@ def test_random_tree_agrees_with_pinocchio_and_mujoco(seed):
     # Rounding grows with cond M; both orders of factorisation and all constants kept.
     tolerance = RELATIVE * max(1.0, np.linalg.cond(case.of("mass")) / 1e3)
     close(oracle.forward(q, v, case.tau - case.springs), expected, relative=tolerance)
-    for structure in (None, skeleton(case.tree)):
+    for structure in (None, skeleton(case.tree.kinematic_tree)):
         close(case.acceleration(*case.motion(structure)), expected, relative=tolerance)
     motion, u, w, along = case.motion()
     weightless = case.acceleration(motion, u, w, along, gravity=False)
@@ -154,7 +154,7 @@ def test_rotors_of_ground_slides_do_not_fall(directions):
     chain.set(case.q, case.v)
     close(case.of("mass"), chain.mass())
     expected = chain.forward(case.tau)
-    for structure in (None, skeleton(case.tree)):
+    for structure in (None, skeleton(case.tree.kinematic_tree)):
         close(case.acceleration(*case.motion(structure)), expected)
 
 
@@ -298,7 +298,7 @@ def test_placement_moves_the_machine_whether_a_slide_absorbs_it_or_not(sign):
     seen = []
     for placement in (["x", "y"], ["x", "y", "yaw"]):
         case = Case(data | {"placement": placement}, 1)
-        assert set(skeleton(case.tree).absorbed) == (set() if "yaw" in placement else {"x", "y"})
+        assert set(skeleton(case.tree.kinematic_tree).absorbed) == (set() if "yaw" in placement else {"x", "y"})
         here = base[: len(placement)]
         q = column(case.plant.rest(here, posture, case.p))
         r = column(case.plant.end_point(q, here, case.p))
@@ -347,7 +347,7 @@ def test_parameters_are_symbols():
 def test_parameters_left_out_as_zero_change_nothing_but_the_size():
     tree = tree_from_dict(grounded(4, 0))
     zeros = [parameter.name for parameter in tree.parameters if parameter.value == 0]
-    whole, small = Plant(tree, build_spatial(tree)), Plant(tree, build_spatial(tree, zeros))
+    whole, small = Plant(tree, build_graph(tree)), Plant(tree, build_graph(tree, zeros))
     q, v = np.linspace(-0.4, 1.1, 10), np.linspace(1, -1, 10)
     p, base = whole.parameter_values, np.zeros(3)
     close(small.mass(q, base, p).full(), whole.mass(q, base, p).full(), relative=1e-14)
@@ -375,16 +375,37 @@ def test_rotation_vector_and_its_derivative(angle):
     assert np.isfinite(hessian).all()
 
 
-def test_conditioning_index_is_that_of_frobenius_norms_and_vanishes_where_rank_is_lost():
+def test_sine_squared_is_the_mean_of_the_angles_between_columns_and_vanishes_where_rank_is_lost():
     rng = np.random.default_rng(0)
-    for rows, n in ((1, 2), (2, 2), (3, 4), (6, 7)):
-        jacobian = rng.normal(size=(rows, n))
-        expected = (rows / (np.linalg.norm(jacobian) * np.linalg.norm(np.linalg.pinv(jacobian)))) ** 2
-        assert abs(float(conditioning_index(ca.SX(jacobian))) - expected) <= 1e-12
+
+    def of(columns):
+        return float(sine_squared(ca.SX(columns), [ca.SX(x) for x in np.sum(columns**2, axis=0)]))
+
+    for rows in (1, 2, 3, 6):
+        columns = rng.normal(size=(rows, rows))
+        # 1/l_i² over the distances from the span of the others, by the rows of the inverse.
+        expected = np.sum(1 / np.sum(columns**2, axis=0)) / np.sum(np.linalg.inv(columns) ** 2)
+        assert abs(of(columns) - expected) <= 1e-11
+        assert abs(of(np.linalg.qr(columns)[0] * rng.uniform(0.5, 2.0, rows)) - 1) <= 1e-12
+    for rows, n in ((1, 2), (2, 2), (2, 4), (3, 4), (6, 7)):
+        columns = rng.normal(size=(rows, n))
+        assert 0 < of(columns) <= 1 + 1e-12
         for lost in range(1, rows):
-            jacobian[-lost] = 2 * jacobian[0]
+            columns[-lost] = 2 * columns[0]
             # Of two and more lost at once what is left is rounding, 1e-14, over its floor of 1e-9.
-            assert abs(float(conditioning_index(ca.SX(jacobian)))) <= 1e-6
+            assert abs(of(columns)) <= 1e-6
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_distance_from_singular_postures_is_at_most_one_and_zero_where_rank_is_lost(seed):
+    case = Case(random_tree(seed, rows=("x", "y", "z")), seed)
+    at = [case.base, case.q[case.m :], case.plant.parameter_values]
+    value = float(case.plant.singularity_sine_squared.call(at)[0])
+    rest = case.plant.rest.call(at)[0]
+    smallest = np.linalg.svd(case.plant.rigid_jacobian.call([rest, at[0], at[2]])[0].full(), compute_uv=False)[-1]
+    assert 0 <= value + 1e-12 <= 1 + 2e-12
+    assert np.all(np.isfinite(case.plant.singularity_gradient.call(at)[0].full()))
+    assert (value > 1e-12) == (smallest > 1e-6)
 
 
 def test_skeleton_joins_the_tree():
@@ -405,7 +426,7 @@ def test_dependent_slides_are_refused():
     data["bodies"][1]["parent"] = "first"
     data["end_point"]["rows"] = ["x", "z"]
     with pytest.raises(ModelError, match="mass matrix is singular"):
-        build_spatial(tree_from_dict(data))
+        build_graph(tree_from_dict(data))
 
 
 def broken(change):

@@ -12,7 +12,7 @@ from typing import Literal
 
 from flexopt.foundation.control import Control
 from flexopt.foundation.escapes import one_line
-from flexopt.model.tree import ORIENTATION_ROWS
+from flexopt.model.kinematic_tree import ORIENTATION_ROWS
 
 # What a joint gives, by the unit of its coordinate.
 EFFORT = {"rad": ("torque", "N m"), "m": ("force", "N")}

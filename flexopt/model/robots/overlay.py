@@ -10,10 +10,10 @@ from pydantic import Field
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import Acceleration, Length, check_number, check_schema, checked
 from flexopt.model.hydraulics import Cylinder
+from flexopt.model.kinematic_tree import UNTURNED, Placement, Row
 from flexopt.model.robots.elements import closest
 from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
 from flexopt.model.tables import FileModel, Payload, Polygon
-from flexopt.model.tree import UNTURNED, Placement, Row
 from flexopt.model.tree_quantities import (
     DAMPING_MAX,
     STIFFNESS_MAX,

@@ -6,11 +6,11 @@ The row is w²/value, which has w's unit and its bound and, unlike w, derivative
 from __future__ import annotations
 
 import math
-from itertools import combinations
 from typing import Any
 
 import casadi as ca
 
+from flexopt.algebra import determinant
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
 from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
@@ -38,22 +38,6 @@ def _squared(scene: Scene) -> ca.SX:
     jacobian = scene.plant.rigid_jacobian(scene.q, scene.base, scene.p)
     rows, columns = jacobian.shape
     return determinant(jacobian) ** 2 if rows == columns else determinant(jacobian @ jacobian.T)
-
-
-def determinant(matrix: ca.SX) -> ca.SX:
-    """Determinant of a small square matrix by minors of its first rows, each made once: no division, 2ⁿ n products."""
-    n = matrix.shape[0]
-    minors: dict[tuple[int, ...], ca.SX] = {(): ca.SX(1)}
-    for row in range(n):
-        larger: dict[tuple[int, ...], ca.SX] = {}
-        for columns in combinations(range(n), row + 1):
-            terms = (
-                (-1) ** (row + k) * matrix[row, column] * minors[columns[:k] + columns[k + 1 :]]
-                for k, column in enumerate(columns)
-            )
-            larger[columns] = sum(terms, start=ca.SX(0))
-        minors = larger
-    return minors[tuple(range(n))]
 
 
 KIND = ConstraintKind(_groups, _graph, report=_report)

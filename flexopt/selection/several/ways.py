@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached
 
@@ -46,20 +45,12 @@ def coarse_ways(program: Program, layers: list[Layer], count: int) -> list[Vecto
     limits = np.full((len(layers) - 1, n_z), np.inf)
     for (i, _), limit in zip(program.coupling.pairs, program.steps, strict=True):
         limits[i // n_z, i % n_z] = limit
-    turns = _turning(first)
     ways: list[Vector] = []
     for longer in LONGER:
-        way = _best_way([(z / first.scale[:, None], value) for z, value in layers], limits * longer, turns)
+        way = _best_way([(z / first.scale[:, None], value) for z, value in layers], limits * longer, first.turning)
         if way is not None and not any(np.array_equal(way, other) for other in ways):
             ways.append(way)
     return [way * program.scale for way in ways[:count]]
-
-
-def _turning(problem: SelectionProblem) -> NDArray[np.bool_]:
-    """Which entries of z are angles without limits (n_z,), whose whole turns do not matter."""
-    units = np.array((*problem.machine.base_units, *problem.machine.joint_units))
-    free: NDArray[np.bool_] = ~np.isfinite(problem.lower) & ~np.isfinite(problem.upper)
-    return free & (units == "rad")
 
 
 def _best_way(layers: list[Layer], limits: Vector, turns: NDArray[np.bool_]) -> Vector | None:

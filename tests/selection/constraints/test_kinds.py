@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import shapely
 
+from flexopt.algebra import determinant
 from flexopt.errors import InputError
 from flexopt.model import load, machine_from_dict
 from flexopt.model.constraints import read_constraints
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.selection.constraints import build_constraints, constraint_faults
-from flexopt.selection.constraints.manipulability import determinant
 from tests.oracles.machines import random_machine
 from tests.oracles.mujoco_chain import mujoco_chain
 from tests.oracles.spatial import grounded, mujoco_tree, pinocchio_tree, random_tree

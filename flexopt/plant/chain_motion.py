@@ -1,8 +1,18 @@
-"""A planar chain's equations of motion as a simulator wants them: few operations, no trigonometry of their own.
+"""A chain of parallel hinges in a vertical plane: equations of motion in absolute angles, in closed form.
 
-Coordinates u (n_q,): the base's free translations, then the absolute angle φ_k of every body that can turn, from the
-base outwards; directions are (cos φ_k, sin φ_k). With both translations free, x and y are eliminated on paper: with
-p_k = a_k n_k − b_k e_k the columns of the mass matrix (see `planar`), and Δ = φ_k − φ_l,
+Coordinates u (n_q,): displacements of the base's slides along the task's rows, horizontal and vertical, then the
+absolute angle φ_k of every body that can turn, from the ground outwards and counter-clockwise from the first row to the
+second; directions are (cos φ_k, sin φ_k). With unit vectors e(φ) = (cos φ, sin φ) and n(φ) = (−sin φ, cos φ) the
+position of mass j is (x, y) + Σ_k [c_jk e(φ_k) + d_jk n(φ_k)], and with
+
+    a_k = Σ_j m_j c_jk,   b_k = Σ_j m_j d_jk,   s_kl = Σ_j m_j (c_jk c_jl + d_jk d_jl) + δ_kl I_k,
+    t_kl = Σ_j m_j (c_jk d_jl − d_jk c_jl)
+
+the mass matrix has the angular block s_kl cos(φ_k − φ_l) + t_kl sin(φ_k − φ_l) and the columns a_k n(φ_k) − b_k e(φ_k)
+beside m I. All of these are what `tree_constants` has moved inwards: a_k and b_k are body k's first moment, s_kk its
+second one, and what hangs on body l at (c_l, d_l) has s_kl = c_l a_k + d_l b_k, t_kl = d_l a_k − c_l b_k.
+
+With both translations free, x and y are eliminated on paper: with p_k = a_k n_k − b_k e_k and Δ = φ_k − φ_l,
 
     p_k·p_l = (a_k a_l + b_k b_l) cos Δ + (a_k b_l − b_k a_l) sin Δ,
 
@@ -12,54 +22,115 @@ changes it: where only one translation is free, its share of p_k p_l is subtract
 """
 
 # ruff: noqa: ARG002
-# (trees need u where a planar chain does not)
+# (trees need u where a chain in a plane does not)
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
 from flexopt.plant.motion import Directions, Motion, Pair
-from flexopt.plant.planar_constants import PlanarStructure
+from flexopt.plant.tree_constants import AXES
+from flexopt.plant.tree_structure import Numbers, Skeleton
+
+
+def chain_constants(structure: Skeleton, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    """The constants of the motion by name, from those of the tree's recursions."""
+    slides, hinges = structure.leading_slides, structure.hinges
+    zero = ca.SX(0)
+    result = {"gravity": value["gravity"]}
+    carried = [*slides, hinges[0]]
+    result |= {f"origin_{axis}": _sum(value[f"offset{i}.{axis}"] for i in carried) for axis in "xy"}
+    total = _sum(value[f"m{i}"] for i in slides)
+    if slides:
+        result |= {"total": total, "inverse_total": 1 / total}
+    directions = _translations(structure)
+    for (direction, sign), i in zip(directions, slides, strict=True):
+        result[f"rest_{direction}"] = sign * value[f"rest{i}"]
+        for word in ("stiffness", "damping"):
+            result[f"{word}_{direction}"] = value.get(f"{word}{i}.{i}", zero)
+            result[f"{word}_{direction}_m"] = result[f"{word}_{direction}"] / total
+    both = len(slides) == 2
+    axes = structure.axes_of_chain
+    a, b = zip(*(_in_plane(axes[k], value, f"c{i}") for k, i in enumerate(hinges)), strict=True)
+    ends = [f"offset{i}" for i in hinges[1:]] + ["tip"]
+    reach = [_in_plane(axes[k], value, end) for k, end in enumerate(ends)]
+    for k, i in enumerate(hinges):
+        along, left = reach[k]
+        result |= {f"a{k}": a[k], f"b{k}": b[k], f"length{k}": along, f"lateral{k}": left}
+        result |= {f"am{k}": a[k] / total, f"bm{k}": b[k] / total} if slides else {}
+        for m in range(k + 1):
+            along, left = reach[m]
+            s = value[f"s{i}.xx"] if m == k else along * a[k] + left * b[k]
+            t = zero if m == k else left * a[k] - along * b[k]
+            if both:
+                s -= (a[k] * a[m] + b[k] * b[m]) / total
+                t -= (a[k] * b[m] - b[k] * a[m]) / total
+            result |= {f"s{k}_{m}": s} | ({f"t{k}_{m}": t} if m < k else {})
+        segment = structure.segments[i]
+        result |= {f"rest{k}": structure.sense_across(i) * value[f"rest{i}"]} if segment.passive else {}
+        words = ("stiffness",) * segment.passive + ("damping",)
+        result |= {} if segment.held else {f"{word}{k}": value.get(f"{word}{i}.{i}", zero) for word in words}
+    held = structure.segments[hinges[0]].held
+    if held:
+        result |= {"base_cos": ca.cos(result["rest0"]), "base_sin": ca.sin(result["rest0"])}
+    if both:
+        first = 1 if held else 0
+        result["inverse_pivot"] = 1 / result[f"s{first}_{first}"]
+    return result
+
+
+def _translations(structure: Skeleton) -> list[tuple[str, float]]:
+    """Of each slide, whether it goes along the first row, "x", or the second, "y", and its sign."""
+    axes = [structure.segments[i].axis for i in structure.leading_slides]
+    return [("x", axis[0]) if axis[0] else ("y", axis[1]) for axis in axes]
+
+
+def _in_plane(axes: Numbers, value: Mapping[str, ca.SX], name: str) -> tuple[ca.SX, ca.SX]:
+    """A constant of a body along the task's rows where all joints are at zero; `axes` are the rows of its frame."""
+    first, second = (
+        _sum(row[k] * value[f"{name}.{axis}"] for k, axis in enumerate(AXES) if row[k]) for row in axes[:2]
+    )
+    return first, second
 
 
 @dataclass(frozen=True)
-class PlanarMotion(Motion):
+class ChainMotion(Motion):
     """See `Motion`. Nothing here depends on u but the springs and where the end-point is.
 
     Attributes:
-        structure: which parts exist.
+        structure: which parts exist; a chain in a vertical plane (`Skeleton.chain`).
         value: the constants by name, symbols or numbers; those in `structure.zeros` are ignored.
     """
 
-    structure: PlanarStructure
+    structure: Skeleton
     value: Mapping[str, ca.SX]
 
     @property
     def constant_names(self) -> list[str]:
         """See `Motion`."""
-        s = self.structure
-        names = ["total", "inverse_total", "inverse_root_total", "gravity"]
-        names += [] if s.rotation else ["base_cos", "base_sin"]
-        for direction in s.translations:
+        names = ["gravity", "origin_x", "origin_y", *(["total", "inverse_total"] if self.translations else [])]
+        for direction, _ in self.translations:
+            names.append(f"rest_{direction}")
             names += [f"{word}_{direction}{per}" for word in ("stiffness", "damping") for per in ("", "_m")]
         for k in range(self.n_bodies):
-            names += [f"a{k}", f"b{k}", f"length{k}", f"am{k}", f"bm{k}"]
+            names += [f"{word}{k}" for word in ("a", "b", "length", "lateral")]
+            names += [f"am{k}", f"bm{k}"] if self.translations else []
             for m in range(k + 1):
                 names += [f"s{k}_{m}"] + ([f"t{k}_{m}"] if m < k else [])
-        names += ["inverse_pivot"] if len(s.translations) == 2 else []
-        names += ["stiffness0", "damping0"] if s.rotation else []
-        names.append("rest0")
-        for k, passive in enumerate(s.passive, 1):
-            names += [f"stiffness{k}", f"rest{k}", f"damping{k}"] if passive else [f"damping{k}"]
-        return names
+            names += [] if k in self.joints else [f"rest{k}"]
+            names += [f"stiffness{k}"] * (k in self.hinged) + [f"damping{k}"] * (k >= self.first)
+        names += ["base_cos", "base_sin"] if self.first else []
+        return [*names, "inverse_pivot"] if len(self.translations) == 2 else names
 
     @property
     def known_names(self) -> list[str]:
         """See `Motion`."""
         bodies = range(self.n_bodies)
-        return ["gravity", *(f"{word}{k}" for k in bodies for word in ("a", "b", "length"))]
+        names = [f"{word}{k}" for k in bodies for word in ("a", "b", "length", "lateral")]
+        return ["gravity", "origin_x", "origin_y", *names]
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -71,20 +142,30 @@ class PlanarMotion(Motion):
         """See `Motion`."""
         return self.structure.placement
 
+    @cached_property
+    def translations(self) -> list[tuple[str, float]]:
+        """Of each slide, whether it goes along "x", the first task row, or "y", the second, and its sign."""
+        return _translations(self.structure)
+
+    @cached_property
+    def senses(self) -> list[float]:
+        """Of each hinge, 1 where it turns the first task row towards the second, else −1."""
+        return [self.structure.sense_across(i) for i in self.structure.hinges]
+
     @property
     def n_translations(self) -> int:
         """Free translations of the base, the first entries of u."""
-        return len(self.structure.translations)
+        return len(self.translations)
 
     @property
     def n_bodies(self) -> int:
-        """The base and every link."""
-        return 1 + len(self.structure.passive)
+        """Those on hinges."""
+        return len(self.structure.hinges)
 
     @property
     def first(self) -> int:
         """The first body that can turn."""
-        return 0 if self.structure.rotation else 1
+        return int(self.structure.segments[self.structure.hinges[0]].held)
 
     @property
     def n(self) -> int:
@@ -96,15 +177,16 @@ class PlanarMotion(Motion):
         """See `Motion`."""
         return len(self.joints)
 
-    @property
+    @cached_property
     def hinged(self) -> list[int]:
         """The bodies that hang on a passive hinge."""
-        return [0] * self.structure.rotation + [k for k, passive in enumerate(self.structure.passive, 1) if passive]
+        segments = [self.structure.segments[i] for i in self.structure.hinges]
+        return [k for k, segment in enumerate(segments) if segment.passive and not segment.held]
 
-    @property
+    @cached_property
     def joints(self) -> list[int]:
         """The bodies that an actuated joint carries."""
-        return [k for k, passive in enumerate(self.structure.passive, 1) if not passive]
+        return [k for k, i in enumerate(self.structure.hinges) if not self.structure.segments[i].passive]
 
     @property
     def hinges(self) -> list[int]:
@@ -113,38 +195,40 @@ class PlanarMotion(Motion):
 
     @property
     def base_hinges(self) -> list[int]:
-        """The base's own rotation."""
-        return [self.n_translations] * self.structure.rotation
+        """Passive hinges that no actuated joint carries."""
+        first = min(self.joints, default=self.n_bodies)
+        return [row for row, k in zip(self.hinges, self.hinged, strict=True) if k < first]
 
     @property
     def absorbed(self) -> dict[str, tuple[int, float]]:
         """See `Motion`."""
-        return {"x": (0, 1.0)} if "x" in self.structure.translations else {}
+        at = [direction for direction, _ in self.translations]
+        return {name: (at.index("x"), 1.0) for name in self.placement if "x" in at}
 
     @property
     def to_q(self) -> ca.DM:
         """A (n_q, n_q) of q = A u + `offset`: relative from absolute angles, passive coordinates first."""
         rows = ca.DM.zeros(self.n, self.n)
-        for row in range(self.n_translations):
-            rows[row, row] = 1
+        for row, (_, sign) in enumerate(self.translations):
+            rows[row, row] = sign
         for row, body in enumerate([*self.hinged, *self.joints], self.n_translations):
-            rows[row, self._at(body)] = 1
+            rows[row, self._at(body)] = self.senses[body]
             if body > self.first:
-                rows[row, self._at(body - 1)] = -1
+                rows[row, self._at(body - 1)] = -self.senses[body]
         return rows
 
     @property
     def offset(self) -> ca.SX:
         """The constant part of q: the angle of a base that cannot turn."""
         column = ca.SX.zeros(self.n, 1)
-        if not self.structure.rotation:
+        if self.first:
             row = next(i for i, body in enumerate([*self.hinged, *self.joints]) if body == 1)
-            column[self.n_translations + row] = -self._of("rest0")
+            column[self.n_translations + row] = -self.senses[1] * self._of("rest0")
         return column
 
     def with_base(self, directions: Directions) -> Directions:
         """Directions of all bodies from those that can turn."""
-        return directions if self.structure.rotation else [(self._of("base_cos"), self._of("base_sin")), *directions]
+        return directions if not self.first else [(self._of("base_cos"), self._of("base_sin")), *directions]
 
     def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:
         """See `Motion`.
@@ -156,51 +240,52 @@ class PlanarMotion(Motion):
         for k, pair in enumerate(along):
             if k in self.hinged:
                 own = _difference(pair, along[k - 1]) if k else pair
-                own = _difference(own, pairs[self.hinged.index(k)])
+                cosine, sine = pairs[self.hinged.index(k)]
+                own = _difference(own, (cosine, self.senses[k] * sine))
                 back = own if back is None else _total(own, back)
             result.append(pair if back is None else _difference(pair, back))
         return u, result
 
     def passive(self, u: ca.SX, base: ca.SX) -> ca.SX:
         """See `Motion`."""
-        anchors = [base if direction == "x" else ca.SX(0) for direction in self.structure.translations]
-        turning = ca.vertcat(*(self._relative(u, k) for k in self.hinged))
-        return ca.vertcat(u[: self.n_translations] - ca.vertcat(*anchors), turning)
+        linear = [sign * (u[i] - self._anchor(i, base)) for i, (_, sign) in enumerate(self.translations)]
+        return ca.vertcat(*linear, *(self.senses[k] * self._relative(u, k) for k in self.hinged))
 
     def end_point(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
         """The end-point r (2,), m."""
         point = self._translation(u, base)
         for k, (c, s) in enumerate(along):
-            point += self._of(f"length{k}") * ca.vertcat(c, s)
+            point += self._of(f"length{k}") * ca.vertcat(c, s) + self._of(f"lateral{k}") * ca.vertcat(-s, c)
         return point
 
     def end_point_rate(self, u: ca.SX, w: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
         """ṙ = J v (2,), m/s."""
-        rate = self._translation(w, ca.SX(0))
+        rate = self._along_rows(w)
         for k in range(self.first, self.n_bodies):
             c, s = along[k]
             rate += self._of(f"length{k}") * w[self._at(k)] * ca.vertcat(-s, c)
+            rate -= self._of(f"lateral{k}") * w[self._at(k)] * ca.vertcat(c, s)
         return rate
 
     def rigid_jacobian(self, u: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
         """Jv (2, n): columns of the actuated joints, the arm pointing along `along`."""
         columns: list[ca.SX] = []
         reach = ca.SX.zeros(2, 1)
-        for k in range(self.n_bodies - 1, 0, -1):
+        for k in reversed(range(self.joints[0], self.n_bodies)):
             c, s = along[k]
-            reach += self._of(f"length{k}") * ca.vertcat(-s, c)
+            reach += self._of(f"length{k}") * ca.vertcat(-s, c) - self._of(f"lateral{k}") * ca.vertcat(c, s)
             if k in self.joints:
-                columns.insert(0, ca.SX(reach))
+                columns.insert(0, self.senses[k] * ca.SX(reach))
         return ca.horzcat(*columns)
 
     def holding_torque(self, u: ca.SX, along: Directions) -> ca.SX:
         """g_a (n,), N m: what the actuated joints must give to carry the weight, the arm pointing along `along`."""
         forces = [self._weight(k, along) for k in range(self.n_bodies)]
-        return ca.vertcat(*(_sum(forces[k:]) for k in self.joints))
+        return ca.vertcat(*(self.senses[k] * _sum(forces[k:]) for k in self.joints))
 
     def potential(self, u: ca.SX, along: Directions) -> ca.SX:
         """Gravity's potential, J."""
-        height = self._of("total") * self._translation(u, ca.SX(0))[1]
+        height = self._of("total") * self._translation(u, ca.SX(0))[1] if self.translations else ca.SX(0)
         for k, (c, s) in enumerate(along):
             height += self._of(f"a{k}") * s + self._of(f"b{k}") * c
         return self._of("gravity") * height
@@ -208,8 +293,8 @@ class PlanarMotion(Motion):
     def spring_energy(self, u: ca.SX, base: ca.SX) -> ca.SX:
         """½ (q − q_rest)ᵀ K (q − q_rest), J."""
         total = ca.SX(0)
-        for i, direction in enumerate(self.structure.translations):
-            total += self._of(f"stiffness_{direction}") * (u[i] - (base if direction == "x" else 0)) ** 2
+        for i, (direction, _) in enumerate(self.translations):
+            total += self._of(f"stiffness_{direction}") * (u[i] - self._anchor(i, base) - self._rest(i)) ** 2
         for k in self.hinged:
             total += self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}")) ** 2
         return 0.5 * total
@@ -222,7 +307,7 @@ class PlanarMotion(Motion):
             self._of("total") * w[i] + _sum(columns[k][axis] * turning[k] for k in moving)
             for i, axis in enumerate(axes)
         ]
-        inverse = self._of("inverse_total")
+        inverse = self._of("inverse_total") if axes else ca.SX(0)
         angular = [
             _sum(block[max(k, m), min(k, m)] * turning[m] for m in moving)
             + _sum(columns[k][axis] * linear[i] for i, axis in enumerate(axes)) * inverse
@@ -233,7 +318,7 @@ class PlanarMotion(Motion):
     def rates_of_momentum(self, u: ca.SX, momentum: ca.SX, along: Directions) -> ca.SX:
         """Rates M_u⁻¹ p (n_q,)."""
         moving, columns, axes, block = self._block(along)
-        inverse = self._of("inverse_total")
+        inverse = self._of("inverse_total") if axes else ca.SX(0)
         right = {
             k: momentum[self._at(k)] - _sum(columns[k][axis] * momentum[i] for i, axis in enumerate(axes)) * inverse
             for k in moving
@@ -248,13 +333,12 @@ class PlanarMotion(Motion):
         self, u: ca.SX, w: ca.SX, along: Directions, torque: ca.SX, base: ca.SX, base_rate: ca.SX, *, gravity: bool
     ) -> ca.SX:
         """Generalised forces on u but those of inertia, (n_q,): springs, dampers, torques, weight."""
-        free = range(self.n_translations)
-        linear = [self._base_force(i, u, w, base, base_rate) for i in free]
+        linear = [self._base_force(i, u, w, base, base_rate) for i in range(self.n_translations)]
         angular = self._joint_forces(u, w, torque)
         if gravity:
             linear = [
                 f - self._of("gravity") * self._of("total") if direction == "y" else f
-                for f, direction in zip(linear, self.structure.translations, strict=True)
+                for f, (direction, _) in zip(linear, self.translations, strict=True)
             ]
             angular = {k: f - self._weight(k, along) for k, f in angular.items()}
         return ca.vertcat(*linear, *angular.values())
@@ -266,9 +350,9 @@ class PlanarMotion(Motion):
         # With X_k = φ̇_k² cos φ_k and Y_k = φ̇_k² sin φ_k the right-hand side of body k is
         # Q_k − A_k sin φ_k + B_k cos φ_k; A and B are sums of X, Y and the base's force. Sums end with what is known
         # last.
-        free = self.structure.translations
+        free = [direction for direction, _ in self.translations]
         moving = range(self.first, self.n_bodies)
-        shares = {k: (self._of(f"am{k}"), self._of(f"bm{k}")) for k in moving}
+        shares = {k: (self._of(f"am{k}"), self._of(f"bm{k}")) for k in moving} if free else {}
         squares = {k: w[self._at(k)] ** 2 for k in moving}
         spin = {k: (along[k][0] * squares[k], along[k][1] * squares[k]) for k in moving}
         pull = dict.fromkeys("xy", ca.SX(0))  # on the base, per total mass
@@ -295,7 +379,7 @@ class PlanarMotion(Motion):
 
         falling = {"y": self._of("gravity")} if gravity else {}
         linear = {direction: pull[direction] - falling.get(direction, 0) for direction in free}
-        for k in moving:
+        for k in moving if free else ():
             (c, s), (x, y) = along[k], spin[k]
             if len(free) == 1:  # `pull` has the first part already
                 x, y = ca.SX(0), ca.SX(0)
@@ -310,7 +394,7 @@ class PlanarMotion(Motion):
         """Bodies that turn, columns p_k, axes of the free translations, and the block that is left without these."""
         moving = list(range(self.first, self.n_bodies))
         columns = {k: self._column(k, along) for k in moving}
-        axes = [0 if direction == "x" else 1 for direction in self.structure.translations]
+        axes = [0 if direction == "x" else 1 for direction, _ in self.translations]
         block = {(k, m): self._inertia(k, m, along, columns, axes) for k in moving for m in moving if m <= k}
         return moving, columns, axes, block
 
@@ -319,8 +403,8 @@ class PlanarMotion(Motion):
 
     def _base_force(self, i: int, u: ca.SX, w: ca.SX, base: ca.SX, base_rate: ca.SX, per: str = "") -> ca.SX:
         """Spring and damper of the i-th free translation; with "_m" over the total mass."""
-        direction = self.structure.translations[i]
-        anchor, rate = (base, base_rate) if direction == "x" else (ca.SX(0), ca.SX(0))
+        direction, _ = self.translations[i]
+        anchor, rate = self._anchor(i, base) + self._rest(i), self._anchor(i, base_rate)
         stiffness, damping = self._of(f"stiffness_{direction}{per}"), self._of(f"damping_{direction}{per}")
         return -stiffness * (u[i] - anchor) - damping * (w[i] - rate)
 
@@ -335,14 +419,27 @@ class PlanarMotion(Motion):
         angle = self._relative_rate(u, body)
         return angle - self._of("rest0") if body == 1 == self.first else angle
 
+    def _anchor(self, i: int, base: ca.SX) -> ca.SX:
+        """What the placement, or its rate, adds to the i-th translation."""
+        return base if self.placement and self.translations[i][0] == "x" else ca.SX(0)
+
+    def _rest(self, i: int) -> ca.SX:
+        return self._of(f"rest_{self.translations[i][0]}")
+
     def _relative_rate(self, w: ca.SX, body: int) -> ca.SX:
         rate = w[self._at(body)]
         return rate - w[self._at(body - 1)] if body > self.first else rate
 
     def _translation(self, u: ca.SX, base: ca.SX) -> ca.SX:
-        """Ground point; `base` where x is rigid."""
-        of = {direction: u[i] for i, direction in enumerate(self.structure.translations)}
-        return ca.vertcat(of.get("x", base), of.get("y", ca.SX(0)))
+        """Where the first hinge is; `base` where x is rigid."""
+        free = any(direction == "x" for direction, _ in self.translations)
+        placed = ca.SX(0) if free or not self.placement else base
+        return self._along_rows(u) + ca.vertcat(self._of("origin_x") + placed, self._of("origin_y"))
+
+    def _along_rows(self, u: ca.SX) -> ca.SX:
+        """The translations along the task's rows."""
+        of = {direction: u[i] for i, (direction, _) in enumerate(self.translations)}
+        return ca.vertcat(of.get("x", ca.SX(0)), of.get("y", ca.SX(0)))
 
     def _column(self, k: int, along: Directions) -> tuple[ca.SX, ca.SX]:
         """p_k = a_k n_k − b_k e_k."""
@@ -383,7 +480,7 @@ class PlanarMotion(Motion):
         for k in range(self.first, self.n_bodies):
             force = -self._of(f"damping{k}") * self._relative_rate(w, k)
             if k in actuated:
-                force += torque[actuated.index(k)]
+                force += self.senses[k] * torque[actuated.index(k)]
             else:
                 force -= self._of(f"stiffness{k}") * (self._relative(u, k) - self._of(f"rest{k}"))
             at_hinge[k] = force

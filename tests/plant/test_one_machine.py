@@ -1,0 +1,29 @@
+"""One machine from three file formats: the description cannot change a result."""
+
+from __future__ import annotations
+
+import pytest
+
+from flexopt import load
+from tests.oracles.machines import Structure
+from tests.oracles.one_machine import differences, random_dict
+
+# Three links, two of them actuated, and a base that slides but cannot turn.
+STRUCTURE = Structure(3, ("x", "y"), (1,))
+
+
+@pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket"])
+def test_shipped_machines(name, tmp_path):
+    found = differences(load(name).to_dict(), tmp_path, seed=0)
+    assert max(found.values()) <= 1e-12, found
+
+
+def test_a_random_machine(tmp_path):
+    found = differences(random_dict(2, STRUCTURE), tmp_path, seed=2)
+    assert max(found.values()) <= 1e-12, found
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_graphs_of_any_structure(seed, tmp_path):
+    found = differences(random_dict(seed), tmp_path, seed=seed, searches=False)
+    assert max(found.values()) <= 1e-11, found
