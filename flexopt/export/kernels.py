@@ -166,10 +166,11 @@ def kernel_text(functions: Sequence[ca.Function], real: Real, real_type: str) ->
 
 
 def single_precision(text: str) -> str:
-    """Constants with the suffix f: no macro gives it, and only GCC has an option (-fsingle-precision-constant).
+    """Constants with the suffix f. Calls of the mathematical library are macros of the bundle's own header.
 
-    A bundle is compiled with its user's own options, by clang and MSVC, too. Calls of the mathematical library
-    are macros of the bundle's own header.
+    Without the suffix no double is computed with either, as each constant is converted when it is compiled; but MSVC
+    (C4305), -Wconversion and -Wunsuffixed-float-constants complain of every one, and only GCC has an option that makes
+    them single (-fsingle-precision-constant). A bundle is compiled with its user's own compiler and options.
     """
     return _NUMBER.sub(lambda match: single_constant(match[1]), text)
 

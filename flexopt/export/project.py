@@ -86,12 +86,14 @@ class _Project:
         operations = {o.name: o for o in self.library.all_operations}
         if {"kinematics", "controller"} <= set(self.library.operations):
             # With the machine itself where its loop settles, else with a stand-in.
-            for file in ("example_machine.c",) * ("machine_step" in operations) + ("example_loop.c",):
+            for of_machine in (True, False) if "machine_step" in operations else (False,):
+                if not of_machine:
+                    operations.pop("machine_step", None)
                 start = settling_start(self.library.context, operations)
-                operations.pop("machine_step", None)
                 if start is not None:
                     return self._render(
-                        file,
+                        "example_loop.c",
+                        of_machine=of_machine,
                         start=start,
                         rate=RATE_HZ,
                         duration=DURATION_S,

@@ -4,15 +4,12 @@
 
 #include "optimiser_config.h"
 
-/* Rounding. A position is a sum of a few lengths times sines, each off by a few roundings; 32 of them cover every machine
- * that ships, and are still a thousandth of what Newton's last step but one leaves. */
-#define EDGE       (R(32.0) * EPSILON) /* of positions, relative to the reach */
-#define FINE       (R(4.0) * EPSILON)  /* as near to the target as most points come: below it no further step helps */
+#define FINE (R(4.0) * EPSILON) /* as near to the target as most points come: below it no further step helps */
 
 /* One climb. */
 #define HALVINGS      10       /* the step is then 1e-5 of the first: a V that does not rise there rises nowhere */
-#define SWEEPS        8        /* Jacobi doubles its digits with each sweep; fewer than ten variables are done after six */
-#define CLIMB_STEPS   60       /* several times what a climb takes that gets anywhere */
+#define SWEEPS        8        /* Jacobi doubles its digits with each of the last ones; for so few variables six suffice */
+#define CLIMB_STEPS   60       /* a bound alone: whole calls of the benchmark take fewer */
 #define KICK          R(0.05)  /* away from a saddle, in x: seen in V far above rounding, and inside the same basin */
 #define CURVATURE     R(1e-6)  /* positive curvature above it is V's own: of second derivatives' rounding it is far less */
 #define CURVATURE_MIN R(1e-7)  /* of the model, so that flat directions give long steps, which STEP_MAX cuts, not infinite ones */
@@ -20,7 +17,7 @@
 #define HALF_STEPS    3        /* so many halvings; after them quarters, as the model was wrong at this length */
 
 /* Several climbs: all but the best are given up early. */
-#define PAUSE       (BUDGET - (BUDGET / 8)) /* from here on the best climb is finished first: an eighth is what that takes */
+#define PAUSE       (BUDGET - (BUDGET / 8)) /* from here on the best climb is finished first: an eighth is some steps with derivatives */
 #define PATIENCE    2         /* steps before one may be given up: the first one is long, and its promise says little */
 #define PROMISE     R(0.5)    /* share of what a step may bring that all after it may bring; a Newton's step leaves less */
 #define RIDGE_STEPS 5         /* steps in which V must rise by a tenth; */
@@ -29,7 +26,7 @@
 
 /* Starts. */
 #define APART        R(0.7)  /* rad, or of the reach: starts closer than this, at first, mostly climb to one optimum */
-#define REPLACEMENTS 6       /* placements tried where a start cannot be brought onto the target: one in each 30 degrees */
+#define REPLACEMENTS 6       /* placements tried where a start cannot be brought onto the target: a handful, as each costs a way onto it */
 
 /* Steps for which the Hessian has been learned; before: */
 #define OUTDATED (-1) /* it was, but not here */

@@ -40,18 +40,19 @@ typedef {{ p }}_{{ name }} {{ name }}_t;
 
 /* Precision. */
 #define EPSILON {{ number(epsilon) }}
-#define TOLERANCE {{ number(tolerance) }} /* at which a climb ends: the last digits of a V that is flat there are rounding */
+#define EDGE {{ number(edge * epsilon) }} /* rounding of positions, relative to the reach: sums of lengths times sines, each with its own */
+#define TOLERANCE {{ number(tolerance) }} /* stationarity at which a climb ends: its square, what V may still gain, is rounding */
 #define STATIONARY_ENOUGH {{ number(enough) }} /* where rounding ends a climb, this is still a stationary point */
-#define TIE {{ number(tie) }} /* values of V/scale that count as equal: a few hundred roundings of its terms */
+#define TIE {{ number(tie) }} /* values of V/scale that count as equal: one optimum reached twice differs by less, as V is flat there */
 #define ROUGH {{ number(rough) }} /* stationarity that is enough to compare climbs by: V/scale is its square off its top */
 #define SETTLING {{ settling }} /* more steps of Newton's after the first that is on the target: in double it ends at rounding by itself */
 #define MARGIN_EDGE {% if margin_edge %}{{ number(margin_edge) }} /* a product of many sines, each rounded */{% else %}EDGE{% endif +%}
 #define PI {{ number(pi) }}
 #define TWO_PI {{ number(2 * pi) }}
 
-/* Steps, in x: a radian is where a linearised arm is of no use any more; longer and fewer where each costs many times more. */
+/* Steps, in x: within half a radian a linearised arm is still of use; longer and fewer ones where each costs many times more. */
 #define STEP_MAX {{ number(step_max) }}
-#define PROJECTION_STEPS {{ projection_steps }} /* of Newton's: twice what a way of that length takes */
+#define PROJECTION_STEPS {{ projection_steps }} /* of Newton's, which doubles its digits with each of the last ones */
 {% if not exact %}
 #define PROBE {{ number(probe) }} /* step of differences of slopes: the root of a slope's rounding error */
 {% endif %}
