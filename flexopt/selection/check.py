@@ -22,6 +22,7 @@ TARGET_TOLERANCE = 1e-8
 BOUND_TOLERANCE = 1e-8
 ACTIVE_TOLERANCE = 1e-6
 STATIONARITY_TOLERANCE = 1e-6
+FIRST_ORDER = "first-order optimality"
 CURVATURE_TOLERANCE = 1e-6
 STATIONARY_NEARLY = 1e-3
 CURVATURE_STEP = 1e-5
@@ -71,9 +72,9 @@ def prove(problem: SelectionProblem, z: Vector) -> Proof:
 
 def prove_program(program: Program, x: Vector) -> Proof:
     """Check a point x of a program from the equations, in double, by functions that no solver used."""
-    local = _linearised(program, x)
+    local = linearised(program, x)
     violations = _infeasible(program, x, local.g)
-    multipliers, kept = _multipliers(local)
+    multipliers, kept = multipliers_of(local)
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
     if KINK_NAME in local.names:
         stationarity = _at_kink(local, multipliers, kept, stationarity)
@@ -81,7 +82,7 @@ def prove_program(program: Program, x: Vector) -> Proof:
     unsurpassed = bounded and -local.value <= BEST_TOLERANCE
     curvature = 0.0
     if not unsurpassed:
-        _note(violations, "first-order optimality", stationarity, STATIONARITY_TOLERANCE)
+        _note(violations, FIRST_ORDER, stationarity, STATIONARITY_TOLERANCE)
         # Far from stationary points curvatures say nothing.
         near = stationarity <= STATIONARY_NEARLY
         curvature = _curvature(program, x, local, multipliers, kept) if near else 0.0
@@ -94,7 +95,7 @@ def prove_program(program: Program, x: Vector) -> Proof:
 
 
 @dataclass(frozen=True)
-class _FirstOrderModel:
+class FirstOrderModel:
     """First-order model at a point, in y = x / scale, and t last where the program has one.
 
     Attributes:
@@ -140,7 +141,7 @@ def _note(violations: dict[str, float], name: str, size: float, tolerance: float
 
 def infeasible(program: Program, x: Vector) -> dict[str, float]:
     """Constraints and bounds that are violated beyond their tolerances at x, in their units."""
-    return _infeasible(program, x, _linearised(program, x).g)
+    return _infeasible(program, x, linearised(program, x).g)
 
 
 def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
@@ -162,7 +163,8 @@ def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
     return violations
 
 
-def _linearised(program: Program, x: Vector) -> _FirstOrderModel:
+def linearised(program: Program, x: Vector) -> FirstOrderModel:
+    """The program at x, with what is active there."""
     members = program.linear(x)
     level = float(min(member.values[-1][0] for member in members))
     local = program.local(x, members, level, lowest=True)
@@ -200,7 +202,7 @@ def _linearised(program: Program, x: Vector) -> _FirstOrderModel:
                 rows.append(sense * identity[i])
                 names.append(f"{name} {side} bound")
                 moving[i] = 0.0
-    return _FirstOrderModel(
+    return FirstOrderModel(
         level=level,
         value=-local.f,
         gradient=-local.gradient,
@@ -214,7 +216,7 @@ def _linearised(program: Program, x: Vector) -> _FirstOrderModel:
     )
 
 
-def _multipliers(local: _FirstOrderModel) -> tuple[Vector, list[int]]:
+def multipliers_of(local: FirstOrderModel) -> tuple[Vector, list[int]]:
     """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, and the inequalities that pull.
 
     The nearest there are: non-negative least squares on what the equalities cannot take up.
@@ -230,7 +232,7 @@ def _multipliers(local: _FirstOrderModel) -> tuple[Vector, list[int]]:
     return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
-def _at_kink(local: _FirstOrderModel, multipliers: Vector, kept: list[int], stationarity: float) -> float:
+def _at_kink(local: FirstOrderModel, multipliers: Vector, kept: list[int], stationarity: float) -> float:
     """Stationarity where the branches meet, with a mean of their gradients and no more.
 
     V's generalised gradients are (1 − μ) g_11 + μ g_22 + 2 ν g_12 with ν² ≤ μ (1 − μ): multipliers beyond that would
@@ -250,11 +252,11 @@ def _at_kink(local: _FirstOrderModel, multipliers: Vector, kept: list[int], stat
         inequalities=np.delete(local.inequalities, at, axis=0),
         names=tuple(name for name in local.names if name != KINK_NAME),
     )
-    others, pulling = _multipliers(plain)
+    others, pulling = multipliers_of(plain)
     return float(np.linalg.norm(plain.gradient - others @ plain.rows(pulling)))
 
 
-def _curvature(program: Program, x: Vector, local: _FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
+def _curvature(program: Program, x: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
     """Largest curvature of V − λᵀ c on the null space of the active rows, by central differences of exact gradients.
 
     0 where nothing is free, at a kink, where the branches change places within the step, and where no point nearby
@@ -273,7 +275,7 @@ def _curvature(program: Program, x: Vector, local: _FirstOrderModel, multipliers
         _, reach, basis = np.linalg.svd(own, full_matrices=False)
         basis = basis[reach > 1e-9]
         along = own @ basis.T
-        hessian += along @ _bent(program, k, program.of(x, k), basis, weights) @ along.T
+        hessian += along @ second_derivatives(program, k, program.of(x, k), basis, weights) @ along.T
     if program.goal == "motion":
         steps = free @ program.coupling.steps(local.gradient.size).T
         hessian -= steps @ steps.T
@@ -284,7 +286,7 @@ def _curvature(program: Program, x: Vector, local: _FirstOrderModel, multipliers
     return largest
 
 
-def _bent(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -> Vector:
+def second_derivatives(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -> Vector:
     """Second derivatives of configuration k's share in the Lagrangian along a basis (d, n_z) of z / scale, (d, d)."""
     count, kept, n_rows = program.coupling.count, len(program.first.kept), len(program.first.constraints)
     before = n_rows * count + len(program.coupling.pairs)
@@ -306,7 +308,7 @@ def _bent(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -
 
 
 def _rises(
-    program: Program, x: Vector, local: _FirstOrderModel, direction: Vector, weights: Vector, curvature: float
+    program: Program, x: Vector, local: FirstOrderModel, direction: Vector, weights: Vector, curvature: float
 ) -> bool:
     """Whether V is larger at some point near x along a direction, moved back onto the active rows.
 

@@ -16,6 +16,7 @@ from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import Measures, build_measures
+from flexopt.robustness.posture_margin import evaluate_margin
 
 # Two eigenvalues of XZ this close, in ε, both count where stationarity is checked.
 KINK = 1e-5
@@ -64,10 +65,13 @@ class Quantities:
         p = self.measures.plant.parameter_values.full().ravel()
         return self.margin.batched(bases, postures, p, [self.gain])[0][0]
 
-    def branches(self, objective: Objective, base: Vector, posture: Vector) -> tuple[Vector, Vector]:
+    def branches(
+        self, objective: Objective, base: Vector, posture: Vector, *, exact: bool = False
+    ) -> tuple[Vector, Vector]:
         """V with each of the two largest eigenvalues of XZ, (2,), and gradients by z, (3, n_z), as `Margin.gradients`.
 
-        V itself is the smaller of the two. Without ε_max there is one branch: (1,) and (1, n_z).
+        V itself is the smaller of the two. Without ε_max there is one branch: (1,) and (1, n_z). `exact`: ε_max and its
+        gradient in extended precision, where it has no kink.
         """
         p, alpha = self.measures.plant.parameter_values, np.array(objective.alpha)
         w = self.measures.w.call([base, posture, p])[0].full().ravel()
@@ -78,9 +82,13 @@ class Quantities:
         if not objective.has_kinks:
             return value, gradient
         out = self.margin.gradients.call([base, posture, p, self.gain])
-        rows = objective.beta * out[1].full()
+        margins, slopes = out[0].full().ravel(), out[1].full()
+        told = evaluate_margin(self.margin, base, posture, self.gain) if exact else None
+        if told is not None and told.epsilon_max is not None and told.kink is None and np.all(np.isfinite(told.z)):
+            margins[0], slopes[0] = told.epsilon_max, told.z
+        rows = objective.beta * slopes
         rows[:2] += gradient
-        return value + objective.beta * out[0].full().ravel(), rows
+        return value + objective.beta * margins, rows
 
     def evaluated(self, z: Vector) -> Evaluation:
         """Every measure at z."""

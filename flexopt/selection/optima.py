@@ -16,6 +16,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.check import Proof, prove
+from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 from flexopt.selection.program import SOLVED, single
 from flexopt.selection.result import Attempt, Kept
@@ -190,8 +191,7 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
     """A start's solution; where there is much redundancy, after a few iterations (see `_promising`)."""
     if not _hurried(problem):
         return _finish(problem, starts, number)
-    z, iterations, status = run_solver(problem, starts[number], quick=True)
-    proof = prove(problem, z) if np.all(np.isfinite(z)) else None
+    z, proof, iterations, status = _proved(problem, *run_solver(problem, starts[number], quick=True))
     if proof is not None and not proof.holds and status in SOLVED:
         z, proof, more, status = _finish(problem, [z], 0)
         iterations += more
@@ -199,8 +199,18 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
 
 
 def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
-    z, iterations, status = run_solver(problem, starts[number])
-    return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
+    return _proved(problem, *run_solver(problem, starts[number]))
+
+
+def _proved(problem: SelectionProblem, z: Vector, iterations: int, status: str) -> SolveOutcome:
+    """Where a solve ended, with its proof; after Newton's steps where only the first-order condition fails."""
+    if not np.all(np.isfinite(z)):
+        return z, None, iterations, status
+    proof = prove(problem, z)
+    if proof.holds:
+        return z, proof, iterations, status
+    z, better = polished(single(problem), z, proof)
+    return z, better, iterations, SOLVED[0] if better.holds else status
 
 
 def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
@@ -227,7 +237,7 @@ def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Sol
         iterations += more
         if status != CUT_SHORT:
             break
-    return z, prove(problem, z) if np.all(np.isfinite(z)) else None, iterations, status
+    return _proved(problem, z, iterations, status)
 
 
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[int]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import array_of, instance, number, public
+from flexopt.foundation.boundary import array_of, flag, instance, number, public
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints as ConstraintsAsked
@@ -212,14 +212,14 @@ class SelectionProblem:
                 of_z[k] = of_target[rows.index(name)] = self.target[rows.index(name)]
         return of_z, of_target
 
-    @public(sizes=_sizes, objective=_OBJECTIVE, z=array_of(("n_z",)))
-    def branches(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
+    @public(sizes=_sizes, objective=_OBJECTIVE, z=array_of(("n_z",)), exact=flag)
+    def branches(self, objective: Objective, z: Vector, *, exact: bool = False) -> tuple[Vector, Vector]:
         """V of an objective with each of the branches of ε_max, and gradients by z, as `Quantities.branches`.
 
-        The cost of travel is taken off.
+        The cost of travel is taken off. `exact`: ε_max in extended precision.
         """
         n_base = len(self.machine.base_coordinates)
-        values, gradients = self.quantities.branches(objective, z[:n_base], z[n_base:])
+        values, gradients = self.quantities.branches(objective, z[:n_base], z[n_base:], exact=exact)
         cost, slope = self.travel_cost(objective, z)
         gradients = gradients.copy()
         gradients[: values.size] -= slope

@@ -50,6 +50,7 @@ class Program:
         share: weights of the configurations, (K,), their sum 1.
         goal: what is sought;  level: V_k / size that "motion" keeps.
         fixed: indices of x that stay where a start has them.
+        exact: whether ε_max is told in extended precision where solvers do not ask: ten times as dear.
     """
 
     problems: tuple[SelectionProblem, ...]
@@ -59,6 +60,7 @@ class Program:
     goal: Goal
     level: float = 0.0
     fixed: tuple[int, ...] = ()
+    exact: bool = False
 
     @property
     def first(self) -> SelectionProblem:
@@ -195,7 +197,7 @@ class Program:
         """Slopes of the constraints, values and slopes of the objectives, as `Linearisation` has them."""
         problem, scale = self.problems[k], self.first.scale
         count = len(problem.kept) + 1
-        found = [problem.branches(objective, z) for objective in problem.objectives[:count]]
+        found = [problem.branches(objective, z, exact=self.exact) for objective in problem.objectives[:count]]
         sizes = problem.objective_scales[:count]
         return (
             row_gradients(problem, z) / self.first.row_bounds[2][:, None] * scale,

@@ -1,0 +1,61 @@
+"""The last steps onto an optimum: quadratic convergence, and optima that doubles do not tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.selection.check import FIRST_ORDER, linearised, multipliers_of, prove, prove_program
+from flexopt.selection.newton import polished
+from flexopt.selection.program import Program, single
+from tests.oracles.machines import arm_at_rest, random_machine, regular_posture
+
+EXCAVATOR = flexopt.load("excavator")
+
+
+def _off(program: Program, x: np.ndarray) -> float:
+    """Norm of the Lagrangian's gradient, ε_max in extended precision."""
+    local = linearised(replace(program, exact=True), x)
+    multipliers, kept = multipliers_of(local)
+    return float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
+
+
+@pytest.mark.parametrize("objective", ["w1", "epsilon_max"])
+def test_a_point_beside_an_optimum_is_led_back_to_it(objective: str) -> None:
+    selection = flexopt.select(EXCAVATOR, (0.0, 1.6), objective=objective, workers=1)
+    program, best = single(selection.problem), selection.best.z
+    at_best = prove_program(program, best)
+    assert at_best.holds
+    # Off the target by 1e-8, and along it by 1e-4.
+    _, _, directions = np.linalg.svd(linearised(program, best).equalities)
+    beside = best + 1e-4 * directions[-1] * program.scale
+    found, proof = polished(program, beside, replace(at_best, violations={FIRST_ORDER: 1e-4}))
+    assert proof.holds
+    assert proof is not at_best
+    # The proofs' tolerance of 1e-6 in the gradient, over the curvature.
+    np.testing.assert_allclose(found / program.scale, best / program.scale, rtol=0, atol=1e-5)
+
+
+def test_an_optimum_that_doubles_do_not_tell_is_found() -> None:
+    """What keeps ε_max has a multiplier of 4,000 here, and the rounding of its gradient in doubles times that is 1e-4."""
+    rng = np.random.default_rng(31)
+    _, machine = random_machine(rng)
+    targets = [arm_at_rest(machine, regular_posture(rng, machine))[1] for _ in range(2)]
+    selection = flexopt.select(machine, targets[1], objective="epsilon_max,w1", control="inverse", gain=5e5, workers=1)
+    # As it was solved last: what is kept, is kept.
+    program = single(replace(selection.problem, kept=tuple(kept.at_least for kept in selection.kept)))
+    assert _off(program, selection.best.z) <= 1e-6
+    assert selection.best.evaluation.epsilon_max >= selection.kept[0].at_least * (1 - 1e-9)
+
+
+def test_what_fails_otherwise_is_left_as_it_is() -> None:
+    selection = flexopt.select(EXCAVATOR, (0.0, 1.6), workers=1)
+    away = selection.best.z + 0.1
+    proof = prove(selection.problem, away)
+    assert FIRST_ORDER not in proof.violations or len(proof.violations) > 1
+    found, same = polished(single(selection.problem), away, proof)
+    assert found is away
+    assert same is proof
