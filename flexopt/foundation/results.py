@@ -59,10 +59,20 @@ class Result:
         """JSON-ready dictionary (keys as in the command line's `--json`)."""
         return cast(dict[str, Any], json_ready(self.document()))
 
+    def _units(self, outer: str) -> Iterator[tuple[str, str]]:
+        """Names as the table has them, with their units."""
+        for path, attribute, unit in self.keys():
+            name, value = outer + ".".join(path), attrgetter(attribute)(self)
+            yield name, unit
+            if isinstance(value, Result):
+                yield from value._units(f"{name}.")
+
     def _repr_html_(self) -> str:
-        units = {".".join(key.path): key.unit for key in self.keys()}
+        units = dict(self._units(""))
         rows = [(name, text, units.get(name, "")) for name, text in _rows(self.to_dict(), "")]
-        return render("foundation/templates/result.html", title=type(self).__name__, rows=rows)
+        # What dataclasses write of themselves lists every field, as the table does.
+        summary = [] if hasattr(type(self).__repr__, "__wrapped__") else repr(self).splitlines()
+        return render("foundation/templates/result.html", title=type(self).__name__, rows=rows, summary=summary)
 
 
 @lru_cache
@@ -97,7 +107,7 @@ def _text(value: Any) -> str:
         return f"{len(parts)} of them"
     sizes = np.shape(parts) if _is_regular(parts) else (len(parts),)
     if np.prod(sizes, dtype=int) > ENTRIES_SHOWN:
-        return " × ".join(map(str, sizes)) + " numbers"
+        return " × ".join(map(str, sizes)) + " entries"
     return "[" + ", ".join(map(_text, parts)) + "]"
 
 
