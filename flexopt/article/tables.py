@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.results import Result
 from flexopt.foundation.turns import in_turn
 from flexopt.model import AnyMachine, load
 from flexopt.model.problem import Elbow
@@ -45,10 +46,15 @@ NOTE = (
 
 
 @dataclass(frozen=True)
-class ArticleRow:
+class ArticleRow(Result):
     """One reading of a posture of Table 2: how it was put in, what came out, what is printed.
 
     `epsilon_inferred` is ε_max with the gain inferred from posture A, that of `evaluation` with kr = 5e5.
+    """
+
+    DOCUMENT = """
+    posture reading printed_w deviation printed_epsilon_max=printed_epsilon
+    epsilon_max_at_inferred_gain=epsilon_inferred epsilon_max_deviation evaluation
     """
 
     posture: str
@@ -63,6 +69,11 @@ class ArticleRow:
         """(computed − printed) / |printed|, for each w_i."""
         printed = np.array(self.printed_w)
         return (self.evaluation.w - printed) / np.abs(printed)
+
+    @property
+    def epsilon_max_deviation(self) -> float:
+        """Computed − printed."""
+        return self.epsilon_inferred - self.printed_epsilon
 
 
 @dataclass(frozen=True)
@@ -87,36 +98,19 @@ class InferredGain:
 
 
 @dataclass(frozen=True)
-class ArticleTable:
+class ArticleTable(Result):
     """Every row, with the inferred gain and the note on the contradiction."""
+
+    DOCUMENT = "rows inferred_gain=inferred note provenance"
 
     rows: tuple[ArticleRow, ...]
     inferred: InferredGain
     note: str = field(default=NOTE, repr=False)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
-        rows = [
-            {
-                "posture": row.posture,
-                "reading": row.reading,
-                "printed_w": row.printed_w,
-                "deviation": row.deviation,
-                "printed_epsilon_max": row.printed_epsilon,
-                "epsilon_max_at_inferred_gain": row.epsilon_inferred,
-                "epsilon_max_deviation": row.epsilon_inferred - row.printed_epsilon,
-                "evaluation": row.evaluation.to_dict(),
-            }
-            for row in self.rows
-        ]
-        return json_ready(
-            {
-                "rows": rows,
-                "inferred_gain": vars(self.inferred),
-                "note": self.note,
-                "provenance": provenance(article_machine()),
-            }
-        )
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Of the article's machine."""
+        return provenance(article_machine())
 
     def __repr__(self) -> str:
         gain = self.inferred

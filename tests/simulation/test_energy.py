@@ -12,6 +12,7 @@ import pytest
 
 import flexopt
 from flexopt.model import Machine, machine_from_dict
+from flexopt.plant.machine_motion import motion_of
 from flexopt.simulation.scenario import Scenario
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.simulation.loops import POSTURE_A, POSTURE_B, run, scenario
@@ -30,8 +31,8 @@ def undamped_excavator() -> Machine:
 
 def pushed(made: Scenario, kind: str) -> Scenario:
     """Started with energy: the base out of its place, in all modes, or the arm swinging as well."""
-    n, k = len(made.q_design), made.loop.structure.motion
-    x, still = made.start.copy(), len(k.translations)
+    n, x = len(made.q_design), made.start.copy()
+    still = motion_of(made.loop.structure.motion, {}).n_translations
     x[:still] += np.array([2e-3, -1e-3])[:still]
     # Turned as a whole: the absolute angles of all bodies, so that the joints stay.
     x[still:n] += 0.02
