@@ -236,7 +236,7 @@ class Clearance(FileModel):
     ] = ()
 
 
-class TravelCost(FileModel):
+class Travel(FileModel):
     """What leaving the present placement `base` and `posture` costs, as a share of the objective's scale."""
 
     cost: Annotated[float, checked(_check_cost)]
@@ -267,7 +267,7 @@ class Constraints(FileModel):
     tip_over_margin: Annotated[float, checked(_check_length)] | None = None
     holding: Annotated[float, checked(_check_share)] | None = None
     tool_angle: Annotated[Interval, checked(_check_tool_angle)] | None = None
-    travel: TravelCost | None = None
+    travel: Travel | None = None
 
 
 def read_constraints(value: Any, *, origin: str = "constraints") -> Constraints:

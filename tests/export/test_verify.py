@@ -15,7 +15,7 @@ from flexopt.export import PARTS, export_c, verify_bundle
 from flexopt.export.bundle import library_of, read_manifest
 from flexopt.export.verify import objects, optimiser, tools
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Check
+from flexopt.export.verify.checks import VerificationCheck
 from flexopt.export.verify.misra import in_pieces
 from tests.export.programs import GCC, HOST, TARGET
 
@@ -24,11 +24,11 @@ def exported(folder: Path, **options) -> Path:
     return export_c(flexopt.load("excavator"), folder, **options).folder
 
 
-def named(checks: tuple[Check, ...], name: str) -> Check:
+def named(checks: tuple[VerificationCheck, ...], name: str) -> VerificationCheck:
     return next(check for check in checks if check.name.startswith(name))
 
 
-def rows(check: Check, title: str) -> list[dict]:
+def rows(check: VerificationCheck, title: str) -> list[dict]:
     return next(t.to_dict()["rows"] for t in check.tables if t.title.startswith(title))
 
 

@@ -1,6 +1,6 @@
 """When a master's parameters are refused: numbers that they give, and the ranges in which the model may be used.
 
-In: a machine's plant, structure and parameters as graphs. Out: `Guard`s with the graphs of their numbers.
+In: a machine's plant, structure and parameters as graphs. Out: `ModelGuard`s with the graphs of their numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SEMIDEFINITE, INERTIA_ROUNDING = 1e-11, 1e-9
 
 
 @dataclass(frozen=True)
-class Guard:
+class ModelGuard:
     """A number that the parameters give, and the range in which the model may be used."""
 
     text: str
@@ -36,11 +36,11 @@ class Guard:
     high: float = math.inf
 
 
-Guarded = list[tuple[Guard, ca.SX]]
+Guarded = list[tuple[ModelGuard, ca.SX]]
 
 
 @dataclass(frozen=True)
-class Configuration:
+class GuardedConfiguration:
     """Where the machine is examined: q at equilibrium (n_q,), placement (n_b,) and parameters p (n_par,), as graphs."""
 
     plant: Plant
@@ -65,14 +65,14 @@ class Configuration:
         found = [self._regular(), *self._matrices(), *self._held()]
         if period is not None:
             text = "RK4 is unstable for the fastest mode or servo: softer springs, or export with more substeps"
-            found.append((Guard(text, high=STEP_SLACK), self._step(period, bandwidth)))
+            found.append((ModelGuard(text, high=STEP_SLACK), self._step(period, bandwidth)))
         return found
 
-    def _regular(self) -> tuple[Guard, ca.SX]:
+    def _regular(self) -> tuple[ModelGuard, ca.SX]:
         """1/(tr G tr G⁻¹) of G = Jv Jvᵀ, which lies between 1/(r cond Jv)² and 1/(cond Jv)²."""
         plant, rows = self.plant, self.plant.n_task
         if self.structure.control == DAMPED:  # its inverse exists in singular postures, too
-            return Guard("the posture is singular"), ca.SX(1)
+            return ModelGuard("the posture is singular"), ca.SX(1)
         stuck = {1: "the joints do not move the task row", 2: "the end-point can only move along one line"}
         text = f"the posture is singular: {stuck.get(rows, f'the joints do not move all {rows} task rows')}"
         jacobian = plant.rigid_jacobian(self.q, self.base, self.p)
@@ -80,9 +80,9 @@ class Configuration:
         if rows == 1:  # one number alone is compared with what moves the position
             moving = ca.jacobian(plant.graph.skeleton[:, -1], plant.graph.q)[:, plant.n_passive :]
             position = ca.substitute(ca.sumsqr(moving), _known(plant), ca.vertcat(self.q, self.base, self.p))
-            return Guard(text, low=(3 * CONDITION_MAX) ** -2), gram / ca.fmax(gram, position)
+            return ModelGuard(text, low=(3 * CONDITION_MAX) ** -2), gram / ca.fmax(gram, position)
         value = ca.if_else(least_pivot(gram) > 0, 1 / (ca.trace(gram) * ca.trace(solve_spd(gram, ca.SX.eye(rows)))), 0)
-        return Guard(text, low=(rows * CONDITION_MAX) ** -2), value
+        return ModelGuard(text, low=(rows * CONDITION_MAX) ** -2), value
 
     def _matrices(self) -> Guarded:
         """What no range of a single entry can hold: coupled springs and dampers, inertias with all six entries."""
@@ -90,16 +90,16 @@ class Configuration:
         m = self.plant.n_passive
         if not self.springs.sparsity().is_diag():
             text = "the stiffness matrix of the springs is not positive definite"
-            found.append((Guard(text, low=0.0), least_pivot(_scaled(self.springs))))
+            found.append((ModelGuard(text, low=0.0), least_pivot(_scaled(self.springs))))
         dampers = ca.sparsify(self.plant.damping(self.p)[:m, :m])
         if not dampers.sparsity().is_diag():
             text = "the damping matrix is not positive semidefinite"
-            found.append((Guard(text, low=0.0), least_pivot(_scaled(dampers) + SEMIDEFINITE * ca.SX.eye(m))))
+            found.append((ModelGuard(text, low=0.0), least_pivot(_scaled(dampers) + SEMIDEFINITE * ca.SX.eye(m))))
         tensors = _inertias(self.plant.machine.parameters, self.p)
         if tensors:
             least = [least_pivot(i + (INERTIA_ROUNDING * ca.trace(i) + 1e-30) * ca.SX.eye(3)) for i in tensors]
             text = "the inertia of a body has a negative principal moment"
-            found.append((Guard(text, low=0.0), ca.mmin(ca.vertcat(*least))))
+            found.append((ModelGuard(text, low=0.0), ca.mmin(ca.vertcat(*least))))
         return found
 
     def _held(self) -> Guarded:
@@ -111,8 +111,8 @@ class Configuration:
         away = (self.q - plant.rest(self.base, self.q[m:], self.p))[:m]
         left = ca.norm_inf(self.springs @ away + weight) / (1 + ca.norm_inf(weight))
         return [
-            (Guard("the springs do not hold the machine in this posture", low=0.0), least_pivot(self._tangent)),
-            (Guard("the static deflection under gravity did not converge", high=STATIC_TOLERANCE), left),
+            (ModelGuard("the springs do not hold the machine in this posture", low=0.0), least_pivot(self._tangent)),
+            (ModelGuard("the static deflection under gravity did not converge", high=STATIC_TOLERANCE), left),
         ]
 
     @property

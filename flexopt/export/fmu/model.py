@@ -15,7 +15,7 @@ from typing import Any
 
 import casadi as ca
 
-from flexopt.export.fmu.guards import Configuration, Guard, Guarded
+from flexopt.export.fmu.guards import Guarded, GuardedConfiguration, ModelGuard
 from flexopt.export.fmu.interface import Interface
 from flexopt.loop.directions import Computed
 from flexopt.loop.flow import Flow
@@ -36,7 +36,7 @@ class FmuModel(Interface):
         return len(self.parameters) + len(self.moving)
 
     @cached_property
-    def guards(self) -> tuple[Guard, ...]:
+    def guards(self) -> tuple[ModelGuard, ...]:
         """When the parameters are refused, in the order of `setup`'s."""
         return tuple(guard for guard, _ in self._setup[1])
 
@@ -78,7 +78,7 @@ class FmuModel(Interface):
         c = ca.vertcat(*[ca.SX(parts[name]) for name in loop.constants.sizes])
         q = ca.vertcat(passive, posture + of["offset"])
         limited = self.kind == "co-simulation" and loop.structure.method == "rk4"
-        at = Configuration(plant, loop.structure, design, base, p)
+        at = GuardedConfiguration(plant, loop.structure, design, base, p)
         guarded = at.guarded(float(s.parts["h"]) if limited else None, of.get("bandwidth_hz"))
         outputs = [c, state_at_rest(loop, plant, motion, q, base, p), plant.end_point(design, base, p)]
         outputs = [ca.densify(output) for output in (*outputs, ca.vertcat(*(number for _, number in guarded)))]

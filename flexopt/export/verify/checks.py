@@ -1,4 +1,4 @@
-"""What a verification found: one `Check` each, passed, failed, or not verified."""
+"""What a verification found: one `VerificationCheck` each, passed, failed, or not verified."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _shown(value: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Check(Result):
+class VerificationCheck(Result):
     """One finding.
 
     Attributes:
@@ -76,15 +76,15 @@ class Finding:
     tables: Sequence[Table] = field(default_factory=tuple[Table, ...])
 
 
-def attempt(name: str, target: Target, look: Callable[[], Finding]) -> Check:
+def attempt(name: str, target: Target, look: Callable[[], Finding]) -> VerificationCheck:
     """Run one check; a missing tool makes it not verified, a program that fails makes it fail."""
     try:
         found = look()
     except ToolMissing as error:
-        return Check(name, target, "not verified", str(error), missing=error.names)
+        return VerificationCheck(name, target, "not verified", str(error), missing=error.names)
     except StepFailed as error:
-        return Check(name, target, "failed", str(error))
+        return VerificationCheck(name, target, "failed", str(error))
     if found.faults:
         more = f" and {len(found.faults) - 8} more" if len(found.faults) > 8 else ""
-        return Check(name, target, "failed", "; ".join(found.faults[:8]) + more, tuple(found.tables))
-    return Check(name, target, "passed", found.sentence, tuple(found.tables))
+        return VerificationCheck(name, target, "failed", "; ".join(found.faults[:8]) + more, tuple(found.tables))
+    return VerificationCheck(name, target, "passed", found.sentence, tuple(found.tables))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexopt.export.operations import Array, Operation
 from flexopt.export.verify import optimiser, replay
 from flexopt.export.verify.bench import STRICT, Bench, warnings_in
-from flexopt.export.verify.checks import Check, Finding, Table, attempt
+from flexopt.export.verify.checks import Finding, Table, VerificationCheck, attempt
 from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run, sanitizing_compiler
 
 COMPILERS = (("gcc", "g++"), ("clang", "clang++"))
@@ -26,7 +26,7 @@ FUZZ_SEED = 30
 COMPARED = 1000
 
 
-def check_host(bench: Bench) -> list[Check]:
+def check_host(bench: Bench) -> list[VerificationCheck]:
     """Every check of the host."""
     checks = [attempt(f"README followed, {c}", "host", lambda c=c: _readme(bench, c)) for c, _ in COMPILERS]
     checks += [attempt(f"no warning, {c}", "host", lambda c=c, p=p: _warnings(bench, c, p)) for c, p in COMPILERS]

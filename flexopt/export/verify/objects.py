@@ -13,7 +13,7 @@ from pathlib import Path
 
 from flexopt.export.kernels import MATH
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Check, Finding, Table, Target, attempt
+from flexopt.export.verify.checks import Finding, Table, Target, VerificationCheck, attempt
 from flexopt.export.verify.tools import need, run
 
 # What compilers call by themselves: copying, and arithmetic that the processor has not.
@@ -69,7 +69,7 @@ class CallGraph:
         return self.stack.get(name, 0) + max((self.stack_from(c) for c in self.calls.get(name, ())), default=0)
 
 
-def check_objects(bench: Bench, target: Target, compiler: str, flags: Sequence[str]) -> Check:
+def check_objects(bench: Bench, target: Target, compiler: str, flags: Sequence[str]) -> VerificationCheck:
     """The objects that `compiler` makes of the library."""
     return attempt("object files and sources", target, lambda: _examined(bench, target, compiler, flags))
 

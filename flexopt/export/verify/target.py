@@ -17,7 +17,7 @@ import numpy as np
 from flexopt.export.operations import Operation
 from flexopt.export.verify import objects, optimiser, replay
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Check, Finding, Table, Target, attempt
+from flexopt.export.verify.checks import Finding, Table, Target, VerificationCheck, attempt
 from flexopt.export.verify.host import agreement
 from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run
 from flexopt.foundation.writing import write_file
@@ -46,7 +46,7 @@ BOARDS: dict[Target, Board] = {
 }
 
 
-def check_target(bench: Bench, target: Target) -> list[Check]:
+def check_target(bench: Bench, target: Target) -> list[VerificationCheck]:
     """Every check of one board."""
     board = BOARDS[target]
     flags = ["-std=c99", "-O2", *board.flags]

@@ -24,7 +24,7 @@ from flexopt.export.bundle import (
     render_bundle,
 )
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import TARGETS, Check, Finding, Target, attempt
+from flexopt.export.verify.checks import TARGETS, Finding, Target, VerificationCheck, attempt
 from flexopt.export.verify.host import check_host
 from flexopt.export.verify.misra import check_misra
 from flexopt.export.verify.objects import check_objects
@@ -66,7 +66,7 @@ class Verification(Result):
     real: str
     bundle_sha256: str
     targets: tuple[Target, ...]
-    checks: tuple[Check, ...]
+    checks: tuple[VerificationCheck, ...]
     tools: dict[str, str]
     inputs: int
     fuzz_calls: int
@@ -78,7 +78,7 @@ class Verification(Result):
         return self.manifest["provenance"]
 
     @property
-    def failed(self) -> tuple[Check, ...]:
+    def failed(self) -> tuple[VerificationCheck, ...]:
         """Checks that failed."""
         return tuple(check for check in self.checks if check.state == "failed")
 
@@ -156,7 +156,7 @@ def verify_bundle(
     targets = TARGETS if target is None else (target,)
     with tempfile.TemporaryDirectory(prefix="flexopt-verify-") as scratch:
         bench = Bench(path, Path(scratch), manifest, library_of(manifest), inputs, fuzz_calls)
-        checks: list[Check] = [attempt("files as they were exported", targets[0], lambda: _files(bench))]
+        checks: list[VerificationCheck] = [attempt("files as they were exported", targets[0], lambda: _files(bench))]
         for done, one in enumerate(targets):
             checks += _stage(bench, one)
             if progress is not None:
@@ -177,7 +177,7 @@ def verify_bundle(
     return result
 
 
-def _stage(bench: Bench, target: Target) -> list[Check]:
+def _stage(bench: Bench, target: Target) -> list[VerificationCheck]:
     if target == "host":
         return [*check_host(bench), check_objects(bench, "host", "gcc", HOST_OBJECT_FLAGS), check_misra(bench)]
     return check_target(bench, target)

@@ -17,7 +17,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.quantities import degrees_hint
 from flexopt.model.hydraulics import Cylinder
 from flexopt.model.robots.bodies import Body, body_name, plain, tree_joint
-from flexopt.model.robots.description import Description, Frame, Joint, Link
+from flexopt.model.robots.description import Description, Frame, Joint, RobotLink
 from flexopt.model.robots.geometry import Inertial, Pose, shift
 from flexopt.model.robots.overlay import DIRECTIONS, CapsuleTable, Overlay, nearest
 from flexopt.model.robots.roles import Role, Roles
@@ -86,7 +86,7 @@ class Assembly:
             "support": overlay.support and overlay.support.model_dump(),
         } | self._matrices()
 
-    def _subtree(self) -> list[Link]:
+    def _subtree(self) -> list[RobotLink]:
         """The links below the root, which is cut from what carries it."""
         overlay, links = self.overlay, self.robot.links
         ground = [link.name for link in links if link.parent is None]
@@ -102,7 +102,7 @@ class Assembly:
             root = ground[0]
         if root is None:
             return list(links)
-        kept: dict[str, Link] = {}
+        kept: dict[str, RobotLink] = {}
         poses: dict[str | None, Pose] = {None: Pose()}
         for link in links:
             poses[link.name] = poses[link.parent] @ link.pose
@@ -115,7 +115,7 @@ class Assembly:
             kept[root] = self._stand(kept[root])
         return list(kept.values())
 
-    def _stand(self, root: Link) -> Link:
+    def _stand(self, root: RobotLink) -> RobotLink:
         """Put the base's coordinates under the root link, in place of its free joint if it has one."""
         base = self.overlay.base
         assert base is not None
@@ -153,7 +153,7 @@ class Assembly:
         found = {} if base is None else {"stiffness_matrix": base.stiffness, "damping_matrix": base.damping}
         return {key: {"joints": names, "matrix": value} for key, value in found.items() if not isinstance(value, dict)}
 
-    def _place(self, link: Link) -> None:
+    def _place(self, link: RobotLink) -> None:
         """Add the bodies of the link's moving joints and merge the link into the last."""
         body, pose = self._carriers[link.parent]
         pose = pose @ link.pose
@@ -217,7 +217,7 @@ class Assembly:
         start, end = (plain((pose @ Pose(np.array(place))).position) for place in (table.start, table.end))
         return {"body": body.name, "start": start, "end": end, "radius": table.radius}
 
-    def _round(self, link: Link) -> list[dict[str, Any]]:
+    def _round(self, link: RobotLink) -> list[dict[str, Any]]:
         """Capsules round the link's collision geometry; none where it is fixed to the ground."""
         body, pose = self._carriers[link.name]
         found: list[dict[str, Any]] = []

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.foundation.quantities import ANGLE_MAX
-from flexopt.model.robots.description import Joint, Link
+from flexopt.model.robots.description import Joint, RobotLink
 from flexopt.model.robots.elements import Element
 from flexopt.model.robots.geometry import Array, Inertial, Pose
 from flexopt.model.robots.roles import Role
@@ -45,7 +45,7 @@ class Body:
         }
 
 
-def body_name(link: Link) -> str:
+def body_name(link: RobotLink) -> str:
     """The link's name, told apart from words that the tree keeps for itself."""
     return f"{link.name}.link" if link.name in RESERVED else link.name
 

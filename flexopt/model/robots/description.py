@@ -64,7 +64,7 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class RobotLink:
     """A rigid body. `inertial` is None where the file does not tell it, and `why` is the sentence.
 
     `solids` are its collision geometry.
@@ -101,7 +101,7 @@ class Description:
     """
 
     name: str
-    links: tuple[Link, ...]
+    links: tuple[RobotLink, ...]
     sites: Mapping[str, Frame]
     gravity: float | None = None
     notes: tuple[str, ...] = ()

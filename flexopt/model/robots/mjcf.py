@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from flexopt.model.robots.collisions import Solid, mjcf_solid
-from flexopt.model.robots.description import Description, Frame, Joint, Link, check_inertial
+from flexopt.model.robots.description import Description, Frame, Joint, RobotLink, check_inertial
 from flexopt.model.robots.elements import Element, Faults, unique
 from flexopt.model.robots.geometry import Array, Inertial, Pose, tensor
 from flexopt.model.robots.known import check_known
@@ -83,7 +83,7 @@ class _MjcfReader:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.faults = settings.faults
-        self.links: list[Link] = []
+        self.links: list[RobotLink] = []
         self.sites: dict[str, Frame] = {}
         self.gravity_compensated: list[Element] = []
 
@@ -103,7 +103,7 @@ class _MjcfReader:
     def _body(self, element: Element, parent: str | None, frame: Pose, child_class: str) -> None:
         index = len(self.links)
         name = element.attributes.get("name") or f"body{index + 1}"
-        link = Link(name, parent, element)
+        link = RobotLink(name, parent, element)
         self.links.append(link)
         if self.faults.number(element, "gravcomp"):
             self.gravity_compensated.append(element)
@@ -169,7 +169,7 @@ class _MjcfReader:
             inertial = replace(inertial, tensor=_adjusted(inertial.tensor, settings))
         return replace(inertial, mass=max(inertial.mass, settings.least_mass)), why
 
-    def scaled_links(self) -> tuple[Link, ...]:
+    def scaled_links(self) -> tuple[RobotLink, ...]:
         """The links, with `settotalmass` applied."""
         wanted = self.settings.total_mass
         known = [link.inertial for link in self.links if link.inertial is not None]
@@ -185,7 +185,7 @@ class _MjcfReader:
         )
 
 
-def _with_efforts(links: tuple[Link, ...], efforts: Mapping[str, float]) -> tuple[Link, ...]:
+def _with_efforts(links: tuple[RobotLink, ...], efforts: Mapping[str, float]) -> tuple[RobotLink, ...]:
     """Joints bounded by what drives them, too."""
     return tuple(
         replace(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flexopt.errors import Fault
-from flexopt.model.robots.description import Description, Joint, Link
+from flexopt.model.robots.description import Description, Joint, RobotLink
 from flexopt.model.robots.overlay import JointTable, Overlay, nearest
 
 # A locked value this far beyond a limit (rad or m) is at the limit.
@@ -31,7 +31,7 @@ class Role:
 class Roles:
     """Roles by joint name; joints whose role is not clear are faults, and locked in the meantime."""
 
-    def __init__(self, robot: Description, overlay: Overlay, links: Sequence[Link]) -> None:
+    def __init__(self, robot: Description, overlay: Overlay, links: Sequence[RobotLink]) -> None:
         self.overlay = overlay
         self.faults: list[Fault] = []
         self.of: dict[str, Role] = {}

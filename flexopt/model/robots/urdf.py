@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.errors import ModelError
 from flexopt.model.robots.collisions import urdf_solids
-from flexopt.model.robots.description import Description, Joint, Kind, Link, Mimic, check_inertial, unit_axis
+from flexopt.model.robots.description import Description, Joint, Kind, Mimic, RobotLink, check_inertial, unit_axis
 from flexopt.model.robots.elements import Element, Faults, unique
 from flexopt.model.robots.geometry import Inertial, Pose, from_quaternion, from_rpy, tensor
 from flexopt.model.robots.known import check_known
@@ -126,11 +126,11 @@ def _topological(
     return [by_name[name] for name in order]
 
 
-def _link(faults: Faults, link: Element, above: tuple[str, Element] | None) -> Link:
+def _link(faults: Faults, link: Element, above: tuple[str, Element] | None) -> RobotLink:
     parent, element = above or (None, None)
     pose = Pose() if element is None else _origin(faults, element, element)
     joint = None if element is None else _joint(faults, element)
-    return Link(
+    return RobotLink(
         name=_name(link),
         parent=parent,
         element=link,
