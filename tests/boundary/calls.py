@@ -396,7 +396,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "Report.mode_shares": lambda: {"stand": report().stands["chosen"]},
     "Report.write": lambda: {"folder": "report"},
     "Selection.plot": lambda: {"path": "selection.png"},
-    "SelectionProblem.branches": lambda: {"objective": _objective(), "z": _z()},
+    "SelectionProblem.branches": lambda: {"objective": _objective(), "z": _z(), "exact": True},
     "SelectionProblem.given_up": lambda: {"best": 0.1},
     "SelectionProblem.rows": lambda: {"z": _z()},
     "SelectionProblem.solver": lambda: {"quick": False},
