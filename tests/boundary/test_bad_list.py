@@ -19,7 +19,18 @@ from tests.boundary.walk import calls, signature
 
 Rows = Mapping[str, list[dict[str, str]]]
 TEXTS = ("text", "empty text", "million *", "NUL", "surrogate")
-FLAGS = ("gravity", "damped", "baked", "gradient", "overwrite", "quick", "exact", "strict", "hold", "gravity_compensation")
+FLAGS = (
+    "gravity",
+    "damped",
+    "baked",
+    "gradient",
+    "overwrite",
+    "quick",
+    "exact",
+    "strict",
+    "hold",
+    "gravity_compensation",
+)
 
 # Call, argument, bad values that it takes (patterns), and what they mean there.
 MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
