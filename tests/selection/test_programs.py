@@ -27,8 +27,8 @@ def test_a_wrong_slope_is_no_answer(machine, objective, monkeypatch):
     problem = flexopt.build_selection(machine, TARGET, objective=objective)
     right = Quantities.branches
 
-    def wrong(self, objective, base, posture):
-        values, gradients = right(self, objective, base, posture)
+    def wrong(self, objective, base, posture, **options):
+        values, gradients = right(self, objective, base, posture, **options)
         return values, gradients * np.array([1.0, 1.01, 1.0])
 
     monkeypatch.setattr(Quantities, "branches", wrong)
@@ -68,8 +68,8 @@ def test_a_point_without_digits_is_no_evidence(machine, monkeypatch):
     problem = flexopt.build_selection(machine, TARGET)
     right, calls = Quantities.branches, []
 
-    def noisy(self, objective, base, posture):
-        values, gradients = right(self, objective, base, posture)
+    def noisy(self, objective, base, posture, **options):
+        values, gradients = right(self, objective, base, posture, **options)
         calls.append(1)
         return values, gradients * (np.nan if len(calls) < 3 else 1.0)
 
