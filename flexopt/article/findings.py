@@ -18,6 +18,7 @@ from flexopt.article.tables import ArticleTable, epsilon_at
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
+from flexopt.robustness import build_measures
 from flexopt.robustness.margin import build_margin
 from flexopt.selection import Selection
 from flexopt.study.workspace_map import WorkspaceMap
@@ -147,8 +148,6 @@ def concave(curves: Sequence[Curve]) -> ArticleFinding:
 
 def b_is_optimal(machine: AnyMachine, points: dict[str, Vector], inverse_up: Curve) -> ArticleFinding:
     """Is w_1 stationary along the redundancy at Table 2's posture B?"""
-    from flexopt.robustness import build_measures  # noqa: PLC0415  (kept beside its only use)
-
     measures = build_measures(machine)
     plant = measures.plant
     p, base = plant.parameter_values, np.zeros(plant.n_base)

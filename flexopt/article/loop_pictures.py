@@ -8,56 +8,24 @@ In: trajectories, base trajectories, a map of growth rates over two gains. Out: 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
-from flexopt.plotting.fields import Values
 from flexopt.plotting.machine import draw_ground, draw_machine, reach
 from flexopt.plotting.panels import COLORS, Panel, draw_panel
 from flexopt.plotting.trajectory import plot_trajectories
 from flexopt.selection.base_trajectory import BaseTrajectory
 from flexopt.simulation.trajectory import Trajectory
+from flexopt.study.gains import GainMap
 
 # Growth rates below this are drawn on a linear scale, above RATE_SHOWN in one colour, 1/s.
 RATE_LINEAR, RATE_SHOWN = 0.01, 10.0
 HELD = "#333333"
 GROWS, CONVERGES, DIFFERS = "#7a1010", "#0b2e5c", "#00a651"
-
-
-class Differing(Protocol):
-    """A run that contradicts the eigenvalues."""
-
-    @property
-    def stand(self) -> str: ...  # noqa: D102
-    @property
-    def kp(self) -> float: ...  # noqa: D102
-    @property
-    def kv(self) -> float: ...  # noqa: D102
-
-
-class GainData(Protocol):
-    """What is read of a map over gains."""
-
-    @property
-    def names(self) -> tuple[str, ...]: ...  # noqa: D102
-    @property
-    def kp(self) -> Values: ...  # noqa: D102
-    @property
-    def kv(self) -> Values: ...  # noqa: D102
-    @property
-    def growth_rate(self) -> Values: ...  # noqa: D102
-    @property
-    def tested_kp(self) -> Values: ...  # noqa: D102
-    @property
-    def tested_kv(self) -> Values: ...  # noqa: D102
-    @property
-    def grows(self) -> Any: ...  # noqa: D102
-    @property
-    def disagreements(self) -> Sequence[Differing]: ...  # noqa: D102
 
 
 def plot_figure9(runs: Mapping[str, Trajectory]) -> Figure:
@@ -111,7 +79,7 @@ def plot_figures11and12(runs: Mapping[str, Trajectory]) -> Figure:
     return plot_trajectories(runs)
 
 
-def plot_gains(gains: GainData, pairs: Sequence[tuple[float, float]], *, kv: float, ratios: Sequence[float]) -> Figure:
+def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: float, ratios: Sequence[float]) -> Figure:
     """Growth rate of the sampled linear loop over Kp and Kv for each posture, with verdicts of nonlinear runs.
 
     Args:

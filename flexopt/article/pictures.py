@@ -8,45 +8,19 @@ In: datasets of workspace maps, curves along a height, a sweep of gaps, arms as 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexopt.article.curves import Curve
+from flexopt.article.gaps import GapSweep
 from flexopt.plotting.fields import LOWEST_SHOWN, POSTURE, Values, draw_arm, draw_field, draw_regions, label_plane
 from flexopt.plotting.workspace import dataset_plane
 
 EPSILON_COLOR, W_COLOR = "#1b6ca8", "#d9820f"
 Arms = Mapping[str, Values]
-
-
-class CurveData(Protocol):
-    """What is read of a curve along one height."""
-
-    @property
-    def x(self) -> Values: ...  # noqa: D102
-    @property
-    def y(self) -> float: ...  # noqa: D102
-    @property
-    def w(self) -> Values: ...  # noqa: D102
-    @property
-    def epsilon_max(self) -> Values: ...  # noqa: D102
-    @property
-    def regular(self) -> Any: ...  # noqa: D102
-
-
-class SweepData(Protocol):
-    """What is read of a sweep of gaps."""
-
-    @property
-    def factors(self) -> tuple[float, ...]: ...  # noqa: D102
-    @property
-    def names(self) -> tuple[str, ...]: ...  # noqa: D102
-    @property
-    def nu_gap(self) -> Values: ...  # noqa: D102
-    @property
-    def epsilon_max(self) -> Values: ...  # noqa: D102
 
 
 def plot_figure5(inverse: Any, arms: Arms) -> Figure:
@@ -94,7 +68,7 @@ def plot_figure7(transpose: Any, inverse: Any) -> Figure:
     return figure
 
 
-def plot_figure8(transpose: CurveData, inverse: CurveData, marks: Mapping[str, float]) -> Figure:
+def plot_figure8(transpose: Curve, inverse: Curve, marks: Mapping[str, float]) -> Figure:
     """ε_max and w_1 along one height, with the end-points `marks` (name -> x, m) as thin lines."""
     figure = Figure(figsize=(12.5, 4.6), layout="constrained")
     for k, (title, curve) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
@@ -120,7 +94,7 @@ def plot_figure8(transpose: CurveData, inverse: CurveData, marks: Mapping[str, f
     return figure
 
 
-def _along(axes: Axes, curve: CurveData, values: Values, color: str, label: str, style: str) -> None:
+def _along(axes: Axes, curve: Curve, values: Values, color: str, label: str, style: str) -> None:
     """A curve, broken where the arm does not reach; its axis leaves out the lowest few points."""
     steps = np.diff(curve.x)
     broken = np.insert(values.astype(float), np.flatnonzero(steps > 2 * np.median(steps)) + 1, np.nan)
@@ -131,7 +105,7 @@ def _along(axes: Axes, curve: CurveData, values: Values, color: str, label: str,
     axes.set_ylim(low - 0.12 * (high - low), high + 0.08 * (high - low))
 
 
-def plot_gaps(sweep: SweepData) -> Figure:
+def plot_gaps(sweep: GapSweep) -> Figure:
     """ν-gap between rigid and full plant, and ε_max, as the damping grows; robust postures and others."""
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
     panels: Sequence[tuple[str, Values]] = (("ν-gap to the rigid plant", sweep.nu_gap),

@@ -41,14 +41,14 @@ class Result:
     DOCUMENT: ClassVar[str] = ""
 
     @classmethod
-    def keys(cls) -> tuple[Key, ...]:
+    def document_keys(cls) -> tuple[Key, ...]:
         """The keys of its document; every field where `DOCUMENT` says none."""
         return _keys(cls.DOCUMENT or " ".join(field.name for field in fields(cast(Any, cls))))
 
     def document(self) -> dict[str, Any]:
         """Values by their keys, arrays and results as they are."""
         found: dict[str, Any] = {}
-        for (*outer, last), attribute, _ in self.keys():
+        for (*outer, last), attribute, _ in self.document_keys():
             inside = found
             for part in outer:
                 inside = inside.setdefault(part, {})
@@ -61,7 +61,7 @@ class Result:
 
     def _units(self, outer: str) -> Iterator[tuple[str, str]]:
         """Names as the table has them, with their units."""
-        for path, attribute, unit in self.keys():
+        for path, attribute, unit in self.document_keys():
             name, value = outer + ".".join(path), attrgetter(attribute)(self)
             yield name, unit
             if isinstance(value, Result):

@@ -268,6 +268,15 @@ def _curvature(program: Program, x: Vector, local: FirstOrderModel, multipliers:
     if not free.size or KINK_NAME in local.names:
         return 0.0
     weights = local.weights(multipliers, kept)
+    values, vectors = np.linalg.eigh(lagrangian_hessian(program, x, free, weights))
+    largest = float(values[-1])
+    if largest > CURVATURE_TOLERANCE and not _rises(program, x, local, free.T @ vectors[:, -1], weights, largest):
+        return 0.0
+    return largest
+
+
+def lagrangian_hessian(program: Program, x: Vector, free: Vector, weights: Vector) -> Vector:
+    """Second derivatives of V − weightsᵀ c along the rows of `free` (d, n_x), scaled variables, (d, d)."""
     hessian = np.zeros((len(free), len(free)))
     for k, place in enumerate(program.coupling.places):
         # What the others do does not matter to this one's second derivatives, and it has few directions of its own.
@@ -275,18 +284,14 @@ def _curvature(program: Program, x: Vector, local: FirstOrderModel, multipliers:
         _, reach, basis = np.linalg.svd(own, full_matrices=False)
         basis = basis[reach > 1e-9]
         along = own @ basis.T
-        hessian += along @ second_derivatives(program, k, program.of(x, k), basis, weights) @ along.T
+        hessian += along @ _second_derivatives(program, k, program.of(x, k), basis, weights) @ along.T
     if program.goal == "motion":
-        steps = free @ program.coupling.steps(local.gradient.size).T
+        steps = free @ program.coupling.steps(free.shape[1]).T
         hessian -= steps @ steps.T
-    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
-    largest = float(values[-1])
-    if largest > CURVATURE_TOLERANCE and not _rises(program, x, local, free.T @ vectors[:, -1], weights, largest):
-        return 0.0
-    return largest
+    return (hessian + hessian.T) / 2
 
 
-def second_derivatives(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -> Vector:
+def _second_derivatives(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -> Vector:
     """Second derivatives of configuration k's share in the Lagrangian along a basis (d, n_z) of z / scale, (d, d)."""
     count, kept, n_rows = program.coupling.count, len(program.first.kept), len(program.first.constraints)
     before = n_rows * count + len(program.coupling.pairs)

@@ -19,10 +19,10 @@ from flexopt.selection.check import (
     STATIONARY_NEARLY,
     FirstOrderModel,
     Proof,
+    lagrangian_hessian,
     linearised,
     multipliers_of,
     prove_program,
-    second_derivatives,
 )
 from flexopt.selection.program import Program
 
@@ -48,7 +48,7 @@ def polished(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
         step = _step(exact, there, local, multipliers, kept, off)
         if step is None:
             break
-        there = np.clip(there + step * exact.scale, *exact.bounds())
+        there = np.clip(there + step[: x.size] * exact.scale, *exact.bounds())
     return x, proof
 
 
@@ -59,8 +59,7 @@ def _step(
     rows = local.rows(kept)
     _, singular, directions = np.linalg.svd(rows)
     free = directions[int(np.sum(singular > 1e-9 * singular[0])) :]
-    bent = second_derivatives(program, 0, program.of(x, 0), free, local.weights(multipliers, kept))
-    bent = (bent + bent.T) / 2
+    bent = lagrangian_hessian(program, x, free, local.weights(multipliers, kept))
     if not np.all(np.isfinite(bent)) or (free.size and np.linalg.eigvalsh(bent)[-1] >= 0.0):
         return None
     step = -np.linalg.pinv(rows) @ _beyond(program, local, kept) - free.T @ np.linalg.solve(bent, free @ off)
