@@ -183,8 +183,8 @@ class SimulationOptions(FileModel):
     gravity: bool = False
     gravity_compensation: bool = True
     nullspace_damping: Annotated[float, quantity("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
-    sensor: Sensor = Sensor()
-    actuator: Actuator = Actuator()
+    sensor: Sensor = Sensor.model_construct()
+    actuator: Actuator = Actuator.model_construct()
     base_path: Path | None = None
     target_path: Path | None = None
     seed: Annotated[int, checked(check_seed)] = 0
