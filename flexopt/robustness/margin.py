@@ -85,7 +85,7 @@ class Margin:
         rigid = safe_norm(ca.vec(rigid_residue(at, pencil, self.control)))
         of_posture = [pencil.stiffness, pencil.mass, a, b, rigid, ca.diag(pencil.actuated_mass), deflection]
         inputs, names = [g.base, g.posture, g.p, kr], ["base", "posture", "p", "kr"]
-        options = {"cse": True, "is_diff_out": [False]}
+        options = {"is_diff_out": [False]}
         if not self.compact and m <= WRITTEN_OUT:
             values, modes, _ = solve_modes(pencil)
             written = self._scales(kr, values, modes, of_posture)

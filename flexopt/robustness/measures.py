@@ -115,7 +115,7 @@ class Measures:
         a, b = residue_factors(at, pencil, modes, self.control)
         parts = symmetric_part_vectors(a, b, same)
         held = ca.veccat(*([deflection] if deflection is not None else []), values, modes, same, parts)
-        return self._function("hold", [], {"held": held}, {"is_diff_out": [False]})
+        return self._function("hold", [], {"held": held}, {"is_diff_out": [False], "cse": False})
 
     @cached_property
     def reduced(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
