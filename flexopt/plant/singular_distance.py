@@ -13,7 +13,7 @@ from itertools import pairwise
 import casadi as ca
 
 from flexopt.algebra import determinant, safe_norm
-from flexopt.plant.tree_constants import AXES
+from flexopt.plant.tree_algebra import AXES
 from flexopt.plant.tree_structure import Skeleton
 
 # Of sums of products of squared singular values, where the mean of these is 1.
