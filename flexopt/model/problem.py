@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, TypedDict, cast
+from typing import Annotated, Any, TypedDict, cast
 
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
     COORDINATE_MAX,
-    check_number,
-    check_numbers,
     check_pair,
     check_schema,
-    check_whole,
     checked,
+)
+from flexopt.model.boundary import holding_machine
+from flexopt.model.choices import (
+    SINGULARITY_MARGIN_DEG,
+    SLACK,
+    Combine,
+    Elbow,
+    check_gain,
+    check_margin_deg,
+    check_objective,
+    check_seed,
+    check_slack,
+    check_starts,
+    check_weights,
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.machine import AnyMachine
@@ -34,68 +45,10 @@ from flexopt.model.targets import (
     target_faults,
 )
 
-Elbow = Literal["up", "down"]
-ELBOWS: tuple[Elbow, ...] = ("up", "down")
-# How the targets that share a placement count: the worst one, or all by their shares.
-Combine = Literal["worst", "weighted"]
-COMBINES: tuple[Combine, ...] = ("worst", "weighted")
-SINGULARITY_MARGIN_DEG = 10.0
-# The best maxima of the excavator's ε_max differ by 4e-5 of it and more.
-SLACK = 1e-5
-STARTS_MAX = 10_000
 # What the calls that solve a problem name the keys of [target].
 TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "path"}
 # Coordinates that some machine may be placed by.
 PLACEMENTS = ("x", "y", "yaw")
-
-
-def check_objective(value: Any) -> str:
-    """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas."""
-    words = value.replace(" ", "").split(",") if isinstance(value, str) else []
-    if not words or not all(re.fullmatch(r"V|epsilon_max|w[1-9][0-9]?", word) for word in words):
-        raise ValueError(
-            "must be w1, w2, … (one mode), V (a weighted sum) or epsilon_max, or several of them in order of "
-            "importance, separated by commas"
-        )
-    if len(set(words)) < len(words):
-        raise ValueError("names the same objective twice")
-    return ",".join(words)
-
-
-def check_weights(value: Any) -> tuple[float, ...]:
-    """The weights α of V = Σ αi wi: non-negative, not all zero."""
-    if not isinstance(value, list | tuple) or not value:
-        raise ValueError("must be a list of numbers, one for each mode")
-    values = cast(list[Any], value)
-    weights = check_numbers(values, [f"α{i + 1}" for i in range(len(values))], "", low=0.0, high=1e6)
-    if not any(weights):
-        raise ValueError("at least one weight must be positive")
-    return weights
-
-
-def check_margin_deg(value: Any) -> float:
-    """An angle from singular postures, degrees."""
-    return check_number(value, "°", low=0.01, high=80.0)
-
-
-def check_gain(value: Any) -> float:
-    """The servo gain kr of ε_max."""
-    return check_number(value, "", above=0.0, high=1e15)
-
-
-def check_starts(value: Any) -> int:
-    """How many starts at most."""
-    return check_whole(value, 1, STARTS_MAX)
-
-
-def check_seed(value: Any) -> int:
-    """A seed."""
-    return check_whole(value, 0, 2**32 - 1, "2³² − 1")
-
-
-def check_slack(value: Any) -> float:
-    """What an objective may give up for the next one, as a share."""
-    return check_number(value, "", low=1e-7, high=1.0)
 
 
 def _check_any_range(value: Any) -> Any:
@@ -239,3 +192,6 @@ class Problem(BuiltByCall):
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options
+
+
+TABLE["problem"] = holding_machine(Problem, "a Problem, from flexopt.load_problem")

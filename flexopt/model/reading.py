@@ -13,11 +13,10 @@ from flexopt.model.cylinder_faults import check_strokes
 from flexopt.model.faults import Table, check_extent, machine_faults, problem_faults, read_table, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.planar import Machine
-from flexopt.model.problem import Problem
-from flexopt.model.targets import target_faults
 from flexopt.model.tree import Tree
 
 if TYPE_CHECKING:
+    from flexopt.model.problem import Problem
     from flexopt.model.simulation import Experiment
 
 
@@ -136,6 +135,9 @@ def _experiment(source: Source) -> Experiment:
 
 
 def _problem(source: Source) -> Problem:
+    from flexopt.model.problem import Problem  # noqa: PLC0415  (what no file asks for is not loaded)
+    from flexopt.model.targets import target_faults  # noqa: PLC0415
+
     if "simulation" in source.data:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
     check_extent(source.data, source.name)

@@ -25,8 +25,8 @@ from flexopt.foundation.quantities import (
     checked,
     quantity,
 )
+from flexopt.model.choices import Elbow, check_gain, check_objective, check_seed, check_weights
 from flexopt.model.machine import AnyMachine
-from flexopt.model.problem import Elbow, check_gain, check_objective, check_seed, check_weights
 from flexopt.model.tables import BuiltByCall, FileModel
 
 Feedback = Literal["pd", "pid", "robust", "none"]

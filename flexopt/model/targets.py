@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal, cast
 
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import COORDINATE_MAX, check_number, check_numbers, checked
+from flexopt.model.choices import TARGETS_MAX
 from flexopt.model.tables import FileModel
 
-TARGETS_MAX = 1000
 RATE_MAX, TIME_MAX, SHARE_MAX = 1e3, 1e6, 1e6
 # Keys of [target], of which a problem has exactly one, with the keys of [selection] that go with it only.
 TargetKind = Literal["end_point", "end_points", "path"]

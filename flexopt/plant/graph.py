@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import Fault, ModelError, raise_if_any
-from flexopt.foundation.arrays import spread
+from flexopt.foundation.arrays import Array, spread
 from flexopt.model import AnyMachine
 from flexopt.model.kinematic_tree import KinematicTree
 from flexopt.plant.singular_distance import ArmLine, singularity_sine_squared
@@ -30,7 +30,7 @@ from flexopt.plant.tree_task import end_axes, in_inertial_axes, points, task
 PROBES, SINGULAR = 4, 1e-13
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MachineGraph:
     """SX graphs of a machine, each built when it is first asked for; r and J in m, m/rad or 1.
 
@@ -200,7 +200,7 @@ def _check_mass(machine: AnyMachine, graph: MachineGraph) -> None:
     p = ca.DM([parameter.value for parameter in machine.parameters])
     best, weak = 0.0, 0
     for share in spread(PROBES, graph.q.shape[0]):
-        mass = function(3.0 * share - 1.5, p).full()
+        mass: Array = function(3.0 * share - 1.5, p).full()
         scale = np.sqrt(np.maximum(np.diag(mass), np.finfo(float).tiny))
         values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
         if values[0] >= best:

@@ -57,7 +57,7 @@ def _quotient(a: ca.SX, b: ca.SX) -> ca.SX:
     return a * b / (b**2 + ROUNDING**2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArmLine:
     """The actuated joints on the way to the end-point, from the ground outwards, in one configuration.
 

@@ -120,7 +120,7 @@ def second_turned(matrix: Numbers, second: Mapping[str, Scalar]) -> dict[str, Sc
     return {name: columns[AXES.index(name[1])][AXES.index(name[0])] for name in SECOND}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Moments:
     """Mass, first and second moment of what is rigid, about an origin, in some axes."""
 
@@ -143,7 +143,7 @@ class Moments:
         return Moments(self.mass, add(self.first, scaled(self.mass, at)), second)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spin:
     """How a body's axes turn: rate ω, its square's and its derivative's part in U (rows), all in its axes."""
 

@@ -40,7 +40,7 @@ from flexopt.plant.tree_algebra import (
 from flexopt.plant.tree_structure import Skeleton
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recursion:
     """A tree in one configuration.
 

@@ -46,7 +46,7 @@ CSE_MAX = 20_000
 SOLVE_TOLERANCE = 1e-8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MeasureGraph:
     """SX graphs of the measures in `base`, `posture`, `p` and `held`. m modes, r task rows.
 

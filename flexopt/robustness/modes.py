@@ -30,7 +30,7 @@ TRUSTED_GAP = 1e-3
 WRITTEN_OUT = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReducedPencil:
     """K_p φ_p = ω² M̄ φ_p after the actuated coordinates are eliminated.
 
@@ -119,7 +119,7 @@ def _shapes(values: ca.SX, z: ca.SX, compliance: ca.SX) -> tuple[ca.SX, ca.SX]:
     return compliance @ z / ca.repmat(ca.sqrt(values).T, z.shape[0], 1), clusters(values, CLUSTER_TOLERANCE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class QuickModes:
     """Modes by the shortest way. Values only.
 

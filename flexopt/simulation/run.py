@@ -20,7 +20,7 @@ from flexopt.loop.closed import baked, closed_loop
 from flexopt.loop.levers import feeble_levers
 from flexopt.loop.structure import LoopStructure
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Elbow
+from flexopt.model.choices import Elbow
 from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
