@@ -200,7 +200,7 @@ def _check_mass(machine: AnyMachine, graph: MachineGraph) -> None:
     p = ca.DM([parameter.value for parameter in machine.parameters])
     best, weak = 0.0, 0
     for share in spread(PROBES, graph.q.shape[0]):
-        mass: Array = function(3.0 * share - 1.5, p).full()
+        mass: Array = function.call([ca.DM(3.0 * share - 1.5), p])[0].full()
         scale = np.sqrt(np.maximum(np.diag(mass), np.finfo(float).tiny))
         values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
         if values[0] >= best:
