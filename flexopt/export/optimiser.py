@@ -232,7 +232,7 @@ def optimiser_refusal(machine: AnyMachine) -> str:
 
 def default_budget(kernels: OptimiserKernels, real: Real) -> int:
     """Evaluations of V that cost less than five million instructions of an emulated Cortex-M7."""
-    return BUDGET if kernels.exact_second else int(INSTRUCTIONS / (PER_OPERATION[real] * kernels.unit + PER_UNIT))
+    return int(INSTRUCTIONS / (PER_OPERATION[real] * kernels.unit + PER_UNIT))
 
 
 def _check_budget(value: Any) -> int:

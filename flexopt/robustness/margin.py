@@ -87,7 +87,7 @@ class Margin:
         inputs, names = [g.base, g.posture, g.p, kr], ["base", "posture", "p", "kr"]
         options = {"cse": True, "is_diff_out": [False]}
         if not self.compact and m <= WRITTEN_OUT:
-            values, modes, _ = solve_modes(pencil)
+            values, modes, _ = solve_modes(pencil.stiffness, pencil.mass)
             written = self._scales(kr, values, modes, of_posture)
             return ca.Function("hold_margin", inputs, [written], names, ["held"], options)
         of_posture = [ca.densify(graph) for graph in of_posture]

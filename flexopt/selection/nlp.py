@@ -289,7 +289,7 @@ class _Member:
         own = x if self.pick is None else self.pick @ x
         z, self.away = s["z_scale"] * own, own - s["now"]
         self.at = [z[: plant.n_base], z[plant.n_base :], s["p"]]
-        self.held = measures.called_hold.call(self.at)[0]
+        self.held = measures.hold.call(self.at)[0]
         self.row_inputs = [*self.at, s["c"], configuration.held_rows(self.held)]
         self.alphas = ca.reshape(s["alpha"], plant.n_passive, len(forms))
         target = s["target"][k * n_task : (k + 1) * n_task]
