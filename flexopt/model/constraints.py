@@ -15,9 +15,8 @@ from pydantic_core import PydanticCustomError
 
 from flexopt.foundation.nearest import hint
 from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX, check_number, check_numbers, checked
-from flexopt.model.faults import read_table, validated
+from flexopt.model.file_model import FileModel, read_table, validated
 from flexopt.model.polygons import Corners, check_simple_polygon
-from flexopt.model.tables import FileModel
 
 Interval = tuple[float, float]
 Area = Interval | Corners

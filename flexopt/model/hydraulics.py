@@ -30,8 +30,8 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 from pydantic import Field
 
 from flexopt.foundation.quantities import LENGTH_MAX, Length, Offset, check_number, check_numbers, check_pair, checked
+from flexopt.model.file_model import FileModel
 from flexopt.model.table_quantities import SPEED_MAX, check_place
-from flexopt.model.tables import FileModel
 
 AXES = "xyz"
 FORCE_MAX = 1e12

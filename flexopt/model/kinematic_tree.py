@@ -14,8 +14,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from flexopt.foundation.quantities import Length, MassOrZero, checked
+from flexopt.model.file_model import FileModel
 from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
-from flexopt.model.tables import FileModel
 from flexopt.model.tree_quantities import (
     Axis,
     InertiaSix,

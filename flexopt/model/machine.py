@@ -19,10 +19,11 @@ from flexopt.foundation.quantities import (
     check_schema,
     checked,
 )
+from flexopt.model.file_model import BuiltByCall
 from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.kinematic_tree import KinematicTree, units_of
 from flexopt.model.strokes import CylinderTravel, usable_range
-from flexopt.model.tables import BuiltByCall, Capsule
+from flexopt.model.tables import Capsule
 from flexopt.model.tree_quantities import axes_about, snapped_rows
 
 

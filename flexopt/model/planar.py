@@ -22,13 +22,14 @@ from flexopt.foundation.quantities import (
     Stiffness,
     Torque,
 )
+from flexopt.model.file_model import FileModel
 from flexopt.model.kinematic_tree import EndPoint, KinematicTree, TreeBody, TreeJoint
 from flexopt.model.machine import AnyMachine, Entry, Parameter
-from flexopt.model.tables import FileModel, Payload, Span
+from flexopt.model.planar_faults import BASE_DIRECTIONS, machine_faults
+from flexopt.model.tables import Payload, Span
 
 NORMAL = (0.0, 0.0, 1.0)
 LINK_JOINT = ("passive", "stiffness", "damping", "rest", "limits", "effort", "speed", "joint_damping")
-BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
 
 
 class BaseStiffness(FileModel):
@@ -100,8 +101,6 @@ class Machine(AnyMachine):
 
     def structural_faults(self) -> list[Fault]:
         """As of a file."""
-        from flexopt.model.faults import machine_faults  # noqa: PLC0415  (which knows this class)
-
         return machine_faults(self.to_dict()) or self.stroke_faults()
 
     @property

@@ -22,8 +22,8 @@ from flexopt.foundation.quantities import (
     checked,
 )
 from flexopt.model.constraints import Constraints
+from flexopt.model.file_model import BuiltByCall
 from flexopt.model.machine import AnyMachine
-from flexopt.model.tables import BuiltByCall
 from flexopt.model.targets import (
     KINDS,
     PathMotion,
@@ -31,7 +31,7 @@ from flexopt.model.targets import (
     TargetKind,
     check_any_numbers,
     check_any_shares,
-    target_faults,
+    problem_faults,
 )
 
 Elbow = Literal["up", "down"]
@@ -211,10 +211,7 @@ class Problem(BuiltByCall):
 
     def structural_faults(self) -> list[Fault]:
         """As of a file."""
-        from flexopt.model.faults import problem_faults  # noqa: PLC0415  (which knows the tables)
-
-        table = self.model_dump(by_alias=True, exclude_unset=True)
-        return [*problem_faults(table), *target_faults(table)]
+        return problem_faults(self.model_dump(by_alias=True, exclude_unset=True))
 
     def with_machine(self, machine: AnyMachine) -> Problem:
         """The same problem, holding its machine."""

@@ -25,9 +25,9 @@ from flexopt.foundation.quantities import (
     checked,
     quantity,
 )
+from flexopt.model.file_model import BuiltByCall, FileModel
 from flexopt.model.machine import AnyMachine
 from flexopt.model.problem import Elbow, check_gain, check_objective, check_seed, check_weights
-from flexopt.model.tables import BuiltByCall, FileModel
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, cast
 
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import COORDINATE_MAX, check_number, check_numbers, checked
-from flexopt.model.tables import FileModel
+from flexopt.model.file_model import FileModel, table_of
 
 TARGETS_MAX = 1000
 RATE_MAX, TIME_MAX, SHARE_MAX = 1e3, 1e6, 1e6
@@ -116,24 +116,23 @@ class PathMotion(FileModel):
     start: Annotated[Numbers, checked(check_any_numbers)] | None = None
 
 
-def target_faults(data: Mapping[str, Any]) -> list[Fault]:
+def problem_faults(data: Mapping[str, Any]) -> list[Fault]:
     """Faults that concern several keys at once: of [target], [motion] and [selection]."""
-    target = data.get("target")
+    target, selection, faults = data.get("target"), table_of(data.get("selection")), list[Fault]()
+    if selection.get("objective") == "V" and "weights" not in selection:
+        faults.append(Fault("selection.weights", "objective V = Σ αi wi needs its weights α"))
     if not isinstance(target, Mapping):
-        return []
+        return faults
     given = [key for key in KINDS if key in cast(Mapping[str, Any], target)]
     if len(given) != 1:
         one_of = "needs exactly one of end_point, end_points and path"
-        return [Fault("target", f"{one_of}, not {' and '.join(given)}" if given else one_of)]
-    faults: list[Fault] = []
+        return [*faults, Fault("target", f"{one_of}, not {' and '.join(given)}" if given else one_of)]
     if "motion" in data and given != ["path"]:
         faults.append(Fault("motion", "goes with a path: targets in order, as target.path"))
-    selection = data.get("selection")
-    if isinstance(selection, Mapping):
-        faults += [
-            Fault(f"selection.{key}", f"goes with target.{kind}, not with target.{given[0]}")
-            for kind, keys in KINDS.items()
-            for key in keys
-            if key in selection and kind != given[0]
-        ]
+    faults += [
+        Fault(f"selection.{key}", f"goes with target.{kind}, not with target.{given[0]}")
+        for kind, keys in KINDS.items()
+        for key in keys
+        if key in selection and kind != given[0]
+    ]
     return faults

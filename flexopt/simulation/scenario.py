@@ -25,7 +25,7 @@ from flexopt.loop.rest import design_constants, placed, state_at_rest
 from flexopt.loop.robust import robust_law
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.model import AnyMachine
-from flexopt.model.faults import read_table, validated
+from flexopt.model.file_model import read_table, validated
 from flexopt.model.simulation import Path, SimulationOptions, dead_time
 from flexopt.plant import Plant, build_plant, inverse_kinematics
 from flexopt.plant.machine_motion import constant_values, constants_at, motion_of

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field
 
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import Acceleration, Length, check_number, check_schema, checked
+from flexopt.model.file_model import FileModel
 from flexopt.model.hydraulics import Cylinder
 from flexopt.model.kinematic_tree import UNTURNED, Placement, Row
-from flexopt.model.robots.elements import closest
+from flexopt.model.robots.elements import there_are
 from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
-from flexopt.model.tables import FileModel, Payload, Polygon
+from flexopt.model.tables import Payload, Polygon
 from flexopt.model.tree_quantities import (
     DAMPING_MAX,
     STIFFNESS_MAX,
@@ -58,7 +58,7 @@ def _by_direction(value: Any, units: tuple[str, str], *, positive: bool) -> ByDi
     numbers: ByDirection = {}
     for name, number in cast(dict[str, Any], value).items():
         if name not in DIRECTIONS:
-            sentences.append(f"{name!r} is no direction{nearest(name, DIRECTIONS)}")
+            sentences.append(f"{name!r} is no direction{there_are(name, DIRECTIONS)}")
             continue
         unit = units[DIRECTIONS.index(name) >= 3]
         try:
@@ -167,8 +167,3 @@ class Overlay(FileModel):
         repeated = sorted({name for name in self.actuated if self.actuated.count(name) > 1})
         found += [Fault("actuated", "is listed twice", repr(name)) for name in repeated]
         return found
-
-
-def nearest(word: str, valid: Iterable[str]) -> str:
-    """The end of a sentence about a word that is not known."""
-    return closest(word, list(valid))[1]
