@@ -29,7 +29,7 @@ from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG, check_margin_deg, check_weights
+from flexopt.model.problem import MARGIN_DEG, SINGULARITY_MARGIN_DEG, check_weights
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures
@@ -167,7 +167,7 @@ def build_optimiser(
     control = arguments.control(control)
     arguments.flag("gravity", gravity)
     arguments.flag("baked", baked)
-    margin = arguments.checked("singularity_margin_deg", singularity_margin_deg, check_margin_deg, 10.0)
+    margin = arguments.checked("singularity_margin_deg", singularity_margin_deg, MARGIN_DEG, 10.0)
     real = arguments.choice("real", real, ("double", "float"))
     if budget is not None:
         budget = arguments.checked("budget", budget, _check_budget, BUDGET)

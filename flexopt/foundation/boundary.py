@@ -22,7 +22,7 @@ from flexopt.errors import Fault, InputError
 from flexopt.foundation.arguments import Arguments, Coordinates
 from flexopt.foundation.nearest import hint
 from flexopt.foundation.plain import plain, plain_table, shown
-from flexopt.foundation.quantities import check_number, check_numbers, check_whole
+from flexopt.foundation.quantities import Quantity, numbers_in, whole_number
 from flexopt.foundation.turns import in_turn
 
 P = ParamSpec("P")
@@ -47,25 +47,17 @@ def by(check: Callable[[Any], Any]) -> Check:
 
 def number(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Check:
     """A number in a range."""
-    return by(lambda value: check_number(value, unit, above=above, low=low, high=high))
+    return by(Quantity(unit, above=above, low=low, high=high))
 
 
 def whole(low: int, high: int) -> Check:
     """A whole number in a range."""
-    return by(lambda value: check_whole(value, low, high))
+    return by(whole_number(low, high))
 
 
 def numbers(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Check:
     """One number or several in a range."""
-
-    def check(value: Any) -> tuple[float, ...]:
-        parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
-        if not parts:
-            raise ValueError("must be a number or a list of numbers" + (f", in {unit}" if unit else ""))
-        names = [f"entry {k}" for k in range(1, len(parts) + 1)]
-        return check_numbers(parts, names, unit, above=above, low=low, high=high)
-
-    return by(check)
+    return by(numbers_in(Quantity(unit, above=above, low=low, high=high)))
 
 
 def words(*valid: Any) -> Check:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from abc import abstractmethod
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -13,11 +13,9 @@ from pydantic import Field
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
-    COORDINATE_MAX,
+    JOINT_VALUE,
     Acceleration,
-    check_number,
-    check_schema,
-    checked,
+    Schema,
 )
 from flexopt.model.file_model import BuiltByCall
 from flexopt.model.hydraulics import Cylinder, JointFrame
@@ -41,7 +39,7 @@ Entry = tuple[str, Parameter]
 class AnyMachine(BuiltByCall):
     """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more."""
 
-    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
+    schema_version: Schema = Field(default=1, alias="schema")
     name: str = Field(min_length=1)
     description: str = ""
     source: str = ""
@@ -121,7 +119,7 @@ class AnyMachine(BuiltByCall):
         """The end of a sentence about a value that its joint cannot take, where that is its cylinder's doing."""
         self._check_joint("beyond_stroke", joint)
         try:
-            q = check_number(q, "rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
+            q = JOINT_VALUE(q)
         except ValueError as error:
             raise_if_any(InputError, "beyond_stroke", [Fault("q", str(error), shown(q))])
         return next((self.travel(c).beyond_stroke(q) for c in self.cylinders if c.joint == joint), "")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from itertools import pairwise
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +15,20 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import array_of, public
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_task
-from flexopt.foundation.plain import plain
 from flexopt.foundation.quantities import (
-    COORDINATE_MAX,
+    COORDINATE,
+    DURATION,
+    JOINT_VALUE,
     BaseRange,
-    check_numbers,
-    check_schema,
-    check_whole,
-    checked,
-    quantity,
+    Quantity,
+    Schema,
+    list_of,
+    numbers_in,
+    whole_number,
 )
 from flexopt.model.file_model import BuiltByCall, FileModel
 from flexopt.model.machine import AnyMachine
-from flexopt.model.problem import Elbow, check_gain, check_objective, check_seed, check_weights
+from flexopt.model.problem import GAIN, SEED, Elbow, check_objective, check_weights
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
@@ -40,43 +41,12 @@ GAIN_MAX = 1e15
 Numbers = tuple[float, ...]
 
 
-def _list_of(unit: str, *, low: float, high: float) -> Callable[[Any], Numbers]:
-    """One number, or a list with one for each axis or joint."""
-
-    def check(value: Any) -> Numbers:
-        value = plain(value)
-        parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
-        if not parts:
-            raise ValueError(f"must be a number, or a list of numbers, in {unit}")
-        return check_numbers(parts, [f"entry {i + 1}" for i in range(len(parts))], unit, low=low, high=high)
-
-    return check
-
-
-def _check_points(value: Any) -> tuple[Numbers, ...]:
-    """A list of points, each a list of coordinates."""
-    parts = plain(value)
-    if not isinstance(parts, list | tuple) or not parts:
-        raise ValueError("must be a list of points, each a list of coordinates in m")
-    check, points, sentences = _list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX), list[Numbers](), list[str]()
-    for i, part in enumerate(cast(list[Any], parts), 1):
-        try:
-            points.append(check(part))
-        except ValueError as error:
-            sentences.append(f"point {i}: {error}")
-    if sentences:
-        raise ValueError("; ".join(sentences))
-    return tuple(points)
-
-
-def _whole(value: Any) -> int:
-    return check_whole(value, 1, 1000)
-
-
-Gains = Annotated[Numbers, checked(_list_of("N/m and the like", low=0.0, high=GAIN_MAX))]
-Torques = Annotated[Numbers, checked(_list_of("N m or N", low=0.0, high=1e12))]
+Gains = Annotated[Numbers, numbers_in(Quantity("N/m and the like", low=0.0, high=GAIN_MAX))]
+Torques = Annotated[Numbers, numbers_in(Quantity("N m or N", low=0.0, high=1e12))]
 # Which of them are angles, and how many there must be, is the machine's to say.
-Coordinates = Annotated[Numbers, checked(_list_of("rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX))]
+Coordinates = Annotated[Numbers, numbers_in(JOINT_VALUE)]
+_POINT = numbers_in(COORDINATE["m"])
+_POINTS = list_of("points, each a list of coordinates in m", _POINT, "point {}:", 1, math.inf)
 
 
 class Sensor(BuiltByCall):
@@ -88,11 +58,11 @@ class Sensor(BuiltByCall):
         delay: from measurement to command, s; a whole number of samples.
     """
 
-    noise: Annotated[float, quantity("m", low=0.0, high=1e3)] = 0.0
-    rate_noise: Annotated[float, quantity("m/s", low=0.0, high=1e3)] = 0.0
-    resolution: Annotated[float, quantity("m", low=0.0, high=1e3)] = 0.0
-    rate_resolution: Annotated[float, quantity("m/s", low=0.0, high=1e3)] = 0.0
-    delay: Annotated[float, quantity("s", low=0.0, high=10.0)] = 0.0
+    noise: Annotated[float, Quantity("m", low=0.0, high=1e3)] = 0.0
+    rate_noise: Annotated[float, Quantity("m/s", low=0.0, high=1e3)] = 0.0
+    resolution: Annotated[float, Quantity("m", low=0.0, high=1e3)] = 0.0
+    rate_resolution: Annotated[float, Quantity("m/s", low=0.0, high=1e3)] = 0.0
+    delay: Annotated[float, Quantity("s", low=0.0, high=10.0)] = 0.0
 
 
 class Actuator(BuiltByCall):
@@ -113,17 +83,17 @@ class Actuator(BuiltByCall):
 
     torque_limit: Torques | None = None
     dead_band: Torques | None = None
-    bandwidth_hz: Annotated[Numbers, checked(_list_of("Hz", low=1e-3, high=1e6))] | None = None
+    bandwidth_hz: Annotated[Numbers, numbers_in(Quantity("Hz", low=1e-3, high=1e6))] | None = None
     rate_limit: Torques | None = None
     levers: Literal["each", "uniform"] | None = None
-    servo_gain: Annotated[float, quantity("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
+    servo_gain: Annotated[float, Quantity("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
 
 
 class Path(BuiltByCall):
     """Points at times, s, joined by straight lines; held before the first and after the last."""
 
-    times: Annotated[Numbers, checked(_list_of("s", low=0.0, high=1e6))]
-    points: Annotated[tuple[Numbers, ...], checked(_check_points)]
+    times: Annotated[Numbers, numbers_in(Quantity("s", low=0.0, high=1e6))]
+    points: Annotated[tuple[Numbers, ...], _POINTS]
 
     def structural_faults(self) -> list[Fault]:
         """What does not fit together."""
@@ -164,30 +134,30 @@ class SimulationOptions(FileModel):
     """What `flexopt.simulate` takes (keys of `[simulation]`); see there."""
 
     posture: Coordinates | None = None
-    end_point: Annotated[Numbers, checked(_list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX))] | None = None
+    end_point: Annotated[Numbers, _POINT] | None = None
     elbow: Elbow | None = None
     base: Coordinates | None = None
-    control: Annotated[Control, checked(check_control)] = "inverse"
+    control: Annotated[Control, check_control] = "inverse"
     feedback: Feedback = "pd"
     kp: Gains = (1e5,)
     kv: Gains = (2e3,)
     ki: Gains = (0.0,)
-    integral_limit: Annotated[float, quantity("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
-    gain: Annotated[float, checked(check_gain)] = 5e5
+    integral_limit: Annotated[float, Quantity("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
+    gain: Annotated[float, GAIN] = 5e5
     offset: Coordinates | None = None
-    duration: Annotated[float, quantity("s", above=0.0, high=1e6)] = 10.0
-    rate: Annotated[float, quantity("Hz", above=0.0, high=1e6)] = 200.0
+    duration: Annotated[float, DURATION] = 10.0
+    rate: Annotated[float, Quantity("Hz", above=0.0, high=1e6)] = 200.0
     hold: bool = True
     integrator: Method = "rk4"
-    substeps: Annotated[int, checked(_whole)] | None = None
+    substeps: Annotated[int, whole_number(1, 1000)] | None = None
     gravity: bool = False
     gravity_compensation: bool = True
-    nullspace_damping: Annotated[float, quantity("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
+    nullspace_damping: Annotated[float, Quantity("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
     base_path: Path | None = None
     target_path: Path | None = None
-    seed: Annotated[int, checked(check_seed)] = 0
+    seed: Annotated[int, SEED] = 0
     baked: bool = False
 
     def placement(self, machine: AnyMachine) -> Numbers:
@@ -282,18 +252,18 @@ def dead_time(options: SimulationOptions) -> tuple[int, float]:
 class NullspaceOptions(FileModel):
     """How the base moves by the nullspace law (keys of `[nullspace]`); see `flexopt.nullspace_trajectory`."""
 
-    objective: Annotated[str, checked(check_objective)] = "w1"
-    weights: Annotated[tuple[float, ...], checked(check_weights)] | None = None
+    objective: Annotated[str, check_objective] = "w1"
+    weights: Annotated[tuple[float, ...], check_weights] | None = None
     base_range: BaseRange | None = None
-    max_base_rate: Annotated[float, quantity("m/s", above=0.0, high=1e3)] = 0.25
-    max_base_acceleration: Annotated[float, quantity("m/s²", above=0.0, high=1e6)] | None = None
-    duration: Annotated[float, quantity("s", above=0.0, high=1e6)] = 60.0
+    max_base_rate: Annotated[float, Quantity("m/s", above=0.0, high=1e3)] = 0.25
+    max_base_acceleration: Annotated[float, Quantity("m/s²", above=0.0, high=1e6)] | None = None
+    duration: Annotated[float, DURATION] = 60.0
 
 
 class Experiment(BuiltByCall):
     """A simulation in a file (`flexopt.load_experiment` reads one)."""
 
-    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
+    schema_version: Schema = Field(default=1, alias="schema")
     name: str = Field(min_length=1)
     description: str = ""
     source: str = ""

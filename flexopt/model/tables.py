@@ -6,9 +6,15 @@ from typing import Annotated
 
 from pydantic import Field
 
-from flexopt.foundation.quantities import Length, MassOrZero, checked
+from flexopt.foundation.quantities import OFFSET, Length, MassOrZero, pair, vector
 from flexopt.model.file_model import FileModel
-from flexopt.model.table_quantities import check_place, check_polygon, check_span
+from flexopt.model.polygons import check_convex_polygon
+
+# On a body, in its axes.
+Place = Annotated[
+    tuple[float, ...],
+    vector("numbers in m: [along, left] in the plane, [x, y, z] in space", OFFSET, ("along", "left"), "xyz"),
+]
 
 
 class Payload(FileModel):
@@ -25,15 +31,15 @@ class Capsule(FileModel):
     """
 
     body: str = Field(min_length=1)
-    start: Annotated[tuple[float, ...], checked(check_place)]
-    end: Annotated[tuple[float, ...], checked(check_place)]
+    start: Place
+    end: Place
     radius: Length
 
 
 class Span(FileModel):
     """The two ends of what an undercarriage stands on in the plane: [rear, front], m, in the anchor frame."""
 
-    span: Annotated[tuple[float, float], checked(check_span)]
+    span: Annotated[tuple[float, float], pair(OFFSET)]
 
 
 class Polygon(FileModel):
@@ -42,4 +48,4 @@ class Polygon(FileModel):
     They are kept counter-clockwise seen from above, whichever way they were given.
     """
 
-    polygon: Annotated[tuple[tuple[float, float], ...], checked(check_polygon)]
+    polygon: Annotated[tuple[tuple[float, float], ...], check_convex_polygon]

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import Fault
-from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, degrees_hint
+from flexopt.foundation.quantities import ANGLE, ANGLE_MAX, COORDINATE_MAX, degrees_hint
 from flexopt.model.file_model import named, quoted, table_of, tables_of
 from flexopt.model.part_faults import capsule_faults, cylinder_faults
 from flexopt.model.tree_quantities import check_square
@@ -103,8 +103,7 @@ def _joint_faults(where: str, joint: dict[str, Any], coupled: dict[str, tuple[st
             wide = [v for v in values if isinstance(v, int | float) and ANGLE_MAX < abs(v) <= COORDINATE_MAX]
             if wide:
                 hint = degrees_hint("rad", max(wide, key=abs))
-                sentence = f"must lie between {-ANGLE_MAX:g} and {ANGLE_MAX:g} rad{hint}"
-                faults.append(Fault(f"{where}.joint.{key}", sentence, quoted(joint[key])))
+                faults.append(Fault(f"{where}.joint.{key}", f"{ANGLE.allowed}{hint}", quoted(joint[key])))
     return faults
 
 
