@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, ModelError
-from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import array_of, public
 from flexopt.foundation.control import Control, check_control
-from flexopt.foundation.coordinates import check_task
 from flexopt.foundation.quantities import (
     COORDINATE,
     DURATION,
@@ -97,7 +96,7 @@ class Path(BuiltByCall):
 
     def structural_faults(self) -> list[Fault]:
         """What does not fit together."""
-        return _shape_faults(self, "")
+        return shape_faults(self, "")
 
     @public(times=array_of((), ("K",), unit="s"))
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -106,7 +105,7 @@ class Path(BuiltByCall):
         return np.array(columns).T
 
 
-def _shape_faults(path: Path, name: str) -> list[Fault]:
+def shape_faults(path: Path, name: str) -> list[Fault]:
     """What does not fit together in a path, `name` (and a dot) before its keys."""
     found: list[Fault] = []
     if len(path.times) != len(path.points):
@@ -119,19 +118,42 @@ def _shape_faults(path: Path, name: str) -> list[Fault]:
     return found
 
 
-def _path_faults(path: Path, name: str, names: tuple[str, ...]) -> list[Fault]:
-    """What does not fit together; `names` of a point's coordinates."""
-    found = _shape_faults(path, f"{name}.")
-    if not names:
-        found.append(Fault(name, "has nothing to move: the machine has no placement coordinates"))
-    elif any(len(point) != len(names) for point in path.points):
-        sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
-        found.append(Fault(f"{name}.points", sentence))
-    return found
+class SimulationOptions(BuiltByCall):
+    """A closed loop and its run: the keys of a file's `[simulation]`.
 
+    `flexopt.simulate`, `simulate_ensemble`, `sampled_loop`, `stability_border` and `export_fmu` take it as their
+    argument `options`, and its fields as keywords, too; a keyword goes before the field.
 
-class SimulationOptions(FileModel):
-    """What `flexopt.simulate` takes (keys of `[simulation]`); see there."""
+    Attributes:
+        posture: actuated joints (n,), rad or m, about which to work; or give `end_point`, and `elbow` of a planar arm.
+        end_point: (n_task,), m, inertial frame; for arms with no more joints than task rows.
+        elbow: `"up"` (default) or `"down"`.
+        base: placement (n_b,), m or rad: of a planar machine x alone; 0 by default.
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.
+        feedback: `"pd"`, `"pid"`, `"robust"` (the controller that attains ε_max) or `"none"`.
+        kp, kv, ki: gains, one number or one for each task row (N/m, N s/m, N/(m s) for transpose control).
+        integral_limit: largest |∫ ki e dt| for each axis.
+        gain: servo gain kr for which `"robust"` is designed.
+        offset: displacement of the joints at the start (n,), rad or m; +0.05, −0.05, … by default.
+        duration: s.
+        rate: of the samples, Hz.
+        hold: True: the command is computed at each sample and held; False: at every stage of the integrator.
+        integrator: `"rk4"` (the article's), `"dop853"` (explicit, order 8) or `"gauss"` (Gauss–Legendre, order 6,
+            symplectic: the energy of undamped modes stays).
+        substeps: integration steps in a sample; by default 1 for `"rk4"`, else as the fastest mode needs.
+        gravity: False: the weight is taken to be compensated in all coordinates, as in the article; True: it acts, and
+            the machine hangs in its springs.
+        gravity_compensation: whether the command carries the arm's weight, where it acts.
+        nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad or N s/m.
+        sensor: noise, resolution, delay; see `flexopt.Sensor`.
+        actuator: limits, dead band, servo; see `flexopt.Actuator`.
+        base_path: where the operator drives the base, `flexopt.Path` of placements or a `BaseTrajectory`'s `path`; the
+            springs must give along what it moves, and in x, y and yaw where it turns.
+        target_path: where the end-point shall be, `flexopt.Path`; by default where it is in the posture.
+        seed: of the noise.
+        baked: fold this machine's and controller's numbers into code of their own: a little faster, compiled anew for
+            every set of numbers.
+    """
 
     posture: Coordinates | None = None
     end_point: Annotated[Numbers, _POINT] | None = None
@@ -160,83 +182,57 @@ class SimulationOptions(FileModel):
     seed: Annotated[int, SEED] = 0
     baked: bool = False
 
-    def placement(self, machine: AnyMachine) -> Numbers:
-        """The placement (n_b,); the origin where none is given."""
-        return (0.0,) * len(machine.base_coordinates) if self.base is None else self.base
 
-    def faults(self, machine: AnyMachine, *, any_delay: bool = False) -> list[Fault]:
-        """What does not fit together, or not this machine; `any_delay`: the linear loop takes parts of a sample."""
-        found = self._posture_faults(machine) + self._controller_faults(machine) + self._time_faults(any_delay)
-        for name, path, names in (
-            ("base_path", self.base_path, machine.base_coordinates),
-            ("target_path", self.target_path, machine.task_rows),
-        ):
-            found += [] if path is None else _path_faults(path, name, names)
-        return found
+class LoopKeywords(TypedDict, total=False):
+    """Fields of `SimulationOptions` as keywords of a call, for type checkers; None is left out."""
 
-    def _posture_faults(self, machine: AnyMachine) -> list[Fault]:
-        n, rows, noted = len(machine.joints), machine.task_rows, Arguments("")
-        if (self.posture is None) == (self.end_point is None):
-            noted.faults.append(Fault("posture, end_point", "give one of the two"))
-        if self.end_point is not None:
-            point = list(self.end_point)
-            noted.checked("end_point", point, lambda v: check_task(v, rows), ())
-            if n > len(rows):
-                sentence = f"does not name one posture of {n} actuated joints; give the posture"
-                noted.faults.append(Fault("end_point", sentence, str(point)))
-        if self.posture is not None:
-            noted.posture(machine, list(self.posture))
-        if self.offset is not None:
-            noted.displacement(machine, list(self.offset), "offset")
-        if self.base is not None:
-            noted.base(machine, list(self.base))
-        return noted.faults
+    end_point: Any
+    elbow: Elbow | None
+    base: Any
+    control: Control | None
+    feedback: Feedback | None
+    kp: Any
+    kv: Any
+    ki: Any
+    integral_limit: float | None
+    gain: float | None
+    offset: Any
+    duration: float | None
+    rate: float | None
+    hold: bool | None
+    substeps: int | None
+    gravity: bool | None
+    gravity_compensation: bool | None
+    nullspace_damping: float | None
+    sensor: Sensor | Mapping[str, Any] | None
+    actuator: Actuator | Mapping[str, Any] | None
+    base_path: Path | Mapping[str, Any] | None
+    target_path: Path | Mapping[str, Any] | None
+    seed: int | None
+    baked: bool | None
 
-    def _controller_faults(self, machine: AnyMachine) -> list[Fault]:
-        n, found, axes = len(machine.joints), list[Fault](), len(machine.task_rows)
-        for name, gains in (("kp", self.kp), ("kv", self.kv), ("ki", self.ki)):
-            if len(gains) not in (1, axes):
-                sentence = f"must be one number, or one for each of the {axes} task axes"
-                found.append(Fault(name, sentence, str(list(gains))))
-        wanted = f"must be one number, or one for each actuated joint ({', '.join(machine.joints)})"
-        for name in ("torque_limit", "dead_band", "bandwidth_hz", "rate_limit"):
-            value: Numbers | None = getattr(self.actuator, name)
-            if value is not None and len(value) not in (1, n):
-                found.append(Fault(f"actuator.{name}", wanted, str(list(value))))
-        if self.actuator.rate_limit is not None and self.actuator.bandwidth_hz is None:
-            sentence = "needs actuator.bandwidth_hz: it limits how fast the servo's torque changes"
-            found.append(Fault("actuator.rate_limit", sentence))
-        return found + self._lever_faults(machine)
 
-    def _lever_faults(self, machine: AnyMachine) -> list[Fault]:
-        if self.actuator.levers is None:
-            return []
-        found: list[Fault] = []
-        if self.control == "transpose":
-            sentence = 'set joint rates, and Jacobian transpose control asks for torques; use control = "inverse"'
-            found.append(Fault("actuator.levers", sentence, repr(self.actuator.levers)))
-        missing = machine.joints_without_speed
-        if missing:
-            sentence = f"need a cylinder or a speed of every joint; {machine.name} has none for {', '.join(missing)}"
-            found.append(Fault("actuator.levers", sentence, repr(self.actuator.levers)))
-        return found
+class SimulationKeywords(LoopKeywords, total=False):
+    """Those of a run."""
 
-    def _time_faults(self, any_delay: bool) -> list[Fault]:
-        found: list[Fault] = []
-        samples, waits = self.duration * self.rate, self.sensor.delay * self.rate
-        if not 0.5 <= samples <= SAMPLES_MAX:
-            found.append(Fault("duration, rate", f"must give between 1 and {SAMPLES_MAX} samples", f"{samples:g}"))
-        if any_delay and waits > DELAY_MAX:
-            sentence = f"must be at most {DELAY_MAX} samples of {1 / self.rate:g} s"
-            found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
-        elif not any_delay and (abs(waits - round(waits)) > PART_OF_SAMPLE or waits > DELAY_MAX):
-            sentence = f"must be a whole number (0 to {DELAY_MAX}) of samples of {1 / self.rate:g} s"
-            sentence += "; sampled_loop and stability_border take any time"
-            found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
-        if not self.hold and self.sensor != Sensor():
-            sentence = "noise, resolution and delay belong to a sampled controller: give hold = true"
-            found.append(Fault("sensor", sentence))
-        return found
+    integrator: Method | None
+
+
+class LinearKeywords(LoopKeywords, total=False):
+    """Those of the linear loop."""
+
+    integrator: Method | Literal["exact"] | None
+
+
+class OverrideKeywords(SimulationKeywords, total=False):
+    """Those that take the place of a file's."""
+
+    posture: Any
+
+
+def placement_of(options: SimulationOptions, machine: AnyMachine) -> Numbers:
+    """The placement (n_b,); the origin where none is given."""
+    return (0.0,) * len(machine.base_coordinates) if options.base is None else options.base
 
 
 def dead_time(options: SimulationOptions) -> tuple[int, float]:
