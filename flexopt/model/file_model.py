@@ -6,11 +6,12 @@ import datetime
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.foundation.nearest import hint_or_list
 from flexopt.foundation.plain import Unreadable, plain_table, shown
+from flexopt.foundation.quantities import Schema, entries
 
 # Far beyond any machine; what is larger is refused at once, before its parts are looked at.
 DEPTH_MAX = 30
@@ -25,6 +26,15 @@ class FileModel(BaseModel):
 
     # Built when first used: a process that reads a machine needs no schema of problems.
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
+
+
+class Described(FileModel):
+    """What every file says of itself."""
+
+    schema_version: Schema = Field(default=1, alias="schema")
+    name: str = Field(min_length=1)
+    description: str = ""
+    source: str = ""
 
 
 class BuiltByCall(FileModel):
@@ -104,7 +114,7 @@ def check_extent(data: Table, origin: str, kind: type[InputError] = ModelError) 
                 continue
             waiting += [(f"{path}.{key}" if path else str(key), part, depth + 1) for key, part in table.items()]
             continue
-        parts = cast(list[Any], value)
+        parts = entries(value)
         tables = sum(1 for part in parts if isinstance(part, Mapping))
         most = BODIES_MAX if path in ("links", "bodies") else ENTRIES_MAX
         if tables > most:
@@ -164,8 +174,7 @@ def _field_path(data: Table, location: tuple[str | int, ...]) -> str:
     path, here = "", cast(Any, data)
     for part in location:
         if isinstance(part, int):
-            items = cast(list[Any], here) if isinstance(here, list | tuple) else []
-            here = items[part] if part < len(items) else None
+            here = dict(enumerate(entries(here))).get(part)
             path = named(path, part, table_of(here))
         else:
             path += f".{part}" if path else part
@@ -195,7 +204,7 @@ def quoted(value: Any) -> str:
 
 def _lists(value: Any) -> Any:
     """Tuples as the lists that were written."""
-    return [_lists(part) for part in cast(tuple[Any, ...], value)] if isinstance(value, tuple) else value
+    return [_lists(part) for part in entries(value)] if isinstance(value, tuple) else value
 
 
 def named(key: str, index: int, entry: Table) -> str:
@@ -211,4 +220,4 @@ def table_of(value: Any) -> dict[str, Any]:
 
 def tables_of(value: Any) -> list[dict[str, Any]]:
     """A list of tables, empty ones in place of entries that are none."""
-    return [table_of(entry) for entry in cast(list[Any], value)] if isinstance(value, list | tuple) else []
+    return [table_of(entry) for entry in entries(value)]

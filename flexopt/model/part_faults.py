@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 from flexopt.errors import Fault
 from flexopt.foundation.nearest import hint_or_list
+from flexopt.foundation.quantities import entries
 from flexopt.model.file_model import Table, named, quoted, table_of, tables_of
 
 HINGE_KEYS = ("base_point", "rod_point", "rocker")
@@ -72,7 +73,7 @@ def _size_faults(where: str, places: Table, dimension: int) -> list[Fault]:
     return [
         Fault(f"{where}.{key}", f"must be {wanted} in m", quoted(place))
         for key, place in places.items()
-        if isinstance(place, tuple) and len(cast(tuple[Any, ...], place)) == 5 - dimension
+        if len(entries(place)) == 5 - dimension
     ]
 
 

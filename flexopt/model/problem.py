@@ -6,17 +6,15 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypedDict, cast
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
-from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.errors import Fault
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_base_range
-from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
     COORDINATE,
     Checked,
     Quantity,
-    Schema,
     each_named,
     entries,
     pair,
@@ -24,7 +22,7 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.file_model import BuiltByCall
-from flexopt.model.machine import AnyMachine
+from flexopt.model.machine import OnMachine
 from flexopt.model.targets import (
     KINDS,
     SOME_COORDINATES,
@@ -67,9 +65,9 @@ def check_objective(value: Any) -> str:
 @Checked
 def check_weights(value: Any) -> tuple[float, ...]:
     """The weights α of V = Σ αi wi: non-negative, not all zero."""
-    if not isinstance(value, list | tuple) or not value:
-        raise ValueError("must be a list of numbers, one for each mode")
     values = entries(value)
+    if not values:
+        raise ValueError("must be a list of numbers, one for each mode")
     weights = each_named(Quantity("", low=0.0, high=1e6), values, [f"α{i + 1}" for i in range(len(values))])
     if not any(weights):
         raise ValueError("at least one weight must be positive")
@@ -180,40 +178,18 @@ class StandKeywords(SharedKeywords, total=False):
     shares: Sequence[float] | None
 
 
-class Problem(BuiltByCall):
+class Problem(OnMachine):
     """A configuration problem (`flexopt.load_problem` reads one from a file)."""
 
-    schema_version: Schema = Field(default=1, alias="schema")
-    name: str = Field(min_length=1)
-    description: str = ""
-    source: str = ""
-    machine: str = Field(min_length=1)
+    LOADER = "flexopt.load_problem"
     target: Target
     motion: PathMotion | None = None
     selection: SelectionOptions = Field(default_factory=SelectionOptions)
     constraints: Constraints | None = None
 
-    _loaded: AnyMachine | None = PrivateAttr(default=None)
-
     def structural_faults(self) -> list[Fault]:
         """As of a file."""
         return problem_faults(self.model_dump(by_alias=True, exclude_unset=True))
-
-    def with_machine(self, machine: AnyMachine) -> Problem:
-        """The same problem, holding its machine."""
-        if not isinstance(machine, AnyMachine):  # pyright: ignore[reportUnnecessaryIsInstance]
-            sentence = 'must be a Machine, from flexopt.load("excavator") for example'
-            raise_if_any(InputError, "with_machine", [Fault("machine", sentence, shown(machine))])
-        twin = self.model_copy()
-        twin._loaded = machine
-        return twin
-
-    @property
-    def loaded_machine(self) -> AnyMachine:
-        """The machine that the file names."""
-        if self._loaded is None:
-            raise ModelError("holds no machine: flexopt.load_problem gives one that does, or with_machine")
-        return self._loaded
 
     def select_arguments(self) -> dict[str, Any]:
         """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target."""

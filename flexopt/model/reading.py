@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.foundation.boundary import public
 from flexopt.foundation.coordinates import check_placement, check_task
+from flexopt.foundation.quantities import entries
 from flexopt.model.file_model import Table, check_extent, read_table, table_of, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.planar import Machine
@@ -191,11 +192,8 @@ def _machine_of(source: Source, name: str) -> Machine | Tree:
 
 def _with_link_names(data: dict[str, Any]) -> dict[str, Any]:
     """Number the links that have no name, so that parameters and joints can be told apart."""
-    links = data.get("links")
-    if not isinstance(links, tuple):
+    if not isinstance(data.get("links"), tuple):
         return data
-    named = [
-        {"name": f"link{i}"} | cast(dict[str, Any], link) if isinstance(link, dict) else link
-        for i, link in enumerate(cast(tuple[Any, ...], links), start=1)
-    ]
+    numbered = enumerate(entries(data["links"]), start=1)
+    named: list[Any] = [{"name": f"link{i}"} | table_of(x) if isinstance(x, dict) else x for i, x in numbered]
     return data | {"links": tuple(named)}

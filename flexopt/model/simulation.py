@@ -9,9 +9,8 @@ from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr
 
-from flexopt.errors import Fault, ModelError
+from flexopt.errors import Fault
 from flexopt.foundation.boundary import array_of, public
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import (
@@ -20,13 +19,12 @@ from flexopt.foundation.quantities import (
     JOINT_VALUE,
     BaseRange,
     Quantity,
-    Schema,
     list_of,
     numbers_in,
     whole_number,
 )
 from flexopt.model.file_model import BuiltByCall, FileModel
-from flexopt.model.machine import AnyMachine
+from flexopt.model.machine import AnyMachine, OnMachine
 from flexopt.model.problem import GAIN, SEED, Elbow, check_objective, check_weights
 
 Feedback = Literal["pd", "pid", "robust", "none"]
@@ -256,29 +254,9 @@ class NullspaceOptions(FileModel):
     duration: Annotated[float, DURATION] = 60.0
 
 
-class Experiment(BuiltByCall):
+class Experiment(OnMachine):
     """A simulation in a file (`flexopt.load_experiment` reads one)."""
 
-    schema_version: Schema = Field(default=1, alias="schema")
-    name: str = Field(min_length=1)
-    description: str = ""
-    source: str = ""
-    machine: str = Field(min_length=1)
+    LOADER = "flexopt.load_experiment"
     simulation: SimulationOptions
     nullspace: NullspaceOptions | None = None
-
-    _loaded: AnyMachine | None = PrivateAttr(default=None)
-
-    @public()
-    def with_machine(self, machine: AnyMachine) -> Experiment:
-        """The same experiment, holding its machine."""
-        twin = self.model_copy()
-        twin._loaded = machine
-        return twin
-
-    @property
-    def loaded_machine(self) -> AnyMachine:
-        """The machine that the file names."""
-        if self._loaded is None:
-            raise ModelError("holds no machine: flexopt.load_experiment gives one that does, or with_machine")
-        return self._loaded

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from flexopt.errors import Fault
-from flexopt.foundation.quantities import ANGLE, ANGLE_MAX, COORDINATE_MAX, degrees_hint
+from flexopt.foundation.quantities import ANGLE, ANGLE_MAX, COORDINATE_MAX, degrees_hint, entries
 from flexopt.model.file_model import named, quoted, table_of, tables_of
 from flexopt.model.part_faults import capsule_faults, cylinder_faults
 from flexopt.model.tree_quantities import check_square
@@ -20,19 +19,18 @@ Bodies = list[tuple[str, dict[str, Any]]]
 
 def tree_faults(data: dict[str, Any]) -> list[Fault]:
     """Faults that concern several fields at once; looked for even where single fields are faulty."""
-    entries = tables_of(data.get("bodies"))
-    bodies = [(named("bodies", index, body), body) for index, body in enumerate(entries) if body]
-    if not entries:
+    listed = tables_of(data.get("bodies"))
+    bodies = [(named("bodies", index, body), body) for index, body in enumerate(listed) if body]
+    if not listed:
         return [Fault("bodies", "at least one body is needed")] if isinstance(data.get("bodies"), tuple) else []
-    if len(bodies) != len(entries):
+    if len(bodies) != len(listed):
         return []
     faults = _order_faults(bodies) + _name_faults(bodies)
     coupled: dict[str, tuple[str, ...]] = {}
     passive = [_joint(body).get("name") for _, body in bodies if _joint(body).get("passive") is True]
     for word in ("stiffness", "damping"):
         table = table_of(data.get(f"{word}_matrix"))
-        names = cast(tuple[Any, ...], table.get("joints")) if isinstance(table.get("joints"), tuple) else ()
-        coupled[word] = tuple(name for name in names if isinstance(name, str))
+        coupled[word] = tuple(name for name in entries(table.get("joints")) if isinstance(name, str))
         if table:
             faults += _matrix_faults(f"{word}_matrix", table, coupled[word], passive, definite=word == "stiffness")
     for where, body in bodies:
@@ -97,9 +95,7 @@ def _joint_faults(where: str, joint: dict[str, Any], coupled: dict[str, tuple[st
         reason = "belongs to a passive joint; add passive = true"
     faults += [Fault(f"{where}.joint.{key}", reason, quoted(joint[key])) for key in wrong]
     if joint.get("kind") == "hinge":
-        given = joint.get("limits")
-        ends = list(cast(tuple[Any, ...], given)) if isinstance(given, tuple) else []
-        for key, values in (("rest", [joint.get("rest")]), ("limits", ends)):
+        for key, values in (("rest", [joint.get("rest")]), ("limits", entries(joint.get("limits")))):
             wide = [v for v in values if isinstance(v, int | float) and ANGLE_MAX < abs(v) <= COORDINATE_MAX]
             if wide:
                 hint = degrees_hint("rad", max(wide, key=abs))
@@ -153,7 +149,7 @@ def _massless_faults(bodies: Bodies, data: dict[str, Any]) -> list[Fault]:
 
 
 def _any(value: Any) -> bool:
-    return isinstance(value, tuple) and any(cast(Iterable[Any], value))
+    return any(entries(value))
 
 
 def _end_point_faults(end_point: dict[str, Any], bodies: Bodies) -> list[Fault]:
@@ -163,7 +159,7 @@ def _end_point_faults(end_point: dict[str, Any], bodies: Bodies) -> list[Fault]:
         faults.append(Fault("end_point.body", "is no body's name", quoted(body)))
     rows = end_point.get("rows", ("x", "y", "z"))
     faults += _repeats("end_point.rows", rows)
-    count = len(cast(tuple[Any, ...], rows)) if isinstance(rows, tuple) else 1
+    count = len(entries(rows)) if isinstance(rows, tuple) else 1
     if not count:
         faults.append(Fault("end_point.rows", "must not be empty"))
     actuated = [_joint(b) for _, b in bodies if _joint(b).get("passive") is not True]
@@ -178,7 +174,5 @@ def _end_point_faults(end_point: dict[str, Any], bodies: Bodies) -> list[Fault]:
 
 
 def _repeats(field: str, value: Any) -> list[Fault]:
-    if not isinstance(value, tuple):
-        return []
-    counts = Counter(str(entry) for entry in cast(tuple[Any, ...], value))
+    counts = Counter(map(str, entries(value)))
     return [Fault(field, "is listed twice", repr(entry)) for entry, count in counts.items() if count > 1]

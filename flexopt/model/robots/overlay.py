@@ -22,11 +22,10 @@ from flexopt.foundation.quantities import (
     Checked,
     Length,
     Quantity,
-    Schema,
     each,
     entries,
 )
-from flexopt.model.file_model import FileModel
+from flexopt.model.file_model import Described, FileModel
 from flexopt.model.hydraulics import Cylinder
 from flexopt.model.kinematic_tree import UNTURNED, Placement, Row
 from flexopt.model.robots.elements import there_are
@@ -119,13 +118,9 @@ class CapsuleTable(FileModel):
     radius: Length
 
 
-class Overlay(FileModel):
+class Overlay(Described):
     """A spatial machine file."""
 
-    schema_version: Schema = Field(default=1, alias="schema")
-    name: str = Field(min_length=1)
-    description: str = ""
-    source: str = ""
     robot: str = Field(min_length=1)
     root: str | None = None
     gravity: Acceleration | None = None
