@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from flexopt.model import tree_from_dict as tree_from_dict
     from flexopt.model.robots import load_robot as load_robot
     from flexopt.model.simulation import Experiment as Experiment
+    from flexopt.model.simulation import SimulationOptions as SimulationOptions
     from flexopt.plant import Hydraulics as Hydraulics
     from flexopt.plant import Plant as Plant
     from flexopt.plant import build_hydraulics as build_hydraulics
@@ -114,6 +115,7 @@ __all__ = [
     "SelectionOptions",
     "SelectionProblem",
     "Sensor",
+    "SimulationOptions",
     "SingularPosture",
     "Stand",
     "StateSpace",
@@ -185,6 +187,7 @@ _LATER: dict[str, str] = {
     "SelectionOptions": "model",
     "SelectionProblem": "selection",
     "Sensor": "simulation",
+    "SimulationOptions": "model.simulation",
     "Stand": "selection",
     "StateSpace": "coprime",
     "Trajectory": "simulation",

@@ -222,9 +222,14 @@ class Margin:
         )
 
     @cached_property
+    def compacted(self) -> Margin:
+        """The same in the form for C."""
+        return replace(self, compact=True)
+
+    @cached_property
     def batched(self) -> compiled.Batch:
         """`values` at many points at once, (rows, N) each: the form made for C, or this one where nothing compiles."""
-        compact = compiled.batch(replace(self, compact=True).values)
+        compact = compiled.batch(self.compacted.values)
         return compact if compact.compiled else compiled.batch(self.values)
 
     @cached_property
