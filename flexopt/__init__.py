@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from flexopt.model import tree_from_dict as tree_from_dict
     from flexopt.model.robots import load_robot as load_robot
     from flexopt.model.simulation import Experiment as Experiment
+    from flexopt.model.simulation import SimulationOptions as SimulationOptions
     from flexopt.plant import Hydraulics as Hydraulics
     from flexopt.plant import Plant as Plant
     from flexopt.plant import build_hydraulics as build_hydraulics
@@ -115,6 +116,7 @@ __all__ = [
     "SelectionOptions",
     "SelectionProblem",
     "Sensor",
+    "SimulationOptions",
     "SingularPosture",
     "Stand",
     "StateSpace",
@@ -171,7 +173,7 @@ _LATER = {
         "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"
     ),
     "model.robots": "load_robot",
-    "model.simulation": "Experiment",
+    "model.simulation": "Experiment SimulationOptions",
     "plant": "Hydraulics Plant build_hydraulics build_plant inverse_kinematics",
     "robustness": "Evaluation Measures build_measures evaluate evaluate_w",
     "robustness.checking": "Check check",

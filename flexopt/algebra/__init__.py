@@ -15,7 +15,6 @@ from flexopt.algebra.eigen import called_eigen as called_eigen
 from flexopt.algebra.eigen import called_eigen_near as called_eigen_near
 from flexopt.algebra.eigen import clusters as clusters
 from flexopt.algebra.eigen import direct_eigen as direct_eigen
-from flexopt.algebra.eigen import perturbed_pencil as perturbed_pencil
 from flexopt.algebra.eigen import reciprocal as reciprocal
 from flexopt.algebra.eigen import symmetric_eigen as symmetric_eigen
-from flexopt.algebra.eigen import turned_vectors as turned_vectors
+from flexopt.algebra.expansion import expanded_vectors as expanded_vectors

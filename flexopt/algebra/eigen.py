@@ -1,8 +1,7 @@
-"""Symmetric eigenproblems of any size as SX graphs, with derivatives that survive repeated eigenvalues.
+"""Symmetric eigenproblems of any size as SX graphs.
 
-The iteration (`symmetric_eigen`) and the closed form (`direct_eigen`) are meant for values only. Derivatives come from
-`perturbed_pencil`, a second-order expansion about a solution that is held constant: exact to second order, no iteration
-to differentiate, and no division by the gaps inside a cluster of equal eigenvalues.
+The iteration (`symmetric_eigen`) and the closed form (`direct_eigen`) are meant for values only: derivatives come from
+`flexopt.algebra.expansion`.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from flexopt.algebra.dense import TINY, diagonal, safe_norm
+from flexopt.algebra.dense import TINY, safe_norm
 
 ROUNDING = 1.1e-16
 
@@ -156,59 +155,6 @@ def clusters(values: ca.SX, tolerance: float) -> ca.SX:
             linked = linked * ca.if_else(close, 1.0, 0.0)
             same[i, j] = same[j, i] = linked
     return same
-
-
-def perturbed_pencil(
-    stiffness: ca.SX, mass: ca.SX, values: ca.SX, vectors: ca.SX, same: ca.SX, *, order: int = 2
-) -> tuple[ca.SX, ca.SX]:
-    """Eigenpairs of K φ = λ M φ near a known solution, exact to second order in the change of K and M.
-
-    With M⁰-normalised vectors Φ⁰ and values λ⁰ held constant, Φ⁰ᵀ M Φ⁰ = I + V is normalised by (I + V)^(−1/2), and
-    the rest of Φ⁰ᵀ K Φ⁰ is rotated away by exp(X), X skew and zero inside clusters (quasi-degenerate perturbation
-    theory). First derivatives are those of Fox and Kapoor (1968).
-
-    Args:
-        stiffness, mass: K and M, (m, m) symmetric.
-        values, vectors: λ⁰ (m, 1) ascending and Φ⁰ (m, m).
-        same: as from `clusters`. Within a cluster only symmetric functions of the result (sums) are meaningful.
-        order: 1 leaves out what does not change the first derivatives: shorter, for gradients alone.
-
-    Returns:
-        λ (m, 1) and Φ (m, m).
-    """
-    size = values.shape[0]
-    identity = ca.SX(ca.DM.eye(size))
-    v = vectors.T @ mass @ vectors - identity
-    if order == 1:
-        error = vectors.T @ stiffness @ vectors - (diagonal(values) @ v + v @ diagonal(values)) / 2 - diagonal(values)
-        apart = 1 - same
-        gap = ca.repmat(values.T, size, 1) - ca.repmat(values, 1, size) + same
-        return values + ca.diag(error), vectors @ (identity - v / 2 + error * apart / gap)
-    normalise = identity - v / 2 + 3.0 / 8.0 * (v @ v)
-    error = normalise.T @ (vectors.T @ stiffness @ vectors) @ normalise - diagonal(values)
-    apart = 1 - same
-    inverse_gap = apart / (ca.repmat(values.T, size, 1) - ca.repmat(values, 1, size) + same)
-    x1 = error * inverse_gap
-    second = _commutator(error - apart * error / 2, x1)
-    x = x1 + second * inverse_gap
-    return values + ca.diag(error) + ca.diag(second), vectors @ normalise @ (identity + x + x1 @ x1 / 2)
-
-
-def turned_vectors(stiffness: ca.SX, mass: ca.SX, values: ca.SX, vectors: ca.SX) -> ca.SX:
-    """Φ as `perturbed_pencil` gives it for simple eigenvalues, exact to first order: shorter, for gradients alone."""
-    size = values.shape[0]
-    left_over = vectors.T @ (stiffness @ vectors - mass @ vectors @ diagonal(values))
-    turn = ca.SX.zeros(size, size)
-    for j in range(size):
-        turn[j, j] = (1 - vectors[:, j].T @ mass @ vectors[:, j]) / 2
-        for i in range(size):
-            if i != j:
-                turn[i, j] = left_over[i, j] / (values[j] - values[i])
-    return vectors + vectors @ turn
-
-
-def _commutator(a: ca.SX, b: ca.SX) -> ca.SX:
-    return a @ b - b @ a
 
 
 def direct_eigen(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:

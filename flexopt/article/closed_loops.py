@@ -227,19 +227,20 @@ def close_loops(machine: AnyMachine, stands: Mapping[str, Evaluation]) -> Closed
 
 def _row(machine: AnyMachine, name: str, stand: Evaluation, gains: dict[str, float], given: dict[str, Any]) -> LoopRow:
     options: dict[str, Any] = given | gains | {"base": stand.base}
+    exactly: dict[str, Any] = options | {"integrator": EXACT}
     return LoopRow(
         stand=name,
         kp=gains["kp"],
         kv=gains["kv"],
         stated=sampled_loop(machine, stand.posture, **options),
-        accurate=sampled_loop(machine, stand.posture, **{**options, "integrator": EXACT}),
+        accurate=sampled_loop(machine, stand.posture, **exactly),
         run=simulate(machine, stand.posture, **options),
     )
 
 
 def _robust_rows(machine: AnyMachine, stand: Evaluation, given: dict[str, Any]) -> tuple[RobustRow, ...]:
     """With the stated integrator, which shows the loop falsely, no run."""
-    options = given | {"feedback": "robust", "base": stand.base}
+    options: dict[str, Any] = given | {"feedback": "robust", "base": stand.base}
     exact: dict[str, Any] = options | {"integrator": EXACT}
     accurate: dict[str, Any] = options | {"integrator": ACCURATE, "duration": ROBUST_SECONDS}
     return (

@@ -18,15 +18,17 @@ from flexopt.cli.common import (
     JSON,
     PICTURES,
     check_output,
+    given,
     number,
     numbers,
     option,
     option_names,
-    placement,
     print_json,
     progress_bar,
     read,
     say,
+    typed,
+    value,
     warnings_to_stderr,
     whole,
     write_output,
@@ -43,9 +45,17 @@ if TYPE_CHECKING:
     from flexopt.selection import BasePlan, Selection, Stand
 
 
+def ranges(text: str) -> Any:
+    """`LO,HI`, or `x=LO,HI;yaw=LO,HI` as a table."""
+    if "=" not in text:
+        return numbers(text)
+    named = (part.partition("=") for part in text.split(";") if part.strip())
+    return {name.strip(): numbers(pair) for name, _, pair in named}
+
+
 @click.command("evaluate", short_help="Frequencies, measures w_i and gradients in one posture.")
 @click.argument("machine")
-@option("--posture", metavar="A,B,…", help="Actuated joints, rad (slides: m).")
+@value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
 @END_POINT
 @ELBOW
 @BASE
@@ -57,24 +67,18 @@ if TYPE_CHECKING:
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
     loaded = read(load, machine)
-    base = placement(options["base"])
-    control = options["control"] or "inverse"
-    gravity = bool(options["gravity"])
-    gain = number(options["gain"]) if options["gain"] is not None else 5e5
     with option_names(options), warnings_to_stderr(as_json):
-        angles = _posture(loaded, options, base, gravity)
-        result = evaluate(
-            loaded, angles, base=base, control=control, gain=gain, damped=bool(options["damped"]), gravity=gravity
-        )
+        posture = _posture(loaded, options)
+        result = evaluate(loaded, posture, **given(options, "base", "control", "gain", "damped", "gravity"))
     if as_json:
         print_json(result.to_dict())
     else:
         say(repr(result))
 
 
-def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: bool) -> Any:
+def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
     """The posture given, or the one that reaches the end-point given."""
-    posture, end_point = numbers(options["posture"]), numbers(options["end_point"])
+    posture, end_point, base = options["posture"], options["end_point"], options["base"]
     faults: list[Fault] = []
     if (posture is None) == (end_point is None):
         faults.append(Fault("--posture, --end-point", "give one of the two"))
@@ -83,7 +87,7 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
     joints, closed_form = machine.joints, build_plant(machine).closed_form
     if end_point is not None and len(joints) > len(machine.task_rows):
         sentence = f"does not name one posture of {len(joints)} actuated joints; use select, or --posture"
-        faults.append(Fault("--end-point", sentence, options["end_point"]))
+        faults.append(Fault("--end-point", sentence, typed(end_point)))
     if options["elbow"] is not None and not closed_form:
         faults.append(Fault("--elbow", "names a branch of planar arms only", options["elbow"]))
     raise_if_any(InputError, "evaluate", faults)
@@ -96,7 +100,7 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
         arguments.base(machine, base)
     arguments.control(options["control"] or "inverse")
     arguments.done()
-    return inverse_kinematics(machine, end_point, base=base, gravity=gravity, elbow=elbow)[0]
+    return inverse_kinematics(machine, end_point, base=base, gravity=options["gravity"], elbow=elbow)[0]
 
 
 @click.command("select", short_help="Best placement and posture for a target, or for several.")
@@ -104,28 +108,25 @@ def _posture(machine: AnyMachine, options: dict[str, Any], base: Any, gravity: b
 @END_POINT
 @ELBOW
 @BASE
-@option("--posture", metavar="A,B,…", help="How the arm is held now, rad (slides: m), with --base.")
-@option(
+@value("--posture", "A,B,…", "How the arm is held now, rad (slides: m), with --base.", numbers)
+@value(
     "--base-range",
-    metavar="LO,HI|x=LO,HI;yaw=…",
-    help="Placements allowed, m and rad: of x, or by name; all that reach by default.",
+    "LO,HI|x=LO,HI;yaw=…",
+    "Placements allowed, m and rad: of x, or by name; all that reach by default.",
+    ranges,
 )
 @CONTROL
-@option(
-    "--objective",
-    metavar="w1|w2|…|V|epsilon_max",
-    help="What to maximise (w1 by default); several in order: w1,epsilon_max.",
-)
-@option("--weights", metavar="A1,A2,…", help="Weights α of the objective V = Σ αi wi, and β of ε_max after them.")
-@option("--slack", metavar="SHARE", help="What an objective may give up for the next in order (1e-5 by default).")
-@option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (10 by default).")
-@option("--starts", metavar="N", help="Starts at most (32 by default; in the plane every peak of the scan).")
-@option("--seed", metavar="N", help="Seed of the starts.")
-@option("--workers", metavar="N", help="Processes at most (one for each core by default); the result is the same.")
+@value("--objective", "w1|w2|…|V|epsilon_max", "What to maximise (w1 by default); several in order: w1,epsilon_max.")
+@value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
+@value("--slack", "SHARE", "What an objective may give up for the next in order (1e-5 by default).", number)
+@value("--singularity-margin-deg", "DEG", "Distance from singular postures (10 by default).", number)
+@value("--starts", "N", "Starts at most (32 by default; in the plane every peak of the scan).", whole)
+@value("--seed", "N", "Seed of the starts.", whole)
+@value("--workers", "N", "Processes at most (one for each core by default); the result is the same.", whole)
 @GAIN
 @GRAVITY
-@option("--plot", metavar="PATH", help="Draw the choice: .png, .svg or .pdf.")
-@option("--out", metavar="PATH", help="Write the JSON document to a file, too.")
+@value("--plot", "PATH", "Draw the choice: .png, .svg or .pdf.")
+@value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
 def select_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
     """Best placement and posture for a target, of MACHINE: a machine with --end-point, or a problem (name or file).
@@ -159,29 +160,13 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]
     if isinstance(loaded, Problem) and loaded.target.kind != "end_point":
         single = [name for name in ("end_point", "elbow", "gain", "slack") if options[name] is not None]
         sentence = f"goes with a single target; {loaded.name} has target.{loaded.target.kind}"
-        faults = [Fault(f"--{name.replace('_', '-')}", sentence, options[name]) for name in single]
+        faults = [Fault(f"--{name.replace('_', '-')}", sentence, typed(options[name])) for name in single]
         raise_if_any(InputError, "select", faults)
-    margin = options["singularity_margin_deg"]
-    given = {
-        "target": numbers(options["end_point"]),
-        "base": placement(options["base"]),
-        "posture": numbers(options["posture"]),
-        "base_range": _ranges(options["base_range"]),
-        "elbow": options["elbow"],
-        "control": options["control"],
-        "objective": options["objective"],
-        "weights": numbers(options["weights"]),
-        "singularity_margin_deg": None if margin is None else number(margin),
-        "slack": None if options["slack"] is None else number(options["slack"]),
-        "starts": whole(options["starts"]),
-        "seed": whole(options["seed"]),
-        "workers": whole(options["workers"]),
-        "gain": None if options["gain"] is None else number(options["gain"]),
-        "gravity": True if options["gravity"] else None,
-    }
-    if given["objective"] not in (None, "V") and given["weights"] is None:
+    asked = given(options) | {"target": options["end_point"]}
+    asked.pop("end_point", None)
+    if options["objective"] not in (None, "V") and options["weights"] is None:
         settings.pop("weights", None)
-    settings |= {name: value for name, value in given.items() if value is not None}
+    settings |= given(asked)
     if not {"target", "targets", "path"} & set(settings):
         rows = ",".join(row.upper() for row in settings["machine"].task_rows)
         raise InputError(
@@ -194,14 +179,6 @@ def _solver(settings: dict[str, Any]) -> Callable[..., Selection | Stand | BaseP
     from flexopt.selection import plan_base, select, select_stand  # noqa: PLC0415  (`evaluate` does not need it)
 
     return select_stand if "targets" in settings else plan_base if "path" in settings else select
-
-
-def _ranges(text: str | None) -> Any:
-    """`LO,HI`, or `x=LO,HI;yaw=LO,HI` as a table."""
-    if text is None or "=" not in text:
-        return numbers(text)
-    named = (part.partition("=") for part in text.split(";") if part.strip())
-    return {name.strip(): numbers(pair) for name, _, pair in named}
 
 
 def _selection_text(result: Selection) -> str:

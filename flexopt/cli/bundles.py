@@ -13,6 +13,8 @@ from flexopt.cli.common import (
     GAIN,
     JSON,
     check_folder,
+    given,
+    names,
     number,
     option,
     option_names,
@@ -20,12 +22,19 @@ from flexopt.cli.common import (
     progress_bar,
     read,
     say,
+    value,
     warnings_to_stderr,
     whole,
 )
 from flexopt.cli.fmu import fmu_options, write_fmu
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import load
+
+# Options of a bundle that an FMU has not.
+OF_BUNDLE = (
+    "out", "parts", "real", "baked", "singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m", "prefix",
+    "overwrite",
+)  # fmt: skip
 
 
 class _WithParts(click.Command):
@@ -42,18 +51,16 @@ class _WithParts(click.Command):
 
 @click.command("export", cls=_WithParts, short_help="C for the machine's controller, or an FMU of its loop.")
 @click.argument("machine")
-@option("--out", metavar="DIR", help="Folder to write; one that exists is replaced if it is an unchanged bundle.")
-@option("--parts", metavar="A,B,…", help="Some of those named above; by default all that the machine allows.")
-@option("--real", metavar="double|float", help="Precision of every computation (double by default).")
+@value("--out", "DIR", "Folder to write; one that exists is replaced if it is an unchanged bundle.")
+@value("--parts", "A,B,…", "Some of those named above; by default all that the machine allows.", names)
+@value("--real", "double|float", "Precision of every computation (double by default).")
 @CONTROL
 @GAIN
 @option("--baked", is_flag=True, help="The machine's parameters as constants.")
-@option("--singularity-margin-deg", metavar="DEG", help="Distance from singular postures (1 by default).")
-@option(
-    "--limit-allowance-deg", metavar="DEG", help="How far beyond its limits a hinge may be measured (5 by default)."
-)
-@option("--limit-allowance-m", metavar="M", help="The same of a slide (0.05 by default).")
-@option("--prefix", metavar="NAME", help="Of every C name (from the machine's name by default).")
+@value("--singularity-margin-deg", "DEG", "Distance from singular postures (1 by default).", number)
+@value("--limit-allowance-deg", "DEG", "How far beyond its limits a hinge may be measured (5 by default).", number)
+@value("--limit-allowance-m", "M", "The same of a slide (0.05 by default).", number)
+@value("--prefix", "NAME", "Of every C name (from the machine's name by default).")
 @option("--overwrite", is_flag=True, help="Replace a bundle of which files were changed by hand, too.")
 @fmu_options
 @JSON
@@ -72,18 +79,9 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)
-    numbers = {name: options[name] for name in ("singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m")}
-    given: dict[str, Any] = {
-        "parts": None if options["parts"] is None else [part.strip() for part in options["parts"].split(",")],
-        "real": options["real"],
-        "control": options["control"],
-        "gain": None if options["gain"] is None else number(options["gain"]),
-        **{name: None if value is None else number(value) for name, value in numbers.items()},
-        "prefix": options["prefix"],
-    }
-    settings = {name: value for name, value in given.items() if value is not None}
+    settings = given(options, *(name for name in OF_BUNDLE if name != "out"), "control", "gain")
     with option_names(options | {"folder": out}), warnings_to_stderr(as_json):
-        report = export_c(loaded, out, baked=bool(options["baked"]), overwrite=bool(options["overwrite"]), **settings)
+        report = export_c(loaded, out, **settings)
     if as_json:
         print_json(report.to_dict())
     else:
@@ -92,10 +90,8 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
 
 def _check_kind(options: dict[str, Any]) -> None:
     """No option of the bundle with --fmu, none of the FMU without it."""
-    of_bundle = ("out", "parts", "real", "baked", "singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m",
-                 "prefix", "overwrite")  # fmt: skip
     fmu = options["fmu"] is not None
-    other = of_bundle if fmu else set(options) - {*of_bundle, "fmu", "control", "gain"}
+    other = OF_BUNDLE if fmu else set(options) - {*OF_BUNDLE, "fmu", "control", "gain"}
     sentence = "does not go with --fmu" if fmu else "goes with --fmu only"
     faults = [
         Fault(f"--{name.replace('_', '-')}", sentence, "given" if value is True else repr(value))
@@ -107,9 +103,9 @@ def _check_kind(options: dict[str, Any]) -> None:
 
 @click.command("verify", short_help="Examine exported C: numbers, compilers, processors.")
 @click.argument("folder", metavar="DIR")
-@option("--target", metavar="host|cortex-m4f|cortex-m7", help="One target (all by default).")
-@option("--inputs", metavar="N", help="Random inputs for each function (1000 by default).")
-@option("--fuzz-calls", metavar="N", help="Faulty calls for each function (10000 by default).")
+@value("--target", "host|cortex-m4f|cortex-m7", "One target (all by default).")
+@value("--inputs", "N", "Random inputs for each function (1000 by default).", whole)
+@value("--fuzz-calls", "N", "Faulty calls for each function (10000 by default).", whole)
 @JSON
 def verify_command(as_json: bool, folder: str, **options: Any) -> None:
     """Examine the bundle in DIR: compilers, Python's numbers, sanitizers, emulated processors, objects, MISRA.
@@ -119,14 +115,8 @@ def verify_command(as_json: bool, folder: str, **options: Any) -> None:
     """
     from flexopt.export import verify_bundle  # noqa: PLC0415  (only this command needs it)
 
-    given: dict[str, Any] = {
-        "target": options["target"],
-        "inputs": whole(options["inputs"]),
-        "fuzz_calls": whole(options["fuzz_calls"]),
-    }
-    settings = {name: value for name, value in given.items() if value is not None}
     with option_names(options), warnings_to_stderr(as_json), progress_bar("targets") as progress:
-        result = verify_bundle(folder, progress=progress, **settings)
+        result = verify_bundle(folder, progress=progress, **given(options))
     if as_json:
         print_json(result.to_dict())
     else:

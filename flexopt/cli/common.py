@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -30,18 +30,9 @@ def option(*names: str, **settings: Any) -> Decorator:
     return cast(Decorator, click.option(*names, **settings))
 
 
-JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-CONTROL = option(
-    "--control", metavar="|".join((*CONTROLS, f"{DAMPED}:LAMBDA")),
-    help="Jacobian inverse (default), transpose, or damped inverse with LAMBDA > 0 in the unit of Jv's entries.",
-)  # fmt: skip
-GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
-GAIN = option("--gain", metavar="KR", help="Servo gain of the margin ε_max (5e5 by default).")
-BASE = option("--base", metavar="X[,Y,YAW]", help="Placement of the base, m and rad: in a choice, where it stands now.")
-END_POINT = option("--end-point", metavar="X,Y[,Z]", help="Target of the end-point, inertial frame, m.")
-ELBOW = option(
-    "--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch of a planar arm (up by default)."
-)
+def value(name: str, metavar: str, text: str, read: Callable[[str], Any] = str, *, multiple: bool = False) -> Decorator:
+    """An option with a value: what stands for it, what it does, and what is made of its text."""
+    return option(name, metavar=metavar, help=text, type=read, multiple=multiple)
 
 
 def say(text: str, *, err: bool = False) -> None:
@@ -146,15 +137,17 @@ def write_output(option: str, path: str, write: Callable[[], object]) -> None:
         raise WriteError(f"{option} = {path!r}: {error}", path=error.path, size=error.size, code=error.errno) from error
 
 
-def numbers(text: str | None) -> list[Any] | None:
-    """`1,2.5` as numbers; what is no number stays text, for the checks to name."""
-    return None if text is None else [number(part) for part in text.split(",")]
+def given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Options of these names, or all, that were given."""
+    chosen = {name: options[name] for name in names or options}
+    return {name: value for name, value in chosen.items() if value is not None and value is not False}
 
 
-def placement(text: str | None) -> Any:
-    """A placement: one number alone, or a list."""
-    parts = numbers(text)
-    return parts[0] if parts is not None and len(parts) == 1 else parts
+def typed(value: Any) -> str:
+    """What was read from an option, as it is typed."""
+    if isinstance(value, list):
+        return ",".join(map(typed, cast(list[Any], value)))
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def number(text: str) -> Any:
@@ -165,9 +158,42 @@ def number(text: str) -> Any:
         return text.strip()
 
 
-def whole(text: str | None) -> Any:
+def whole(text: str) -> Any:
     """A whole number where it is one."""
-    if text is None:
-        return None
     value = number(text)
     return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def numbers(text: str) -> list[Any]:
+    """`1,2.5` as numbers; what is no number stays text, for the checks to name."""
+    return [number(part) for part in text.split(",")]
+
+
+def wholes(text: str) -> list[Any]:
+    """`1,2` as whole numbers."""
+    return [whole(part) for part in text.split(",")]
+
+
+def placement(text: str) -> Any:
+    """A placement: one number alone, or a list."""
+    parts = numbers(text)
+    return parts[0] if len(parts) == 1 else parts
+
+
+def names(text: str) -> list[str]:
+    """`a, b` as words."""
+    return [part.strip() for part in text.split(",")]
+
+
+JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+CONTROL = option(
+    "--control", metavar="|".join((*CONTROLS, f"{DAMPED}:LAMBDA")),
+    help="Jacobian inverse (default), transpose, or damped inverse with LAMBDA > 0 in the unit of Jv's entries.",
+)  # fmt: skip
+GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
+GAIN = value("--gain", "KR", "Servo gain of the margin ε_max (5e5 by default).", number)
+BASE = value("--base", "X[,Y,YAW]", "Placement of the base, m and rad: in a choice, where it stands now.", placement)
+END_POINT = value("--end-point", "X,Y[,Z]", "Target of the end-point, inertial frame, m.", numbers)
+ELBOW = option(
+    "--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch of a planar arm (up by default)."
+)

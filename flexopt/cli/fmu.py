@@ -5,64 +5,34 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from flexopt.cli.common import BASE, ELBOW, END_POINT, option, option_names, print_json, read, say, warnings_to_stderr
-from flexopt.cli.simulation import simulate_arguments
+from flexopt.cli.common import given, option_names, print_json, read, say, value, warnings_to_stderr
+from flexopt.cli.simulation import TEXTS, loop_options, simulate_arguments
 from flexopt.errors import InputError
 from flexopt.model import load
 
-_OPTIONS = (
-    option(
-        "--fmu", metavar="PATH", help="Write an FMU of the closed loop instead: .fmu, its reference trajectory beside."
-    ),
-    option("--fmi", metavar="2.0|3.0", help="With --fmu: version of FMI (2.0 by default)."),
-    option(
-        "--kind", metavar="co-simulation|model-exchange", help="With --fmu: who integrates (co-simulation by default)."
-    ),
-    option("--posture", metavar="A,B,…", help="With --fmu: actuated joints about which to work, rad or m."),
-    END_POINT,
-    ELBOW,
-    BASE,
-    option("--feedback", metavar="pd|pid|robust|none", help="With --fmu, as of simulate."),
-    option("--kp", metavar="KP", help="With --fmu, as of simulate."),
-    option("--kv", metavar="KV", help="With --fmu, as of simulate."),
-    option("--ki", metavar="KI", help="With --fmu, as of simulate."),
-    option("--integral-limit", metavar="N", help="With --fmu, as of simulate."),
-    option("--duration", metavar="S", help="With --fmu: of the reference trajectory, s."),
-    option("--rate", metavar="HZ", help="With --fmu: sampling rate (200 by default)."),
-    option("--continuous", is_flag=True, help="With --fmu: a continuous controller."),
-    option("--offset", metavar="A,B,…", help="With --fmu: displacement of the joints at the start, rad or m."),
-    option("--integrator", metavar="rk4|dop853|gauss", help="With --fmu: integration method."),
-    option("--substeps", metavar="N", help="With --fmu: integration steps in a sample."),
-    option("--gravity", is_flag=True, help="With --fmu: the weight acts."),
-    option("--uncompensated", is_flag=True, help="With --fmu, as of simulate."),
-    option("--nullspace-damping", metavar="C", help="With --fmu, as of simulate."),
-    option("--sensor", metavar="NAME=VALUE", multiple=True, help="With --fmu, as of simulate."),
-    option("--actuator", metavar="NAME=VALUE[,…]", multiple=True, help="With --fmu, as of simulate."),
-)
-
-
-# What `simulate` alone offers: the noise of an FMU comes in through its inputs.
-_OF_SIMULATE: dict[str, Any] = {"seed": None}
+LEAD = "With --fmu: "
+# All that `simulate` has but its noise, which comes in through an FMU's inputs.
+_LOOP = loop_options(LEAD, *(name for name in TEXTS if name != "seed"))
 
 
 def fmu_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options of an FMU but --control and --gain, which `export` has."""
-    for each in reversed(_OPTIONS):
-        command = each(command)
-    return command
+    path = value("--fmu", "PATH", "Write an FMU of the closed loop instead, its reference run beside.")
+    version = value("--fmi", "2.0|3.0", f"{LEAD}version of FMI (2.0 by default).")
+    kind = value("--kind", "co-simulation|model-exchange", f"{LEAD}who integrates (co-simulation by default).")
+    return path(version(kind(_LOOP(command))))
 
 
 def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     """Write the FMU that `options` (with `control` and `gain`) ask for, and say what was written."""
     from flexopt.export.fmu import export_fmu  # noqa: PLC0415  (only this command needs it)
 
-    loaded, given = read(load, machine), simulate_arguments(_OF_SIMULATE | options)
-    if "posture" not in given and "end_point" not in given:
+    loaded, asked = read(load, machine), simulate_arguments(options)
+    if "posture" not in asked and "end_point" not in asked:
         raise InputError("export: an FMU needs --posture or --end-point")
-    named = {"version": options["fmi"], "kind": options["kind"]}
-    given |= {name: value for name, value in named.items() if value is not None}
+    asked |= given({"version": options["fmi"], "kind": options["kind"]})
     with option_names(options | {"path": options["fmu"], "version": options["fmi"]}), warnings_to_stderr(as_json):
-        report = export_fmu(loaded, options["fmu"], **given)
+        report = export_fmu(loaded, options["fmu"], **asked)
     if as_json:
         print_json(report.to_dict())
     else:

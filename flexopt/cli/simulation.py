@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import click
 
 from flexopt.cli.common import (
-    BASE,
     CONTROL,
-    ELBOW,
-    END_POINT,
     GAIN,
     JSON,
     PICTURES,
+    Decorator,
     check_output,
+    given,
     number,
     numbers,
     option,
@@ -24,61 +25,91 @@ from flexopt.cli.common import (
     print_json,
     read,
     say,
+    value,
     warnings_to_stderr,
     whole,
     write_output,
 )
 from flexopt.errors import InputError
 from flexopt.model import load_simulated
-from flexopt.model.simulation import Experiment
+from flexopt.model.simulation import Actuator, Experiment, Sensor, SimulationOptions
 from flexopt.simulation import run_experiment, simulate
 
 FILMS = (".gif", ".html")
+# Fields of `SimulationOptions`, what stands for their values where their types do not say, and what they do.
+TEXTS = {
+    "posture": ("A,B,…", "Actuated joints about which to work, rad or m."),
+    "end_point": ("X,Y[,Z]", "Target of the end-point, inertial frame, m."),
+    "elbow": ("", "With --end-point: which branch of a planar arm (up by default)."),
+    "base": ("X[,Y,YAW]", "Placement of the base, m and rad."),
+    "feedback": ("", "Task-space feedback (pd by default); robust attains ε_max."),
+    "kp": ("KP", "Gain on the end-point error, one number or one for each task row (1e5 by default)."),
+    "kv": ("KV", "Gain on its rate (2e3 by default)."),
+    "ki": ("KI", "With pid: gain on its integral."),
+    "integral_limit": ("N", "With pid: largest contribution of the integral on each axis."),
+    "duration": ("S", "Seconds (10 by default)."),
+    "rate": ("HZ", "Sampling rate (200 by default)."),
+    "hold": ("", "A continuous controller instead of a sampled one that holds its command."),
+    "offset": ("A,B,…", "Displacement of the joints at the start, rad or m (+0.05, −0.05, … by default)."),
+    "integrator": ("", "Integration method (rk4, the article's, by default)."),
+    "substeps": ("N", "Integration steps in a sample."),
+    "gravity": ("", "The weight acts; the command carries the arm's."),
+    "gravity_compensation": ("", "With --gravity: the command does not carry the arm's weight."),
+    "nullspace_damping": ("C", "Damping of a redundant arm's self-motion, N m s/rad or N s/m."),
+    "sensor": (
+        "NAME=VALUE",
+        "Of the measurement, may be repeated: noise, rate_noise, resolution, rate_resolution, m and m/s; delay, s.",
+    ),
+    "actuator": (
+        "NAME=VALUE[,…]",
+        "Of the drives, may be repeated: torque_limit, dead_band, bandwidth_hz, rate_limit, one number or one for each "
+        "joint; levers=each or levers=uniform; servo_gain.",
+    ),
+    "seed": ("N", "Seed of the measurement noise."),
+}
+# Fields whose option says no, and its name.
+NEGATED = {"hold": "continuous", "gravity_compensation": "uncompensated"}
 # Arguments of `flexopt.simulate` that are no options of the command.
 ELSEWHERE = ("base_path", "target_path", "baked")
+READERS: dict[Any, Callable[[str], Any]] = {float: number, int: whole, tuple: numbers}
+
+
+def loop_options(lead: str, *fields: str) -> Decorator:
+    """Options for these fields of `SimulationOptions`, by their types; `lead` before each help."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        for name in reversed(fields):
+            metavar, text = TEXTS[name]
+            word = f"--{NEGATED.get(name, name).replace('_', '-')}"
+            kind = type_of(SimulationOptions.model_fields[name].annotation)
+            made = value(
+                word, metavar or "|".join(get_args(kind)), lead + text, READERS.get(get_origin(kind) or kind, str)
+            )
+            if kind is bool:
+                made = option(word, is_flag=True, help=lead + text)
+            elif kind in (Sensor, Actuator):
+                made = value(word, metavar, lead + text, multiple=True)
+            command = made(command)
+        return command
+
+    return decorate
+
+
+def type_of(annotation: Any) -> Any:
+    """The type behind `Annotated[…]` and `… | None`."""
+    while get_origin(annotation) in (Annotated, Union, UnionType):
+        annotation = get_args(annotation)[0]
+    return annotation
 
 
 @click.command("simulate", short_help="The nonlinear closed loop, run and judged.")
 @click.argument("machine")
-@option("--posture", metavar="A,B,…", help="Actuated joints about which to work, rad or m.")
-@END_POINT
-@ELBOW
-@BASE
+@loop_options("", *TEXTS)
 @CONTROL
-@option("--feedback", metavar="pd|pid|robust|none", help="Task-space feedback (pd by default); robust attains ε_max.")
-@option("--kp", metavar="KP", help="Gain on the end-point error, one number or one for each task row (1e5 by default).")
-@option("--kv", metavar="KV", help="Gain on its rate (2e3 by default).")
-@option("--ki", metavar="KI", help="With pid: gain on its integral.")
-@option("--integral-limit", metavar="N", help="With pid: largest contribution of the integral on each axis.")
 @GAIN
-@option("--duration", metavar="S", help="Seconds (10 by default).")
-@option("--rate", metavar="HZ", help="Sampling rate (200 by default).")
-@option("--continuous", is_flag=True, help="A continuous controller instead of a sampled one that holds its command.")
-@option(
-    "--offset", metavar="A,B,…", help="Displacement of the joints at the start, rad or m (+0.05, −0.05, … by default)."
-)
-@option("--integrator", metavar="rk4|dop853|gauss", help="Integration method (rk4, the article's, by default).")
-@option("--substeps", metavar="N", help="Integration steps in a sample.")
-@option("--gravity", is_flag=True, help="The weight acts; the command carries the arm's.")
-@option("--uncompensated", is_flag=True, help="With --gravity: the command does not carry the arm's weight.")
-@option("--nullspace-damping", metavar="C", help="Damping of a redundant arm's self-motion, N m s/rad or N s/m.")
-@option(
-    "--sensor",
-    metavar="NAME=VALUE",
-    multiple=True,
-    help="Of the measurement, may be repeated: noise, rate_noise, resolution, rate_resolution, m and m/s; delay, s.",
-)
-@option(
-    "--actuator",
-    metavar="NAME=VALUE[,…]",
-    multiple=True,
-    help="Of the drives, may be repeated: torque_limit, dead_band, bandwidth_hz, rate_limit, one number or one for "
-    "each joint; levers=each or levers=uniform; servo_gain.",
-)
-@option("--seed", metavar="N", help="Seed of the measurement noise.")
-@option("--out", metavar="PATH", help="Write every sample: .nc or .csv.")
-@option("--plot", metavar="PATH", help="Draw the run: .png, .svg or .pdf.")
-@option("--animate", metavar="PATH", help="Draw the moving machine: .gif or .html.")
+@value("--out", "PATH", "Write every sample: .nc or .csv.")
+@value("--plot", "PATH", "Draw the run: .png, .svg or .pdf.")
+@value("--animate", "PATH", "Draw the moving machine: .gif or .html.")
 @JSON
 def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Nonlinear closed loop of MACHINE: a machine with --posture or --end-point, or an experiment (name or file).
@@ -89,18 +120,18 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     for name, suffixes in (("out", (".nc", ".csv")), ("plot", PICTURES), ("animate", FILMS)):
         check_output(f"--{name}", options[name], suffixes)
     loaded = read(load_simulated, machine)
-    given = simulate_arguments(options)
+    asked = simulate_arguments(options)
     if isinstance(loaded, Experiment):
         # Given entries of a table take the place of the file's, the others stay.
-        for name in {"sensor", "actuator"} & given.keys():
-            given[name] = getattr(loaded.simulation, name).model_dump(exclude_unset=True) | given[name]
+        for name in {"sensor", "actuator"} & asked.keys():
+            asked[name] = getattr(loaded.simulation, name).model_dump(exclude_unset=True) | asked[name]
     with option_names(options), warnings_to_stderr(as_json):
         if isinstance(loaded, Experiment):
-            result = run_experiment(loaded, **given)
+            result = run_experiment(loaded, **asked)
         else:
-            if "posture" not in given and "end_point" not in given:
+            if "posture" not in asked and "end_point" not in asked:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")
-            result = simulate(loaded, **given)
+            result = simulate(loaded, **asked)
     out, plot, film = options["out"], options["plot"], options["animate"]
     if out is not None:
         save = result.to_netcdf if Path(out).suffix.lower() == ".nc" else result.to_csv
@@ -118,16 +149,10 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
 
 def simulate_arguments(options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `flexopt.simulate` from the options that were given."""
-    lists = {name: numbers(options[name]) for name in ("posture", "end_point", "offset", "kp", "kv", "ki")}
-    names = ("gain", "duration", "rate", "integral_limit", "nullspace_damping")
-    single = {name: None if options[name] is None else number(options[name]) for name in names}
-    words = {name: options[name] for name in ("elbow", "control", "feedback", "integrator")}
-    flags = {"gravity": True if options["gravity"] else None, "hold": False if options["continuous"] else None}
-    flags["gravity_compensation"] = False if options["uncompensated"] else None
-    tables = {name: table(f"--{name}", options[name]) for name in ("sensor", "actuator")}
-    counts = {"substeps": whole(options["substeps"]), "seed": whole(options["seed"])}
-    everything = lists | single | words | flags | tables | counts | {"base": placement(options["base"])}
-    return {name: value for name, value in everything.items() if value is not None}
+    asked = given(options, *[name for name in SimulationOptions.model_fields if name in options])
+    asked |= {name: table(f"--{name}", entries) for name, entries in asked.items() if name in ("sensor", "actuator")}
+    asked |= {name: False for name, word in NEGATED.items() if options[word]}
+    return {name: value for name, value in asked.items() if value is not None}
 
 
 def table(name: str, entries: tuple[str, ...]) -> dict[str, Any] | None:

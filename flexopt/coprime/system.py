@@ -18,7 +18,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import Check, anything, array_of, public
 from flexopt.foundation.plain import plain, shown
-from flexopt.foundation.quantities import check_number
+from flexopt.foundation.quantities import Quantity
 from flexopt.foundation.results import Result
 
 Matrix = NDArray[np.floating[Any]]
@@ -302,7 +302,7 @@ def _period(field: str, value: Any, faults: list[Fault]) -> float:
     if value is True:
         return 1.0
     try:
-        return check_number(value, "s", low=0.0, high=PERIOD_MAX)
+        return Quantity("s", low=0.0, high=PERIOD_MAX)(value)
     except ValueError:
         sentence = f"must be 0 (continuous) or a sampling period of at most {PERIOD_MAX:g} s"
         faults.append(Fault(field, sentence, shown(value)))

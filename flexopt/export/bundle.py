@@ -26,6 +26,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.documents import package_version, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.plain import shown
+from flexopt.foundation.quantities import several
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import replace_folder
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
@@ -88,7 +89,7 @@ class ExportReport(Result):
 
 
 def _check_parts(value: Any) -> tuple[str, ...]:
-    given = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
+    given = several(value)
     valid = ", ".join(PARTS)
     unknown = [shown(part) for part in given if not isinstance(part, str) or part not in PARTS]
     if unknown or not given:

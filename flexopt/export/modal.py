@@ -70,7 +70,7 @@ def nullspace(at: Context) -> tuple[Operation, ...]:
     gram = jacobian @ jacobian.T
     # 1 where all singular values of J_B are equal, 0 where one vanishes.
     isotropy = ca.det(gram) / (ca.trace(gram) / plant.n_task) ** plant.n_task
-    project = about.kernels.function("project", [slope, factor], [projected, isotropy])
+    project = about.kernels.expansion.of_machine("project", [slope, factor], [projected, isotropy])
     gain = ca.MX.sym("step_gain")
     step, regular = project.call([*about.machine_inputs, about.gradient, gain])
     limit = GAIN_MAX
@@ -173,7 +173,7 @@ class _Weighted:
         self.error = TOLERANCES["float" if at.single else "double"] * self.size
         self.error_size = self.error / gap
         # |a_i| has a kink where a_i vanishes, so that there the rounding of a_i turns its gradient.
-        slopes = self.graph.gradient_sizes() * ca.fmax(1, terms / self.graph.size) / gap
+        slopes = self.graph.gradient_sizes * ca.fmax(1, terms / self.graph.size) / gap
         self.gradient_size = ca.dot(self.alpha, self.size + slopes)
 
     def operation(

@@ -25,11 +25,11 @@ from flexopt.export.operations import Array
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
 from flexopt.export.parameters import parameter_range
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.boundary import TABLE
+from flexopt.foundation.boundary import anything, by, public, words
 from flexopt.foundation.control import Control
-from flexopt.foundation.quantities import COORDINATE_MAX
+from flexopt.foundation.quantities import COORDINATE_MAX, whole_number
 from flexopt.model import AnyMachine
-from flexopt.model.choices import SINGULARITY_MARGIN_DEG, check_margin_deg, check_weights
+from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures
@@ -47,7 +47,7 @@ WITH_WORK = {"hold", "value", "model", "slope"}
 # closed form, points of the whole range in each of so many rounds.
 STARTS = 16
 CURVE_SAMPLES, SURFACE_SAMPLES, SAMPLES, ROUNDS = 48, 96, 24, 4
-BUDGET, BUDGET_MAX = 480, 1_000_000
+BUDGET_MAX = 1_000_000
 EPSILON = {"double": 2.0**-52, "float": 2.0**-23}
 # A climb ends at this stationarity, the same in V/scale as `flexopt.selection.check`'s; where rounding ends it
 # earlier, the second number still counts as stationary. Values of V/scale closer than the third are equal.
@@ -129,6 +129,24 @@ class OptimiserSources:
         return texts | {name: _search(name) for name in SEARCH}
 
 
+def _check_prefix(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", value):
+        raise ValueError("must be a C identifier of at most 41 letters, digits and underscores")
+    return value
+
+
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    refusal = "" if arguments.faults else optimiser_refusal(given["machine"])
+    arguments.faults += [Fault("machine", refusal, given["machine"].name)] * bool(refusal)
+
+
+@public(
+    prefix=by(_check_prefix),
+    real=words("double", "float"),
+    real_type=anything,  # of a name that the bundle makes
+    budget=by(whole_number(1, BUDGET_MAX, what=", in evaluations of V")),
+    together=_together,
+)
 def build_optimiser(
     machine: AnyMachine,
     *,
@@ -161,35 +179,19 @@ def build_optimiser(
     Raises:
         InputError: an argument is of the wrong kind or out of range, all in one message.
     """
-    arguments = Arguments("build_optimiser")
-    machine = TABLE["machine"](arguments, "machine", machine)
-    arguments.done()
-    control = arguments.control(control)
-    arguments.flag("gravity", gravity)
-    arguments.flag("baked", baked)
-    margin = arguments.checked("singularity_margin_deg", singularity_margin_deg, check_margin_deg, 10.0)
-    real = arguments.choice("real", real, ("double", "float"))
-    if budget is not None:
-        budget = arguments.checked("budget", budget, _check_budget, BUDGET)
-    arguments.checked("prefix", prefix, _check_prefix, "flexopt")
-    refusal = "" if arguments.faults else optimiser_refusal(machine)
-    arguments.faults += [Fault("machine", refusal, machine.name)] * bool(refusal)
-    arguments.done()
+    margin = singularity_margin_deg
     at = build_context(
         machine, control=control, gain=1.0, single=real == "float", baked=baked, singularity_margin_deg=margin
     )
     measures = build_measures(machine, control, gravity)
+    arguments = Arguments("build_optimiser")
     if gravity and not measures.plant.closed_form:
         sentence = "the optimiser takes the static deflection into account for planar machines only"
         arguments.faults.append(Fault("gravity", sentence, "True"))
-        arguments.done()
-    if weights is not None:
-        alpha = arguments.checked("weights", weights, check_weights, (1.0,))
-        if len(alpha) != measures.plant.n_passive:
-            sentence = f"{machine.name} has {measures.plant.n_passive} modes, so as many weights are needed"
-            arguments.faults.append(Fault("weights", sentence, str(tuple(weights))))
-        arguments.done()
-        weights = alpha
+    if weights is not None and len(weights) != measures.plant.n_passive:
+        sentence = f"{machine.name} has {measures.plant.n_passive} modes, so as many weights are needed"
+        arguments.faults.append(Fault("weights", sentence, str(tuple(weights))))
+    arguments.done()
     kernels = build_optimiser_kernels(at, measures, weights=weights)
     text = kernel_text(kernels.functions, real, real_type or real)
     budget = budget or default_budget(kernels, real)
@@ -232,19 +234,7 @@ def optimiser_refusal(machine: AnyMachine) -> str:
 
 def default_budget(kernels: OptimiserKernels, real: Real) -> int:
     """Evaluations of V that cost less than five million instructions of an emulated Cortex-M7."""
-    return BUDGET if kernels.exact_second else int(INSTRUCTIONS / (PER_OPERATION[real] * kernels.unit + PER_UNIT))
-
-
-def _check_budget(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= BUDGET_MAX:
-        raise ValueError(f"must be a whole number between 1 and {BUDGET_MAX}, in evaluations of V")
-    return value
-
-
-def _check_prefix(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", value):
-        raise ValueError("must be a C identifier of at most 41 letters, digits and underscores")
-    return value
+    return int(INSTRUCTIONS / (PER_OPERATION[real] * kernels.unit + PER_UNIT))
 
 
 def _search(name: str) -> str:

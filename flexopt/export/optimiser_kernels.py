@@ -1,9 +1,9 @@
 """The Functions that the posture optimiser evaluates: values and derivatives, exact.
 
 In: a machine's context. Out: Functions with dense outputs, the pieces of `flexopt.selection`'s program without its
-solver. The eigenvectors come from `hold`, which the others take as an input, as everywhere in flexopt. Where postures
-have a closed form everything is one SX graph each, second derivatives included; elsewhere graphs of six modes would
-fill a flash, so that V and its slope are calls (`ModalKernels`), and second derivatives are left to differences.
+solver. The eigenvectors come from `hold`, which the others take as an input, as everywhere in flexopt. Second
+derivatives are exact where postures have a closed form; elsewhere those of six modes would fill a flash, so that they
+are left to differences, and eigenvectors start from those nearby.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import casadi as ca
 
 from flexopt.export.context import Context
-from flexopt.export.modal_kernels import HeldModes, ModalKernels
 from flexopt.plant.reach import path_to_end_point, slide_reach
+from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import Measures
+from flexopt.robustness.modes import called_modes, called_modes_near
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class OptimiserKernels:
     """Functions of z = [base, posture], p and weights α (constants where they are baked: the inputs stay, unread).
 
     Attributes:
-        hold: (base, posture, p) -> held; by calls (base, posture, p, near) -> held and z, `near` of the next one.
+        hold: (base, posture, p) -> held; without closed form (base, posture, p, near) -> held and z, `near` of the
+            next one.
         value: (base, posture, p, held, weights) -> V = Σ α_i w_i, and its size Σ α_i |a_i||b_i|.
         position: (base, posture, p) -> r (n_task,), ∂r/∂z (n_task, n_z).
         distance, margin: (base, posture, p) -> sin² of the distance from singular postures; its gradient (n_z,).
@@ -123,51 +125,58 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
         along = dict(zip("xyz", ca.vertsplit(first_joint), strict=True))
         rows = ca.vertcat(*(along.get(row, ca.SX(0)) for row in plant.machine.task_rows))
         reach = function("reach", {"p": g.p}, {"first_joint": rows, "length": length + slide_reach(plant)})
-        return OptimiserKernels(
-            **_called(at, weights), position=position, distance=distance, margin=margin, reach=reach, posture=None
-        )
-    graph = measures.graph
-    factors = ca.sqrt(ca.sum1(graph.a**2) * ca.sum1(graph.b**2)).T
-    value, size = ca.dot(alpha, graph.w), ca.dot(alpha, factors)
-    held = inputs | {"held": measures.held, "weights": alpha}
-    hessian, gradient = ca.hessian(value, z)
-    end_point_hessians = [ca.hessian(graph.end_point[k], z)[0] for k in range(plant.n_task)]
-    second = {"V_zz": hessian, "r_zz": ca.horzcat(*end_point_hessians), "sine_squared_zz": ca.hessian(sine, z)[0]}
-    reaching = plant.reaching
-    target = {"target": reaching.target, "base": g.base, "unit": reaching.unit, "elbow": reaching.elbow, "p": g.p}
-    to_posture = {"posture": reaching.posture, "cos_elbow": reaching.cos_elbow}
-    at_origin = ca.vertcat(reaching.first_joint_point, ca.sum1(reaching.segment_lengths))
-    at_origin = ca.substitute(at_origin, g.base, 0)
+        posture, second = None, None
+    else:
+        reaching = plant.reaching
+        target = {"target": reaching.target, "base": g.base, "unit": reaching.unit, "elbow": reaching.elbow, "p": g.p}
+        posture = function("posture", target, {"posture": reaching.posture, "cos_elbow": reaching.cos_elbow})
+        at_origin = ca.vertcat(reaching.first_joint_point, ca.sum1(reaching.segment_lengths))
+        at_origin = ca.substitute(at_origin, g.base, 0)
+        reach = function("reach", {"p": g.p}, {"first_joint": at_origin[:-1], "length": at_origin[-1]})
+        end_point = measures.expansion.point.end_point
+        end_point_hessians = [ca.hessian(end_point[k], z)[0] for k in range(plant.n_task)]
+        outputs = {"r_zz": ca.horzcat(*end_point_hessians), "sine_squared_zz": ca.hessian(sine, z)[0]}
+        second = function("bent_rows", inputs | {"held": measures.expansion.held}, outputs)
     return OptimiserKernels(
-        hold=function("hold", inputs, {"held": measures.hold(g.base, g.posture, g.p)}),
-        value=function("value", held, {"V": value, "size": size}),
-        derivatives=function("model", held, {"V_z": gradient} | second),
+        **_of_modes(at, measures, weights, second),
         position=position,
         distance=distance,
         margin=margin,
-        reach=function("reach", {"p": g.p}, {"first_joint": at_origin[:-1], "length": at_origin[-1]}),
-        posture=function("posture", target, to_posture),
+        reach=reach,
+        posture=posture,
     )
 
 
-def _called(at: Context, weights: Sequence[float] | None) -> dict[str, ca.Function]:
-    """`hold`, `value` and the slope of any number of modes, by calls."""
-    kernels, plant, g = ModalKernels(at), at.plant, at.plant.graph
+def _of_modes(
+    at: Context, measures: Measures, weights: Sequence[float] | None, second: ca.Function | None
+) -> dict[str, ca.Function]:
+    """`hold`, `value` and the derivatives; second ones where `second` gives those of the rows."""
+    plant, g = at.plant, at.plant.graph
+    expansion = Expansion(plant, at.control, measures.gravity, at.placement_matters, at.baked, compact=True)
     symbols = [ca.MX.sym(name, x.shape[0]) for name, x in (("base", g.base), ("posture", g.posture), ("p", g.p))]
-    given = [*(symbols[:1] if at.placement_matters else []), symbols[1], *([] if at.baked else symbols[2:])]
-    near = ca.MX.sym("near", plant.n_passive, plant.n_passive)
-    found, z = kernels.held_modes(given, near)
-    held, alpha = ca.MX.sym("held", found.packed.shape[0]), ca.MX.sym("weights", plant.n_passive)
-    inputs, names = [*symbols, held, alpha], ["base", "posture", "p", "held", "weights"]
-    weight = alpha if weights is None else ca.MX(list(weights))
-    modes = HeldModes.unpacked(held, plant.n_task, plant.n_passive)
-    w, sizes, *slopes = kernels.measures_of(modes, weight)
-    value = [ca.dot(weight, w), ca.dot(weight, sizes)]
-    slope = kernels.gradient(given, modes, slopes)
+    given = [symbol for symbol in symbols if symbol.name() in expansion.inputs]
+    held, alpha = ca.MX.sym("held", expansion.held.shape[0]), ca.MX.sym("weights", plant.n_passive)
+    names = ["base", "posture", "p", "held", "weights"]
+    if second is None:
+        near = [ca.MX.sym("near", plant.n_passive, plant.n_passive)]
+        solved, z = expansion.hold(given, called_modes_near(plant.n_passive), *near)
+    else:
+        near, (solved, z) = [], expansion.hold(given, called_modes(plant.n_passive))
+    found: list[ca.MX] = [ca.veccat(*list[ca.MX](solved.values())), *z]
+    inputs, weight = [*symbols, held, alpha], alpha if weights is None else ca.MX(list(weights))
+    parts = expansion.parts(held)
+    w, by_f = expansion.slopes(parts, weight)
+    value = [ca.dot(weight, w), ca.dot(weight, expansion.sizes(parts))]
+    if second is None:
+        slope = ca.Function("slope", inputs, [expansion.gradient(given, parts, by_f)], names, ["V_z"])
+    else:
+        outputs = [*expansion.hessian(given, parts, by_f, weight), *second.call([*symbols, held])]
+        slope = ca.Function("model", inputs, outputs, names, ["V_z", "V_zz", "r_zz", "sine_squared_zz"])
+    hold_names = [*names[:3], *(x.name() for x in near)]
     return {
-        "hold": ca.Function("hold", [*symbols, near], [found.packed, z], [*names[:3], "near"], ["held", "z"]),
+        "hold": ca.Function("hold", [*symbols, *near], found, hold_names, ["held", "z"][: len(found)]),
         "value": ca.Function("value", inputs, value, names, ["V", "size"]),
-        "derivatives": ca.Function("slope", inputs, [slope], names, ["V_z"]),
+        "derivatives": slope,
     }
 
 

@@ -11,8 +11,8 @@ from flexopt.algebra import solve_spd
 from flexopt.export.context import Context, unit_list
 from flexopt.export.control import torque_unit
 from flexopt.export.operations import Operation
+from flexopt.foundation.quantities import POSITIVE
 from flexopt.loop.machine_step import machine_step
-from flexopt.model.parameter_ranges import POSITIVE
 from flexopt.plant import Plant
 
 RATE_MAX, TORQUE_MAX, STEP_MAX = 1e4, 1e12, 0.1

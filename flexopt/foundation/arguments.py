@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_placement, check_task
 from flexopt.foundation.plain import plain, shown
-from flexopt.foundation.quantities import check_number, coordinate_max
+from flexopt.foundation.quantities import Quantity, coordinate_max, several
 
 # Whatever says what its coordinates are, as every machine does: joints, their units and limits, task rows.
 Coordinates = Any
@@ -84,65 +84,50 @@ class Arguments:
 
     def posture(self, machine: Coordinates, value: Any, field: str = "posture") -> Vector:
         """Actuated joints (n,), rad or m, finite and inside their limits."""
+        return self._joints(machine, value, field, machine.limits, machine.beyond_stroke)
+
+    def displacement(self, machine: Coordinates, value: Any, field: str) -> Vector:
+        """Differences of the actuated joints (n,), rad or m."""
+        return self._joints(machine, value, field, [(-np.inf, np.inf)] * len(machine.joints), None)
+
+    def _joints(
+        self,
+        machine: Coordinates,
+        value: Any,
+        field: str,
+        limits: Sequence[tuple[float, float]],
+        beyond: Callable[[str, Any], str] | None,
+    ) -> Vector:
+        """A number for each actuated joint; `beyond` tells more of one that is outside its limits."""
         names, units = machine.joints, machine.joint_units
         parts = self._parts(field, value)
-        if parts is None:
-            return np.zeros(len(names))
-        if len(parts) != len(names):
+        if parts is not None and len(parts) != len(names):
             angles = all(unit == "rad" for unit in units)
             what = "angles in rad" if angles else "numbers"
             listed = ", ".join(names if angles else (f"{n} in {u}" for n, u in zip(names, units, strict=True)))
             wanted = f"needs {len(names)} {what}, one for each actuated joint ({listed}), not {len(parts)}"
             self.note(field, wanted, value)
-            return np.zeros(len(names))
-        checked: list[float] = []
-        for name, unit, part, limits in zip(names, units, parts, machine.limits, strict=True):
-            low, high = max(limits[0], -coordinate_max(unit)), min(limits[1], coordinate_max(unit))
-            known = len(self.faults)
-            checked.append(
-                self.checked(
-                    f"{field} ({name})",
-                    part,
-                    lambda v, u=unit, lo=low, hi=high: check_number(v, u, low=lo, high=hi),
-                    0.0,
-                )
-            )
-            for fault in self.faults[known:]:
+            parts = None
+        checked = np.zeros(len(names))
+        if parts is None:
+            return checked
+        for k, (name, unit, part, (low, high)) in enumerate(zip(names, units, parts, limits, strict=True)):
+            most, known = coordinate_max(unit), len(self.faults)
+            allowed = Quantity(unit, low=max(low, -most), high=min(high, most))
+            checked[k] = self.checked(f"{field} ({name})", part, allowed, 0.0)
+            if beyond is not None and len(self.faults) > known:
+                fault = self.faults[known]
                 # Of what is no number there is no more to say.
                 with contextlib.suppress(InputError):
-                    longer = f"{fault.sentence}{machine.beyond_stroke(name, part)}"
-                    self.faults[known] = Fault(fault.field, longer, fault.value)
-        return np.array(checked)
-
-    def displacement(self, machine: Coordinates, value: Any, field: str) -> Vector:
-        """Differences of the actuated joints (n,), rad or m."""
-        names, units = machine.joints, machine.joint_units
-        what = "angles in rad" if set(units) == {"rad"} else "numbers in " + ", ".join(units)
-        given = self._parts(field, value)
-        if given is None:
-            return np.zeros(len(names))
-        if len(given) != len(names):
-            self.note(field, f"needs {len(names)} {what}, one for each actuated joint ({', '.join(names)})", value)
-            return np.zeros(len(names))
-        parts = zip(names, units, given, strict=True)
-        return np.array(
-            [
-                self.checked(
-                    f"{field} ({name})",
-                    part,
-                    lambda v, u=unit: check_number(v, u, low=-coordinate_max(u), high=coordinate_max(u)),
-                    0.0,
-                )
-                for name, unit, part in parts
-            ]
-        )
+                    self.faults[known] = Fault(fault.field, f"{fault.sentence}{beyond(name, part)}", fault.value)
+        return checked
 
     def _parts(self, field: str, value: Any) -> list[Any] | None:
         """The entries of a list, or a value alone; None after noting that it cannot be read."""
         read = self.checked(field, value, lambda v: v, _UNREAD)
         if read is _UNREAD:
             return None
-        return list(cast(Sequence[Any], read)) if isinstance(read, list | tuple) else [read]
+        return several(read)
 
     def base(self, machine: Coordinates, value: Any, field: str = "base") -> Vector:
         """Placement (n_b,), m or rad."""

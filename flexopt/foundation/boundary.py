@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from flexopt.errors import Fault, InputError
 from flexopt.foundation.arguments import Arguments, Coordinates
 from flexopt.foundation.nearest import hint
 from flexopt.foundation.plain import plain, plain_table, shown
-from flexopt.foundation.quantities import check_number, check_numbers, check_whole
+from flexopt.foundation.quantities import Quantity, numbers_in, whole_number
 from flexopt.foundation.turns import in_turn
 
 P = ParamSpec("P")
@@ -47,25 +47,17 @@ def by(check: Callable[[Any], Any]) -> Check:
 
 def number(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Check:
     """A number in a range."""
-    return by(lambda value: check_number(value, unit, above=above, low=low, high=high))
+    return by(Quantity(unit, above=above, low=low, high=high))
 
 
 def whole(low: int, high: int) -> Check:
     """A whole number in a range."""
-    return by(lambda value: check_whole(value, low, high))
+    return by(whole_number(low, high))
 
 
 def numbers(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Check:
     """One number or several in a range."""
-
-    def check(value: Any) -> tuple[float, ...]:
-        parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
-        if not parts:
-            raise ValueError("must be a number or a list of numbers" + (f", in {unit}" if unit else ""))
-        names = [f"entry {k}" for k in range(1, len(parts) + 1)]
-        return check_numbers(parts, names, unit, above=above, low=low, high=high)
-
-    return by(check)
+    return by(numbers_in(Quantity(unit, above=above, low=low, high=high)))
 
 
 def words(*valid: Any) -> Check:
@@ -247,22 +239,38 @@ TABLE: dict[str, Check] = {
 
 
 class Keywords(NamedTuple):
-    """Keywords of a call that are fields of an options object, too: `**keywords` in its signature stands for them."""
+    """Keywords of a call that are fields of an options object, too: `**keywords` in its signature stands for them.
+
+    Attributes:
+        kind: of the options object.
+        types: the keywords and their types, a `TypedDict`.
+        together: the call checks them together, and takes None for one that is left out.
+    """
 
     kind: type[BaseModel]
-    names: tuple[str, ...]
+    types: type
+    together: bool = False
 
     def spelt_out(self, signature: inspect.Signature) -> inspect.Signature:
-        """The signature with a parameter for each name."""
-        fields = self.kind.model_fields
+        """The signature with a parameter for each keyword."""
+        fields, types = self.kind.model_fields, get_type_hints(self.types)
         word, variable = inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.VAR_KEYWORD
-        each = [inspect.Parameter(name, word, default=fields[name].default) for name in self.names]
+        each = [
+            inspect.Parameter(name, word, default=None if self.together else field.default, annotation=types[name])
+            for name, field in fields.items()
+            if name in types
+        ]
         others = [parameter for parameter in signature.parameters.values() if parameter.kind is not variable]
         first = next(k for k, parameter in enumerate(others) if parameter.kind is word)
         return signature.replace(parameters=[*others[:first], *each, *others[first:]])
 
-    def spread(self, arguments: Arguments, given: dict[str, Any]) -> None:
-        """What the argument `options` holds becomes keywords, those that are given by themselves aside."""
+    @property
+    def checks(self) -> dict[str, Check]:
+        """Checks of single arguments, in place of the table's."""
+        return dict.fromkeys(("options", *(self.kind.model_fields if self.together else ())), anything)
+
+    def spread(self, arguments: Arguments, given: dict[str, Any], names: Container[str]) -> None:
+        """What the argument `options` holds becomes arguments of those names, except what is given by itself."""
         options = given.pop("options", None)
         if options is None:
             return
@@ -271,10 +279,10 @@ class Keywords(NamedTuple):
             return
         for name in sorted(options.model_fields_set):
             value = getattr(options, name)
-            if name in self.names:
-                given.setdefault(name, value)
-            else:
+            if name not in names:
                 arguments.note(f"options.{name}", "is no option of this call", value)
+            elif name not in given or (self.together and given[name] is None):
+                given[name] = value
 
 
 def public(
@@ -309,7 +317,7 @@ def public(
         heading, parameters = call or function.__name__, dict(signature.parameters)
         owner = parameters.pop("self", None)
         first = next(iter(parameters), "")
-        table = {**({} if keywords is None else {"options": anything}), **(checks or {}), **own}
+        table = {**({} if keywords is None else keywords.checks), **(checks or {}), **own}
         each = {name: table[name] if name in table else TABLE[name] for name in parameters}
 
         @wraps(function)
@@ -324,7 +332,7 @@ def public(
             if sizes is not None and owner is not None:
                 arguments.sizes = sizes(given["self"])
             if keywords is not None:
-                keywords.spread(arguments, given)
+                keywords.spread(arguments, given, parameters)
             for name, check in each.items():
                 default = parameters[name].default
                 if name not in given or (given[name] is None and default is None):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from flexopt.foundation.quantities import check_number
+from flexopt.foundation.quantities import Checked, Quantity
 
 # "inverse", "transpose" or "damped:LAMBDA", as `check_control` gives it.
 Control = str
@@ -13,6 +13,7 @@ DAMPED = "damped"
 DAMPING_MAX = 1e9
 
 
+@Checked
 def check_control(value: Any) -> Control:
     """How forces at the end-point become joint commands: `inverse`, `transpose`, or `damped:LAMBDA` with λ > 0.
 
@@ -25,7 +26,7 @@ def check_control(value: Any) -> Control:
     if method != DAMPED:
         raise ValueError(words)
     try:
-        damping = check_number(float(number), "", above=0.0, high=DAMPING_MAX)
+        damping = Quantity("", above=0.0, high=DAMPING_MAX)(float(number))
     except ValueError:
         sentence = f"LAMBDA is a number above 0 and at most {DAMPING_MAX:g} in the unit of Jv's entries"
         raise ValueError(f"{words}; {sentence}") from None

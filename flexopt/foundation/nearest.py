@@ -15,6 +15,13 @@ def nearest(word: str, known: Iterable[str], alike: float = ALIKE) -> str | None
     return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=alike)), None)
 
 
+def hint_or_list(word: str, known: Iterable[str], heading: str = "valid here: ", most: int | None = None) -> str:
+    """As `hint`, with the known words themselves, or the first of them, where none is near."""
+    words = list(known)
+    listed = ", ".join(words[:most]) + ("" if most is None or len(words) <= most else ", …")
+    return hint(word, words, f"; {heading}{listed}" if words else "")
+
+
 def hint(word: str, known: Iterable[str], otherwise: str = "") -> str:
     """The end of a sentence about a word that is not known: the nearest known one, or else `otherwise`."""
     near = nearest(word, known)

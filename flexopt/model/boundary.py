@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,16 @@ from flexopt.errors import ModelError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE, Check, by, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
+from flexopt.foundation.quantities import entries
 from flexopt.model.choices import (
     ELBOWS,
+    GAIN,
+    MARGIN_DEG,
+    SEED,
+    SLACK_SHARE,
+    STARTS,
     TARGETS_MAX,
-    check_gain,
-    check_margin_deg,
     check_objective,
-    check_seed,
-    check_slack,
-    check_starts,
     check_weights,
 )
 from flexopt.model.machine import AnyMachine
@@ -29,10 +30,9 @@ def targets(least: int) -> Check:
     """Several targets of the machine's task, (K, n_task), m."""
 
     def check(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> NDArray[np.float64] | None:
-        rows = arguments.checked(field, value, lambda v: v, None)
-        if arguments.faulty(field):
+        listed = arguments.checked(field, value, entries, None)
+        if listed is None:
             return None
-        listed = list(cast(list[Any], rows)) if isinstance(rows, list | tuple) else []
         if not least <= len(listed) <= TARGETS_MAX:
             arguments.note(field, f"must be a list of {least} to {TARGETS_MAX} targets", value)
             return None
@@ -80,11 +80,11 @@ TABLE.update(
     {
         "machine": _machine,
         "elbow": words(*ELBOWS),
-        "gain": by(check_gain),
-        "singularity_margin_deg": by(check_margin_deg),
-        "seed": by(check_seed),
-        "slack": by(check_slack),
-        "starts": by(check_starts),
+        "gain": by(GAIN),
+        "singularity_margin_deg": by(MARGIN_DEG),
+        "seed": by(SEED),
+        "slack": by(SLACK_SHARE),
+        "starts": by(STARTS),
         "objective": by(check_objective),
         "weights": by(check_weights),
         "base_range": of_machine(_base_range),

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
-from flexopt.foundation.quantities import check_number, check_numbers, check_whole
+from flexopt.foundation.quantities import Checked, Quantity, each_named, entries, whole_number
 
 Elbow = Literal["up", "down"]
 ELBOWS: tuple[Elbow, ...] = ("up", "down")
@@ -19,6 +19,7 @@ STARTS_MAX = 10_000
 TARGETS_MAX = 1000
 
 
+@Checked
 def check_objective(value: Any) -> str:
     """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas."""
     words = value.replace(" ", "").split(",") if isinstance(value, str) else []
@@ -32,37 +33,20 @@ def check_objective(value: Any) -> str:
     return ",".join(words)
 
 
+@Checked
 def check_weights(value: Any) -> tuple[float, ...]:
     """The weights α of V = Σ αi wi: non-negative, not all zero."""
-    if not isinstance(value, list | tuple) or not value:
+    values = entries(value)
+    if not values:
         raise ValueError("must be a list of numbers, one for each mode")
-    values = cast(list[Any], value)
-    weights = check_numbers(values, [f"α{i + 1}" for i in range(len(values))], "", low=0.0, high=1e6)
+    weights = each_named(Quantity("", low=0.0, high=1e6), values, [f"α{i + 1}" for i in range(len(values))])
     if not any(weights):
         raise ValueError("at least one weight must be positive")
     return weights
 
 
-def check_margin_deg(value: Any) -> float:
-    """An angle from singular postures, degrees."""
-    return check_number(value, "°", low=0.01, high=80.0)
-
-
-def check_gain(value: Any) -> float:
-    """The servo gain kr of ε_max."""
-    return check_number(value, "", above=0.0, high=1e15)
-
-
-def check_starts(value: Any) -> int:
-    """How many starts at most."""
-    return check_whole(value, 1, STARTS_MAX)
-
-
-def check_seed(value: Any) -> int:
-    """A seed."""
-    return check_whole(value, 0, 2**32 - 1, "2³² − 1")
-
-
-def check_slack(value: Any) -> float:
-    """What an objective may give up for the next one, as a share."""
-    return check_number(value, "", low=1e-7, high=1.0)
+MARGIN_DEG = Quantity("°", low=0.01, high=80.0)
+GAIN = Quantity("", above=0.0, high=1e15)
+SEED = whole_number(0, 2**32 - 1, "2³² − 1")
+SLACK_SHARE = Quantity("", low=1e-7, high=1.0)
+STARTS = whole_number(1, STARTS_MAX)

@@ -14,105 +14,68 @@ from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
 from flexopt.foundation.nearest import hint
-from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, LENGTH_MAX, check_number, check_numbers, checked
-from flexopt.model.faults import read_table, validated
+from flexopt.foundation.quantities import (
+    ANGLE,
+    COORDINATE,
+    JOINT_VALUE,
+    LENGTH,
+    LENGTH_MAX,
+    LENGTH_OR_ZERO,
+    Checked,
+    Quantity,
+    each,
+    entries,
+    pair,
+    vector,
+)
+from flexopt.model.file_model import FileModel, read_table, validated
 from flexopt.model.polygons import Corners, check_simple_polygon
-from flexopt.model.tables import FileModel
+from flexopt.model.targets import SOME_COORDINATES
 
 Interval = tuple[float, float]
 Area = Interval | Corners
-MANIPULABILITY_MAX, COST_MAX = 1e12, 1e12
 NORMAL_MIN = 1e-9
 UNIT = 1e-14
+_IN_M = "numbers in m: [x, y] in the plane, [x, y, z] in space"
+_PLACE, _SIDES = (vector(_IN_M, quantity, "xy", "xyz") for quantity in (COORDINATE["m"], LENGTH_OR_ZERO))
+_DIRECTION = vector(_IN_M.replace(" in m", ""), Quantity("", low=-LENGTH_MAX, high=LENGTH_MAX), "xy", "xyz")
+_INTERVAL = pair(COORDINATE["m"], "an interval [lower, upper] or a polygon [[x, y], …],")
+_POSITIVE = Quantity("", above=0.0, high=1e12)
 
 
-def _entries(value: Any) -> list[Any]:
-    return list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
-
-
-def _check_joint_margin(value: Any) -> float:
-    return check_number(value, "rad or m", low=0.0, high=ANGLE_MAX)
-
-
-def _check_manipulability(value: Any) -> float:
-    return check_number(value, "", above=0.0, high=MANIPULABILITY_MAX)
-
-
-def _check_length(value: Any) -> float:
-    return check_number(value, "m", low=0.0, high=LENGTH_MAX)
-
-
-def _check_radius(value: Any) -> float:
-    return check_number(value, "m", above=0.0, high=LENGTH_MAX)
-
-
-def _check_height(value: Any) -> float:
-    return check_number(value, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
-
-
-def _check_share(value: Any) -> float:
-    return check_number(value, "of each joint's effort", above=0.0, high=1.0)
-
-
-def _check_yaw(value: Any) -> float:
-    return check_number(value, "rad", low=-ANGLE_MAX, high=ANGLE_MAX)
-
-
-def _check_cost(value: Any) -> float:
-    return check_number(value, "", above=0.0, high=COST_MAX)
-
-
+@Checked
 def _check_tool_angle(value: Any) -> Interval:
     """[lo, hi], or one number for both."""
     if not isinstance(value, list | tuple):
-        angle = check_number(value, "rad", low=-ANGLE_MAX, high=ANGLE_MAX)
+        angle = ANGLE(value)
         return angle, angle
-    if len(_entries(value)) != 2:
+    if len(entries(value)) != 2:
         raise ValueError("must be one angle or a pair [lower, upper], in rad")
-    low, high = check_numbers(_entries(value), ["lower end", "upper end"], "rad", low=-ANGLE_MAX, high=ANGLE_MAX)
+    low, high = each(ANGLE, entries(value), ["lower end", "upper end"])
     if not low <= high < low + 2 * math.pi:
         raise ValueError("must be in order and less than a turn, 2π rad, wide")
     return low, high
 
 
+@Checked
 def _check_areas(value: Any) -> tuple[Area, ...]:
     """Polygons, or for planar machines intervals [lo, hi] of x, m."""
-    what = "must be a list of polygons [[x, y], …] (of a planar machine: intervals [lower, upper]), in m"
-    if not _entries(value):
-        raise ValueError(what)
-    areas: list[Area] = []
-    sentences: list[str] = []
-    for index, entry in enumerate(_entries(value)):
-        try:
-            parts = _entries(entry)
-            if parts and not any(isinstance(part, list | tuple) for part in parts):
-                areas.append(_check_interval(entry))
-            else:
-                areas.append(check_simple_polygon(entry))
-        except ValueError as error:
-            sentences.append(f"entry {index} {error}")
-    if sentences:
-        raise ValueError("; ".join(sentences))
-    return tuple(areas)
+
+    def check(entry: Any) -> Area:
+        parts = entries(entry)
+        straight = parts and not any(isinstance(part, list | tuple) for part in parts)
+        return _INTERVAL(entry) if straight else check_simple_polygon(entry)
+
+    areas = entries(value)
+    if not areas:
+        raise ValueError("must be a list of polygons [[x, y], …] (of a planar machine: intervals [lower, upper]), in m")
+    return each(check, areas, [f"entry {index}" for index in range(len(areas))])
 
 
-def _check_interval(value: Any) -> Interval:
-    if len(_entries(value)) != 2:
-        raise ValueError("must be an interval [lower, upper] or a polygon [[x, y], …], in m")
-    limit = COORDINATE_MAX
-    low, high = check_numbers(_entries(value), ["lower end", "upper end"], "m", low=-limit, high=limit)
-    if not low < high:
-        raise ValueError("is reversed or empty: the lower end must be below the upper end, in m")
-    return low, high
-
-
-def _check_place(value: Any) -> tuple[float, ...]:
-    return _coordinates(value, "m", -COORDINATE_MAX, COORDINATE_MAX)
-
-
+@Checked
 def _check_normal(value: Any) -> tuple[float, ...]:
     """A direction, scaled to length 1."""
-    parts = _coordinates(value, "", -LENGTH_MAX, LENGTH_MAX)
+    parts = _DIRECTION(value)
     length = math.hypot(*parts)
     if length < NORMAL_MIN:
         raise ValueError("must point somewhere: its length is 0")
@@ -121,30 +84,17 @@ def _check_normal(value: Any) -> tuple[float, ...]:
     return tuple(part / length for part in parts)
 
 
+@Checked
 def _check_size(value: Any) -> tuple[float, ...]:
-    sides = _coordinates(value, "m", 0.0, LENGTH_MAX)
+    sides = _SIDES(value)
     if not all(sides):
         raise ValueError("must be whole lengths of the sides, each greater than 0 m")
     return sides
 
 
-def _coordinates(value: Any, unit: str, low: float, high: float) -> tuple[float, ...]:
-    parts = _entries(value)
-    if len(parts) not in (2, 3):
-        in_unit = f" in {unit}" if unit else ""
-        raise ValueError(f"must be numbers{in_unit}: [x, y] in the plane, [x, y, z] in space")
-    return check_numbers(parts, list("xyz"[: len(parts)]), unit, low=low, high=high)
-
-
-def _check_numbers(value: Any) -> tuple[float, ...]:
-    """One number or several, m or rad."""
-    parts = _entries(value) if isinstance(value, list | tuple) else [value]
-    names = [f"entry {i + 1}" for i in range(len(parts))]
-    return check_numbers(parts, names, "m or rad", low=-COORDINATE_MAX, high=COORDINATE_MAX)
-
-
+@Checked
 def _check_bodies(value: Any) -> tuple[str, ...]:
-    names = _entries(value)
+    names = entries(value)
     if not names or not all(isinstance(name, str) and name for name in names):
         raise ValueError("must be a list of names of bodies")
     if len(set(names)) < len(names):
@@ -152,7 +102,7 @@ def _check_bodies(value: Any) -> tuple[str, ...]:
     return tuple(names)
 
 
-Place = Annotated[tuple[float, ...], checked(_check_place)]
+Place = Annotated[tuple[float, ...], _PLACE]
 
 
 class Sphere(FileModel):
@@ -161,7 +111,7 @@ class Sphere(FileModel):
     kind: Literal["sphere"] = "sphere"
     name: str = ""
     center: Place
-    radius: Annotated[float, checked(_check_radius)]
+    radius: Annotated[float, LENGTH]
 
 
 class Box(FileModel):
@@ -173,8 +123,8 @@ class Box(FileModel):
     kind: Literal["box"] = "box"
     name: str = ""
     center: Place
-    size: Annotated[tuple[float, ...], checked(_check_size)]
-    yaw: Annotated[float, checked(_check_yaw)] = 0.0
+    size: Annotated[tuple[float, ...], _check_size]
+    yaw: Annotated[float, ANGLE] = 0.0
 
 
 class HalfPlane(FileModel):
@@ -183,7 +133,7 @@ class HalfPlane(FileModel):
     kind: Literal["half_plane"] = "half_plane"
     name: str = ""
     point: Place
-    normal: Annotated[tuple[float, ...], checked(_check_normal)]
+    normal: Annotated[tuple[float, ...], _check_normal]
 
 
 Obstacle = Sphere | Box | HalfPlane
@@ -207,15 +157,16 @@ def _sentence(sentence: str) -> PydanticCustomError:
     return PydanticCustomError("quantity", "{sentence}", {"sentence": sentence})
 
 
+@Checked
 def _check_obstacles(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple):
         raise ValueError("must be a list of tables, [[constraints.clearance.obstacles]] in a file")
-    names = [_name_of(entry) for entry in _entries(value)]
+    names = [_name_of(entry) for entry in entries(value)]
     named = [name for name in names if isinstance(name, str) and name]
     twice = next((name for name in named if named.count(name) > 1), None)
     if twice is not None:
         raise ValueError(f"has two obstacles with the name {twice!r}; names must differ")
-    return tuple(_entries(value))
+    return tuple(entries(value))
 
 
 def _name_of(entry: Any) -> Any:
@@ -228,20 +179,18 @@ class Clearance(FileModel):
     `bodies` are those that keep it, all that have capsules by default.
     """
 
-    distance: Annotated[float, checked(_check_length)]
-    bodies: Annotated[tuple[str, ...], checked(_check_bodies)] | None = None
-    ground: Annotated[float, checked(_check_height)] | None = None
-    obstacles: Annotated[
-        tuple[Annotated[Obstacle, BeforeValidator(_check_obstacle)], ...], checked(_check_obstacles)
-    ] = ()
+    distance: Annotated[float, LENGTH_OR_ZERO]
+    bodies: Annotated[tuple[str, ...], _check_bodies] | None = None
+    ground: Annotated[float, COORDINATE["m"]] | None = None
+    obstacles: Annotated[tuple[Annotated[Obstacle, BeforeValidator(_check_obstacle)], ...], _check_obstacles] = ()
 
 
 class Travel(FileModel):
     """What leaving the present placement `base` and `posture` costs, as a share of the objective's scale."""
 
-    cost: Annotated[float, checked(_check_cost)]
-    base: Annotated[tuple[float, ...], checked(_check_numbers)] | None = None
-    posture: Annotated[tuple[float, ...], checked(_check_numbers)] | None = None
+    cost: Annotated[float, _POSITIVE]
+    base: Annotated[tuple[float, ...], SOME_COORDINATES] | None = None
+    posture: Annotated[tuple[float, ...], SOME_COORDINATES] | None = None
 
 
 class Constraints(FileModel):
@@ -259,14 +208,14 @@ class Constraints(FileModel):
         travel: cost of leaving the present configuration.
     """
 
-    joint_margin: Annotated[float, checked(_check_joint_margin)] = 0.0
-    manipulability: Annotated[float, checked(_check_manipulability)] | None = None
-    region: Annotated[tuple[Area, ...], checked(_check_areas)] | None = None
-    keep_out: Annotated[tuple[Area, ...], checked(_check_areas)] | None = None
+    joint_margin: Annotated[float, Quantity(JOINT_VALUE.unit, low=0.0, high=ANGLE.high)] = 0.0
+    manipulability: Annotated[float, _POSITIVE] | None = None
+    region: Annotated[tuple[Area, ...], _check_areas] | None = None
+    keep_out: Annotated[tuple[Area, ...], _check_areas] | None = None
     clearance: Clearance | None = None
-    tip_over_margin: Annotated[float, checked(_check_length)] | None = None
-    holding: Annotated[float, checked(_check_share)] | None = None
-    tool_angle: Annotated[Interval, checked(_check_tool_angle)] | None = None
+    tip_over_margin: Annotated[float, LENGTH_OR_ZERO] | None = None
+    holding: Annotated[float, Quantity("of each joint's effort", above=0.0, high=1.0)] | None = None
+    tool_angle: Annotated[Interval, _check_tool_angle] | None = None
     travel: Travel | None = None
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from flexopt.errors import ModelError
 from flexopt.foundation.nearest import hint
-from flexopt.model.faults import DEPTH_MAX
+from flexopt.model.file_model import DEPTH_MAX
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # Fifty times the largest file that a machine of the most bodies needs.

@@ -25,13 +25,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from flexopt.foundation.quantities import LENGTH_MAX, Length, Offset, check_number, check_numbers, check_pair, checked
-from flexopt.model.table_quantities import SPEED_MAX, check_place
-from flexopt.model.tables import FileModel
+from flexopt.foundation.quantities import (
+    LENGTH,
+    LENGTH_OR_ZERO,
+    OFFSET,
+    SPEED,
+    Checked,
+    Length,
+    Offset,
+    Quantity,
+    pair,
+    vector,
+)
+from flexopt.model.file_model import FileModel
+from flexopt.model.tables import Place
 
 AXES = "xyz"
 FORCE_MAX = 1e12
@@ -40,50 +51,29 @@ Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float
 UNTURNED: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
+_ALONG_LEFT = vector("a pair [along, left] in m", OFFSET, ("along", "left"))
+_SPEEDS = vector(
+    "a pair [retracting, extending] in m/s", Quantity("m/s", above=0.0, high=SPEED.high), ("retracting", "extending")
+)
+_FORCE = vector("a pair [pull, push] in N", Quantity("N", low=0.0, high=FORCE_MAX), ("pull", "push"))
+
+
+@Checked
 def check_stroke(value: Any) -> tuple[float, float]:
     """[retracted, extended], m, both positive."""
-    low, high = check_pair(value, "m", 0.0, LENGTH_MAX)
+    low, high = pair(LENGTH_OR_ZERO)(value)
     if low <= 0:
-        raise ValueError(f"must be greater than 0 and at most {LENGTH_MAX:g} m at both ends")
+        raise ValueError(f"{LENGTH.allowed} at both ends")
     return low, high
 
 
-def check_cylinder_speed(value: Any) -> tuple[float, float]:
-    """[retracting, extending], m/s, both positive."""
-    entries = _two(value, "[retracting, extending] in m/s")
-    retract, extend = (check_number(entry, "m/s", above=0.0, high=SPEED_MAX) for entry in entries)
-    return retract, extend
-
-
+@Checked
 def check_cylinder_force(value: Any) -> tuple[float, float]:
     """[pull, push], N; a cylinder that acts one way has one zero."""
-    names = ["pull", "push"]
-    pull, push = check_numbers(_two(value, "[pull, push] in N"), names, "N", low=0.0, high=FORCE_MAX)
+    pull, push = _FORCE(value)
     if pull == push == 0:
         raise ValueError("must not be zero both ways; leave it out where it is not known")
     return pull, push
-
-
-def check_rod_offset(value: Any) -> tuple[float, float]:
-    """[along, left], m."""
-    entries, names = _two(value, "[along, left] in m"), ["along", "left"]
-    along, left = check_numbers(entries, names, "m", low=-LENGTH_MAX, high=LENGTH_MAX)
-    return along, left
-
-
-def check_dead_band(value: Any) -> float:
-    """Share of the lever."""
-    return check_number(value, "", low=0.0, high=DEAD_BAND_MAX)
-
-
-def _two(value: Any, what: str) -> list[Any]:
-    entries = list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
-    if len(entries) != 2:
-        raise ValueError(f"must be a pair {what}")
-    return entries
-
-
-Pin = Annotated[tuple[float, ...], checked(check_place)]
 
 
 class Rocker(FileModel):
@@ -97,12 +87,15 @@ class Rocker(FileModel):
     the hinge's, and its end and the rod's pin lie in the plane of `pivot`.
     """
 
-    pivot: Pin
+    pivot: Place
     length: Length
     coupler: Length
-    coupler_point: Pin
+    coupler_point: Place
     branch: Literal[-1, 1]
-    rod_offset: Annotated[tuple[float, float], checked(check_rod_offset)] = (0.0, 0.0)
+    rod_offset: Annotated[tuple[float, float], vector("a pair [along, left] in m", OFFSET, ("along", "left"))] = (
+        0.0,
+        0.0,
+    )
 
 
 class Cylinder(FileModel):
@@ -113,15 +106,15 @@ class Cylinder(FileModel):
 
     name: str = Field(min_length=1)
     joint: str = Field(min_length=1)
-    base_point: Pin | None = None
-    rod_point: Pin | None = None
+    base_point: Place | None = None
+    rod_point: Place | None = None
     rocker: Rocker | None = None
     offset: Offset = 0.0
-    length: Annotated[tuple[float, float], checked(check_stroke)]
-    speed: Annotated[tuple[float, float], checked(check_cylinder_speed)]
-    force: Annotated[tuple[float, float], checked(check_cylinder_force)] | None = None
+    length: Annotated[tuple[float, float], check_stroke]
+    speed: Annotated[tuple[float, float], _SPEEDS]
+    force: Annotated[tuple[float, float], check_cylinder_force] | None = None
     lever_sign: Literal[-1, 1] = 1
-    dead_band: Annotated[float, checked(check_dead_band)] = 0.0
+    dead_band: Annotated[float, Quantity("", low=0.0, high=DEAD_BAND_MAX)] = 0.0
 
     def numbers(self) -> dict[str, float]:
         """The geometry, m, by the names that it has among the machine's parameters."""

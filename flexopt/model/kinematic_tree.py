@@ -13,9 +13,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from flexopt.foundation.quantities import Length, MassOrZero, checked
-from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
-from flexopt.model.tables import FileModel
+from flexopt.foundation.quantities import (
+    ARMATURE,
+    EFFORT,
+    JOINT_DAMPING,
+    JOINT_STIFFNESS,
+    JOINT_VALUE,
+    SPEED,
+    Length,
+    MassOrZero,
+)
+from flexopt.model.file_model import FileModel
 from flexopt.model.tree_quantities import (
     Axis,
     InertiaSix,
@@ -23,9 +31,6 @@ from flexopt.model.tree_quantities import (
     Point,
     Rotation,
     Square,
-    check_damping_value,
-    check_rest_value,
-    check_stiffness_value,
 )
 
 Row = Literal["x", "y", "z", "roll", "pitch", "yaw"]
@@ -48,14 +53,14 @@ class TreeJoint(FileModel):
     kind: Literal["hinge", "slide"]
     axis: Axis
     passive: bool = False
-    stiffness: Annotated[float, checked(check_stiffness_value)] | None = None
-    damping: Annotated[float, checked(check_damping_value)] = 0.0
-    rest: Annotated[float, checked(check_rest_value)] = 0.0
+    stiffness: Annotated[float, JOINT_STIFFNESS] | None = None
+    damping: Annotated[float, JOINT_DAMPING] = 0.0
+    rest: Annotated[float, JOINT_VALUE] = 0.0
     limits: Pair | None = None
-    effort: Annotated[float, checked(check_effort_value)] | None = None
-    speed: Annotated[float, checked(check_speed_value)] | None = None
-    armature: Annotated[float, checked(check_armature_value)] = 0.0
-    joint_damping: Annotated[float, checked(check_damping_value)] = 0.0
+    effort: Annotated[float, EFFORT] | None = None
+    speed: Annotated[float, SPEED] | None = None
+    armature: Annotated[float, ARMATURE] = 0.0
+    joint_damping: Annotated[float, JOINT_DAMPING] = 0.0
 
 
 class TreeBody(FileModel):

@@ -5,24 +5,22 @@ from __future__ import annotations
 import hashlib
 from abc import abstractmethod
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
-    COORDINATE_MAX,
+    JOINT_VALUE,
     Acceleration,
-    check_number,
-    check_schema,
-    checked,
 )
+from flexopt.model.file_model import BuiltByCall, Described
 from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.kinematic_tree import KinematicTree, units_of
 from flexopt.model.strokes import CylinderTravel, usable_range
-from flexopt.model.tables import BuiltByCall, Capsule
+from flexopt.model.tables import Capsule
 from flexopt.model.tree_quantities import axes_about, snapped_rows
 
 
@@ -37,13 +35,9 @@ class Parameter(NamedTuple):
 Entry = tuple[str, Parameter]
 
 
-class AnyMachine(BuiltByCall):
+class AnyMachine(BuiltByCall, Described):
     """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more."""
 
-    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
-    name: str = Field(min_length=1)
-    description: str = ""
-    source: str = ""
     gravity: Acceleration = 9.81
     capsules: tuple[Capsule, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
@@ -120,7 +114,7 @@ class AnyMachine(BuiltByCall):
         """The end of a sentence about a value that its joint cannot take, where that is its cylinder's doing."""
         self._check_joint("beyond_stroke", joint)
         try:
-            q = check_number(q, "rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
+            q = JOINT_VALUE(q)
         except ValueError as error:
             raise_if_any(InputError, "beyond_stroke", [Fault("q", str(error), shown(q))])
         return next((self.travel(c).beyond_stroke(q) for c in self.cylinders if c.joint == joint), "")
@@ -211,3 +205,28 @@ class AnyMachine(BuiltByCall):
 
     def __str__(self) -> str:
         return repr(self)
+
+
+class OnMachine(BuiltByCall, Described):
+    """A file that names the machine that it is about, and holds it once it is loaded."""
+
+    LOADER: ClassVar[str]
+    machine: str = Field(min_length=1)
+
+    _loaded: AnyMachine | None = PrivateAttr(default=None)
+
+    def with_machine(self, machine: AnyMachine) -> Self:
+        """The same, holding its machine."""
+        if not isinstance(machine, AnyMachine):  # pyright: ignore[reportUnnecessaryIsInstance]
+            sentence = 'must be a Machine, from flexopt.load("excavator") for example'
+            raise_if_any(InputError, "with_machine", [Fault("machine", sentence, shown(machine))])
+        twin = self.model_copy()
+        twin._loaded = machine
+        return twin
+
+    @property
+    def loaded_machine(self) -> AnyMachine:
+        """The machine that the file names."""
+        if self._loaded is None:
+            raise ModelError(f"holds no machine: {self.LOADER} gives one that does, or with_machine")
+        return self._loaded

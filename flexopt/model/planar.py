@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import (
+    ANGLE,
+    EFFORT,
+    LENGTH_OR_ZERO,
+    SPEED,
     Angle,
-    AngularSpeed,
     Damping,
     Inertia,
-    JointLimits,
     Length,
-    LengthOrZero,
     Mass,
     Offset,
+    Quantity,
     RotationalDamping,
     RotationalStiffness,
     Stiffness,
-    Torque,
+    pair,
 )
+from flexopt.model.file_model import FileModel
 from flexopt.model.kinematic_tree import EndPoint, KinematicTree, TreeBody, TreeJoint
 from flexopt.model.machine import AnyMachine, Entry, Parameter
-from flexopt.model.tables import FileModel, Payload, Span
+from flexopt.model.planar_faults import BASE_DIRECTIONS, machine_faults
+from flexopt.model.tables import Payload, Span
 
 NORMAL = (0.0, 0.0, 1.0)
 LINK_JOINT = ("passive", "stiffness", "damping", "rest", "limits", "effort", "speed", "joint_damping")
-BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
 
 
 class BaseStiffness(FileModel):
@@ -50,7 +53,7 @@ class BaseDamping(FileModel):
 class Base(FileModel):
     """The first body, from the ground point to the arm's first joint. `com` along it, `com_offset` to its left."""
 
-    length: LengthOrZero
+    length: Annotated[float, LENGTH_OR_ZERO]
     com: Offset
     com_offset: Offset = 0.0
     mass: Mass
@@ -72,9 +75,9 @@ class Link(FileModel):
     com_offset: Offset = 0.0
     mass: Mass
     inertia: Inertia
-    limits: JointLimits | None = None
-    effort: Torque | None = None
-    speed: AngularSpeed | None = None
+    limits: Annotated[tuple[float, float], pair(ANGLE)] | None = None
+    effort: Annotated[float, Quantity("N m", above=0.0, high=EFFORT.high)] | None = None
+    speed: Annotated[float, Quantity("rad/s", above=0.0, high=SPEED.high)] | None = None
     joint_damping: RotationalDamping = 0.0
     passive: bool = False
     stiffness: RotationalStiffness | None = None
@@ -100,8 +103,6 @@ class Machine(AnyMachine):
 
     def structural_faults(self) -> list[Fault]:
         """As of a file."""
-        from flexopt.model.faults import machine_faults  # noqa: PLC0415  (which knows this class)
-
         return machine_faults(self.to_dict()) or self.stroke_faults()
 
     @property

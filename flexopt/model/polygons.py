@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 
-from flexopt.foundation.quantities import COORDINATE_MAX, check_numbers
+from flexopt.foundation.quantities import COORDINATE, Checked, each, entries
 
 Corner = tuple[float, float]
 Corners = tuple[Corner, ...]
@@ -18,17 +18,17 @@ CORNERS_MAX = 500
 EDGE_MIN = 1e-6
 
 
+@Checked
 def check_simple_polygon(value: Any) -> Corners:
     """Corners [x, y] in m of a simple polygon, counter-clockwise whichever way they were given."""
-    entries = list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
-    if not 3 <= len(entries) <= CORNERS_MAX:
+    given = entries(value)
+    if not 3 <= len(given) <= CORNERS_MAX:
         raise ValueError(f"must be 3 to {CORNERS_MAX} corners [x, y] in m")
     corners: list[Corner] = []
-    for index, entry in enumerate(entries):
-        if not isinstance(entry, list | tuple) or len(cast(list[Any], entry)) != 2:
+    for index, entry in enumerate(given):
+        if len(entries(entry)) != 2:
             raise ValueError(f"must be corners [x, y] in m; corner {index} is not")
-        names = [f"corner {index} x", f"corner {index} y"]
-        x, y = check_numbers(list(cast(list[Any], entry)), names, "m", low=-COORDINATE_MAX, high=COORDINATE_MAX)
+        x, y = each(COORDINATE["m"], entries(entry), [f"corner {index} x", f"corner {index} y"])
         corners.append((x, y))
     n = len(corners)
     for i, (a, b) in enumerate(pairwise([*corners, corners[0]])):
@@ -45,6 +45,19 @@ def check_simple_polygon(value: Any) -> Corners:
     if _doubled_area(corners) > 0:
         return tuple(corners)
     return (corners[0], *reversed(corners[1:]))
+
+
+@Checked
+def check_convex_polygon(value: Any) -> Corners:
+    """Corners of a convex polygon, counter-clockwise."""
+    corners = check_simple_polygon(value)
+    before = (*corners[-1:], *corners[:-1])
+    after = (*corners[1:], *corners[:1])
+    dents = [i for i, three in enumerate(zip(before, corners, after, strict=True)) if turn(*three) <= 0]
+    if dents:
+        x, y = corners[dents[0]]
+        raise ValueError(f"is not convex: corner [{x:g}, {y:g}] turns inwards or not at all")
+    return corners
 
 
 def turn(a: Corner, b: Corner, c: Corner) -> int:

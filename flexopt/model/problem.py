@@ -5,45 +5,35 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, TypedDict, cast
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
-from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.errors import Fault
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_base_range
-from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
-    COORDINATE_MAX,
-    check_pair,
-    check_schema,
-    checked,
+    COORDINATE,
+    Checked,
+    pair,
 )
 from flexopt.model.boundary import holding_machine
 from flexopt.model.choices import (
+    GAIN,
+    MARGIN_DEG,
+    SEED,
     SINGULARITY_MARGIN_DEG,
     SLACK,
+    SLACK_SHARE,
+    STARTS,
     Combine,
     Elbow,
-    check_gain,
-    check_margin_deg,
     check_objective,
-    check_seed,
-    check_slack,
-    check_starts,
     check_weights,
 )
 from flexopt.model.constraints import Constraints
-from flexopt.model.machine import AnyMachine
-from flexopt.model.tables import BuiltByCall
-from flexopt.model.targets import (
-    KINDS,
-    PathMotion,
-    Target,
-    TargetKind,
-    check_any_numbers,
-    check_any_shares,
-    target_faults,
-)
+from flexopt.model.file_model import BuiltByCall
+from flexopt.model.machine import OnMachine
+from flexopt.model.targets import KINDS, SOME_COORDINATES, SOME_SHARES, PathMotion, Target, TargetKind, problem_faults
 
 # What the calls that solve a problem name the keys of [target].
 TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "path"}
@@ -51,13 +41,14 @@ TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "pat
 PLACEMENTS = ("x", "y", "yaw")
 
 
+@Checked
 def _check_any_range(value: Any) -> Any:
     """A range as a file may have it: a pair for a machine placed by x, or a table of pairs."""
     if isinstance(value, Mapping):
         table = cast(Mapping[str, Any], value)
         units = ["rad" if name == "yaw" else "m" for name in PLACEMENTS]
         return check_base_range(table, PLACEMENTS, units)
-    return check_pair(value, "m", -COORDINATE_MAX, COORDINATE_MAX, allow_equal=True)
+    return pair(COORDINATE["m"], allow_equal=True)(value)
 
 
 class SelectionOptions(BuiltByCall):
@@ -94,21 +85,21 @@ class SelectionOptions(BuiltByCall):
         shares: of the targets in the sum, (K,), positive; even by default.
     """
 
-    objective: Annotated[str, checked(check_objective)] = "w1"
-    weights: Annotated[tuple[float, ...], checked(check_weights)] | None = None
-    control: Annotated[Control, checked(check_control)] = "inverse"
+    objective: Annotated[str, check_objective] = "w1"
+    weights: Annotated[tuple[float, ...], check_weights] | None = None
+    control: Annotated[Control, check_control] = "inverse"
     gravity: bool = False
-    gain: Annotated[float, checked(check_gain)] = 5e5
-    base: Annotated[Any, checked(check_any_numbers)] | None = None
-    posture: Annotated[Any, checked(check_any_numbers)] | None = None
-    base_range: Annotated[Any, checked(_check_any_range)] | None = None
+    gain: Annotated[float, GAIN] = 5e5
+    base: Annotated[Any, SOME_COORDINATES] | None = None
+    posture: Annotated[Any, SOME_COORDINATES] | None = None
+    base_range: Annotated[Any, _check_any_range] | None = None
     elbow: Elbow = "up"
-    singularity_margin_deg: Annotated[float, checked(check_margin_deg)] = SINGULARITY_MARGIN_DEG
-    starts: Annotated[int, checked(check_starts)] | None = None
-    seed: Annotated[int, checked(check_seed)] = 0
-    slack: Annotated[float, checked(check_slack)] = SLACK
+    singularity_margin_deg: Annotated[float, MARGIN_DEG] = SINGULARITY_MARGIN_DEG
+    starts: Annotated[int, STARTS] | None = None
+    seed: Annotated[int, SEED] = 0
+    slack: Annotated[float, SLACK_SHARE] = SLACK
     combine: Combine = "worst"
-    shares: Annotated[tuple[float, ...], checked(check_any_shares)] | None = None
+    shares: Annotated[tuple[float, ...], SOME_SHARES] | None = None
 
     @classmethod
     def of(cls, kind: TargetKind) -> tuple[str, ...]:
@@ -147,43 +138,18 @@ class StandKeywords(SharedKeywords, total=False):
     shares: Sequence[float] | None
 
 
-class Problem(BuiltByCall):
+class Problem(OnMachine):
     """A configuration problem (`flexopt.load_problem` reads one from a file)."""
 
-    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
-    name: str = Field(min_length=1)
-    description: str = ""
-    source: str = ""
-    machine: str = Field(min_length=1)
+    LOADER = "flexopt.load_problem"
     target: Target
     motion: PathMotion | None = None
     selection: SelectionOptions = Field(default_factory=SelectionOptions)
     constraints: Constraints | None = None
 
-    _loaded: AnyMachine | None = PrivateAttr(default=None)
-
     def structural_faults(self) -> list[Fault]:
         """As of a file."""
-        from flexopt.model.faults import problem_faults  # noqa: PLC0415  (which knows the tables)
-
-        table = self.model_dump(by_alias=True, exclude_unset=True)
-        return [*problem_faults(table), *target_faults(table)]
-
-    def with_machine(self, machine: AnyMachine) -> Problem:
-        """The same problem, holding its machine."""
-        if not isinstance(machine, AnyMachine):  # pyright: ignore[reportUnnecessaryIsInstance]
-            sentence = 'must be a Machine, from flexopt.load("excavator") for example'
-            raise_if_any(InputError, "with_machine", [Fault("machine", sentence, shown(machine))])
-        twin = self.model_copy()
-        twin._loaded = machine
-        return twin
-
-    @property
-    def loaded_machine(self) -> AnyMachine:
-        """The machine that the file names."""
-        if self._loaded is None:
-            raise ModelError("holds no machine: flexopt.load_problem gives one that does, or with_machine")
-        return self._loaded
+        return problem_faults(self.model_dump(by_alias=True, exclude_unset=True))
 
     def select_arguments(self) -> dict[str, Any]:
         """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target."""

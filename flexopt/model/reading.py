@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, cast
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.foundation.boundary import public
 from flexopt.foundation.coordinates import check_placement, check_task
-from flexopt.model.cylinder_faults import check_strokes
-from flexopt.model.faults import Table, check_extent, machine_faults, problem_faults, read_table, validated
+from flexopt.foundation.quantities import entries
+from flexopt.model.file_model import Table, check_extent, read_table, table_of, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.planar import Machine
+from flexopt.model.planar_faults import machine_faults
 from flexopt.model.tree import Tree
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     """
     named = _with_link_names(read_table(data, origin, "a machine file"))
     machine = validated(Machine, named, origin, machine_faults(named))
-    check_strokes(machine, origin)
+    raise_if_any(ModelError, origin, machine.stroke_faults())
     return machine
 
 
@@ -124,24 +125,27 @@ def _machine(source: Source) -> Machine | Tree:
 
 def _experiment(source: Source) -> Experiment:
     from flexopt.model.simulation import Experiment  # noqa: PLC0415  (what no file asks for is not loaded)
+    from flexopt.model.simulation_faults import simulation_faults  # noqa: PLC0415
 
     if "simulation" not in source.data:
         raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
     experiment = validated(Experiment, source.data, source.name, ())
     machine = _machine_of(source, experiment.machine)
-    faults = [Fault(f"simulation.{f.field}", f.sentence, f.value) for f in experiment.simulation.faults(machine)]
+    faults = [
+        Fault(f"simulation.{f.field}", f.sentence, f.value) for f in simulation_faults(experiment.simulation, machine)
+    ]
     raise_if_any(ModelError, source.name, faults)
     return experiment.with_machine(machine)
 
 
 def _problem(source: Source) -> Problem:
     from flexopt.model.problem import Problem  # noqa: PLC0415  (what no file asks for is not loaded)
-    from flexopt.model.targets import target_faults  # noqa: PLC0415
+    from flexopt.model.targets import problem_faults  # noqa: PLC0415
 
     if "simulation" in source.data:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
     check_extent(source.data, source.name)
-    faults = [*problem_faults(source.data), *target_faults(source.data)]
+    faults = problem_faults(source.data)
     name = source.data.get("machine")
     machine: Machine | Tree | None = None
     try:
@@ -173,8 +177,7 @@ def _size_faults(data: Table, machine: Machine | Tree) -> list[Fault]:
     )
     faults: list[Fault] = []
     for table, key, check in checks:
-        inside = data.get(table)
-        value = cast(dict[str, Any], inside).get(key) if isinstance(inside, dict) else None
+        value = table_of(data.get(table)).get(key)
         if isinstance(value, list | int | float) and not isinstance(value, bool):
             try:
                 check(value)
@@ -191,11 +194,8 @@ def _machine_of(source: Source, name: str) -> Machine | Tree:
 
 def _with_link_names(data: dict[str, Any]) -> dict[str, Any]:
     """Number the links that have no name, so that parameters and joints can be told apart."""
-    links = data.get("links")
-    if not isinstance(links, tuple):
+    if not isinstance(data.get("links"), tuple):
         return data
-    named = [
-        {"name": f"link{i}"} | cast(dict[str, Any], link) if isinstance(link, dict) else link
-        for i, link in enumerate(cast(tuple[Any, ...], links), start=1)
-    ]
+    numbered = enumerate(entries(data["links"]), start=1)
+    named: list[Any] = [{"name": f"link{i}"} | table_of(x) if isinstance(x, dict) else x for i, x in numbered]
     return data | {"links": tuple(named)}

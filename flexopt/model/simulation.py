@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr
 
-from flexopt.errors import Fault, ModelError
-from flexopt.foundation.arguments import Arguments
+from flexopt.errors import Fault
 from flexopt.foundation.boundary import array_of, public
 from flexopt.foundation.control import Control, check_control
-from flexopt.foundation.coordinates import check_task
-from flexopt.foundation.plain import plain
 from flexopt.foundation.quantities import (
-    COORDINATE_MAX,
+    COORDINATE,
+    DURATION,
+    JOINT_VALUE,
     BaseRange,
-    check_numbers,
-    check_schema,
-    check_whole,
-    checked,
-    quantity,
+    Quantity,
+    list_of,
+    numbers_in,
+    whole_number,
 )
-from flexopt.model.choices import Elbow, check_gain, check_objective, check_seed, check_weights
-from flexopt.model.machine import AnyMachine
-from flexopt.model.tables import BuiltByCall, FileModel
+from flexopt.model.choices import GAIN, SEED, Elbow, check_objective, check_weights
+from flexopt.model.file_model import BuiltByCall, FileModel
+from flexopt.model.machine import AnyMachine, OnMachine
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
@@ -40,43 +38,12 @@ GAIN_MAX = 1e15
 Numbers = tuple[float, ...]
 
 
-def _list_of(unit: str, *, low: float, high: float) -> Callable[[Any], Numbers]:
-    """One number, or a list with one for each axis or joint."""
-
-    def check(value: Any) -> Numbers:
-        value = plain(value)
-        parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
-        if not parts:
-            raise ValueError(f"must be a number, or a list of numbers, in {unit}")
-        return check_numbers(parts, [f"entry {i + 1}" for i in range(len(parts))], unit, low=low, high=high)
-
-    return check
-
-
-def _check_points(value: Any) -> tuple[Numbers, ...]:
-    """A list of points, each a list of coordinates."""
-    parts = plain(value)
-    if not isinstance(parts, list | tuple) or not parts:
-        raise ValueError("must be a list of points, each a list of coordinates in m")
-    check, points, sentences = _list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX), list[Numbers](), list[str]()
-    for i, part in enumerate(cast(list[Any], parts), 1):
-        try:
-            points.append(check(part))
-        except ValueError as error:
-            sentences.append(f"point {i}: {error}")
-    if sentences:
-        raise ValueError("; ".join(sentences))
-    return tuple(points)
-
-
-def _whole(value: Any) -> int:
-    return check_whole(value, 1, 1000)
-
-
-Gains = Annotated[Numbers, checked(_list_of("N/m and the like", low=0.0, high=GAIN_MAX))]
-Torques = Annotated[Numbers, checked(_list_of("N m or N", low=0.0, high=1e12))]
+Gains = Annotated[Numbers, numbers_in(Quantity("N/m and the like", low=0.0, high=GAIN_MAX))]
+Torques = Annotated[Numbers, numbers_in(Quantity("N m or N", low=0.0, high=1e12))]
 # Which of them are angles, and how many there must be, is the machine's to say.
-Coordinates = Annotated[Numbers, checked(_list_of("rad or m", low=-COORDINATE_MAX, high=COORDINATE_MAX))]
+Coordinates = Annotated[Numbers, numbers_in(JOINT_VALUE)]
+_POINT = numbers_in(COORDINATE["m"])
+_POINTS = list_of("points, each a list of coordinates in m", _POINT, "point {}:", 1, math.inf)
 
 
 class Sensor(BuiltByCall):
@@ -88,11 +55,11 @@ class Sensor(BuiltByCall):
         delay: from measurement to command, s; a whole number of samples.
     """
 
-    noise: Annotated[float, quantity("m", low=0.0, high=1e3)] = 0.0
-    rate_noise: Annotated[float, quantity("m/s", low=0.0, high=1e3)] = 0.0
-    resolution: Annotated[float, quantity("m", low=0.0, high=1e3)] = 0.0
-    rate_resolution: Annotated[float, quantity("m/s", low=0.0, high=1e3)] = 0.0
-    delay: Annotated[float, quantity("s", low=0.0, high=10.0)] = 0.0
+    noise: Annotated[float, Quantity("m", low=0.0, high=1e3)] = 0.0
+    rate_noise: Annotated[float, Quantity("m/s", low=0.0, high=1e3)] = 0.0
+    resolution: Annotated[float, Quantity("m", low=0.0, high=1e3)] = 0.0
+    rate_resolution: Annotated[float, Quantity("m/s", low=0.0, high=1e3)] = 0.0
+    delay: Annotated[float, Quantity("s", low=0.0, high=10.0)] = 0.0
 
 
 class Actuator(BuiltByCall):
@@ -113,21 +80,21 @@ class Actuator(BuiltByCall):
 
     torque_limit: Torques | None = None
     dead_band: Torques | None = None
-    bandwidth_hz: Annotated[Numbers, checked(_list_of("Hz", low=1e-3, high=1e6))] | None = None
+    bandwidth_hz: Annotated[Numbers, numbers_in(Quantity("Hz", low=1e-3, high=1e6))] | None = None
     rate_limit: Torques | None = None
     levers: Literal["each", "uniform"] | None = None
-    servo_gain: Annotated[float, quantity("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
+    servo_gain: Annotated[float, Quantity("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
 
 
 class Path(BuiltByCall):
     """Points at times, s, joined by straight lines; held before the first and after the last."""
 
-    times: Annotated[Numbers, checked(_list_of("s", low=0.0, high=1e6))]
-    points: Annotated[tuple[Numbers, ...], checked(_check_points)]
+    times: Annotated[Numbers, numbers_in(Quantity("s", low=0.0, high=1e6))]
+    points: Annotated[tuple[Numbers, ...], _POINTS]
 
     def structural_faults(self) -> list[Fault]:
         """What does not fit together."""
-        return _shape_faults(self, "")
+        return shape_faults(self, "")
 
     @public(times=array_of((), ("K",), unit="s"))
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -136,7 +103,7 @@ class Path(BuiltByCall):
         return np.array(columns).T
 
 
-def _shape_faults(path: Path, name: str) -> list[Fault]:
+def shape_faults(path: Path, name: str) -> list[Fault]:
     """What does not fit together in a path, `name` (and a dot) before its keys."""
     found: list[Fault] = []
     if len(path.times) != len(path.points):
@@ -149,124 +116,121 @@ def _shape_faults(path: Path, name: str) -> list[Fault]:
     return found
 
 
-def _path_faults(path: Path, name: str, names: tuple[str, ...]) -> list[Fault]:
-    """What does not fit together; `names` of a point's coordinates."""
-    found = _shape_faults(path, f"{name}.")
-    if not names:
-        found.append(Fault(name, "has nothing to move: the machine has no placement coordinates"))
-    elif any(len(point) != len(names) for point in path.points):
-        sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
-        found.append(Fault(f"{name}.points", sentence))
-    return found
+class SimulationOptions(BuiltByCall):
+    """A closed loop and its run: the keys of a file's `[simulation]`.
 
+    `flexopt.simulate`, `simulate_ensemble`, `sampled_loop`, `stability_border` and `export_fmu` take it as their
+    argument `options`, and its fields as keywords, too; a keyword goes before the field.
 
-class SimulationOptions(FileModel):
-    """What `flexopt.simulate` takes (keys of `[simulation]`); see there."""
+    Attributes:
+        posture: actuated joints (n,), rad or m, about which to work; or give `end_point`, and `elbow` of a planar arm.
+        end_point: (n_task,), m, inertial frame; for arms with no more joints than task rows.
+        elbow: `"up"` (default) or `"down"`.
+        base: placement (n_b,), m or rad: of a planar machine x alone; 0 by default.
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.
+        feedback: `"pd"`, `"pid"`, `"robust"` (the controller that attains ε_max) or `"none"`.
+        kp, kv, ki: gains, one number or one for each task row (N/m, N s/m, N/(m s) for transpose control).
+        integral_limit: largest |∫ ki e dt| for each axis.
+        gain: servo gain kr for which `"robust"` is designed.
+        offset: displacement of the joints at the start (n,), rad or m; +0.05, −0.05, … by default.
+        duration: s.
+        rate: of the samples, Hz.
+        hold: True: the command is computed at each sample and held; False: at every stage of the integrator.
+        integrator: `"rk4"` (the article's), `"dop853"` (explicit, order 8) or `"gauss"` (Gauss–Legendre, order 6,
+            symplectic: the energy of undamped modes stays).
+        substeps: integration steps in a sample; by default 1 for `"rk4"`, else as the fastest mode needs.
+        gravity: False: the weight is taken to be compensated in all coordinates, as in the article; True: it acts, and
+            the machine hangs in its springs.
+        gravity_compensation: whether the command carries the arm's weight, where it acts.
+        nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad or N s/m.
+        sensor: noise, resolution, delay; see `flexopt.Sensor`.
+        actuator: limits, dead band, servo; see `flexopt.Actuator`.
+        base_path: where the operator drives the base, `flexopt.Path` of placements or a `BaseTrajectory`'s `path`; the
+            springs must give along what it moves, and in x, y and yaw where it turns.
+        target_path: where the end-point shall be, `flexopt.Path`; by default where it is in the posture.
+        seed: of the noise.
+        baked: fold this machine's and controller's numbers into code of their own: a little faster, compiled anew for
+            every set of numbers.
+    """
 
     posture: Coordinates | None = None
-    end_point: Annotated[Numbers, checked(_list_of("m", low=-COORDINATE_MAX, high=COORDINATE_MAX))] | None = None
+    end_point: Annotated[Numbers, _POINT] | None = None
     elbow: Elbow | None = None
     base: Coordinates | None = None
-    control: Annotated[Control, checked(check_control)] = "inverse"
+    control: Annotated[Control, check_control] = "inverse"
     feedback: Feedback = "pd"
     kp: Gains = (1e5,)
     kv: Gains = (2e3,)
     ki: Gains = (0.0,)
-    integral_limit: Annotated[float, quantity("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
-    gain: Annotated[float, checked(check_gain)] = 5e5
+    integral_limit: Annotated[float, Quantity("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
+    gain: Annotated[float, GAIN] = 5e5
     offset: Coordinates | None = None
-    duration: Annotated[float, quantity("s", above=0.0, high=1e6)] = 10.0
-    rate: Annotated[float, quantity("Hz", above=0.0, high=1e6)] = 200.0
+    duration: Annotated[float, DURATION] = 10.0
+    rate: Annotated[float, Quantity("Hz", above=0.0, high=1e6)] = 200.0
     hold: bool = True
     integrator: Method = "rk4"
-    substeps: Annotated[int, checked(_whole)] | None = None
+    substeps: Annotated[int, whole_number(1, 1000)] | None = None
     gravity: bool = False
     gravity_compensation: bool = True
-    nullspace_damping: Annotated[float, quantity("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
+    nullspace_damping: Annotated[float, Quantity("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
     sensor: Sensor = Sensor.model_construct()
     actuator: Actuator = Actuator.model_construct()
     base_path: Path | None = None
     target_path: Path | None = None
-    seed: Annotated[int, checked(check_seed)] = 0
+    seed: Annotated[int, SEED] = 0
     baked: bool = False
 
-    def placement(self, machine: AnyMachine) -> Numbers:
-        """The placement (n_b,); the origin where none is given."""
-        return (0.0,) * len(machine.base_coordinates) if self.base is None else self.base
 
-    def faults(self, machine: AnyMachine, *, any_delay: bool = False) -> list[Fault]:
-        """What does not fit together, or not this machine; `any_delay`: the linear loop takes parts of a sample."""
-        found = self._posture_faults(machine) + self._controller_faults(machine) + self._time_faults(any_delay)
-        for name, path, names in (
-            ("base_path", self.base_path, machine.base_coordinates),
-            ("target_path", self.target_path, machine.task_rows),
-        ):
-            found += [] if path is None else _path_faults(path, name, names)
-        return found
+class LoopKeywords(TypedDict, total=False):
+    """Fields of `SimulationOptions` as keywords of a call, for type checkers; None is left out."""
 
-    def _posture_faults(self, machine: AnyMachine) -> list[Fault]:
-        n, rows, noted = len(machine.joints), machine.task_rows, Arguments("")
-        if (self.posture is None) == (self.end_point is None):
-            noted.faults.append(Fault("posture, end_point", "give one of the two"))
-        if self.end_point is not None:
-            point = list(self.end_point)
-            noted.checked("end_point", point, lambda v: check_task(v, rows), ())
-            if n > len(rows):
-                sentence = f"does not name one posture of {n} actuated joints; give the posture"
-                noted.faults.append(Fault("end_point", sentence, str(point)))
-        if self.posture is not None:
-            noted.posture(machine, list(self.posture))
-        if self.offset is not None:
-            noted.displacement(machine, list(self.offset), "offset")
-        if self.base is not None:
-            noted.base(machine, list(self.base))
-        return noted.faults
+    end_point: Any
+    elbow: Elbow | None
+    base: Any
+    control: Control | None
+    feedback: Feedback | None
+    kp: Any
+    kv: Any
+    ki: Any
+    integral_limit: float | None
+    gain: float | None
+    offset: Any
+    duration: float | None
+    rate: float | None
+    hold: bool | None
+    substeps: int | None
+    gravity: bool | None
+    gravity_compensation: bool | None
+    nullspace_damping: float | None
+    sensor: Sensor | Mapping[str, Any] | None
+    actuator: Actuator | Mapping[str, Any] | None
+    base_path: Path | Mapping[str, Any] | None
+    target_path: Path | Mapping[str, Any] | None
+    seed: int | None
+    baked: bool | None
 
-    def _controller_faults(self, machine: AnyMachine) -> list[Fault]:
-        n, found, axes = len(machine.joints), list[Fault](), len(machine.task_rows)
-        for name, gains in (("kp", self.kp), ("kv", self.kv), ("ki", self.ki)):
-            if len(gains) not in (1, axes):
-                sentence = f"must be one number, or one for each of the {axes} task axes"
-                found.append(Fault(name, sentence, str(list(gains))))
-        wanted = f"must be one number, or one for each actuated joint ({', '.join(machine.joints)})"
-        for name in ("torque_limit", "dead_band", "bandwidth_hz", "rate_limit"):
-            value: Numbers | None = getattr(self.actuator, name)
-            if value is not None and len(value) not in (1, n):
-                found.append(Fault(f"actuator.{name}", wanted, str(list(value))))
-        if self.actuator.rate_limit is not None and self.actuator.bandwidth_hz is None:
-            sentence = "needs actuator.bandwidth_hz: it limits how fast the servo's torque changes"
-            found.append(Fault("actuator.rate_limit", sentence))
-        return found + self._lever_faults(machine)
 
-    def _lever_faults(self, machine: AnyMachine) -> list[Fault]:
-        if self.actuator.levers is None:
-            return []
-        found: list[Fault] = []
-        if self.control == "transpose":
-            sentence = 'set joint rates, and Jacobian transpose control asks for torques; use control = "inverse"'
-            found.append(Fault("actuator.levers", sentence, repr(self.actuator.levers)))
-        missing = machine.joints_without_speed
-        if missing:
-            sentence = f"need a cylinder or a speed of every joint; {machine.name} has none for {', '.join(missing)}"
-            found.append(Fault("actuator.levers", sentence, repr(self.actuator.levers)))
-        return found
+class SimulationKeywords(LoopKeywords, total=False):
+    """Those of a run."""
 
-    def _time_faults(self, any_delay: bool) -> list[Fault]:
-        found: list[Fault] = []
-        samples, waits = self.duration * self.rate, self.sensor.delay * self.rate
-        if not 0.5 <= samples <= SAMPLES_MAX:
-            found.append(Fault("duration, rate", f"must give between 1 and {SAMPLES_MAX} samples", f"{samples:g}"))
-        if any_delay and waits > DELAY_MAX:
-            sentence = f"must be at most {DELAY_MAX} samples of {1 / self.rate:g} s"
-            found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
-        elif not any_delay and (abs(waits - round(waits)) > PART_OF_SAMPLE or waits > DELAY_MAX):
-            sentence = f"must be a whole number (0 to {DELAY_MAX}) of samples of {1 / self.rate:g} s"
-            sentence += "; sampled_loop and stability_border take any time"
-            found.append(Fault("sensor.delay", sentence, f"{self.sensor.delay:g}"))
-        if not self.hold and self.sensor != Sensor():
-            sentence = "noise, resolution and delay belong to a sampled controller: give hold = true"
-            found.append(Fault("sensor", sentence))
-        return found
+    integrator: Method | None
+
+
+class LinearKeywords(LoopKeywords, total=False):
+    """Those of the linear loop."""
+
+    integrator: Method | Literal["exact"] | None
+
+
+class OverrideKeywords(SimulationKeywords, total=False):
+    """Those that take the place of a file's."""
+
+    posture: Any
+
+
+def placement_of(options: SimulationOptions, machine: AnyMachine) -> Numbers:
+    """The placement (n_b,); the origin where none is given."""
+    return (0.0,) * len(machine.base_coordinates) if options.base is None else options.base
 
 
 def dead_time(options: SimulationOptions) -> tuple[int, float]:
@@ -282,37 +246,17 @@ def dead_time(options: SimulationOptions) -> tuple[int, float]:
 class NullspaceOptions(FileModel):
     """How the base moves by the nullspace law (keys of `[nullspace]`); see `flexopt.nullspace_trajectory`."""
 
-    objective: Annotated[str, checked(check_objective)] = "w1"
-    weights: Annotated[tuple[float, ...], checked(check_weights)] | None = None
+    objective: Annotated[str, check_objective] = "w1"
+    weights: Annotated[tuple[float, ...], check_weights] | None = None
     base_range: BaseRange | None = None
-    max_base_rate: Annotated[float, quantity("m/s", above=0.0, high=1e3)] = 0.25
-    max_base_acceleration: Annotated[float, quantity("m/s²", above=0.0, high=1e6)] | None = None
-    duration: Annotated[float, quantity("s", above=0.0, high=1e6)] = 60.0
+    max_base_rate: Annotated[float, Quantity("m/s", above=0.0, high=1e3)] = 0.25
+    max_base_acceleration: Annotated[float, Quantity("m/s²", above=0.0, high=1e6)] | None = None
+    duration: Annotated[float, DURATION] = 60.0
 
 
-class Experiment(BuiltByCall):
+class Experiment(OnMachine):
     """A simulation in a file (`flexopt.load_experiment` reads one)."""
 
-    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
-    name: str = Field(min_length=1)
-    description: str = ""
-    source: str = ""
-    machine: str = Field(min_length=1)
+    LOADER = "flexopt.load_experiment"
     simulation: SimulationOptions
     nullspace: NullspaceOptions | None = None
-
-    _loaded: AnyMachine | None = PrivateAttr(default=None)
-
-    @public()
-    def with_machine(self, machine: AnyMachine) -> Experiment:
-        """The same experiment, holding its machine."""
-        twin = self.model_copy()
-        twin._loaded = machine
-        return twin
-
-    @property
-    def loaded_machine(self) -> AnyMachine:
-        """The machine that the file names."""
-        if self._loaded is None:
-            raise ModelError("holds no machine: flexopt.load_experiment gives one that does, or with_machine")
-        return self._loaded

@@ -2,43 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.plain import plain_table
-from flexopt.foundation.quantities import Length, MassOrZero, checked
-from flexopt.model.table_quantities import check_place, check_polygon, check_span
+from flexopt.foundation.quantities import OFFSET, Length, MassOrZero, pair, vector
+from flexopt.model.file_model import FileModel
+from flexopt.model.polygons import check_convex_polygon
 
-
-class FileModel(BaseModel):
-    """Common to every table of a file: closed (no unknown key), frozen, strict."""
-
-    # Built when first used: a process that reads a machine needs no schema of problems.
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
-
-
-class BuiltByCall(FileModel):
-    """A table that users also build by a call, whose faults come in flexopt's own words."""
-
-    def __init__(self, **data: Any) -> None:
-        from flexopt.model.faults import model_faults  # noqa: PLC0415  (which knows these tables)
-
-        table = plain_table(data)
-        try:
-            super().__init__(**table)
-        except ValidationError as error:
-            raise_if_any(InputError, type(self).__name__, model_faults(type(self), table, error))
-            raise
-        raise_if_any(InputError, type(self).__name__, self.structural_faults())
-
-    # Pydantic then validates nested tables without it: their faults are the outer table's.
-    __init__.__pydantic_base_init__ = True  # pyright: ignore[reportFunctionMemberAccess]
-
-    def structural_faults(self) -> list[Fault]:
-        """What does not fit together."""
-        return []
+# On a body, in its axes.
+Place = Annotated[
+    tuple[float, ...],
+    vector("numbers in m: [along, left] in the plane, [x, y, z] in space", OFFSET, ("along", "left"), "xyz"),
+]
 
 
 class Payload(FileModel):
@@ -55,15 +31,15 @@ class Capsule(FileModel):
     """
 
     body: str = Field(min_length=1)
-    start: Annotated[tuple[float, ...], checked(check_place)]
-    end: Annotated[tuple[float, ...], checked(check_place)]
+    start: Place
+    end: Place
     radius: Length
 
 
 class Span(FileModel):
     """The two ends of what an undercarriage stands on in the plane: [rear, front], m, in the anchor frame."""
 
-    span: Annotated[tuple[float, float], checked(check_span)]
+    span: Annotated[tuple[float, float], pair(OFFSET)]
 
 
 class Polygon(FileModel):
@@ -72,4 +48,4 @@ class Polygon(FileModel):
     They are kept counter-clockwise seen from above, whichever way they were given.
     """
 
-    polygon: Annotated[tuple[tuple[float, float], ...], checked(check_polygon)]
+    polygon: Annotated[tuple[tuple[float, float], ...], check_convex_polygon]

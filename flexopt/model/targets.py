@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
 from flexopt.errors import Fault
-from flexopt.foundation.quantities import COORDINATE_MAX, check_number, check_numbers, checked
+from flexopt.foundation.quantities import COORDINATE_MAX, DURATION, Quantity, list_of, numbers_in
 from flexopt.model.choices import TARGETS_MAX
-from flexopt.model.tables import FileModel
+from flexopt.model.file_model import FileModel, table_of
 
 RATE_MAX, TIME_MAX, SHARE_MAX = 1e3, 1e6, 1e6
 # Keys of [target], of which a problem has exactly one, with the keys of [selection] that go with it only.
@@ -25,57 +25,13 @@ KINDS: dict[TargetKind, tuple[str, ...]] = {
 Numbers = tuple[float, ...]
 
 
-def check_any_numbers(value: Any) -> Numbers:
-    """One number or several, m or rad; the machine says how many."""
-    return _numbers(value, "m or rad", -COORDINATE_MAX, COORDINATE_MAX)
-
-
-def check_any_shares(value: Any) -> Numbers:
-    """Shares of targets in a sum; their number is the targets'."""
-    return _numbers(value, "", 0.0, SHARE_MAX)
-
-
-def _numbers(value: Any, unit: str, low: float, high: float) -> Numbers:
-    parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else [value]
-    if not parts:
-        raise ValueError("must be a number or a list of numbers")
-    return check_numbers(parts, [f"entry {i + 1}" for i in range(len(parts))], unit, low=low, high=high)
-
-
-def _check_targets(value: Any, least: int) -> tuple[Numbers, ...]:
-    rows = list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
-    if not least <= len(rows) <= TARGETS_MAX:
-        raise ValueError(f"must be a list of {least} to {TARGETS_MAX} targets, each a list of numbers in m")
-    targets: list[Numbers] = []
-    sentences: list[str] = []
-    for k, row in enumerate(rows, 1):
-        try:
-            targets.append(check_any_numbers(row))
-        except ValueError as error:
-            sentences.append(f"target {k}: {error}")
-    if sentences:
-        raise ValueError("; ".join(sentences))
-    return tuple(targets)
-
-
-def _check_end_points(value: Any) -> tuple[Numbers, ...]:
-    return _check_targets(value, 1)
-
-
-def _check_path(value: Any) -> tuple[Numbers, ...]:
-    return _check_targets(value, 2)
-
-
-def _check_rates(value: Any) -> Numbers:
-    return _numbers(value, "m/s or rad/s", 0.0, RATE_MAX)
-
-
-def _check_times(value: Any) -> Numbers:
-    return _numbers(value, "s", 0.0, TIME_MAX)
-
-
-def _check_duration(value: Any) -> float:
-    return check_number(value, "s", above=0.0, high=TIME_MAX)
+# The machine says how many, and which of them are angles; the targets how many shares.
+SOME_COORDINATES = numbers_in(Quantity("m or rad", low=-COORDINATE_MAX, high=COORDINATE_MAX))
+SOME_SHARES = numbers_in(Quantity("", low=0.0, high=SHARE_MAX))
+_RATES = numbers_in(Quantity("m/s or rad/s", low=0.0, high=RATE_MAX))
+_TIMES = numbers_in(Quantity("s", low=0.0, high=TIME_MAX))
+_TO_REACH = f"to {TARGETS_MAX} targets, each a list of numbers in m"
+_TARGETS, _PATH = (list_of(f"{k} {_TO_REACH}", SOME_COORDINATES, "target {}:", k, TARGETS_MAX) for k in (1, 2))
 
 
 class Target(FileModel):
@@ -89,9 +45,9 @@ class Target(FileModel):
         path: several in order, between which the base may move, for `flexopt.plan_base`.
     """
 
-    end_point: Annotated[Numbers, checked(check_any_numbers)] | None = None
-    end_points: Annotated[tuple[Numbers, ...], checked(_check_end_points)] | None = None
-    path: Annotated[tuple[Numbers, ...], checked(_check_path)] | None = None
+    end_point: Annotated[Numbers, SOME_COORDINATES] | None = None
+    end_points: Annotated[tuple[Numbers, ...], _TARGETS] | None = None
+    path: Annotated[tuple[Numbers, ...], _PATH] | None = None
 
     @property
     def kind(self) -> TargetKind:
@@ -109,31 +65,30 @@ class PathMotion(FileModel):
         start: where the base stands at the first target, m and rad.
     """
 
-    times: Annotated[Numbers, checked(_check_times)] | None = None
-    duration: Annotated[float, checked(_check_duration)] | None = None
-    max_base_rate: Annotated[Numbers, checked(_check_rates)] | None = None
-    max_joint_rate: Annotated[Numbers, checked(_check_rates)] | None = None
-    start: Annotated[Numbers, checked(check_any_numbers)] | None = None
+    times: Annotated[Numbers, _TIMES] | None = None
+    duration: Annotated[float, DURATION] | None = None
+    max_base_rate: Annotated[Numbers, _RATES] | None = None
+    max_joint_rate: Annotated[Numbers, _RATES] | None = None
+    start: Annotated[Numbers, SOME_COORDINATES] | None = None
 
 
-def target_faults(data: Mapping[str, Any]) -> list[Fault]:
+def problem_faults(data: Mapping[str, Any]) -> list[Fault]:
     """Faults that concern several keys at once: of [target], [motion] and [selection]."""
-    target = data.get("target")
+    target, selection, faults = data.get("target"), table_of(data.get("selection")), list[Fault]()
+    if selection.get("objective") == "V" and "weights" not in selection:
+        faults.append(Fault("selection.weights", "objective V = Σ αi wi needs its weights α"))
     if not isinstance(target, Mapping):
-        return []
+        return faults
     given = [key for key in KINDS if key in cast(Mapping[str, Any], target)]
     if len(given) != 1:
         one_of = "needs exactly one of end_point, end_points and path"
-        return [Fault("target", f"{one_of}, not {' and '.join(given)}" if given else one_of)]
-    faults: list[Fault] = []
+        return [*faults, Fault("target", f"{one_of}, not {' and '.join(given)}" if given else one_of)]
     if "motion" in data and given != ["path"]:
         faults.append(Fault("motion", "goes with a path: targets in order, as target.path"))
-    selection = data.get("selection")
-    if isinstance(selection, Mapping):
-        faults += [
-            Fault(f"selection.{key}", f"goes with target.{kind}, not with target.{given[0]}")
-            for kind, keys in KINDS.items()
-            for key in keys
-            if key in selection and kind != given[0]
-        ]
+    faults += [
+        Fault(f"selection.{key}", f"goes with target.{kind}, not with target.{given[0]}")
+        for kind, keys in KINDS.items()
+        for key in keys
+        if key in selection and kind != given[0]
+    ]
     return faults

@@ -5,10 +5,9 @@ Readers of robot files end here. Gravity acts along −z.
 
 from __future__ import annotations
 
-from flexopt.errors import Fault, ModelError
+from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.foundation.boundary import public
-from flexopt.model.cylinder_faults import check_strokes
-from flexopt.model.faults import Table, read_table, validated
+from flexopt.model.file_model import Table, read_table, validated
 from flexopt.model.kinematic_tree import (
     INERTIA_ENTRIES,
     EndPoint,
@@ -153,5 +152,5 @@ def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
     """
     frozen = read_table(data, origin, "flexopt.Tree")
     tree = validated(Tree, frozen, origin, tree_faults(frozen))
-    check_strokes(tree, origin)
+    raise_if_any(ModelError, origin, tree.stroke_faults())
     return tree

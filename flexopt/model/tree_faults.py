@@ -3,79 +3,61 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from flexopt.errors import Fault
-from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, degrees_hint
-from flexopt.model.cylinder_faults import cylinder_faults
-from flexopt.model.faults import capsule_faults
+from flexopt.foundation.quantities import ANGLE, ANGLE_MAX, COORDINATE_MAX, degrees_hint, entries
+from flexopt.model.file_model import named, quoted, table_of, tables_of
+from flexopt.model.part_faults import capsule_faults, cylinder_faults
 from flexopt.model.tree_quantities import check_square
 
-Bodies = list[tuple[int, dict[str, Any]]]
+# What messages call a body, and its table.
+Bodies = list[tuple[str, dict[str, Any]]]
 
 
 def tree_faults(data: dict[str, Any]) -> list[Fault]:
     """Faults that concern several fields at once; looked for even where single fields are faulty."""
-    entries = _tables(data.get("bodies"))
-    bodies = [(index, body) for index, body in enumerate(entries) if body]
-    if not entries:
+    listed = tables_of(data.get("bodies"))
+    bodies = [(named("bodies", index, body), body) for index, body in enumerate(listed) if body]
+    if not listed:
         return [Fault("bodies", "at least one body is needed")] if isinstance(data.get("bodies"), tuple) else []
-    if len(bodies) != len(entries):
+    if len(bodies) != len(listed):
         return []
     faults = _order_faults(bodies) + _name_faults(bodies)
     coupled: dict[str, tuple[str, ...]] = {}
     passive = [_joint(body).get("name") for _, body in bodies if _joint(body).get("passive") is True]
     for word in ("stiffness", "damping"):
-        table = _table(data.get(f"{word}_matrix"))
-        names = cast(tuple[Any, ...], table.get("joints")) if isinstance(table.get("joints"), tuple) else ()
-        coupled[word] = tuple(name for name in names if isinstance(name, str))
+        table = table_of(data.get(f"{word}_matrix"))
+        coupled[word] = tuple(name for name in entries(table.get("joints")) if isinstance(name, str))
         if table:
             faults += _matrix_faults(f"{word}_matrix", table, coupled[word], passive, definite=word == "stiffness")
-    for index, body in bodies:
-        faults += _joint_faults(_where(index, body), _joint(body), coupled)
+    for where, body in bodies:
+        faults += _joint_faults(where, _joint(body), coupled)
     faults += _massless_faults(bodies, data)
     faults += capsule_faults(data, [body.get("name") for _, body in bodies], 3)
     kinds = {str(_joint(b).get("name")): _joint(b).get("kind") for _, b in bodies if not _joint(b).get("passive")}
     faults += cylinder_faults(data, kinds, passive, 3)
     if not passive:
         faults.append(Fault("bodies", "no passive joint: at least one needs passive = true and a stiffness"))
-    faults += _end_point_faults(_table(data.get("end_point")), bodies)
+    faults += _end_point_faults(table_of(data.get("end_point")), bodies)
     faults += _repeats("placement", data.get("placement"))
     return faults
 
 
-def _tables(value: Any) -> list[dict[str, Any]]:
-    return [_table(entry) for entry in cast(tuple[Any, ...], value)] if isinstance(value, tuple) else []
-
-
-def _table(value: Any) -> dict[str, Any]:
-    return cast(dict[str, Any], value) if isinstance(value, dict) else {}
-
-
 def _joint(body: dict[str, Any]) -> dict[str, Any]:
-    return _table(body.get("joint"))
-
-
-def _where(index: int, body: dict[str, Any]) -> str:
-    name = body.get("name")
-    return f"bodies[{index}]" + (f" ({name})" if isinstance(name, str) and name else "")
-
-
-def _quoted(value: Any) -> str:
-    return repr(list(cast(tuple[Any, ...], value))) if isinstance(value, tuple) else repr(value)
+    return table_of(body.get("joint"))
 
 
 def _order_faults(bodies: Bodies) -> list[Fault]:
     faults: list[Fault] = []
     every, seen = {body.get("name") for _, body in bodies}, set[Any]()
-    for index, body in bodies:
+    for where, body in bodies:
         parent = body.get("parent")
         if parent is not None and parent not in seen:
             why = "comes later; a body must follow its parent" if parent in every else "is no body's name"
-            faults.append(Fault(f"{_where(index, body)}.parent", why, _quoted(parent)))
+            faults.append(Fault(f"{where}.parent", why, quoted(parent)))
         seen.add(body.get("name"))
     return faults
 
@@ -86,12 +68,12 @@ def _name_faults(bodies: Bodies) -> list[Fault]:
         ("body", [body.get("name") for _, body in bodies], ".name"),
         ("joint", [_joint(body).get("name") for _, body in bodies], ".joint.name"),
     ):
-        for (index, body), name in zip(bodies, names, strict=True):
-            field = f"{_where(index, body)}{suffix}"
-            if name in names[:index] and isinstance(name, str):
-                faults.append(Fault(field, f"is taken by an earlier {what}; names must differ", _quoted(name)))
+        for k, ((where, _), name) in enumerate(zip(bodies, names, strict=True)):
+            field = f"{where}{suffix}"
+            if name in names[:k] and isinstance(name, str):
+                faults.append(Fault(field, f"is taken by an earlier {what}; names must differ", quoted(name)))
             if name in ("payload", "gravity", "end_point", "stiffness", "damping"):
-                faults.append(Fault(field, "is reserved; choose another", _quoted(name)))
+                faults.append(Fault(field, "is reserved; choose another", quoted(name)))
     return faults
 
 
@@ -111,16 +93,13 @@ def _joint_faults(where: str, joint: dict[str, Any], coupled: dict[str, tuple[st
     else:
         wrong = [key for key in ("stiffness", "damping", "rest") if joint.get(key)]
         reason = "belongs to a passive joint; add passive = true"
-    faults += [Fault(f"{where}.joint.{key}", reason, _quoted(joint[key])) for key in wrong]
+    faults += [Fault(f"{where}.joint.{key}", reason, quoted(joint[key])) for key in wrong]
     if joint.get("kind") == "hinge":
-        given = joint.get("limits")
-        ends = list(cast(tuple[Any, ...], given)) if isinstance(given, tuple) else []
-        for key, values in (("rest", [joint.get("rest")]), ("limits", ends)):
+        for key, values in (("rest", [joint.get("rest")]), ("limits", entries(joint.get("limits")))):
             wide = [v for v in values if isinstance(v, int | float) and ANGLE_MAX < abs(v) <= COORDINATE_MAX]
             if wide:
                 hint = degrees_hint("rad", max(wide, key=abs))
-                sentence = f"must lie between {-ANGLE_MAX:g} and {ANGLE_MAX:g} rad{hint}"
-                faults.append(Fault(f"{where}.joint.{key}", sentence, _quoted(joint[key])))
+                faults.append(Fault(f"{where}.joint.{key}", f"{ANGLE.allowed}{hint}", quoted(joint[key])))
     return faults
 
 
@@ -128,7 +107,7 @@ def _matrix_faults(
     field: str, table: dict[str, Any], names: tuple[str, ...], passive: list[Any], *, definite: bool
 ) -> list[Fault]:
     faults = [
-        Fault(f"{field}.joints", "is no passive joint's name", _quoted(name)) for name in names if name not in passive
+        Fault(f"{field}.joints", "is no passive joint's name", quoted(name)) for name in names if name not in passive
     ]
     faults += _repeats(f"{field}.joints", table.get("joints"))
     try:
@@ -153,34 +132,34 @@ def _matrix_faults(
 def _massless_faults(bodies: Bodies, data: dict[str, Any]) -> list[Fault]:
     """Joints beyond which there is no mass."""
     carries = {body.get("name"): bool(body.get("mass")) or _any(body.get("inertia")) for _, body in bodies}
-    payload = _table(data.get("payload")).get("mass")
+    payload = table_of(data.get("payload")).get("mass")
     if payload:
-        carries[_table(data.get("end_point")).get("body")] = True
+        carries[table_of(data.get("end_point")).get("body")] = True
     for _, body in reversed(bodies):
         if carries.get(body.get("name")) and body.get("parent") in carries:
             carries[body.get("parent")] = True
     return [
         Fault(
-            f"{_where(index, body)}.mass",
+            f"{where}.mass",
             "the joint moves nothing: it has no armature, and neither this body nor one beyond it has mass",
         )
-        for index, body in bodies
+        for where, body in bodies
         if not (carries.get(body.get("name")) or _joint(body).get("armature"))
     ]
 
 
 def _any(value: Any) -> bool:
-    return isinstance(value, tuple) and any(cast(Iterable[Any], value))
+    return any(entries(value))
 
 
 def _end_point_faults(end_point: dict[str, Any], bodies: Bodies) -> list[Fault]:
     faults: list[Fault] = []
     body = end_point.get("body")
     if isinstance(body, str) and body and body not in {b.get("name") for _, b in bodies}:
-        faults.append(Fault("end_point.body", "is no body's name", _quoted(body)))
+        faults.append(Fault("end_point.body", "is no body's name", quoted(body)))
     rows = end_point.get("rows", ("x", "y", "z"))
     faults += _repeats("end_point.rows", rows)
-    count = len(cast(tuple[Any, ...], rows)) if isinstance(rows, tuple) else 1
+    count = len(entries(rows)) if isinstance(rows, tuple) else 1
     if not count:
         faults.append(Fault("end_point.rows", "must not be empty"))
     actuated = [_joint(b) for _, b in bodies if _joint(b).get("passive") is not True]
@@ -190,12 +169,10 @@ def _end_point_faults(end_point: dict[str, Any], bodies: Bodies) -> list[Fault]:
             f"{count} task rows need at least {count} actuated joints; there are {len(actuated)}"
             f"{f' ({names})' if names else ''}: actuate more joints, or take fewer rows"
         )
-        faults.append(Fault("end_point.rows", sentence, _quoted(rows)))
+        faults.append(Fault("end_point.rows", sentence, quoted(rows)))
     return faults
 
 
 def _repeats(field: str, value: Any) -> list[Fault]:
-    if not isinstance(value, tuple):
-        return []
-    counts = Counter(str(entry) for entry in cast(tuple[Any, ...], value))
+    counts = Counter(map(str, entries(value)))
     return [Fault(field, "is listed twice", repr(entry)) for entry, count in counts.items() if count > 1]

@@ -1,25 +1,28 @@
-"""V = Σ αi wi with its gradient and Hessian about a posture whose modes are known: what solvers call at every step.
+"""How a machine's measures move with placement, posture and parameters: the one way to their derivatives.
 
-All derivatives pass through the few numbers that everything stands on: K_p, M̄ and F = [A; B] of a_i = A φ_i and
-b_i = B φ_i, together y. With G = ∂V/∂y and Y = ∂y/∂z it is ∂V/∂z = Yᵀ G and ∂²V/∂z² = Yᵀ (∂²V/∂y²) Y + ∂²(G·y)/∂z²:
-the first term stands in closed form in the axes of the modes, the second is that of the machine alone. Results are
-those of `flexopt.robustness.measures` to rounding, at a third of the operations.
+All of it passes through the few numbers that the modes stand on: K_p, M̄ and F = [A; B] of a_i = A φ_i and b_i = B φ_i,
+together y. With G = ∂V/∂y and Y = ∂y/∂z it is ∂V/∂z = Yᵀ G and ∂²V/∂z² = Yᵀ (∂²V/∂y²) Y + ∂²(G·y)/∂z²: derivatives by
+y stand in closed form in the axes of the modes (`mode_terms`), those of y are the machine's alone. The solutions of the
+iterations (static deflection, modes) enter as a vector `held`, about which everything is exact.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, pairwise
 from typing import Any
 
 import casadi as ca
 
-from flexopt.algebra.expansion import expanded_vectors
-from flexopt.robustness.measures import Measures
-from flexopt.robustness.residues import measure, rank_one_measure
+from flexopt.foundation.control import Control
+from flexopt.plant import Plant
+from flexopt.plant.plant import OperatingPoint
+from flexopt.robustness.mode_terms import ModeTerms, mode_terms
+from flexopt.robustness.modes import ReducedPencil, reduced_pencil
+from flexopt.robustness.residues import residue_factors
 
-NAMES = ["base", "posture", "p", "held", "alpha"]
 # `held` is a constant to CasADi but changes with the posture: a derivative taken of such a Function would be wrong, so
 # that none can be taken.
 NO_DERIVATIVES: dict[str, Any] = {
@@ -28,185 +31,235 @@ NO_DERIVATIVES: dict[str, Any] = {
 }
 
 
+# The parts of `held` as graphs, SX or MX, by name.
+Held = dict[str, Any]
+
+
 @dataclass(frozen=True)
 class Expansion:
-    """Functions of base (n_b,), posture (n,), p (n_par,), `held` from `Measures.hold`, and alpha (m,).
+    """Functions of base (n_b,), posture (n,), p (n_par,), `held`, and alpha (m,), the weights of V = Σ αi wi.
 
-    None of them can be differentiated by CasADi, to which `held` would be constant: ask for the next one.
+    `held` is, one below the other, the static deflection (under gravity), ω², Φ, clusters, and f = F Φ (2r, m), a_i
+    above b_i. No Function can be differentiated by CasADi, to which it would be constant: ask for the next one.
 
-    Inside, `f` is F Φ (2r, m), a_i above b_i, and `change` one of y in the axes of the modes: Φᵀ dK_p Φ, Φᵀ dM̄ Φ, dF Φ.
+    Attributes:
+        plant, control, gravity: as in `Measures`.
+        placed: whether base is an input; else it is 0.
+        baked: whether p is no input, but the machine's own.
+        compact: whether equal parts of graphs are looked for, which takes time: for C.
     """
 
-    measures: Measures
+    plant: Plant
+    control: Control
+    gravity: bool
+    placed: bool = True
+    baked: bool = False
+    compact: bool = False
 
     @cached_property
-    def value(self) -> ca.Function:
-        """-> V."""
-        symbols, f = self._begun()
-        value = self._of_modes("weighted_measures", [], lambda weighted: [weighted])
-        return ca.Function("value", symbols, value.call([f, *symbols[3:]]), NAMES, ["V"], NO_DERIVATIVES)
+    def held_parts(self) -> dict[str, ca.SX]:
+        """Symbols of the parts of `held`, by name."""
+        m, r = self.plant.n_passive, self.plant.n_task
+        shapes = {"deflection": (m if self.gravity else 0, 1), "omega_squared": (m, 1), "modes": (m, m)}
+        return {name: ca.SX.sym(name, *shape) for name, shape in (shapes | {"same": (m, m), "f": (2 * r, m)}).items()}
 
     @cached_property
-    def slope(self) -> ca.Function:
-        """-> V and ∂V/∂z (n_z,)."""
-        symbols, f = self._begun()
-        value, by_f = self._slopes.call([f, *symbols[3:]])
-        pull = self._pull.call([f, by_f, symbols[3]])[0]
-        gradient = self._machine_slope.call([*symbols[:4], pull])[0]
-        return ca.Function("slope", symbols, [value, gradient], NAMES, ["V", "V_z"], NO_DERIVATIVES)
+    def held(self) -> ca.SX:
+        """All of them as one vector symbol."""
+        return ca.veccat(*self.held_parts.values())
+
+    def parts(self, held: Any) -> Held:
+        """The parts of a given `held`."""
+        edges = [0, *accumulate(part.numel() for part in self.held_parts.values())]
+        names, symbols = self.held_parts.keys(), self.held_parts.values()
+        split: list[Any] = [held[i:j] for i, j in pairwise(edges)]
+        return {name: ca.reshape(x, *symbol.shape) for name, symbol, x in zip(names, symbols, split, strict=True)}
+
+    def hold(self, at: Sequence[Any], modes: ca.Function, *near: Any) -> tuple[Held, list[Any]]:
+        """The parts of `held` at graphs of the inputs (of base, posture and p), and what else `modes` gives."""
+        deflection = self.deflection(at)
+        return self.solved(deflection, self.reduced.call([*at, *deflection]), modes, *near)
+
+    def deflection(self, at: Sequence[Any]) -> list[Any]:
+        """The static deflection (m,) as a graph, in a list; an empty one without gravity."""
+        return self._deflected.call(list(at)) if self.gravity else []
+
+    def solved(self, deflection: list[Any], y: Sequence[Any], modes: ca.Function, *near: Any) -> tuple[Held, list[Any]]:
+        """`hold` from graphs of K_p, M̄ and F; `modes` is (K_p, M̄, near) -> ω², Φ, clusters, and more."""
+        stiffness, mass, factors = y
+        omega_squared, shapes, same, *more = modes.call([stiffness, mass, *near])
+        f = self.terms.factors.call([factors, shapes])[0]
+        held = zip(self.held_parts, [*(deflection or [type(f)(0, 1)]), omega_squared, shapes, same, f], strict=True)
+        return dict(held), more
+
+    def slopes(self, held: Held, alpha: Any) -> list[Any]:
+        """The w_i (m,) and ∂V/∂f (2r, m) as graphs."""
+        return self.terms.slopes.call([held["f"], held["same"], alpha])
+
+    def sizes(self, held: Held) -> Any:
+        """|a_i||b_i| (m,) as a graph."""
+        return self.terms.sizes.call([held["f"]])[0]
+
+    # The machine: y and its derivatives.
 
     @cached_property
-    def curvature(self) -> ca.Function:
-        """-> ∂²V/∂z² (n_z, n_z)."""
-        symbols, f = self._begun()
-        by_f = self._slopes.call([f, *symbols[3:]])[1]
-        pull = self._pull.call([f, by_f, symbols[3]])[0]
-        of_machine, slopes = self._machine_curvature.call([*symbols[:4], pull])
-        if not self._moving:
-            return ca.Function("curvature", symbols, [of_machine], NAMES, ["V_zz"], NO_DERIVATIVES)
-        changes = self._into_modes.map(len(self._moving)).call([slopes, symbols[3]])[0]
-        bent = self._bent.map(len(self._moving)).call([changes, f, by_f, *symbols[3:]])[0]
-        inside = changes.T @ bent
-        spread = ca.DM.eye(of_machine.shape[0])[:, self._moving]
-        hessian = of_machine + spread @ ((inside + inside.T) / 2) @ spread.T
-        return ca.Function("curvature", symbols, [hessian], NAMES, ["V_zz"], NO_DERIVATIVES)
+    def inputs(self) -> dict[str, ca.SX]:
+        """Inputs of the machine's Functions by name."""
+        g = self.plant.graph
+        given = ({"base": g.base} if self.placed else {}) | {"posture": g.posture}
+        given |= {} if self.baked else {"p": g.p}
+        return given | ({"deflection": self.held_parts["deflection"]} if self.gravity else {})
 
-    def _begun(self) -> tuple[list[ca.MX], ca.MX]:
-        """Symbols of all inputs, and f."""
-        g, m = self.measures.plant.graph, self.measures.plant.n_passive
-        sizes = [x.shape[0] for x in (g.base, g.posture, g.p, self.measures.held)]
-        symbols = [ca.MX.sym(name, size) for name, size in zip(NAMES, [*sizes, m], strict=True)]
-        return symbols, self._factors.call(symbols[:4])[0]
+    def _at(self, at: Sequence[Any], held: Held) -> list[Any]:
+        return [*at, held["deflection"]] if self.gravity else list(at)
 
-    # The machine: y and its derivatives by z.
+    def of_machine(self, name: str, extra: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
+        """A Function of the inputs and `extra`, constants in the place of what is no input."""
+        return self._of(name, [*self.inputs.values(), *extra], outputs)
+
+    def _of(self, name: str, symbols: list[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
+        g, dense = self.plant.graph, [ca.densify(output) for output in outputs]
+        fixed = [] if self.placed else [(g.base, ca.SX.zeros(self.plant.n_base, 1))]
+        fixed += [(g.p, ca.SX(self.plant.parameter_values))] if self.baked else []
+        for symbol, constant in fixed:
+            dense = ca.substitute(dense, [symbol], [constant])
+        return ca.Function(name, symbols, dense, {"cse": self.compact})
 
     @cached_property
-    def _graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _deflected(self) -> ca.Function:
+        g, symbols = self.plant.graph, [x for name, x in self.inputs.items() if name != "deflection"]
+        return self._of("deflected", symbols, [self.plant.deflected(g.base, g.posture, g.p)])
+
+    @cached_property
+    def point(self) -> OperatingPoint:
+        """The plant about the deflection."""
+        g = self.plant.graph
+        return self.plant.operating_point(g.base, g.posture, g.p, self.inputs.get("deflection"))
+
+    @cached_property
+    def pencil(self) -> ReducedPencil:
+        """The pencil there."""
+        return reduced_pencil(self.point, self.plant.n_passive)
+
+    @cached_property
+    def graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """K_p, M̄ (m, m) and F (2r, m)."""
-        stiffness, mass, a, b = self.measures.reduced
-        return stiffness, mass, ca.vertcat(a, b)
+        factors = residue_factors(self.point, self.pencil, ca.SX.eye(self.plant.n_passive), self.control)
+        return self.pencil.stiffness, self.pencil.mass, ca.vertcat(*factors)
+
+    @cached_property
+    def reduced(self) -> ca.Function:
+        """-> K_p, M̄ (m, m) and F (2r, m)."""
+        return self.of_machine("reduced", [], self.graphs)
 
     @cached_property
     def _z(self) -> ca.SX:
-        return ca.vertcat(self.measures.plant.graph.base, self.measures.plant.graph.posture)
+        return ca.vertcat(self.plant.graph.base, self.plant.graph.posture)
+
+    def _terms_by(self, x: ca.SX) -> tuple[ModeTerms, ca.SX]:
+        """Functions of the modes, and y, as far as it may depend on x: K_p moves under gravity and with p."""
+        stiff = bool(ca.depends_on(self.graphs[0], x))
+        terms = mode_terms(self.plant.n_task, self.plant.n_passive, stiff=stiff)
+        return terms, terms.y(*self.graphs)
+
+    @property
+    def terms(self) -> ModeTerms:
+        """Functions of the modes."""
+        return self._y_terms[0]
 
     @cached_property
-    def _softens(self) -> bool:
-        """Whether K_p depends on z, as it does under gravity; else it is no part of y."""
-        return bool(ca.depends_on(self._graphs[0], self._z))
-
-    @cached_property
-    def _y(self) -> ca.SX:
-        return ca.veccat(*(ca.densify(graph) for graph in self._graphs[0 if self._softens else 1 :]))
+    def _y_terms(self) -> tuple[ModeTerms, ca.SX]:
+        return self._terms_by(self._z)
 
     @cached_property
     def _moving(self) -> list[int]:
         """Numbers of the z that y depends on: x and y of the placement are not among them."""
-        return [k for k, depends in enumerate(ca.which_depends(self._y, self._z, 1, False)) if depends]
-
-    @cached_property
-    def _factors(self) -> ca.Function:
-        """(base, posture, p, held) -> f."""
-        return self._of_machine("factors", [], [self._graphs[2] @ self.measures.held_parts["modes"]])
+        return [k for k, depends in enumerate(ca.which_depends(self._y_terms[1], self._z, 1, False)) if depends]
 
     @cached_property
     def _machine_slope(self) -> ca.Function:
-        """(base, posture, p, held, G) -> ∂(G·y)/∂z (n_z,)."""
-        pull = ca.SX.sym("G", self._y.shape[0])
-        return self._of_machine("machine_slope", [pull], [ca.gradient(ca.dot(pull, self._y), self._z)])
+        """(inputs, G) -> ∂(G·y)/∂z (n_z,)."""
+        y = self._y_terms[1]
+        pull = ca.SX.sym("G", y.shape[0])
+        return self.of_machine("machine_slope", [pull], [ca.gradient(ca.dot(pull, y), self._z)])
 
     @cached_property
     def _machine_curvature(self) -> ca.Function:
-        """(base, posture, p, held, G) -> ∂²(G·y)/∂z² (n_z, n_z), and the columns of Y that are not zero."""
-        pull, n_z = ca.SX.sym("G", self._y.shape[0]), self._z.shape[0]
-        slope = ca.gradient(ca.dot(pull, self._y), self._z)
+        """(inputs, G) -> ∂(G·y)/∂z (n_z,), ∂²(G·y)/∂z² (n_z, n_z), and the columns of Y that are not zero."""
+        y, n_z = self._y_terms[1], self._z.shape[0]
+        pull = ca.SX.sym("G", y.shape[0])
+        slope = ca.gradient(ca.dot(pull, y), self._z)
         # In one go, because both need the derivatives of all that leads to y.
-        both = ca.jacobian(ca.vertcat(slope, self._y), self._z)
-        return self._of_machine("machine_curvature", [pull], [both[:n_z, :], both[n_z:, self._moving]])
-
-    def _of_machine(self, name: str, extra: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
-        g = self.measures.plant.graph
-        inputs = [g.base, g.posture, g.p, self.measures.held, *extra]
-        return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
-
-    # The modes: V and its derivatives by y.
+        both = ca.jacobian(ca.vertcat(slope, y), self._z)
+        return self.of_machine("machine_curvature", [pull], [slope, both[:n_z, :], both[n_z:, self._moving]])
 
     @cached_property
-    def _symbols(self) -> dict[str, ca.SX]:
-        """f, ∂V/∂f, α, and the parts of `change`."""
-        m, r = self.measures.plant.n_passive, self.measures.plant.n_task
-        sizes = {"f": (2 * r, m), "by_f": (2 * r, m), "alpha": (m, 1)}
-        sizes |= {"stiffness": (m if self._softens else 0, m), "mass": (m, m), "factors": (2 * r, m)}
-        return {name: ca.SX.sym(name, *size) for name, size in sizes.items()}
+    def _spread(self) -> ca.Function:
+        """(second derivatives by z, by the moving z) -> their sum, symmetric."""
+        n_z, k = self._z.shape[0], len(self._moving)
+        total, inside, spread = ca.SX.sym("total", n_z, n_z), ca.SX.sym("inside", k, k), ca.SX.eye(n_z)[:, self._moving]
+        return ca.Function("spread", [total, inside], [total + spread @ ((inside + inside.T) / 2) @ spread.T])
+
+    # Both together.
+
+    def gradient(self, at: Sequence[Any], held: Held, by_f: Any) -> Any:
+        """∂V/∂z (n_z,) as a graph, from ∂V/∂f."""
+        pull = self.terms.pull.call([*self._modes(held), by_f])
+        return self._machine_slope.call([*self._at(at, held), *pull])[0]
+
+    def hessian(self, at: Sequence[Any], held: Held, by_f: Any, alpha: Any) -> tuple[Any, Any]:
+        """∂V/∂z (n_z,) and ∂²V/∂z² (n_z, n_z) as graphs, from ∂V/∂f and α."""
+        omega_squared, shapes, same, f = modes = self._modes(held)
+        pull = self.terms.pull.call([*modes, by_f])
+        gradient, hessian, slopes = self._machine_curvature.call([*self._at(at, held), *pull])
+        if self._moving:
+            into = [self.terms.into_modes.call([column, shapes])[0] for column in ca.horzsplit(slopes)]
+            bent = [self.terms.bent.call([change, omega_squared, same, f, by_f, alpha])[0] for change in into]
+            (hessian,) = self._spread.call([hessian, ca.horzcat(*into).T @ ca.horzcat(*bent)])
+        return gradient, hessian
+
+    def jacobian(self, x: ca.SX, at: Sequence[Any], held: Held) -> Any:
+        """∂w/∂x (m, n_x) as a graph, for symbols x of base, posture and p."""
+        (terms, y), m = self._terms_by(x), self.plant.n_passive
+        modes, by_f = self._modes(held), [self.slopes(held, one)[1] for one in ca.horzsplit(ca.DM.eye(m))]
+        pulls = ca.horzcat(*(terms.pull.call([*modes, each])[0] for each in by_f))
+        pull = ca.SX.sym("G", *pulls.shape)
+        # Forwards by few x, backwards from fewer modes.
+        slopes = pull.T @ ca.jacobian(y, x) if x.shape[0] < m else ca.jtimes(y, x, pull, True).T
+        return self.of_machine("machine_slopes", [pull], [slopes]).call([*self._at(at, held), pulls])[0]
+
+    def _modes(self, held: Held) -> list[Any]:
+        return [held[name] for name in ("omega_squared", "modes", "same", "f")]
+
+    def _symbols(self) -> tuple[list[ca.MX], ca.MX, ca.MX]:
+        """Symbols of the machine's inputs, of held, of alpha."""
+        at = [ca.MX.sym(name, x.shape[0]) for name, x in self.inputs.items() if name != "deflection"]
+        return at, ca.MX.sym("held", self.held.shape[0]), ca.MX.sym("alpha", self.plant.n_passive)
 
     @cached_property
-    def _change(self) -> ca.SX:
-        return ca.veccat(*(self._symbols[name] for name in ("stiffness", "mass", "factors")))
+    def value(self) -> ca.Function:
+        """-> V."""
+        at, held, alpha = self._symbols()
+        w, _ = self.slopes(self.parts(held), alpha)
+        return _function("value", [*at, held, alpha], {"V": ca.dot(alpha, w)})
 
     @cached_property
-    def _turned(self) -> tuple[ca.SX, ca.SX]:
-        """C_1 and C_2 of the modes for `change`."""
-        s, held, m = self._symbols, self.measures.held_parts, self.measures.plant.n_passive
-        stiffness = s["stiffness"] if self._softens else ca.SX(m, m)
-        return expanded_vectors(stiffness, s["mass"], held["omega_squared"], held["same"])
-
-    def _of_modes(self, name: str, extra: list[ca.SX], outputs: Callable[[ca.SX], list[ca.SX]]) -> ca.Function:
-        """(f, held, alpha, extra) -> `outputs` of V as a graph of f; of a shorter one where frequencies are simple."""
-        s, held = self._symbols, self.measures.held_parts
-        r, m = self.measures.plant.n_task, self.measures.plant.n_passive
-        a, b, same, parts = s["f"][:r, :], s["f"][r:, :], held["same"], held["symmetric_parts"]
-        inputs = [s["f"], self.measures.held, s["alpha"], *extra]
-
-        def function(w: list[ca.SX]) -> ca.Function:
-            weighted = ca.dot(s["alpha"], ca.vertcat(*w))
-            return ca.Function(name, inputs, [ca.densify(output) for output in outputs(weighted)])
-
-        simple = function([rank_one_measure(a[:, i], b[:, i]) for i in range(m)])
-        if m == 1:
-            return simple
-        clustered = function([measure(a, b, same, parts, i) for i in range(m)])
-        given = simple.mx_in()
-        alone = ca.Function("alone", [self.measures.held], [ca.sum(ca.vec(same)) <= m + 0.5])
-        chosen = ca.Function.if_else(name, simple, clustered).call([*alone.call(given[1:2]), *given])
-        return ca.Function(name, given, chosen)
+    def slope(self) -> ca.Function:
+        """-> V and ∂V/∂z (n_z,)."""
+        at, held, alpha = self._symbols()
+        parts = self.parts(held)
+        w, by_f = self.slopes(parts, alpha)
+        return _function("slope", [*at, held, alpha], {"V": ca.dot(alpha, w), "V_z": self.gradient(at, parts, by_f)})
 
     @cached_property
-    def _slopes(self) -> ca.Function:
-        """(f, held, alpha) -> V and ∂V/∂f."""
-        return self._of_modes("slopes", [], lambda weighted: [weighted, ca.gradient(weighted, self._symbols["f"])])
+    def curvature(self) -> ca.Function:
+        """-> ∂²V/∂z² (n_z, n_z)."""
+        at, held, alpha = self._symbols()
+        parts = self.parts(held)
+        _, hessian = self.hessian(at, parts, self.slopes(parts, alpha)[1], alpha)
+        return _function("curvature", [*at, held, alpha], {"V_zz": hessian})
 
-    @cached_property
-    def _pull(self) -> ca.Function:
-        """(f, ∂V/∂f, held) -> G."""
-        s, phi = self._symbols, self.measures.held_parts["modes"]
-        first = ca.dot(s["f"].T @ s["by_f"], self._turned[0])
-        pulls = [phi @ ca.gradient(first, s[name]) @ phi.T for name in ("stiffness", "mass") if s[name].nnz()]
-        pull = ca.densify(ca.veccat(*pulls, s["by_f"] @ phi.T))
-        return ca.Function("pull", [s["f"], s["by_f"], self.measures.held], [pull])
 
-    @cached_property
-    def _into_modes(self) -> ca.Function:
-        """(a change of y, held) -> `change`."""
-        s, phi = self._symbols, self.measures.held_parts["modes"]
-        parts = [phi.T @ s[name] @ phi for name in ("stiffness", "mass") if s[name].nnz()]
-        change = ca.densify(ca.veccat(*parts, s["factors"] @ phi))
-        return ca.Function("into_modes", [self._change, self.measures.held], [change])
-
-    @cached_property
-    def _bent(self) -> ca.Function:
-        """(change, f, ∂V/∂f, held, alpha) -> (∂²V/∂y²) change, in the axes of the modes."""
-        s, (first, second) = self._symbols, self._turned
-        inputs = [self._change, s["f"], s["by_f"], self.measures.held]
-        moved = s["factors"] + s["f"] @ first
-        along = ca.SX.sym("along", *moved.shape)
-        # V's terms of second degree: linear in C_2, products with C_1, and quadratic in the change of f, of which the
-        # derivative is written down.
-        terms = ca.dot(s["f"].T @ s["by_f"], second) + ca.dot(s["factors"].T @ s["by_f"], first) + ca.dot(along, moved)
-        move = ca.Function("moved", inputs, [ca.densify(moved)])
-        finish = ca.Function("terms", [*inputs, along], [ca.densify(ca.gradient(terms, self._change))])
-        bend = self._of_modes(
-            "second_slopes", [along], lambda weighted: [ca.jtimes(ca.gradient(weighted, s["f"]), s["f"], along)]
-        )
-        given = [*finish.mx_in()[:4], ca.MX.sym("alpha", *s["alpha"].shape)]
-        curved = bend.call([given[1], *given[3:], *move.call(given[:4])])
-        return ca.Function("bent", given, finish.call([*given[:4], *curved]))
+def _function(name: str, symbols: list[ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
+    names = [symbol.name() for symbol in symbols]
+    return ca.Function(name, symbols, list(outputs.values()), names, list(outputs), NO_DERIVATIVES)

@@ -12,7 +12,6 @@ from flexopt.algebra import (
     called_eigen_near,
     clusters,
     direct_eigen,
-    perturbed_pencil,
     reciprocal,
     solve_spd,
     symmetric_eigen,
@@ -56,16 +55,25 @@ def reduced_pencil(at: OperatingPoint, n_passive: int) -> ReducedPencil:
     return ReducedPencil(at.stiffness[:m, :m], at.mass[:m, :m] + coupling.T @ follow, follow, actuated)
 
 
-def solve_modes(pencil: ReducedPencil) -> tuple[ca.SX, ca.SX, ca.SX]:
+def solve_modes(stiffness: ca.SX, mass: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Squared frequencies (m, 1) ascending, M̄-normalised modes (m, m), and their clusters (m, m). Values only.
 
     With K_p = L Lᵀ the symmetric S = Lᵀ M̄⁻¹ L has S z = ω² z and φ_p = M̄⁻¹ L z / ω: soft and stiff directions
     side by side leave S graded, and Jacobi's rotations keep its small eigenvalues to full relative accuracy.
     NaN where K_p is not positive definite.
     """
-    symmetric, compliance = _symmetric_form(pencil.stiffness, pencil.mass)
+    symmetric, compliance = _symmetric_form(stiffness, mass)
     values, z = symmetric_eigen(symmetric)
     return values, *_shapes(values, z, compliance)
+
+
+@lru_cache(maxsize=8)
+def modes_function(size: int) -> ca.Function:
+    """(K_p, M̄) -> what `solve_modes` gives: written out, or of many modes by calls."""
+    if size > WRITTEN_OUT:
+        return called_modes(size)
+    pencil = [ca.SX.sym("K", size, size), ca.SX.sym("M", size, size)]
+    return ca.Function("solve_modes", pencil, list(solve_modes(*pencil)))
 
 
 @lru_cache(maxsize=8)
@@ -119,45 +127,27 @@ def _shapes(values: ca.SX, z: ca.SX, compliance: ca.SX) -> tuple[ca.SX, ca.SX]:
     return compliance @ z / ca.repmat(ca.sqrt(values).T, z.shape[0], 1), clusters(values, CLUSTER_TOLERANCE)
 
 
-@dataclass(frozen=True, eq=False)
-class QuickModes:
-    """Modes by the shortest way. Values only.
+@lru_cache(maxsize=8)
+def quick_modes(size: int) -> ca.Function:
+    """(K_p, M̄) -> ω² ascending (m, 1), φ_p of any length (m, m), clusters, squares φ_pᵀ M̄ φ_p (m, 1), gap.
 
-    Attributes:
-        omega_squared: ω², (m, 1), ascending.
-        shapes: φ_p of any length, (m, m).
-        squares: their φ_pᵀ M̄ φ_p, (m, 1).
-        gap: how far to trust them, see `solve_modes_quickly`.
+    For simple frequencies: clusters are the unit matrix. `gap` is the smallest distance of two ω² relative to their
+    mean (within a factor 3): the modes' error is some 1e-15 / gap, and unless it is at least `TRUSTED_GAP` the caller
+    asks `solve_modes`. Up to three modes come in closed form, from L⁻¹ M̄ L⁻ᵀ z = ω⁻² z with φ_p ∝ L⁻ᵀ z; more by
+    iteration.
     """
-
-    omega_squared: ca.SX
-    shapes: ca.SX
-    squares: ca.SX
-    gap: ca.SX
-
-    @property
-    def normalised(self) -> ca.SX:
-        """φ_p (m, m) as `solve_modes` gives them."""
-        return self.shapes / ca.repmat(ca.sqrt(self.squares).T, self.shapes.shape[0], 1)
-
-
-def solve_modes_quickly(pencil: ReducedPencil) -> QuickModes:
-    """What `solve_modes` computes, where frequencies are simple.
-
-    `gap` is the smallest distance of two ω² relative to their mean (within a factor 3): the modes' error is
-    some 1e-15 / gap, and unless it is at least `TRUSTED_GAP` the caller asks `solve_modes`. Up to three modes come in
-    closed form, from L⁻¹ M̄ L⁻ᵀ z = ω⁻² z with φ_p ∝ L⁻ᵀ z; more by iteration.
-    """
-    m = pencil.mass.shape[0]
-    if m > 3:
-        values, vectors, _ = solve_modes(pencil)
-        gaps = 2 * (values[1:] - values[:-1]) / (values[1:] + values[:-1])
-        return QuickModes(values, vectors, ca.SX.ones(m, 1), ca.mmin(gaps))
-    inverse = _inverse_of_lower(ca.chol(pencil.stiffness).T)
-    flexible = inverse @ pencil.mass @ inverse.T
-    z, gap = direct_eigen(flexible)
-    squares = ca.sum1((flexible @ z) * z).T
-    return QuickModes(ca.sum1(z**2).T / squares, inverse.T @ z, squares, gap)
+    stiffness, mass, alone = ca.SX.sym("K", size, size), ca.SX.sym("M", size, size), ca.densify(ca.SX.eye(size))
+    if size > 3:
+        values, vectors, _ = solve_modes(stiffness, mass)
+        gap = ca.mmin(2 * (values[1:] - values[:-1]) / (values[1:] + values[:-1]))
+        outputs = [values, vectors, alone, ca.SX.ones(size, 1), gap]
+    else:
+        inverse = _inverse_of_lower(ca.chol(stiffness).T)
+        flexible = inverse @ mass @ inverse.T
+        z, gap = direct_eigen(flexible)
+        squares = ca.sum1((flexible @ z) * z).T
+        outputs = [ca.sum1(z**2).T / squares, inverse.T @ z, alone, squares, gap]
+    return ca.Function("quick_modes", [stiffness, mass], outputs)
 
 
 def _inverse_of_lower(lower: ca.SX) -> ca.SX:
@@ -170,10 +160,3 @@ def _inverse_of_lower(lower: ca.SX) -> ca.SX:
         if i:
             inverse[i, :i] = -pivot * (lower[i, :i] @ inverse[:i, :i])
     return inverse
-
-
-def continue_modes(
-    pencil: ReducedPencil, values: ca.SX, vectors: ca.SX, same: ca.SX, *, order: int = 2
-) -> tuple[ca.SX, ca.SX]:
-    """ω² (m, 1) and φ_p (m, m) as graphs of the pencil, exact to second (or first) order about the modes given."""
-    return perturbed_pencil(pencil.stiffness, pencil.mass, values, vectors, same, order=order)

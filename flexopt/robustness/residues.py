@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from flexopt.algebra import safe_norm, solve_spd, symmetric_eigen
+from flexopt.algebra import safe_norm, solve_spd
 from flexopt.algebra.dense import TINY
 from flexopt.foundation.control import Control
 from flexopt.plant.control import task_to_joints, task_to_joints_transposed
@@ -29,28 +29,19 @@ def rigid_residue(at: OperatingPoint, pencil: ReducedPencil, control: Control) -
     return jv @ solve_spd(pencil.actuated_mass, task_to_joints(jv, control, ca.SX(ca.DM.eye(jv.shape[0]))))
 
 
-def summed_residue(a: ca.SX, b: ca.SX, same: ca.SX, i: int) -> ca.SX:
-    """Σ_j a_j b_jᵀ over the cluster of mode i, (n_task, n_task): R_i itself where the frequency is simple."""
-    return (a * ca.repmat(same[i, :], a.shape[0], 1)) @ b.T
+def summed_residue(a: ca.SX, b: ca.SX, row: ca.SX) -> ca.SX:
+    """Σ_j row_j a_j b_jᵀ (n_task, n_task), `row` (1, m) that of a mode in its clusters: R_i where it stands alone."""
+    return (a * ca.repmat(row, a.shape[0], 1)) @ b.T
 
 
-def symmetric_part_vectors(a: ca.SX, b: ca.SX, same: ca.SX) -> ca.SX:
-    """Eigenvectors of R_i + R_iᵀ for every mode, side by side, (n_task, n_task m). Values only."""
-    parts: list[ca.SX] = []
-    for i in range(a.shape[1]):
-        residue = summed_residue(a, b, same, i)
-        parts.append(symmetric_eigen(residue + residue.T)[1])
-    return ca.horzcat(*parts)
+def measure(a: ca.SX, b: ca.SX, row: ca.SX, vectors: ca.SX) -> ca.SX:
+    """The first mode's w_i = λmin(R_i + R_iᵀ), eq. (7): in rank-one form where it is simple, else of its cluster's sum.
 
-
-def measure(a: ca.SX, b: ca.SX, same: ca.SX, vectors: ca.SX, i: int) -> ca.SX:
-    """w_i = λmin(R_i + R_iᵀ), eq. (7): in rank-one form where mode i is simple, else of the cluster's sum."""
-    if a.shape[1] == 1:
-        return rank_one_measure(a[:, 0], b[:, 0])
-    rows = a.shape[0]
-    residue = summed_residue(a, b, same, i)
-    clustered = _smallest_eigenvalue(residue + residue.T, vectors[:, i * rows : (i + 1) * rows])
-    return ca.if_else(ca.sum(same[i, :]) > 1.5, clustered, rank_one_measure(a[:, i], b[:, i]))
+    `vectors` (n_task, n_task) are the eigenvectors of that, ascending, held constant.
+    """
+    residue = summed_residue(a, b, row)
+    clustered = _smallest_eigenvalue(residue + residue.T, vectors)
+    return ca.if_else(ca.sum(row) > 1.5, clustered, rank_one_measure(a[:, 0], b[:, 0]))
 
 
 def rank_one_measure(a: ca.SX, b: ca.SX) -> ca.SX:

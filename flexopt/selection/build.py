@@ -59,7 +59,7 @@ def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
     ask(arguments, given)
 
 
-@public("select", together=only_notes, keywords=Keywords(SelectionOptions, SelectionOptions.of("end_point")))
+@public("select", together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords))
 def build_selection(
     machine: AnyMachine,
     target: Any,

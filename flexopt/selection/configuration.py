@@ -66,7 +66,8 @@ class Configuration:
     def _symbols(self) -> dict[str, ca.SX]:
         g = self.measures.plant.graph
         count = 0 if self.extra is None else self.extra.function.size1_in(3)
-        return {"base": g.base, "posture": g.posture, "p": g.p, "c": ca.SX.sym("c", count), "held": self.measures.held}
+        inputs = {"base": g.base, "posture": g.posture, "p": g.p}
+        return inputs | {"c": ca.SX.sym("c", count), "held": self.expansion.held}
 
     @cached_property
     def _z(self) -> ca.SX:
@@ -75,11 +76,11 @@ class Configuration:
     @cached_property
     def expansion(self) -> Expansion:
         """V = Σ αi wi with its derivatives by z, from (base, posture, p, held, alpha)."""
-        return Expansion(self.measures)
+        return self.measures.expansion
 
     @cached_property
     def _rows(self) -> ca.SX:
-        return self._rows_of(self.measures.graph.end_point) if self.gravity else self._rows_at_rest
+        return self._rows_of(self.measures.expansion.point.end_point) if self.gravity else self._rows_at_rest
 
     @cached_property
     def _rows_at_rest(self) -> ca.SX:

@@ -16,10 +16,11 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from flexopt.compiled import accelerate
 from flexopt.foundation.arrays import Vector
-from flexopt.robustness.margin import Margin, build_margin
+from flexopt.robustness.margin import build_margin
 from flexopt.selection.configuration import Configuration
-from flexopt.selection.programs import make_solver
+from flexopt.selection.programs import Local, make_solver
 
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False, "no_nlp_grad": True}
 IPOPT_OPTIONS: dict[str, Any] = QUIET | {
@@ -170,10 +171,7 @@ def build_solver(
     branches, so that a step near a kink does not depend on which of them is the smaller one just now. `quick` is for
     first solves of problems with much redundancy.
     """
-    x = ca.MX.sym("x", coupling.n_x + (goal == "worst"))
-    parameters, s = parameters_of(configuration, coupling, len(forms)).symbols()
-    members = [_Member(configuration, coupling, forms, s, x, k) for k in range(coupling.count)]
-    arranged = _Arranged(coupling, s, x, goal)
+    x, parameters, members, arranged = _assembled(configuration, coupling, forms, goal)
     f, g = arranged.values([member.values() for member in members])
     (f_there, g_there), (gradient, jacobian) = arranged.slopes([member.slopes() for member in members])
     program, at = {"x": x, "p": parameters, "f": f, "g": g}, ["x", "p"]
@@ -196,6 +194,72 @@ def build_solver(
     return make_solver(name, "ipopt", program, IPOPT_OPTIONS | given | {"ipopt": IPOPT_OPTIONS["ipopt"] | own})
 
 
+@dataclass(frozen=True)
+class Branched:
+    """One configuration's program where ε_max takes part, as Functions of x and the parameters of `build_solver`.
+
+    Attributes:
+        model: -> the last objective's branches (1 or 2,), the constraints before them, as `build_solver` has them, and
+            the slopes of both by x; `coupling`: of every objective with ε_max, the slope of g_12 of `Margin.gradients`.
+        rows: -> the rows and their slopes alone.
+        curvature: of x, the parameters, `pulls` (of each objective) and `row_pulls` -> Σ pulls_j ∂²V_j + Σ row_pulls_i
+            ∂²row_i, without ε_max.
+        margin: (base, posture, p, kr) -> as `Margin.gradients`.
+    """
+
+    model: ca.Function
+    rows: ca.Function
+    curvature: ca.Function
+    margin: ca.Function
+
+
+@lru_cache(maxsize=48)
+def build_branched(configuration: Configuration, forms: tuple[ObjectiveForm, ...], *, compiled: bool) -> Branched:
+    """The Functions of one configuration; `compiled`: ε_max by compiled code, where there is a compiler."""
+    plant = configuration.measures.plant
+    coupling = alone(plant.n_base + plant.n_actuated)
+    x, parameters, (member,), _ = _assembled(configuration, coupling, forms, "weighted", compiled=compiled)
+    (values, rows), (slopes, row_slopes) = member.slopes()
+    outputs = {
+        "last": ca.vertcat(*values[-1]),
+        "g": ca.vertcat(rows, *chain(*values[:-1])),
+        "last_x": ca.vertcat(*slopes[-1]),
+        "g_x": ca.vertcat(row_slopes, *chain(*slopes[:-1])),
+        "epsilon_x": member.epsilon_x(),
+    }
+    of_rows = {name: outputs[name][: configuration.n_rows, :] for name in ("g", "g_x")}
+    pulls, row_pulls = ca.MX.sym("pulls", len(forms)), ca.MX.sym("row_pulls", configuration.n_rows)
+    bent = member.curvature(pulls, row_pulls)
+    at, names = [x, parameters], ["x", "p"]
+
+    def function(name: str, found: Mapping[str, ca.MX]) -> ca.Function:
+        return ca.Function(name, at, [ca.densify(each) for each in found.values()], names, list(found))
+
+    second = ca.Function("curvature", [*at, pulls, row_pulls], [bent], [*names, "pulls", "row_pulls"], ["V_xx"])
+    return Branched(function("model", outputs), function("rows", of_rows), second, member.margin[1])
+
+
+def told_branches(functions: Branched, parameters: Vector, x: Vector) -> Local:
+    """What an ascent is told at x: the first branch, the constraints and the second branch, with slopes."""
+    last, g, last_x, g_x, _ = (out.full() for out in functions.model.call([x, parameters]))
+    return Local(float(last[0, 0]), last_x[0], np.vstack([g, last[1:]]).ravel(), np.vstack([g_x, last_x[1:]]))
+
+
+def _assembled(
+    configuration: Configuration,
+    coupling: Coupling,
+    forms: tuple[ObjectiveForm, ...],
+    goal: Goal,
+    *,
+    compiled: bool = False,
+) -> tuple[ca.MX, ca.MX, list[_Member], _Arranged]:
+    """The variables x, the parameters, and what a program is made of."""
+    x = ca.MX.sym("x", coupling.n_x + (goal == "worst"))
+    parameters, s = parameters_of(configuration, coupling, len(forms)).symbols()
+    members = [_Member(configuration, coupling, forms, s, x, k, compiled=compiled) for k in range(coupling.count)]
+    return x, parameters, members, _Arranged(coupling, s, x, goal)
+
+
 class _Member:
     """Configuration k of a program: its objectives and rows, and their derivatives by x."""
 
@@ -207,10 +271,13 @@ class _Member:
         s: Mapping[str, ca.MX],
         x: ca.MX,
         k: int,
+        *,
+        compiled: bool,
     ) -> None:
         measures, plant = configuration.measures, configuration.measures.plant
         place, n_task = coupling.places[k], plant.n_task
         self.configuration, self.forms, self.s = configuration, forms, s
+        self.compiled = compiled
         # The sparse matrix that takes the entries of this configuration out of x; none where that is all of x.
         self.pick = (
             None
@@ -222,7 +289,7 @@ class _Member:
         own = x if self.pick is None else self.pick @ x
         z, self.away = s["z_scale"] * own, own - s["now"]
         self.at = [z[: plant.n_base], z[plant.n_base :], s["p"]]
-        self.held = measures.called_hold.call(self.at)[0]
+        self.held = measures.hold.call(self.at)[0]
         self.row_inputs = [*self.at, s["c"], configuration.held_rows(self.held)]
         self.alphas = ca.reshape(s["alpha"], plant.n_passive, len(forms))
         target = s["target"][k * n_task : (k + 1) * n_task]
@@ -273,7 +340,7 @@ class _Member:
         s, travel = self.s, self.s["cost"] * ca.sumsqr(self.away)
         both: Branches = [[value] for value in smooth]
         if any(form.kinks for form in self.forms):
-            epsilon = self._margin.values.call([*self.at, s["gain"]])[0]
+            epsilon = self.margin[0].call([*self.at, s["gain"]])[0]
             both = [
                 [value + s["beta"][j] * epsilon[b] for b in range(2)] if form.kinks else [value]
                 for j, (form, value) in enumerate(zip(self.forms, smooth, strict=True))
@@ -284,16 +351,36 @@ class _Member:
         """∂V/∂z (n_z,) of every objective and branch."""
         if not any(form.kinks for form in self.forms):
             return [[v_z] for v_z in smooth]
-        s, epsilon_z = self.s, self._margin.gradients.call([*self.at, self.s["gain"]])[1]
+        s, epsilon_z = self.s, self._epsilon_z
         return [
             [v_z + s["beta"][j] * epsilon_z[b, :].T for b in range(2)] if form.kinks else [v_z]
             for j, (form, v_z) in enumerate(zip(self.forms, smooth, strict=True))
         ]
 
-    @property
-    def _margin(self) -> Margin:
-        c = self.configuration
-        return build_margin(c.machine, c.control, c.gravity)
+    def epsilon_x(self) -> ca.MX:
+        """Slopes by x of ε_max's branches and of their coupling, (3, n_x), as in `Margin.gradients`."""
+        return self._by_x(self._epsilon_z * ca.repmat(self.s["z_scale"].T, 3, 1))
+
+    @cached_property
+    def margin(self) -> tuple[ca.Function, ca.Function]:
+        """`Margin.values` and `gradients` for a solver."""
+        return _margin(self.configuration, compiled=self.compiled)
+
+    @cached_property
+    def _epsilon_z(self) -> ca.MX:
+        return self.margin[1].call([*self.at, self.s["gain"]])[1]
+
+
+@lru_cache(maxsize=48)
+def _margin(configuration: Configuration, *, compiled: bool) -> tuple[ca.Function, ca.Function]:
+    """`Margin.values` and `gradients`, or the compiled gradients for both, where there is a compiler."""
+    c = configuration
+    margin = build_margin(c.machine, c.control, c.gravity)
+    if compiled:
+        fast = accelerate(margin.compacted.gradients, order=0)
+        if fast.is_a("External"):
+            return fast, fast
+    return margin.values, margin.gradients
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Check, number, of_machine, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
-from flexopt.foundation.quantities import check_number, check_numbers
+from flexopt.foundation.quantities import Quantity, each_named, entries, vector
 from flexopt.model import AnyMachine
 from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.plant.reach import outer_reach
@@ -42,18 +42,18 @@ def _k_xi(value: Any, names: tuple[str, ...]) -> Vector:
     """kξ as a matrix (n_z, n_z)."""
     n_z, high = len(names), 1e30
     if not isinstance(value, list | tuple):
-        return np.eye(n_z) * check_number(value, "", above=0.0, high=high)
-    rows = cast(Sequence[Any], value)
+        return np.eye(n_z) * Quantity("", above=0.0, high=high)(value)
+    rows, entry = entries(value), Quantity("", low=-high, high=high)
     shape = f"must be a positive number, {n_z} numbers ({', '.join(names)}), or {n_z} rows of {n_z}"
     if len(rows) != n_z:
         raise ValueError(shape)
     if not any(isinstance(row, list | tuple) for row in rows):
-        matrix = np.diag(check_numbers(list(rows), list(names), "", low=-high, high=high))
+        matrix = np.diag(each_named(entry, rows, names))
     else:
-        if any(not isinstance(row, list | tuple) or len(cast(Sequence[Any], row)) != n_z for row in rows):
+        if any(len(entries(row)) != n_z for row in rows):
             raise ValueError(shape)
         labels = [f"row {a}, column {b}" for a in names for b in names]
-        flat = check_numbers([x for row in rows for x in row], labels, "", low=-high, high=high)
+        flat = each_named(entry, [x for row in rows for x in row], labels)
         matrix = np.array(flat).reshape(n_z, n_z)
     if not np.any(matrix):
         raise ValueError("must not be zero: nothing would move")
@@ -62,9 +62,8 @@ def _k_xi(value: Any, names: tuple[str, ...]) -> Vector:
 
 def _metric(value: Any, names: tuple[str, ...]) -> Vector:
     """Diagonal of the metric (n_z,)."""
-    if not isinstance(value, list | tuple) or len(cast(Sequence[Any], value)) != len(names):
-        raise ValueError(f"must be {len(names)} numbers, one for each of {', '.join(names)}")
-    return np.array(check_numbers(list(cast(Sequence[Any], value)), list(names), "", low=1e-12, high=1e12))
+    what = f"{len(names)} numbers, one for each of {', '.join(names)}"
+    return np.array(vector(what, Quantity("", low=1e-12, high=1e12), names)(value))
 
 
 def _named(check: Callable[[Any, tuple[str, ...]], Any]) -> Check:

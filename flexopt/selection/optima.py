@@ -15,6 +15,7 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
+from flexopt.selection.ascent import CUT_SHORT
 from flexopt.selection.check import Proof, prove
 from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
@@ -23,7 +24,6 @@ from flexopt.selection.result import Attempt, Kept
 from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
 
 SAME_POINT = 1e-4
-CUT_SHORT = "Maximum_Iterations_Exceeded"
 # Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
 NEARLY = 1e-3
 # How often a solve that was cut short is taken up again.
@@ -207,7 +207,7 @@ def _proved(problem: SelectionProblem, z: Vector, iterations: int, status: str) 
     if not np.all(np.isfinite(z)):
         return z, None, iterations, status
     proof = prove(problem, z)
-    if proof.holds:
+    if proof.holds or status == CUT_SHORT:
         return z, proof, iterations, status
     z, better = polished(single(problem), z, proof)
     return z, better, iterations, SOLVED[0] if better.holds else status

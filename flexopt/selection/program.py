@@ -13,13 +13,19 @@ from functools import cached_property, lru_cache, partial
 import casadi as ca
 import numpy as np
 
+from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
+from flexopt.selection.ascent import Ascent
 from flexopt.selection.configuration import ConstraintRows
-from flexopt.selection.nlp import Coupling, Goal, alone, build_solver
+from flexopt.selection.nlp import Coupling, Goal, alone, build_branched, build_solver, told_branches
 from flexopt.selection.problem import Constraint, SelectionProblem, packed_parameters
-from flexopt.selection.programs import Bounds, Local, run
+from flexopt.selection.programs import Bounds, Local, confirm_once, run
 
+# Steps of an ascent; one that takes longer is taken up again where it is ahead of the best.
+ASCENT_QUICK, ASCENT_LONG = 15, 60
+# Starts of a problem that leaves their number open, where work is estimated.
+STARTS_COUNTED = 64
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
@@ -157,6 +163,10 @@ class Program:
         `within` limits how far it leads, in scaled variables.
         """
         first, shift = self.first, self._spread(self.shift[0])
+        if self.coupling.count == 1 and any(form.kinks for form in first.forms):
+            found = self._climbed(start, quick=quick, within=within)
+            if found is not None:
+                return found
         solver = build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=quick)
         start = np.clip(start, *self.bounds())
         x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
@@ -173,6 +183,47 @@ class Program:
         if not self.coupling.pairs:
             x = self.packed(list(first.wrapped(np.array([self.of(x, k) for k in range(self.coupling.count)]))))
         return np.clip(x, *self.bounds()), reached.iterations, reached.status
+
+    def _climbed(self, start: Vector, *, quick: bool, within: float) -> tuple[Vector, int, str] | None:
+        """The same by an ascent, of one configuration; None where the start leads onto no constraints."""
+        first, (shift, _), parameters = self.first, self.shift, self.parameters()
+        functions = build_branched(first.configuration, first.forms, compiled=self._compiles)
+        x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
+        x0 = np.clip(x0, lower, upper)
+        lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
+        rows, count = self.constraints()[: len(first.constraints)], len(first.kept) + 1
+        bounds = Bounds(lower, upper, np.array([row.lower for row in rows]), np.array([row.upper for row in rows]))
+        objectives, sizes = first.objectives[:count], np.array(first.objective_scales[:count])
+        n_base, p = first.measures.plant.n_base, first.measures.plant.parameter_values
+
+        def margin(x: Vector) -> Vector:
+            z = x * self.scale + shift
+            slopes: Vector = functions.margin.call([z[:n_base], z[n_base:], p, first.gain])[1].full()
+            return slopes * self.scale
+
+        def independent(x: Vector) -> Local:
+            return _branched_local(self.linear(x * self.scale + shift)[0])
+
+        confirm_once(
+            functions.model, parameters, partial(told_branches, functions, parameters), independent, x0, bounds
+        )
+        kinks = np.array([objective.beta for objective in objectives]) / sizes
+        ascent = Ascent(functions, parameters, kinks, np.array(first.kept) / sizes[:-1], bounds, margin)
+        found = ascent.climbed(x0, ASCENT_QUICK if quick else ASCENT_LONG)
+        if found is None:
+            return None
+        x, iterations, status = found
+        return np.clip(first.wrapped(x * self.scale + shift), *self.bounds()), iterations, status
+
+    @cached_property
+    def _compiles(self) -> bool:
+        """Whether ascents cost more than to compile ε_max: by counts, so that results do not depend on the moment."""
+        first = self.first
+        if first.redundancy < 2:
+            return False
+        margin = first.quantities.margin
+        calls = (first.starts or STARTS_COUNTED) * ASCENT_QUICK * (first.redundancy + 2)
+        return calls * evaluation_seconds(margin.gradients) > compilation_seconds(margin.compacted.gradients)
 
     def parameters(self) -> Vector:
         """The numbers of this program for its solver, see `nlp.Parameters`."""
@@ -260,6 +311,16 @@ def values_of(problem: SelectionProblem, z: Vector) -> Vector:
     plant, n_b = problem.measures.plant, problem.measures.plant.n_base
     w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
     return np.array(problem.objective.alpha) @ w - problem.travel_cost(problem.objective, z.T)[0]
+
+
+def _branched_local(member: Linearisation) -> Local:
+    """One configuration as `told_branches` has it."""
+    *kept, last = member.values
+    g = [member.rows, *kept, last[1:]]
+    before = zip(member.slopes, [*kept, last], strict=True)
+    *kept_slopes, last_slopes = (slopes[: values.size] for slopes, values in before)
+    jacobian = [member.row_slopes, *kept_slopes, last_slopes[1:]]
+    return Local(float(last[0]), last_slopes[0], np.concatenate(g), np.vstack(jacobian))
 
 
 @lru_cache(maxsize=32)

@@ -31,7 +31,7 @@ from flexopt.selection.starts import starting_points
 TIE_TOLERANCE = 1e-9
 
 
-@public(together=only_notes, keywords=Keywords(SelectionOptions, SelectionOptions.of("end_point")))
+@public(together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords))
 def select(
     machine: AnyMachine,
     target: Any,

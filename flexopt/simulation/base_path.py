@@ -14,7 +14,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.rest import in_base_axes
 from flexopt.model import AnyMachine
-from flexopt.model.simulation import SimulationOptions
+from flexopt.model.simulation import SimulationOptions, placement_of
 from flexopt.plant.machine_motion import motion_of, structure_of
 from flexopt.plant.motion import Motion
 from flexopt.plant.tree_structure import TURN, Skeleton
@@ -36,7 +36,7 @@ def driven_structure(machine: AnyMachine, options: SimulationOptions) -> Skeleto
     structure, path = structure_of(machine), options.base_path
     if path is None or "yaw" not in structure.placement:
         return structure
-    placement, base = structure.placement, np.array(options.placement(machine))
+    placement, base = structure.placement, np.array(placement_of(options, machine))
     k = placement.index("yaw")
     turns = bool(np.any(np.array(path.points)[:, k] != base[k]))
     across = tuple(name for name in ("x", "y") if name not in placement) if turns or base[k] else ()
@@ -45,7 +45,7 @@ def driven_structure(machine: AnyMachine, options: SimulationOptions) -> Skeleto
 
 def path_faults(machine: AnyMachine, options: SimulationOptions) -> list[Fault]:
     """Base paths that would jerk the machine along."""
-    path, base = options.base_path, np.array(options.placement(machine))
+    path, base = options.base_path, np.array(placement_of(options, machine))
     if path is None or not len(base) or any(len(point) != len(base) for point in path.points):
         return []
     structure = driven_structure(machine, options)

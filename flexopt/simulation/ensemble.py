@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,13 @@ from flexopt.foundation.plain import shown
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.parameter_ranges import parameter_range
+from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
 from flexopt.simulation.run import check_residual, moves, runners
-from flexopt.simulation.scenario import OPTIONS, build_scenario, checked_options, note_options
+from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options, note_options
 from flexopt.simulation.verdict import Verdict, judge
 
 if TYPE_CHECKING:
@@ -181,7 +182,7 @@ def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
     return arrays
 
 
-@public(together=note_options, vary=of_machine(_vary), keep=words("measures", "trajectories"), checks=OPTIONS)
+@public(together=note_options, vary=of_machine(_vary), keep=words("measures", "trajectories"), keywords=SIMULATED)
 def simulate_ensemble(
     machine: AnyMachine,
     posture: Any = None,
@@ -190,12 +191,14 @@ def simulate_ensemble(
     keep: Keep = "measures",
     threads: int | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[SimulationKeywords],
 ) -> Ensemble:
     """Many runs of `simulate` at once.
 
     Args:
-        machine, posture, options: as for `flexopt.simulate`; they hold for every member where `vary` says nothing.
+        machine, posture, options, keywords: as for `flexopt.simulate`; they hold for every member where `vary` says
+            nothing.
         vary: arrays with one row for each of N members, by name: `"offset"` (N, n), rad or m; `"deflection"` (N, m),
             passive coordinates at the start less their equilibrium, m or rad; `"rates"` (N, n_q), rates at the start;
             `"kp"`, `"kv"`, `"ki"` (N,) or (N, n_task); any of the machine's parameters, `"payload.mass"` for example
@@ -210,7 +213,7 @@ def simulate_ensemble(
 
     With noise every member draws its own, from `seed` and its number.
     """
-    checked = checked_options("simulate_ensemble", machine, {"posture": posture, **options})
+    checked = checked_options("simulate_ensemble", machine, {"posture": posture} | keywords)
     varied = dict[str, Vector](vary)
     n = len(next(iter(varied.values())))
     names = [parameter.name for parameter in machine.parameters]

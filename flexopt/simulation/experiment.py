@@ -6,13 +6,13 @@ In: an `Experiment`. Out: its `Trajectory`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Unpack
 
 from flexopt.errors import InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import anything, public
 from flexopt.model.boundary import holding_machine
-from flexopt.model.simulation import Experiment
+from flexopt.model.simulation import Experiment, OverrideKeywords
 from flexopt.plant import inverse_kinematics
 from flexopt.selection import nullspace_trajectory
 from flexopt.simulation.run import simulate
@@ -41,7 +41,7 @@ def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
 
 
 @public(experiment=HELD, together=_note, overrides=anything)
-def run_experiment(experiment: Experiment, **overrides: Any) -> Trajectory:
+def run_experiment(experiment: Experiment, **overrides: Unpack[OverrideKeywords]) -> Trajectory:
     """Run what a file describes.
 
     With a table `[nullspace]` the base moves by the nullspace law from the posture and placement of `[simulation]`.

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, cast
+from typing import Any, Unpack, cast
 
 import casadi as ca
 import numpy as np
@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from flexopt.errors import InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import number, public
+from flexopt.foundation.boundary import Keywords, number, public
 from flexopt.loop.closed import closed_loop
 from flexopt.loop.structure import LoopStructure
 from flexopt.loop.tangent import Tangent, still, tangent
 from flexopt.model import AnyMachine
-from flexopt.model.simulation import SimulationOptions, dead_time
+from flexopt.model.simulation import LinearKeywords, SimulationOptions, dead_time
 from flexopt.plant import build_plant
-from flexopt.simulation.scenario import OPTIONS, Scenario, build_scenario, checked_options
+from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, given_options
 
 EXACT = "exact"
 # Share of the largest singular value of Φ − 1 below which a direction stays where it is.
@@ -114,12 +114,20 @@ class StabilityBorder:
 
 
 def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    options = {"posture": given["posture"], **given["options"]}
-    arguments.collect("", lambda: linear_options(arguments.of, options, arguments.call))
+    arguments.collect("", lambda: linear_options(arguments.of, given_options(given), arguments.call))
 
 
-@public(together=_note, checks=OPTIONS)
-def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> SampledLoop:
+_LINEAR = Keywords(SimulationOptions, LinearKeywords, together=True)
+
+
+@public(together=_note, keywords=_LINEAR)
+def sampled_loop(
+    machine: AnyMachine,
+    posture: Any = None,
+    *,
+    options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[LinearKeywords],
+) -> SampledLoop:
     """Multipliers of the loop that `simulate` runs, at its equilibrium.
 
     Between the samples x(t + h) = e^{Ah} x(t) + ∫₀ʰ e^{As} ds B τ, exactly. Limits, dead bands and rounding of
@@ -127,24 +135,29 @@ def sampled_loop(machine: AnyMachine, posture: Any = None, **options: Any) -> Sa
     target.
 
     Args:
-        machine, posture, options: as for `flexopt.simulate`, but `integrator`: `"exact"` (default), or a method whose
-            own error is then part of the loop (`"rk4"` is the article's; at 5 ms it damps modes of 13 Hz and more); and
-            `sensor.delay`, which may be any time (with `"exact"`).
+        machine, posture, options, keywords: as for `flexopt.simulate`, but `integrator`: `"exact"` (default), or a
+            method whose own error is then part of the loop (`"rk4"` is the article's; at 5 ms it damps modes of 13 Hz
+            and more); and `sensor.delay`, which may be any time (with `"exact"`).
 
     Raises:
         InputError: as `simulate`; or the design posture is no equilibrium (weight without compensation).
     """
-    return linearised(linear_scenario(machine, {"posture": posture, **options}, "sampled_loop"))
+    return linearised(linear_scenario(machine, {"posture": posture} | keywords, "sampled_loop"))
 
 
-@public(together=_note, ratio=number("s", low=0.0, high=1e9), checks=OPTIONS)
+@public(together=_note, ratio=number("s", low=0.0, high=1e9), keywords=_LINEAR)
 def stability_border(
-    machine: AnyMachine, posture: Any = None, *, ratio: float | None = None, **options: Any
+    machine: AnyMachine,
+    posture: Any = None,
+    *,
+    ratio: float | None = None,
+    options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[LinearKeywords],
 ) -> StabilityBorder:
     """Gains Kp for which the sampled linear loop is stable.
 
     Args:
-        machine, posture, options: as for `flexopt.sampled_loop`; `kp` is ignored.
+        machine, posture, options, keywords: as for `flexopt.sampled_loop`; `kp` is ignored.
         ratio: hold Kv = ratio · Kp (s) instead of Kv.
 
     Raises:
@@ -152,7 +165,7 @@ def stability_border(
     """
     from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
 
-    scenario = linear_scenario(machine, {"posture": posture, **options}, "stability_border")
+    scenario = linear_scenario(machine, {"posture": posture} | keywords, "stability_border")
     kv = float(scenario.options.kv[0])
 
     def growth(exponent: float) -> float:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings as python_warnings
-from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -14,17 +13,16 @@ from flexopt.compiled import Batch, Recurrence, batch, recurrence
 from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
-from flexopt.foundation.control import Control, control_damping
+from flexopt.foundation.control import control_damping
 from flexopt.foundation.documents import provenance
 from flexopt.loop.closed import baked, closed_loop
 from flexopt.loop.levers import feeble_levers
 from flexopt.loop.structure import LoopStructure
 from flexopt.model import AnyMachine
-from flexopt.model.choices import Elbow
-from flexopt.model.simulation import Actuator, Feedback, Method, Path, Sensor
+from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
-from flexopt.simulation.scenario import OPTIONS, Scenario, build_scenario, checked_options, note_options
+from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
 from flexopt.simulation.verdict import Ended
 
@@ -34,36 +32,13 @@ RESIDUAL_MAX = 1e-10
 NEAR_SINGULAR = 1e-3
 
 
-@public(together=note_options, checks=OPTIONS)
+@public(together=note_options, keywords=SIMULATED)
 def simulate(
     machine: AnyMachine,
     posture: Any = None,
     *,
-    end_point: Any = None,
-    elbow: Elbow | None = None,
-    base: Any = None,
-    control: Control | None = None,
-    feedback: Feedback | None = None,
-    kp: Any = None,
-    kv: Any = None,
-    ki: Any = None,
-    integral_limit: float | None = None,
-    gain: float | None = None,
-    offset: Any = None,
-    duration: float | None = None,
-    rate: float | None = None,
-    hold: bool | None = None,
-    integrator: Method | None = None,
-    substeps: int | None = None,
-    gravity: bool | None = None,
-    gravity_compensation: bool | None = None,
-    nullspace_damping: float | None = None,
-    sensor: Sensor | Mapping[str, Any] | None = None,
-    actuator: Actuator | Mapping[str, Any] | None = None,
-    base_path: Path | Mapping[str, Any] | None = None,
-    target_path: Path | Mapping[str, Any] | None = None,
-    seed: int | None = None,
-    baked: bool | None = None,
+    options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[SimulationKeywords],
 ) -> Trajectory:
     """The nonlinear closed loop M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = [0; τ_a], simulated.
 
@@ -75,35 +50,11 @@ def simulate(
 
     Args:
         machine: from `flexopt.load`.
-        posture: actuated joints (n,), rad or m, about which to work; or give `end_point`, and `elbow` of a planar arm.
-        end_point: (n_task,), m, inertial frame; for arms with no more joints than task rows.
-        elbow: `"up"` (default) or `"down"`.
-        base: placement (n_b,), m or rad: of a planar machine x alone; 0 by default.
-        control: `"inverse"` (default), `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.
-        feedback: `"pd"` (default), `"pid"`, `"robust"` (the controller that attains ε_max) or `"none"`.
-        kp, kv, ki: gains, one number or one for each task row; 1e5, 2e3 and 0 by default (N/m, N s/m, N/(m s) for
-            transpose control).
-        integral_limit: largest |∫ ki e dt| for each axis.
-        gain: servo gain kr for which `"robust"` is designed; 5e5 by default.
-        offset: displacement of the joints at the start (n,), rad or m; +0.05, −0.05, … by default.
-        duration: s; 10 by default.
-        rate: of the samples, Hz; 200 by default.
-        hold: True (default): the command is computed at each sample and held; False: at every stage of the integrator.
-        integrator: `"rk4"` (default, the article's), `"dop853"` (explicit, order 8) or `"gauss"` (Gauss–Legendre, order
-            6, symplectic: the energy of undamped modes stays).
-        substeps: integration steps in a sample; by default 1 for `"rk4"`, else as the fastest mode needs.
-        gravity: False (default): the weight is taken to be compensated in all coordinates, as in the article; True: it
-            acts, and the machine hangs in its springs.
-        gravity_compensation: whether the command carries the arm's weight (default), where it acts.
-        nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad or N s/m.
-        sensor: noise, resolution, delay; see `flexopt.Sensor`.
-        actuator: limits, dead band, servo; see `flexopt.Actuator`.
-        base_path: where the operator drives the base, `flexopt.Path` of placements or a `BaseTrajectory`'s `path`; the
-            springs must give along what it moves, and in x, y and yaw where it turns.
-        target_path: where the end-point shall be, `flexopt.Path`; by default where it is in the posture.
-        seed: of the noise.
-        baked: fold this machine's and controller's numbers into code of their own: a little faster, compiled anew for
-            every set of numbers.
+        posture: actuated joints (n,), rad or m, about which to work; or give `end_point`.
+        options: the loop and its run, see `flexopt.SimulationOptions`;  keywords: its fields, which go before it:
+            end_point, elbow, base, control, feedback, kp, kv, ki, integral_limit, gain, offset, duration, rate, hold,
+            integrator, substeps, gravity, gravity_compensation, nullspace_damping, sensor, actuator, base_path,
+            target_path, seed, baked. None is left out.
 
     Raises:
         InputError: arguments are not usable (all faults in one message), or RK4's step is too long for the fastest
@@ -113,9 +64,9 @@ def simulate(
         NotStabilizable: `"robust"`: no controller can stabilise the plant.
         NoSolutionFound: the static deflection, or the implicit integrator, did not converge.
     """
-    given = dict(locals())
-    options = checked_options("simulate", given.pop("machine"), given)
-    return simulate_checked(build_scenario(machine, options))
+    return simulate_checked(
+        build_scenario(machine, checked_options("simulate", machine, {"posture": posture} | keywords))
+    )
 
 
 def simulate_checked(scenario: Scenario) -> Trajectory:

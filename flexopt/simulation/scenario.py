@@ -17,7 +17,7 @@ import numpy as np
 from flexopt.errors import InputError, NoSolutionFound, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import Check, anything
+from flexopt.foundation.boundary import Keywords
 from flexopt.foundation.control import Control, control_damping, control_method
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.levers import with_servo_gain
@@ -25,8 +25,9 @@ from flexopt.loop.rest import design_constants, placed, state_at_rest
 from flexopt.loop.robust import robust_law
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.model import AnyMachine
-from flexopt.model.faults import read_table, validated
-from flexopt.model.simulation import Path, SimulationOptions, dead_time
+from flexopt.model.file_model import read_table, validated
+from flexopt.model.simulation import Path, SimulationKeywords, SimulationOptions, dead_time, placement_of
+from flexopt.model.simulation_faults import simulation_faults
 from flexopt.plant import Plant, build_plant, inverse_kinematics
 from flexopt.plant.machine_motion import constant_values, constants_at, motion_of
 from flexopt.plant.motion import Motion
@@ -141,15 +142,18 @@ def _place(motion: Motion, base: Vector) -> Vector:
     return ca.evalf(placed(motion, ca.SX(base))).full().ravel()
 
 
-# Arguments that are options of a loop: `checked_options` checks them together.
-OPTIONS: dict[str, Check] = dict.fromkeys((*SimulationOptions.model_fields, "options"), anything)
+# Options of a loop as keywords; `checked_options` checks them together.
+SIMULATED = Keywords(SimulationOptions, SimulationKeywords, together=True)
+
+
+def given_options(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments of a call that are options of a loop."""
+    return {name: value for name, value in given.items() if name in SimulationOptions.model_fields}
 
 
 def note_options(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """Note the faults of a call's options of a loop."""
-    named = {name: value for name, value in given.items() if name in SimulationOptions.model_fields}
-    options = named | given.get("options", {})
-    arguments.collect("", lambda: checked_options(arguments.call, arguments.of, options))
+    arguments.collect("", lambda: checked_options(arguments.call, arguments.of, given_options(given)))
 
 
 def checked_options(
@@ -162,7 +166,8 @@ def checked_options(
     table = {name: value for name, value in given.items() if value is not None}
     options = validated(SimulationOptions, read_table(table, call, "[simulation]", InputError), call, (), InputError)
     if machine is not None:
-        raise_if_any(InputError, call, options.faults(machine, any_delay=any_delay) + path_faults(machine, options))
+        faults = simulation_faults(options, machine, any_delay=any_delay)
+        raise_if_any(InputError, call, faults + path_faults(machine, options))
     return options
 
 
@@ -195,7 +200,7 @@ def build_scenario(
         options.posture,
         options.end_point,
         options.elbow,
-        options.placement(machine),
+        placement_of(options, machine),
         options.gravity,
         options.control,
     )

@@ -41,12 +41,13 @@ def default_gains(
         rate: of the samples, Hz.
         loop: further options of `flexopt.sampled_loop`: sensor, actuator and the like.
     """
-    options = {"control": stand.control, "rate": rate} | dict(loop or {})
+    options: dict[str, Any] = {"control": stand.control, "rate": rate} | dict(loop or {})
     options = {name: value for name, value in options.items() if name not in ("integrator", "substeps")}
     for halving in range(HALVINGS + 1):
         gains = rigid_gains(machine, stand, rate, 0.5**halving)
+        here: dict[str, Any] = gains | options | {"base": stand.base}
         try:
-            stable = sampled_loop(machine, stand.posture, base=stand.base, **gains | options).stable
+            stable = sampled_loop(machine, stand.posture, **here).stable
         except FlexoptError:
             break
         if stable:

@@ -252,11 +252,11 @@ def border_row(
         ratio: Kv/Kp, s, or None.
         kv: held where the ratio is not.
     """
-    options = {**given, "base": stand.base, "kv": kv}
+    options: dict[str, Any] = {**given, "base": stand.base, "kv": kv}
     border = stability_border(machine, stand.posture, ratio=ratio, **options)
     frequency, largest = None, border.largest
     if largest is not None and largest < border.searched[1]:
         kp = BEYOND * largest
-        beyond = options | {"kp": kp, "kv": kv if ratio is None else ratio * kp}
+        beyond: dict[str, Any] = options | {"kp": kp, "kv": kv if ratio is None else ratio * kp}
         frequency = sampled_loop(machine, stand.posture, **beyond).frequency_hz
     return BorderRow(name, held_words(ratio, kv), str(given.get("integrator", EXACT)), border, frequency)

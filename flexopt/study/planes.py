@@ -5,9 +5,8 @@ In: a machine and what a caller passes. Out: a `Plane`, from which the grid is m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
-from flexopt.foundation.quantities import ANGLE_MAX, COORDINATE_MAX, check_pair, coordinate_max, range_sentence
+from flexopt.foundation.quantities import COORDINATE, Quantity, coordinate_max, pair, several
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
@@ -166,7 +165,7 @@ def _read_varying(arguments: Arguments, machine: AnyMachine, plane: Plane, given
         return
 
     def check(value: Any) -> Pair:
-        chosen = list(cast(Sequence[Any], value)) if isinstance(value, list | tuple) else [value]
+        chosen = several(value)
         if len(chosen) != 2 or not all(isinstance(name, str) for name in chosen):
             raise ValueError(f"must be two names of {what}: {', '.join(names)}")
         unknown = [repr(name) for name in chosen if name not in names]
@@ -192,7 +191,7 @@ def _other_joints(arguments: Arguments, machine: AnyMachine, varies: Pair, postu
     given = arguments.checked("posture", posture, lambda v: v, None)
     if arguments.faulty("posture"):
         return np.zeros(len(others))
-    values = [] if given is None else list(cast(list[Any], given)) if isinstance(given, list | tuple) else [given]
+    values = [] if given is None else several(given)
     if len(values) != len(others):
         rest = ", ".join(names[k] for k in others)
         angles = "angles in rad" if set(machine.joint_units) == {"rad"} else "numbers in rad or m"
@@ -238,13 +237,12 @@ def _read_ranges(arguments: Arguments, machine: AnyMachine, plane: Plane, given:
     defaults = plane.ranges if arguments.faults else _default_ranges(machine, plane)
     read: list[Range] = []
     for name, unit, default in zip(("x_range", "y_range"), units, defaults, strict=True):
-        most = ANGLE_MAX if unit == "rad" else COORDINATE_MAX
 
-        def check(value: Any, unit: str = unit, most: float = most) -> Range:
+        def check(value: Any, quantity: Quantity = COORDINATE[unit]) -> Range:
             try:
-                return check_pair(value, unit, -most, most)
+                return pair(quantity)(value)
             except ValueError as error:
-                raise ValueError(f"{error}; both ends {range_sentence(unit, None, -most, most)}") from None
+                raise ValueError(f"{error}; both ends {quantity.allowed}") from None
 
         read.append(default if given[name] is None else arguments.checked(name, given[name], check, default))
     plane.ranges = read[0], read[1]

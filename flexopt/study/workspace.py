@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import anything, by, flag, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.quantities import entries
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
@@ -28,7 +29,7 @@ POINTS, MANY_PASSIVE, FEW_POINTS = (400, 400), 3, (60, 60)
 
 
 def _check_points(value: Any) -> tuple[int, int]:
-    parts = list(cast(list[Any], value)) if isinstance(value, list | tuple) else []
+    parts = entries(value)
     whole = [part for part in parts if type(part) is int and 2 <= part <= POINTS_MAX]
     if len(parts) != 2 or len(whole) != 2:
         raise ValueError(f"must be two whole numbers between 2 and {POINTS_MAX}: points along x and along y")

@@ -19,7 +19,7 @@ from flexopt.foundation.boundary import array_of, by, check_text, path, public
 from flexopt.foundation.coordinates import check_point
 from flexopt.foundation.documents import json_ready, write_netcdf
 from flexopt.foundation.plain import shown
-from flexopt.foundation.quantities import check_whole
+from flexopt.foundation.quantities import whole_number
 from flexopt.model import AnyMachine
 from flexopt.study.grid import Grid
 from flexopt.study.points import PointValues
@@ -37,7 +37,7 @@ def _sizes(of: Any) -> dict[str, int]:
 
 def _modes(arguments: Arguments, field: str, value: Any) -> Any:
     """Numbers of modes."""
-    return tuple(arguments.checked(field, mode, lambda v: check_whole(v, 1, 1000), 1) for mode in value)
+    return tuple(arguments.checked(field, mode, whole_number(1, 1000), 1) for mode in value)
 
 
 def _marks(arguments: Arguments, field: str, value: Any) -> dict[str, tuple[float, float]]:

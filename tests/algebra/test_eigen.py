@@ -8,9 +8,9 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
-import scipy.linalg
 
-from flexopt.algebra import clusters, direct_eigen, perturbed_pencil, reciprocal, symmetric_eigen, turned_vectors
+from flexopt.algebra import clusters, direct_eigen, reciprocal, symmetric_eigen
+from tests.oracles.perturbation import perturbed_pencil
 
 SIZES = range(1, 13)
 EPS = np.finfo(float).eps
@@ -316,18 +316,3 @@ def test_reciprocal_stays_a_shared_division():
     codes = [function.instruction_id(k) for k in range(function.n_instructions())]
     assert codes.count(ca.OP_DIV) + codes.count(ca.OP_INV) == 1
     assert np.array_equal(function(3.0, [1.0, 2.0, 3.0]).full().ravel(), np.array([1.0, 2.0, 3.0]) * (1.0 / 3.0))
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 5])
-def test_turned_vectors_have_the_slope_of_the_perturbed_pencil(size):
-    rng = np.random.default_rng(size)
-    stiffness, mass, k_slope, m_slope = (spectrum_matrix(rng, rng.uniform(0.5, 2.0, size)) for _ in range(4))
-    values, vectors = (ca.DM(part) for part in scipy.linalg.eigh(stiffness, mass))
-    x = ca.SX.sym("x")
-    pencil = ca.DM(stiffness) + x * ca.DM(k_slope), ca.DM(mass) + x * ca.DM(m_slope)
-    turned = turned_vectors(*pencil, values, vectors)
-    perturbed = perturbed_pencil(*pencil, ca.SX(values), ca.SX(vectors), ca.SX(ca.DM.eye(size)))[1]
-    slopes = ca.Function("slopes", [x], [turned, ca.jacobian(turned, x), ca.jacobian(perturbed, x)])
-    at, slope, expected = (result.full() for result in slopes(0))
-    assert np.abs(at - vectors.full()).max() <= 1e-12
-    assert np.abs(slope - expected).max() <= 1e-11 * max(1.0, np.abs(expected).max())

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from flexopt.algebra import perturbed_pencil
-from flexopt.algebra.expansion import expanded_vectors
+from flexopt.algebra import expanded_vectors
+from tests.oracles.perturbation import perturbed_pencil
 
 
 @pytest.mark.parametrize("size", range(1, 8))

@@ -124,6 +124,7 @@ SIMULATE = {
     "target_path": None,
     "seed": 0,
     "baked": False,
+    "options": flexopt.SimulationOptions(hold=True),
 }
 
 # Name -> arguments; None stands for an argument that is left out, of which another takes the place.
@@ -155,7 +156,11 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         overwrite=True,
     ),
     "export_fmu": lambda: _machine(
-        path="small.fmu", posture=POSTURE, version="2.0", kind="co-simulation", options=LOOP
+        path="small.fmu",
+        posture=POSTURE,
+        version="2.0",
+        kind="co-simulation",
+        **SIMULATE | {"seed": None, "baked": None},
     ),
     "gap": lambda: {"P1": PLANTS, "P2": PLANTS},
     "inverse_kinematics": lambda: _machine(target=TARGET, base=0.5, gravity=False, elbow="up", seed=0),
@@ -227,18 +232,18 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     },
     "robust_margin": lambda: STATE_SPACE,
     "run_experiment": lambda: {"experiment": experiment(), "overrides": {"duration": 0.02}},
-    "sampled_loop": lambda: _machine(posture=POSTURE, options=LOOP),
+    "sampled_loop": lambda: _machine(posture=POSTURE, **SIMULATE),
     "select": lambda: _machine(target=TARGET, gain=5e5, elbow="up", slack=1e-6, **SELECT, **RUN),
     "select_stand": lambda: _machine(
         targets=[TARGET, [0.1, 1.6]], combine="weighted", shares=[1.0, 1.0], **SELECT, **RUN
     ),
     "simulate": lambda: _machine(posture=POSTURE, **SIMULATE),
     "simulate_ensemble": lambda: _machine(
-        posture=POSTURE, vary={"kp": [1e4, 2e4]}, keep="measures", threads=1, progress=print, options=LOOP
+        posture=POSTURE, vary={"kp": [1e4, 2e4]}, keep="measures", threads=1, progress=print, **SIMULATE
     ),
     "solve_problem": lambda: {"problem": problem(), **RUN},
     "solve_selection": lambda: {"problem": selection().problem, **RUN},
-    "stability_border": lambda: _machine(posture=POSTURE, ratio=0.01, options=LOOP),
+    "stability_border": lambda: _machine(posture=POSTURE, ratio=0.01, **SIMULATE),
     "tree_from_dict": lambda: {"data": tree().to_dict(), "origin": "here"},
     "verify_bundle": lambda: {
         "folder": "bundle",
@@ -301,6 +306,9 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
     "SelectionOptions": lambda: (
         {key: value for key, value in SELECT.items() if key not in ("constraints", "options")}
         | {"base": [0.0], "gain": 5e5, "elbow": "up", "slack": 1e-6, "combine": "worst", "shares": [1.0]}
+    ),
+    "SimulationOptions": lambda: (
+        {key: value for key, value in SIMULATE.items() if key != "options"} | {"posture": POSTURE}
     ),
     "Sensor": lambda: {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0, "delay": 0.0},
     "StateSpace": lambda: STATE_SPACE,

@@ -62,7 +62,7 @@ def test_divergence_is_an_answer_and_valid_json(command: Command) -> None:
 
 def test_every_argument_of_simulate_is_an_option_or_named_as_none(command: Command) -> None:
     """Nothing that a warning or an error names is out of the command's reach without the help saying so."""
-    arguments = set(inspect.signature(flexopt.simulate).parameters) - {"machine"}
+    arguments = set(inspect.signature(flexopt.simulate).parameters) - {"machine", "options"}
     assert set(SimulationOptions.model_fields) == arguments
     spelled = {"hold": "continuous", "gravity_compensation": "uncompensated"}
     known = {parameter.name for parameter in simulate_command.params}

@@ -6,7 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-import flexopt
 from flexopt.compiled import accelerate, batch, find_compiler
 from tests.compiled.comparison import QUIET, control_register
 
@@ -82,18 +81,6 @@ def test_ipopt_takes_the_same_way(order: int) -> None:
         results.append((solver.stats()["iter_count"], solution["x"].full()))
     assert abs(results[0][0] - results[1][0]) <= 1
     np.testing.assert_allclose(results[1][1], results[0][1], rtol=1e-6, atol=1e-7)
-
-
-def test_a_machines_measures_with_held_eigenvectors() -> None:
-    measures = flexopt.build_measures(flexopt.load("excavator"))
-    p = measures.plant.parameter_values
-    z = ca.MX.sym("z", 2)
-    found = []
-    for function in (measures.nested, accelerate(measures.nested, order=1)):
-        w = function(0, z, p)[0]
-        found.append(ca.Function("d", [z], [w, ca.jacobian(w, z)]).call([[0.9, -1.2]]))
-    for ours, theirs in zip(*found, strict=True):
-        np.testing.assert_allclose(ours.full(), theirs.full(), rtol=1e-10, atol=1e-13)
 
 
 def test_a_callback_is_left_as_it_is() -> None:

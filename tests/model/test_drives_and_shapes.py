@@ -19,7 +19,7 @@ import flexopt
 from flexopt import ModelError
 from flexopt.errors import FlexoptWarning
 from flexopt.model import AnyMachine, Tree, tree_from_dict
-from flexopt.model.table_quantities import check_polygon
+from flexopt.model.polygons import check_convex_polygon
 from tests.model.robots import files
 from tests.model.robots.files import MJCF, MJCF_MACHINE, URDF, URDF_MACHINE, changed, changed_text
 from tests.model.test_reading import excavator_dict
@@ -177,13 +177,13 @@ def test_hulls_are_convex_and_come_out_counter_clockwise(
     spread = np.linalg.matrix_rank(np.array(points) - points[0])
     if spread < 2:
         with pytest.raises(ValueError, match=r"convex|simple|in one place"):
-            check_polygon(points)
+            check_convex_polygon(points)
         return
     hull = [points[i] for i in ConvexHull(points).vertices]  # SciPy's are counter-clockwise
     turned = hull[first % len(hull) :] + hull[: first % len(hull)]
     given_order = turned[::-1] if backwards else turned
     expected = [turned[-1], *turned[:-1]] if backwards else turned
-    assert check_polygon(given_order) == tuple((float(x), float(y)) for x, y in expected)
+    assert check_convex_polygon(given_order) == tuple((float(x), float(y)) for x, y in expected)
 
 
 def test_urdf_bounds_are_read_and_the_machine_file_goes_first(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""V, its gradient and Hessian through K_p, M̄, A, B against derivatives of the measures' own graph."""
+"""Derivatives through K_p, M̄, A, B against those that CasADi takes of one expression."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import pytest
 import flexopt
 from flexopt import build_plant
 from flexopt.model import tree_from_dict
-from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import build_measures
+from flexopt.robustness.modes import called_modes, solve_modes
+from flexopt.robustness.residues import measure
 from tests.oracles.gradient_cases import near_repeated
 from tests.oracles.machines import random_posture
+from tests.oracles.perturbation import perturbed_pencil
 from tests.oracles.spatial import grounded
 
 # Second derivatives are divided by the squares of the gaps between frequencies, and rounding with them.
@@ -20,25 +22,48 @@ RELATIVE = 1e-9
 
 
 def differentiated(measures):
-    """(base, posture, p, held, alpha) -> V, gradient, Hessian."""
-    g, alpha = measures.plant.graph, ca.SX.sym("alpha", measures.plant.n_passive)
-    value = ca.dot(alpha, measures.graph.w)
+    """(base, posture, p, held, alpha, vectors) -> V, gradient, Hessian, by CasADi from one expression."""
+    g, expansion, alpha = measures.plant.graph, measures.expansion, ca.SX.sym("alpha", measures.plant.n_passive)
+    m, r, held = measures.plant.n_passive, measures.plant.n_task, expansion.held_parts
+    vectors = ca.SX.sym("vectors", r, r * m)
+    stiffness, mass, factors = expansion.graphs
+    modes = perturbed_pencil(stiffness, mass, held["omega_squared"], held["modes"], held["same"])[1]
+    a, b = (factors @ modes)[:r, :], (factors @ modes)[r:, :]
+    w: list[ca.SX] = []
+    for i in range(m):
+        order = [i, *(k for k in range(m) if k != i)]
+        w.append(measure(a[:, order], b[:, order], held["same"][i, order], vectors[:, i * r : (i + 1) * r]))
+    value = ca.dot(alpha, ca.vertcat(*w))
     hessian, gradient = ca.hessian(value, ca.vertcat(g.base, g.posture))
     outputs = [ca.densify(x) for x in (value, gradient, hessian)]
-    return ca.Function("reference", [g.base, g.posture, g.p, measures.held, alpha], outputs)
+    return ca.Function("reference", [g.base, g.posture, g.p, expansion.held, alpha, vectors], outputs)
+
+
+def symmetric_part_vectors(parts, r):
+    """Eigenvectors of each cluster's summed residue with its transpose, ascending."""
+    f, same = parts["f"].full(), parts["same"].full()
+    sums = ((f[:r] * row) @ f[r:].T for row in same)
+    return np.hstack([np.linalg.eigh(x + x.T)[1] for x in sums])
 
 
 def compare(machine, posture, rng, control="inverse", gravity=False):
     measures = build_measures(machine, control, gravity)
-    plant, expansion = measures.plant, Expansion(measures)
+    plant, expansion = measures.plant, measures.expansion
     at = [rng.standard_normal(plant.n_base), posture, plant.parameter_values]
-    held, alpha = measures.called_hold.call(at)[0], rng.standard_normal(plant.n_passive)
-    expected = [x.full() for x in differentiated(measures).call([*at, held, alpha])]
+    held, alpha = measures.hold.call(at)[0], rng.standard_normal(plant.n_passive)
+    vectors = symmetric_part_vectors(expansion.parts(held), plant.n_task)
+    expected = [x.full() for x in differentiated(measures).call([*at, held, alpha, vectors])]
     inputs = [*at, held, alpha]
     got = [expansion.value.call(inputs)[0], *expansion.slope.call(inputs), expansion.curvature.call(inputs)[0]]
     assert np.all(np.isfinite(expected[2]))
     for ours, theirs in zip(got, [expected[0], *expected], strict=True):
         assert np.linalg.norm(ours.full() - theirs) <= RELATIVE * np.linalg.norm(theirs)
+    # The other ways to the same numbers.
+    w_z = measures.gradients.call(at)[0].full()
+    for slope in (alpha @ w_z, measures.weighted_gradient.call([*at, alpha])[0].full().ravel()):
+        assert np.linalg.norm(slope - expected[1].ravel()) <= RELATIVE * np.linalg.norm(expected[1])
+    w_posture = measures.w_with_gradient.call(at)[1].full()
+    assert np.linalg.norm(w_posture - w_z[:, plant.n_base :]) <= RELATIVE * np.linalg.norm(w_z)
 
 
 @pytest.mark.parametrize("gravity", [False, True])
@@ -82,10 +107,10 @@ def test_a_machine_of_slides_whose_posture_changes_nothing():
     tree = tree_from_dict({"name": "slides", "bodies": bodies, "end_point": {"body": "b3", "rows": ["z"]}})
     measures = build_measures(tree, "transpose")
     at = [np.zeros(measures.plant.n_base), [0.1, 0.2], measures.plant.parameter_values]
-    inputs = [*at, measures.called_hold.call(at)[0], [1.0, 2.0]]
-    _, gradient = Expansion(measures).slope.call(inputs)
+    inputs = [*at, measures.hold.call(at)[0], [1.0, 2.0]]
+    _, gradient = measures.expansion.slope.call(inputs)
     assert not np.any(gradient.full())
-    assert not np.any(Expansion(measures).curvature.call(inputs)[0].full())
+    assert not np.any(measures.expansion.curvature.call(inputs)[0].full())
 
 
 @pytest.mark.parametrize("gravity", [False, True])
@@ -93,16 +118,14 @@ def test_a_machine_of_slides_whose_posture_changes_nothing():
 def test_called_and_written_iterations_agree(coupled, gravity):
     tree = tree_from_dict(grounded(3, 1, coupled=coupled))
     measures = build_measures(tree, gravity=gravity)
-    at = [np.zeros(measures.plant.n_base), [0.4, 0.5, 0.6], measures.plant.parameter_values]
+    expansion = measures.expansion
+    at, symbols = [np.zeros(measures.plant.n_base), [0.4, 0.5, 0.6], measures.plant.parameter_values], measures.inputs
+    pencil = [ca.SX.sym(name, 6, 6) for name in ("K", "M")]
+    iterations = called_modes(6), ca.Function("written", pencil, list(solve_modes(*pencil)))
     called, written = (
-        dict(zip(measures.held_parts, ca.vertsplit(f.call(at)[0], edges(measures)), strict=True))
-        for f in (measures.called_hold, measures.hold)
+        dict(zip(found, ca.Function("hold", symbols, list(found.values())).call(at), strict=True))
+        for found in (expansion.hold(symbols, modes)[0] for modes in iterations)
     )
-    # The vectors of the symmetric parts are left out where no mode needs them.
-    for name in ("deflection", "omega_squared", "modes", "same"):
+    for name in called:
         ours, theirs = called[name].full(), written[name].full()
         assert np.linalg.norm(ours - theirs) <= 1e-12 * np.linalg.norm(theirs)
-
-
-def edges(measures):
-    return np.cumsum([0, *(part.numel() for part in measures.held_parts.values())]).tolist()

@@ -1,5 +1,6 @@
 """Solutions are verified, ranked by the stated rule, reproducible; failures come back as errors."""
 
+import inspect
 import itertools
 from dataclasses import replace
 
@@ -239,3 +240,10 @@ def test_type_checkers_are_told_every_option():
     told = {"end_point": SelectionKeywords, "end_points": StandKeywords, "path": SharedKeywords}
     for kind, keywords in told.items():
         assert set(keywords.__annotations__) == set(flexopt.SelectionOptions.of(kind))
+
+
+@pytest.mark.parametrize("call", [flexopt.build_selection, flexopt.select, flexopt.select_stand, flexopt.plan_base])
+def test_every_argument_has_a_type(call):
+    """Also those that are fields of the options; notebooks and editors show them."""
+    parameters = inspect.signature(call).parameters.values()
+    assert [parameter.name for parameter in parameters if parameter.annotation is inspect.Parameter.empty] == []

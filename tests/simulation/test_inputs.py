@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from flexopt.errors import (
     UnreachableTarget,
 )
 from flexopt.model import machine_from_dict
+from flexopt.model.simulation import LinearKeywords, SimulationKeywords
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
 
@@ -288,3 +291,42 @@ def test_iterations_that_do_not_converge_are_an_error():
     with pytest.raises(NoSolutionFound, match="more substeps") as caught:
         flexopt.simulate(EXCAVATOR, POSTURE_B, hold=False, integrator="gauss", kp=1e7, kv=2e5, duration=0.5)
     assert caught.value.violations["implicit step"] > 1e-10
+
+
+CALLS = [
+    (flexopt.simulate, SimulationKeywords),
+    (flexopt.simulate_ensemble, SimulationKeywords),
+    (flexopt.export_fmu, SimulationKeywords),
+    (flexopt.sampled_loop, LinearKeywords),
+    (flexopt.stability_border, LinearKeywords),
+]
+
+
+@pytest.mark.parametrize(("call", "keywords"), CALLS)
+def test_every_option_is_a_keyword_with_a_type(call: Any, keywords: type) -> None:
+    parameters = inspect.signature(call).parameters
+    assert parameters.keys() >= flexopt.SimulationOptions.model_fields.keys()
+    assert set(keywords.__annotations__) == set(flexopt.SimulationOptions.model_fields) - {"posture"}
+    assert [name for name, one in parameters.items() if one.annotation is inspect.Parameter.empty] == []
+
+
+def test_options_are_one_object_or_keywords() -> None:
+    """The same answer however they are given; a keyword goes before the field; faults of both come together."""
+    machine, posture = flexopt.load("excavator"), [0.0448, -2.0499]
+    options = flexopt.SimulationOptions(kp=1e4, kv=1e3, duration=0.1, sensor={"delay": 0.01})
+    by_object = flexopt.simulate(machine, posture, options=options)
+    by_keyword = flexopt.simulate(machine, posture, kp=1e4, kv=1e3, duration=0.1, sensor=flexopt.Sensor(delay=0.01))
+    assert np.array_equal(by_object.q, by_keyword.q)
+    assert by_object.provenance["options"] == by_keyword.provenance["options"]
+    assert len(flexopt.simulate(machine, posture, options=options, duration=0.05).time) == 11
+    held = flexopt.SimulationOptions(posture=posture, kp=1e4, kv=1e3)
+    assert flexopt.sampled_loop(machine, options=held).growth_rate == (
+        flexopt.sampled_loop(machine, posture, kp=1e4, kv=1e3).growth_rate
+    )
+    with pytest.raises(InputError) as caught:
+        flexopt.simulate(machine, options=options, kv=-1.0)
+    assert [fault.field for fault in caught.value.faults] == ["kv"]
+    with pytest.raises(InputError, match=r"must be SimulationOptions"):
+        flexopt.simulate(machine, posture, options=flexopt.SelectionOptions())  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match=r"sensor\.noise"):
+        flexopt.SimulationOptions(sensor={"noise": -1.0})

@@ -11,7 +11,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Unpack, cast
 from xml.etree import ElementTree as ET
 
 from flexopt.compiled.accelerated import level_for
@@ -30,10 +30,10 @@ from flexopt.foundation.documents import json_ready, package_version, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.writing import write_files
 from flexopt.model import AnyMachine
-from flexopt.model.simulation import Sensor, SimulationOptions
+from flexopt.model.simulation import Sensor, SimulationKeywords, SimulationOptions, placement_of
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.run import simulate_checked
-from flexopt.simulation.scenario import OPTIONS, build_scenario, checked_options, note_options
+from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options, given_options, note_options
 from flexopt.simulation.trajectory import Trajectory
 
 TOOL = "flexopt"
@@ -88,14 +88,14 @@ class FmuReport:
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    options = dict(given["options"])
+    options = given_options(given)
     for name in _NOT_TAKEN:
         if options.pop(name, None) is not None:
-            arguments.note(name, "belongs to flexopt.simulate alone", given["options"][name])
+            arguments.note(name, "belongs to flexopt.simulate alone", given[name])
     if given["kind"] == "model-exchange" and options.get("hold") is True:
         sentence = "a sampled controller cannot be integrated from outside; take kind = 'co-simulation' or hold = False"
         arguments.note("hold", sentence, True)
-    note_options(arguments, {"posture": given["posture"], "options": _loop_options(given["kind"], options)})
+    note_options(arguments, _loop_options(given["kind"], options))
 
 
 def _loop_options(kind: Any, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,7 +107,11 @@ def _loop_options(kind: Any, options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @public(
-    path=path(".fmu", parent=True), version=words(*VERSIONS), kind=words(*KINDS), together=_together, checks=OPTIONS
+    path=path(".fmu", parent=True),
+    version=words(*VERSIONS),
+    kind=words(*KINDS),
+    together=_together,
+    keywords=SIMULATED,
 )
 def export_fmu(
     machine: AnyMachine,
@@ -116,7 +120,8 @@ def export_fmu(
     *,
     version: Version = "2.0",
     kind: Kind = "co-simulation",
-    **options: Any,
+    options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[SimulationKeywords],
 ) -> FmuReport:
     """An FMU of the closed loop that `flexopt.simulate` runs, with its parameters exposed.
 
@@ -133,8 +138,8 @@ def export_fmu(
         machine: from `flexopt.load`.
         path: of the FMU, ending in `.fmu`. A file there is replaced if flexopt wrote it. The reference trajectory goes
             beside it as `NAME_reference.csv`.
-        posture, options: as `flexopt.simulate` takes them, but seed and baked; a `base_path` and `target_path` shape
-            the reference alone, in which the sensor has no noise.
+        posture, options, keywords: as `flexopt.simulate` takes them, but seed and baked; a `base_path` and
+            `target_path` shape the reference alone, in which the sensor has no noise.
         version: of FMI, `"2.0"` or `"3.0"`.
         kind: `"co-simulation"` or `"model-exchange"`.
 
@@ -147,7 +152,7 @@ def export_fmu(
         CompilerNotFound: there is no C compiler, so the FMU holds sources alone.
     """
     target = Path(path)
-    checked = checked_options("export_fmu", machine, {"posture": posture} | _loop_options(kind, options))
+    checked = checked_options("export_fmu", machine, _loop_options(kind, {"posture": posture} | keywords))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)
@@ -184,7 +189,7 @@ def _check_base_path(machine: AnyMachine, options: SimulationOptions) -> None:
     """Raise where the reference would drive the base along what is no input of the FMU."""
     if options.base_path is None:
         return
-    inputs, base = moving_placement(motion_of(full_structure(machine), {})), options.placement(machine)
+    inputs, base = moving_placement(motion_of(full_structure(machine), {})), placement_of(options, machine)
     driven = [
         name
         for k, name in enumerate(machine.base_coordinates)

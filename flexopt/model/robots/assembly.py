@@ -18,8 +18,9 @@ from flexopt.foundation.quantities import degrees_hint
 from flexopt.model.hydraulics import Cylinder
 from flexopt.model.robots.bodies import Body, body_name, plain, tree_joint
 from flexopt.model.robots.description import Description, Frame, Joint, RobotLink
+from flexopt.model.robots.elements import there_are
 from flexopt.model.robots.geometry import Inertial, Pose, shift
-from flexopt.model.robots.overlay import DIRECTIONS, CapsuleTable, Overlay, nearest
+from flexopt.model.robots.overlay import DIRECTIONS, CapsuleTable, Overlay
 from flexopt.model.robots.roles import Role, Roles
 
 CHAIN = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -92,7 +93,7 @@ class Assembly:
         ground = [link.name for link in links if link.parent is None]
         root = overlay.root
         if root is not None and root not in {link.name for link in links}:
-            hint = nearest(root, [link.name for link in links])
+            hint = there_are(root, [link.name for link in links])
             self.faults.append(Fault("root", f"is no link of the robot file{hint}", repr(root)))
             return []
         if root is None and overlay.base is not None:
@@ -195,7 +196,7 @@ class Assembly:
         if word == "site":
             known = {name: frame for name, frame in self.robot.sites.items() if frame.link in below}
         if name not in known:
-            hint = nearest(name, known) if known else "; the file has none"
+            hint = there_are(name, known) if known else "; the file has none"
             self.faults.append(Fault(f"end_point.{word}", f"is no {word} of the robot{hint}", repr(name)))
             return "", Pose()
         frame = known[name]
@@ -209,7 +210,7 @@ class Assembly:
         body, pose = self._carriers.get(table.link, (None, Pose()))
         if body is None:
             links = [link for link in self._carriers if link is not None]
-            sentence = f"is no link of the robot{nearest(table.link, links)}"
+            sentence = f"is no link of the robot{there_are(table.link, links)}"
             if table.link in links:
                 sentence = "is fixed to the ground; capsules are of bodies that move"
             self.faults.append(Fault(f"capsules[{index}].link", sentence, repr(table.link)))

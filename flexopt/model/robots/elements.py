@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import xml.parsers.expat
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault, ModelError
-from flexopt.foundation.nearest import ALIKE, nearest
+from flexopt.foundation.nearest import hint_or_list
 
 FILE_SIZE_MAX = 16_000_000
 DEPTH_MAX = 200
@@ -197,13 +197,9 @@ def check_text(faults: Faults, element: Element, key: str, choices: Sequence[str
     return text
 
 
-def closest(word: str, valid: Sequence[str], alike: float = ALIKE) -> tuple[str, str]:
-    """The valid word that is nearest, if any is near, and the end of a sentence about a word that is not known."""
-    near = nearest(word, valid, alike)
-    if near is not None:
-        return near, f"; did you mean {near!r}?"
-    shown = ", ".join(valid[:12]) + (", …" if len(valid) > 12 else "")
-    return "", f"; there are {shown}" if valid else ""
+def there_are(word: str, valid: Iterable[str]) -> str:
+    """The end of a sentence about a word that the file does not have."""
+    return hint_or_list(word, valid, "there are ", 12)
 
 
 def unique(faults: Faults, elements: Sequence[Element], what: str, name: Callable[[Element], str]) -> None:

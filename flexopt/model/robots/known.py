@@ -13,7 +13,8 @@ from functools import cache
 from importlib.resources import files
 
 from flexopt.errors import Fault, ModelError
-from flexopt.model.robots.elements import Element, Faults, closest, cut
+from flexopt.foundation.nearest import nearest
+from flexopt.model.robots.elements import Element, Faults, cut, there_are
 
 # How much a foreign element below <robot> must look like one of URDF to be a misspelt one.
 MISSPELT = 0.75
@@ -138,10 +139,11 @@ class _Check:
         self.count += 1
         if self.count > UNKNOWN_MAX:
             raise ModelError(f"{element.file}: has more than {UNKNOWN_MAX} words that are unknown to its format")
-        near, hint = closest(what.split()[1].strip("'<>"), sorted(valid))
+        word = what.split()[1].strip("'<>")
+        hint = there_are(word, sorted(valid))
         if read and self.strict:
             self.faults.faults.append(Fault(f"{element.place}: {owner}", f"unknown {cut(what)}{hint}{LIFT}"))
-            return near
+            return nearest(word, sorted(valid)) or ""
         self.faults.warnings.append(f"{element.place}: {owner}: unknown {cut(what)} is left out{hint}")
         return ""
 
@@ -172,7 +174,7 @@ def _without_foreign(root: Element, known: Known, foreign: Counter[str]) -> Elem
     """Without what stands below <robot> for other programs; what looks like a misspelt element of URDF stays."""
     kept: list[Element] = []
     for child in root.children:
-        if child.tag in known.children or closest(child.tag, sorted(known.children), MISSPELT)[0]:
+        if child.tag in known.children or nearest(child.tag, sorted(known.children), MISSPELT):
             kept.append(child)
         else:
             foreign[f"<{child.tag}>"] += 1

@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field
 
 from flexopt.errors import Fault
-from flexopt.foundation.quantities import Acceleration, Length, check_number, check_schema, checked
+from flexopt.foundation.quantities import (
+    ARMATURE,
+    DAMPING,
+    EFFORT,
+    JOINT_DAMPING,
+    JOINT_STIFFNESS,
+    JOINT_VALUE,
+    ROTATIONAL_DAMPING,
+    ROTATIONAL_STIFFNESS,
+    SPEED,
+    STIFFNESS,
+    Acceleration,
+    Checked,
+    Length,
+    Quantity,
+    each,
+    entries,
+)
+from flexopt.model.file_model import Described, FileModel
 from flexopt.model.hydraulics import Cylinder
 from flexopt.model.kinematic_tree import UNTURNED, Placement, Row
-from flexopt.model.robots.elements import closest
-from flexopt.model.table_quantities import check_armature_value, check_effort_value, check_speed_value
-from flexopt.model.tables import FileModel, Payload, Polygon
+from flexopt.model.robots.elements import there_are
+from flexopt.model.tables import Payload, Polygon
 from flexopt.model.tree_quantities import (
-    DAMPING_MAX,
-    STIFFNESS_MAX,
     Pair,
     Point,
     Rotation,
-    check_damping_value,
-    check_rest_value,
     check_square,
 )
 
@@ -32,57 +44,42 @@ ByDirection = dict[str, float]
 Matrix = tuple[tuple[float, ...], ...]
 
 
-def check_base_stiffness(value: Any) -> ByDirection | Matrix:
-    """Springs of the base: positive."""
-    return _by_direction(value, ("N/m", "N m/rad"), positive=True)
-
-
-def check_base_damping(value: Any) -> ByDirection | Matrix:
-    """Dampers of the base: not negative."""
-    return _by_direction(value, ("N s/m", "N m s/rad"), positive=False)
-
-
-def _by_direction(value: Any, units: tuple[str, str], *, positive: bool) -> ByDirection | Matrix:
+def _by_direction(linear: Quantity, turning: Quantity) -> Checked[ByDirection | Matrix]:
     """A table by direction, six numbers, or a matrix."""
-    entries = list(cast(tuple[Any, ...], value)) if isinstance(value, list | tuple) else []
-    if len(entries) == len(DIRECTIONS):
-        if all(isinstance(row, list | tuple) for row in entries):
-            return check_square(value)
-        value = dict(zip(DIRECTIONS, entries, strict=True))
-    if not isinstance(value, dict):
-        raise ValueError(
-            f"must be a table of {', '.join(DIRECTIONS)} (one left out is rigid), six numbers in this order, "
-            "or a symmetric 6 × 6 matrix"
-        )
-    sentences: list[str] = []
-    numbers: ByDirection = {}
-    for name, number in cast(dict[str, Any], value).items():
-        if name not in DIRECTIONS:
-            sentences.append(f"{name!r} is no direction{nearest(name, DIRECTIONS)}")
-            continue
-        unit = units[DIRECTIONS.index(name) >= 3]
-        try:
-            if positive:
-                numbers[name] = check_number(number, unit, above=0.0, high=STIFFNESS_MAX)
-            else:
-                numbers[name] = check_number(number, unit, low=0.0, high=DAMPING_MAX)
-        except ValueError as error:
-            sentences.append(f"{name} {error}")
-    if sentences:
-        raise ValueError("; ".join(sentences))
-    return {name: numbers[name] for name in DIRECTIONS if name in numbers}
+    quantities = dict(zip(DIRECTIONS, [linear] * 3 + [turning] * 3, strict=True))
 
+    def check(value: Any) -> ByDirection | Matrix:
+        given = entries(value)
+        if len(given) == len(DIRECTIONS):
+            if all(isinstance(row, list | tuple) for row in given):
+                return check_square(value)
+            value = dict(zip(DIRECTIONS, given, strict=True))
+        if not isinstance(value, dict):
+            raise ValueError(
+                f"must be a table of {', '.join(DIRECTIONS)} (one left out is rigid), six numbers in this order, "
+                "or a symmetric 6 × 6 matrix"
+            )
 
-def check_joint_stiffness(value: Any) -> float:
-    """A joint's spring; 0 takes it away."""
-    return check_number(value, "N m/rad or N/m", low=0.0, high=STIFFNESS_MAX)
+        def number(entry: tuple[str, Any]) -> tuple[str, float]:
+            name, part = entry
+            if name not in quantities:
+                raise ValueError(f"{name!r} is no direction{there_are(name, DIRECTIONS)}")
+            return name, quantities[name](part)
+
+        table = cast(dict[str, Any], value)
+        numbers = dict(each(number, table.items(), [name if name in quantities else "" for name in table]))
+        return {name: numbers[name] for name in DIRECTIONS if name in numbers}
+
+    return Checked(check)
 
 
 class BaseTable(FileModel):
     """What the root link stands on."""
 
-    stiffness: Annotated[ByDirection | Matrix, checked(check_base_stiffness)]
-    damping: Annotated[ByDirection | Matrix, checked(check_base_damping)] = Field(default_factory=dict[str, float])
+    stiffness: Annotated[ByDirection | Matrix, _by_direction(STIFFNESS, ROTATIONAL_STIFFNESS)]
+    damping: Annotated[ByDirection | Matrix, _by_direction(DAMPING, ROTATIONAL_DAMPING)] = Field(
+        default_factory=dict[str, float]
+    )
     point: Point = (0.0, 0.0, 0.0)
     position: Point | None = None
     rotation: Rotation | None = None
@@ -103,13 +100,13 @@ class EndPointTable(FileModel):
 class JointTable(FileModel):
     """What the machine file says in place of the robot file."""
 
-    stiffness: Annotated[float, checked(check_joint_stiffness)] | None = None
-    damping: Annotated[float, checked(check_damping_value)] | None = None
-    rest: Annotated[float, checked(check_rest_value)] | None = None
+    stiffness: Annotated[float, Quantity(JOINT_STIFFNESS.unit, low=0.0, high=JOINT_STIFFNESS.high)] | None = None
+    damping: Annotated[float, JOINT_DAMPING] | None = None
+    rest: Annotated[float, JOINT_VALUE] | None = None
     limits: Pair | None = None
-    effort: Annotated[float, checked(check_effort_value)] | None = None
-    speed: Annotated[float, checked(check_speed_value)] | None = None
-    armature: Annotated[float, checked(check_armature_value)] | None = None
+    effort: Annotated[float, EFFORT] | None = None
+    speed: Annotated[float, SPEED] | None = None
+    armature: Annotated[float, ARMATURE] | None = None
 
 
 class CapsuleTable(FileModel):
@@ -121,18 +118,14 @@ class CapsuleTable(FileModel):
     radius: Length
 
 
-class Overlay(FileModel):
+class Overlay(Described):
     """A spatial machine file."""
 
-    schema_version: Annotated[int, checked(check_schema)] = Field(default=1, alias="schema")
-    name: str = Field(min_length=1)
-    description: str = ""
-    source: str = ""
     robot: str = Field(min_length=1)
     root: str | None = None
     gravity: Acceleration | None = None
     actuated: tuple[str, ...]
-    locked: dict[str, Annotated[float, checked(check_rest_value)]] = Field(default_factory=dict[str, float])
+    locked: dict[str, Annotated[float, JOINT_VALUE]] = Field(default_factory=dict[str, float])
     lock_others: bool = False
     ignore: tuple[Ignorable, ...] = ()
     placement: tuple[Placement, ...] = ("x", "y", "yaw")
@@ -167,8 +160,3 @@ class Overlay(FileModel):
         repeated = sorted({name for name in self.actuated if self.actuated.count(name) > 1})
         found += [Fault("actuated", "is listed twice", repr(name)) for name in repeated]
         return found
-
-
-def nearest(word: str, valid: Iterable[str]) -> str:
-    """The end of a sentence about a word that is not known."""
-    return closest(word, list(valid))[1]

@@ -71,7 +71,7 @@ from typing import Any, cast
 from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
 from flexopt.foundation.boundary import path as named
 from flexopt.foundation.boundary import public
-from flexopt.model.faults import Table, read_table, validated
+from flexopt.model.file_model import Table, read_table, validated
 from flexopt.model.files import read_toml
 from flexopt.model.robots.assembly import Assembly
 from flexopt.model.robots.description import Description

@@ -8,7 +8,8 @@ from typing import Literal
 
 from flexopt.errors import Fault
 from flexopt.model.robots.description import Description, Joint, RobotLink
-from flexopt.model.robots.overlay import JointTable, Overlay, nearest
+from flexopt.model.robots.elements import there_are
+from flexopt.model.robots.overlay import JointTable, Overlay
 
 # A locked value this far beyond a limit (rad or m) is at the limit.
 LIMIT_ROUNDING = 1e-9
@@ -51,7 +52,7 @@ class Roles:
         for name in names:
             if name in self._joints:
                 continue
-            sentence = f"is no joint that moves in the robot file{nearest(name, self._joints)}"
+            sentence = f"is no joint that moves in the robot file{there_are(name, self._joints)}"
             if name in self._everywhere:
                 sentence = "is no joint below the root link"
             self.faults.append(Fault(field, sentence, repr(name)))

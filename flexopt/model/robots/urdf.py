@@ -14,18 +14,18 @@ from contextlib import suppress
 import numpy as np
 
 from flexopt.errors import ModelError
+from flexopt.foundation.quantities import EFFORT, SPEED
 from flexopt.model.robots.collisions import urdf_solids
 from flexopt.model.robots.description import Description, Joint, Kind, Mimic, RobotLink, check_inertial, unit_axis
 from flexopt.model.robots.elements import Element, Faults, unique
 from flexopt.model.robots.geometry import Inertial, Pose, from_quaternion, from_rpy, tensor
 from flexopt.model.robots.known import check_known
-from flexopt.model.table_quantities import EFFORT_MAX, SPEED_MAX
 
 KINDS: dict[str, Kind | None] = {
     "revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "fixed": None, "floating": "free",
 }  # fmt: skip
 # Bounds beyond these are none.
-BEYOND = {"effort": EFFORT_MAX, "velocity": SPEED_MAX}
+BEYOND = {"effort": EFFORT.high, "velocity": SPEED.high}
 XACRO = "is xacro, a macro language; expand it to URDF first: xacro robot.urdf.xacro > robot.urdf"
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 

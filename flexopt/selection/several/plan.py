@@ -83,7 +83,7 @@ _RATES = numbers("m/s or rad/s", low=0.0, high=RATE_MAX)
     max_base_rate=_RATES,
     max_joint_rate=_RATES,
     together=_together,
-    keywords=Keywords(SelectionOptions, SelectionOptions.of("path")),
+    keywords=Keywords(SelectionOptions, SharedKeywords),
 )
 def plan_base(
     machine: AnyMachine,

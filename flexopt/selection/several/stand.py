@@ -49,7 +49,7 @@ _SHARES = numbers("", above=0.0, high=SHARE_MAX)
     combine=words(*COMBINES),
     shares=_SHARES,
     together=_together,
-    keywords=Keywords(SelectionOptions, SelectionOptions.of("end_points")),
+    keywords=Keywords(SelectionOptions, StandKeywords),
 )
 def select_stand(
     machine: AnyMachine,

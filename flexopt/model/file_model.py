@@ -1,4 +1,4 @@
-"""Every fault of a file as sentences: those of single keys, found by pydantic, and those that concern several."""
+"""Tables of files as validated data: what they are built on, how they are read, and every fault as a sentence."""
 
 from __future__ import annotations
 
@@ -6,22 +6,57 @@ import datetime
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar, cast
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
-from flexopt.foundation.nearest import hint
+from flexopt.foundation.nearest import hint_or_list
 from flexopt.foundation.plain import Unreadable, plain_table, shown
-from flexopt.model.cylinder_faults import cylinder_faults
-from flexopt.model.planar import BASE_DIRECTIONS
-from flexopt.model.tables import FileModel
+from flexopt.foundation.quantities import Schema, entries
 
-RESERVED_LINK_NAMES = ("base", "payload", "gravity")
 # Far beyond any machine; what is larger is refused at once, before its parts are looked at.
 DEPTH_MAX = 30
 ENTRIES_MAX = 1000
 BODIES_MAX = 250
 
 Table = Mapping[str, Any]
+
+
+class FileModel(BaseModel):
+    """Common to every table of a file: closed (no unknown key), frozen, strict."""
+
+    # Built when first used: a process that reads a machine needs no schema of problems.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
+
+
+class Described(FileModel):
+    """What every file says of itself."""
+
+    schema_version: Schema = Field(default=1, alias="schema")
+    name: str = Field(min_length=1)
+    description: str = ""
+    source: str = ""
+
+
+class BuiltByCall(FileModel):
+    """A table that users also build by a call, whose faults come in flexopt's own words."""
+
+    def __init__(self, **data: Any) -> None:
+        table = plain_table(data)
+        try:
+            super().__init__(**table)
+        except ValidationError as error:
+            raise_if_any(InputError, type(self).__name__, model_faults(type(self), table, error))
+            raise
+        raise_if_any(InputError, type(self).__name__, self.structural_faults())
+
+    # Pydantic then validates nested tables without it: their faults are the outer table's.
+    __init__.__pydantic_base_init__ = True  # pyright: ignore[reportFunctionMemberAccess]
+
+    def structural_faults(self) -> list[Fault]:
+        """What does not fit together."""
+        return []
+
+
 Model = TypeVar("Model", bound=FileModel)
 
 
@@ -79,7 +114,7 @@ def check_extent(data: Table, origin: str, kind: type[InputError] = ModelError) 
                 continue
             waiting += [(f"{path}.{key}" if path else str(key), part, depth + 1) for key, part in table.items()]
             continue
-        parts = cast(list[Any], value)
+        parts = entries(value)
         tables = sum(1 for part in parts if isinstance(part, Mapping))
         most = BODIES_MAX if path in ("links", "bodies") else ENTRIES_MAX
         if tables > most:
@@ -108,10 +143,10 @@ def _fault(model: type[FileModel], data: Table, entry: dict[str, Any]) -> Fault:
     kind, value = str(entry["type"]), entry["input"]
     key = str(location[-1]) if location else ""
     if kind == "extra_forbidden":
-        return Fault(field, "unknown key" + _nearest(key, _valid_keys(model, location[:-1])))
+        return Fault(field, "unknown key" + hint_or_list(key, _valid_keys(model, location[:-1])))
     if kind == "missing":
         return Fault(field, "is required and missing")
-    shown = _short(value)
+    shown = quoted(value)
     if kind == "quantity":
         return Fault(field, str(entry["msg"]), shown)
     if kind == "literal_error":
@@ -139,15 +174,11 @@ def _field_path(data: Table, location: tuple[str | int, ...]) -> str:
     path, here = "", cast(Any, data)
     for part in location:
         if isinstance(part, int):
-            path += f"[{part}]"
-            items = cast(list[Any], here) if isinstance(here, list | tuple) else []
-            here = items[part] if part < len(items) else None
-            name = _table({"here": here}, "here").get("name")
-            if isinstance(name, str) and name:
-                path += f" ({name})"
+            here = dict(enumerate(entries(here))).get(part)
+            path = named(path, part, table_of(here))
         else:
             path += f".{part}" if path else part
-            here = _table({"here": here}, "here").get(part)
+            here = table_of(here).get(part)
     return path or "file"
 
 
@@ -164,109 +195,29 @@ def _valid_keys(model: type[FileModel], location: tuple[str | int, ...]) -> list
     return [field.alias or name for name, field in here.model_fields.items()]
 
 
-def _nearest(word: str, valid: list[str]) -> str:
-    return hint(word, valid, f"; valid here: {', '.join(valid)}" if valid else "")
-
-
-def _short(value: Any) -> str:
+def quoted(value: Any) -> str:
     """A value as TOML would write it, cut where it is long."""
     if isinstance(value, bool):
-        text = str(value).lower()
-    elif isinstance(value, datetime.date | datetime.time):
-        text = value.isoformat()
-    else:
-        text = shown(_lists(value))
-    return text
+        return str(value).lower()
+    return value.isoformat() if isinstance(value, datetime.date | datetime.time) else shown(_lists(value))
 
 
 def _lists(value: Any) -> Any:
     """Tuples as the lists that were written."""
-    return [_lists(part) for part in cast(tuple[Any, ...], value)] if isinstance(value, tuple) else value
+    return [_lists(part) for part in entries(value)] if isinstance(value, tuple) else value
 
 
-def _table(data: Any, key: str) -> dict[str, Any]:
-    value = cast(dict[str, Any], data).get(key) if isinstance(data, dict) else None
+def named(key: str, index: int, entry: Table) -> str:
+    """An entry of a list of tables as messages call it: `links[1] (stick)`."""
+    name = entry.get("name")
+    return f"{key}[{index}]" + (f" ({name})" if isinstance(name, str) and name else "")
+
+
+def table_of(value: Any) -> dict[str, Any]:
+    """A table as it stands in a file; an empty one for whatever is none."""
     return cast(dict[str, Any], value) if isinstance(value, dict) else {}
 
 
-def machine_faults(data: Table) -> list[Fault]:
-    """Faults that concern several keys at once; looked for even where single keys are faulty."""
-    base = _table(data, "base")
-    stiffness, damping = _table(base, "stiffness"), _table(base, "damping")
-    faults = [
-        Fault(f"base.damping.{direction}", f"needs base.stiffness.{direction}; without it the base is rigid")
-        for direction in damping
-        if direction in BASE_DIRECTIONS and direction not in stiffness
-    ]
-    links_value = data.get("links")
-    entries = cast(tuple[Any, ...], links_value) if isinstance(links_value, tuple) else ()
-    links = [cast(dict[str, Any], link) for link in entries if isinstance(link, dict)]
-    if links and len(links) == len(entries):
-        faults += _link_faults(links)
-        faults += capsule_faults(data, ["base", *(link.get("name") for link in links)], 2)
-        passive = [link for link in links if link.get("passive") is True]
-        hinges = {str(link.get("name")): "hinge" for link in links if link not in passive}
-        faults += cylinder_faults(data, hinges, [link.get("name") for link in passive], 2)
-        count = len(links) - len(passive)
-        if count < 2:
-            sentence = (
-                "an end-point in the plane, with two task rows x and y, needs at least two; add a link or make a "
-                "passive one actuated, or describe a tree whose end_point.rows are fewer"
-            )
-            faults.append(Fault("links (actuated joints)", sentence, str(count)))
-        gives = any(stiffness.get(direction) is not None for direction in BASE_DIRECTIONS)
-        if base and not passive and not gives:
-            faults.append(
-                Fault("base.stiffness", "no passive coordinate: give x, y or rotation, or make a joint passive")
-            )
-    return faults
-
-
-def _link_faults(links: list[dict[str, Any]]) -> list[Fault]:
-    faults: list[Fault] = []
-    names: list[str] = []
-    for index, link in enumerate(links):
-        name = link.get("name")
-        where = f"links[{index}] ({name})"
-        if isinstance(name, str):
-            if name in RESERVED_LINK_NAMES or not name.strip():
-                faults.append(Fault(f"{where}.name", "is reserved or blank; choose another", _short(name)))
-            if name in names:
-                faults.append(Fault(f"{where}.name", "is taken by an earlier link; names must differ", _short(name)))
-            names.append(name)
-        if link.get("passive") is True:
-            if "stiffness" not in link:
-                faults.append(Fault(f"{where}.stiffness", "a passive joint needs one, in N m/rad"))
-            wrong = [key for key in ("limits", "effort", "speed", "joint_damping") if key in link]
-            reason = "belongs to an actuated joint; a passive one has stiffness, damping and rest"
-        else:
-            wrong = [key for key in ("stiffness", "damping", "rest") if key in link]
-            reason = "belongs to a passive joint; add passive = true"
-        faults += [Fault(f"{where}.{key}", reason, _short(link[key])) for key in wrong]
-    return faults
-
-
-def capsule_faults(data: Table, bodies: list[Any], dimension: int) -> list[Fault]:
-    """Capsules of bodies that are not there, and ends with too few or too many coordinates."""
-    value = data.get("capsules")
-    faults: list[Fault] = []
-    for index, entry in enumerate(cast(tuple[Any, ...], value) if isinstance(value, list | tuple) else ()):
-        capsule = _table({"entry": entry}, "entry")
-        body = capsule.get("body")
-        if isinstance(body, str) and body and body not in bodies:
-            named = _nearest(body, [name for name in bodies if isinstance(name, str)])
-            faults.append(Fault(f"capsules[{index}].body", f"is no body's name{named}", _short(body)))
-        for key in ("start", "end"):
-            place = capsule.get(key)
-            if isinstance(place, list | tuple) and len(cast(list[Any], place)) == 5 - dimension:
-                wanted = "two numbers [along, left]" if dimension == 2 else "three numbers [x, y, z]"
-                faults.append(Fault(f"capsules[{index}].{key}", f"must be {wanted} in m", _short(place)))
-    return faults
-
-
-def problem_faults(data: Table) -> list[Fault]:
-    """As `machine_faults`, for a problem."""
-    selection = _table(data, "selection")
-    if selection.get("objective") == "V" and "weights" not in selection:
-        return [Fault("selection.weights", "objective V = Σ αi wi needs its weights α")]
-    return []
+def tables_of(value: Any) -> list[dict[str, Any]]:
+    """A list of tables, empty ones in place of entries that are none."""
+    return [table_of(entry) for entry in entries(value)]

@@ -1,19 +1,19 @@
-"""Faults of hydraulic cylinders: what single keys do not show."""
+"""Faults of cylinders and capsules, in the plane and in space: what single keys do not show."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Sequence
+from typing import Any
 
-from flexopt.errors import Fault, ModelError, raise_if_any
-from flexopt.model.machine import AnyMachine
+from flexopt.errors import Fault
+from flexopt.foundation.nearest import hint_or_list
+from flexopt.foundation.quantities import entries
+from flexopt.model.file_model import Table, named, quoted, table_of, tables_of
 
 HINGE_KEYS = ("base_point", "rod_point", "rocker")
 
 
-def cylinder_faults(
-    data: Mapping[str, Any], joints: Mapping[str, Any], passive: Sequence[Any], dimension: int
-) -> list[Fault]:
+def cylinder_faults(data: Table, joints: Table, passive: Sequence[Any], dimension: int) -> list[Fault]:
     """Faults of `[[cylinders]]` as they were written.
 
     Args:
@@ -22,16 +22,13 @@ def cylinder_faults(
         passive: names of the passive ones.
         dimension: coordinates of a point, 2 or 3.
     """
-    value = data.get("cylinders")
     faults: list[Fault] = []
     names: list[str] = []
     driven: dict[str, str] = {}
-    for index, entry in enumerate(cast(Sequence[Any], value) if isinstance(value, list | tuple) else ()):
-        if not isinstance(entry, dict):
+    for index, table in enumerate(tables_of(data.get("cylinders"))):
+        if not table:
             continue
-        table = cast(dict[str, Any], entry)
-        name, joint = table.get("name"), table.get("joint")
-        where = f"cylinders[{index}]" + (f" ({name})" if isinstance(name, str) and name else "")
+        name, joint, where = table.get("name"), table.get("joint"), named("cylinders", index, table)
         if isinstance(name, str) and name in names:
             faults.append(Fault(f"{where}.name", "is taken by an earlier cylinder; names must differ", repr(name)))
         names += [name] if isinstance(name, str) else []
@@ -50,7 +47,7 @@ def cylinder_faults(
     return faults
 
 
-def _geometry_faults(where: str, table: dict[str, Any], kind: Any) -> list[Fault]:
+def _geometry_faults(where: str, table: Table, kind: Any) -> list[Fault]:
     if kind == "slide":
         sentence = "belongs to the cylinder of a hinge; that of a slide is as long as `offset` + q"
         return [Fault(f"{where}.{key}", sentence) for key in HINGE_KEYS if key in table]
@@ -62,22 +59,31 @@ def _geometry_faults(where: str, table: dict[str, Any], kind: Any) -> list[Fault
     return faults
 
 
-def _pin_faults(where: str, table: dict[str, Any], dimension: int) -> list[Fault]:
-    rocker = cast(dict[str, Any], table["rocker"]) if isinstance(table.get("rocker"), dict) else {}
+def _pin_faults(where: str, table: Table, dimension: int) -> list[Fault]:
+    rocker = table_of(table.get("rocker"))
     pins = {key: table.get(key) for key in ("base_point", "rod_point")}
-    pins |= {f"rocker.{key}": rocker.get(key) for key in ("pivot", "coupler_point")}
+    return _size_faults(
+        where, pins | {f"rocker.{key}": rocker.get(key) for key in ("pivot", "coupler_point")}, dimension
+    )
+
+
+def _size_faults(where: str, places: Table, dimension: int) -> list[Fault]:
+    """Places in the plane that have three coordinates, or places in space that have two."""
     wanted = "two numbers [along, left]" if dimension == 2 else "three numbers [x, y, z]"
     return [
-        Fault(f"{where}.{key}", f"must be {wanted} in m", repr(list(cast(Sequence[Any], pin))))
-        for key, pin in pins.items()
-        if isinstance(pin, list | tuple) and len(cast(Sequence[Any], pin)) == 5 - dimension
+        Fault(f"{where}.{key}", f"must be {wanted} in m", quoted(place))
+        for key, place in places.items()
+        if len(entries(place)) == 5 - dimension
     ]
 
 
-def check_strokes(machine: AnyMachine, origin: str) -> None:
-    """Raise where a cylinder's stroke or linkage does not go together with the limits of its joint.
-
-    Raises:
-        ModelError: lists every fault.
-    """
-    raise_if_any(ModelError, origin, machine.stroke_faults())
+def capsule_faults(data: Table, bodies: list[Any], dimension: int) -> list[Fault]:
+    """Capsules of bodies that are not there, and ends with too few or too many coordinates."""
+    faults: list[Fault] = []
+    for index, capsule in enumerate(tables_of(data.get("capsules"))):
+        body, where = capsule.get("body"), f"capsules[{index}]"
+        if isinstance(body, str) and body and body not in bodies:
+            meant = hint_or_list(body, [name for name in bodies if isinstance(name, str)])
+            faults.append(Fault(f"{where}.body", f"is no body's name{meant}", quoted(body)))
+        faults += _size_faults(where, {key: capsule.get(key) for key in ("start", "end")}, dimension)
+    return faults

@@ -1,0 +1,108 @@
+"""What does not fit together in the options of a simulation, or not its machine."""
+
+from __future__ import annotations
+
+from flexopt.errors import Fault
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.coordinates import check_task
+from flexopt.model.machine import AnyMachine
+from flexopt.model.simulation import (
+    DELAY_MAX,
+    PART_OF_SAMPLE,
+    SAMPLES_MAX,
+    Numbers,
+    Path,
+    Sensor,
+    SimulationOptions,
+    shape_faults,
+)
+
+
+def simulation_faults(options: SimulationOptions, machine: AnyMachine, *, any_delay: bool = False) -> list[Fault]:
+    """What does not fit together, or not this machine; `any_delay`: the linear loop takes parts of a sample."""
+    found = _posture_faults(options, machine) + _controller_faults(options, machine) + _time_faults(options, any_delay)
+    for name, path, names in (
+        ("base_path", options.base_path, machine.base_coordinates),
+        ("target_path", options.target_path, machine.task_rows),
+    ):
+        found += [] if path is None else _path_faults(path, name, names)
+    return found
+
+
+def _posture_faults(options: SimulationOptions, machine: AnyMachine) -> list[Fault]:
+    n, rows, noted = len(machine.joints), machine.task_rows, Arguments("")
+    if (options.posture is None) == (options.end_point is None):
+        noted.faults.append(Fault("posture, end_point", "give one of the two"))
+    if options.end_point is not None:
+        point = list(options.end_point)
+        noted.checked("end_point", point, lambda v: check_task(v, rows), ())
+        if n > len(rows):
+            sentence = f"does not name one posture of {n} actuated joints; give the posture"
+            noted.faults.append(Fault("end_point", sentence, str(point)))
+    if options.posture is not None:
+        noted.posture(machine, list(options.posture))
+    if options.offset is not None:
+        noted.displacement(machine, list(options.offset), "offset")
+    if options.base is not None:
+        noted.base(machine, list(options.base))
+    return noted.faults
+
+
+def _controller_faults(options: SimulationOptions, machine: AnyMachine) -> list[Fault]:
+    n, found, axes = len(machine.joints), list[Fault](), len(machine.task_rows)
+    for name, gains in (("kp", options.kp), ("kv", options.kv), ("ki", options.ki)):
+        if len(gains) not in (1, axes):
+            sentence = f"must be one number, or one for each of the {axes} task axes"
+            found.append(Fault(name, sentence, str(list(gains))))
+    wanted = f"must be one number, or one for each actuated joint ({', '.join(machine.joints)})"
+    for name in ("torque_limit", "dead_band", "bandwidth_hz", "rate_limit"):
+        value: Numbers | None = getattr(options.actuator, name)
+        if value is not None and len(value) not in (1, n):
+            found.append(Fault(f"actuator.{name}", wanted, str(list(value))))
+    if options.actuator.rate_limit is not None and options.actuator.bandwidth_hz is None:
+        sentence = "needs actuator.bandwidth_hz: it limits how fast the servo's torque changes"
+        found.append(Fault("actuator.rate_limit", sentence))
+    return found + _lever_faults(options, machine)
+
+
+def _lever_faults(options: SimulationOptions, machine: AnyMachine) -> list[Fault]:
+    if options.actuator.levers is None:
+        return []
+    found: list[Fault] = []
+    if options.control == "transpose":
+        sentence = 'set joint rates, and Jacobian transpose control asks for torques; use control = "inverse"'
+        found.append(Fault("actuator.levers", sentence, repr(options.actuator.levers)))
+    missing = machine.joints_without_speed
+    if missing:
+        sentence = f"need a cylinder or a speed of every joint; {machine.name} has none for {', '.join(missing)}"
+        found.append(Fault("actuator.levers", sentence, repr(options.actuator.levers)))
+    return found
+
+
+def _time_faults(options: SimulationOptions, any_delay: bool) -> list[Fault]:
+    found: list[Fault] = []
+    samples, waits = options.duration * options.rate, options.sensor.delay * options.rate
+    if not 0.5 <= samples <= SAMPLES_MAX:
+        found.append(Fault("duration, rate", f"must give between 1 and {SAMPLES_MAX} samples", f"{samples:g}"))
+    if any_delay and waits > DELAY_MAX:
+        sentence = f"must be at most {DELAY_MAX} samples of {1 / options.rate:g} s"
+        found.append(Fault("sensor.delay", sentence, f"{options.sensor.delay:g}"))
+    elif not any_delay and (abs(waits - round(waits)) > PART_OF_SAMPLE or waits > DELAY_MAX):
+        sentence = f"must be a whole number (0 to {DELAY_MAX}) of samples of {1 / options.rate:g} s"
+        sentence += "; sampled_loop and stability_border take any time"
+        found.append(Fault("sensor.delay", sentence, f"{options.sensor.delay:g}"))
+    if not options.hold and options.sensor != Sensor():
+        sentence = "noise, resolution and delay belong to a sampled controller: give hold = true"
+        found.append(Fault("sensor", sentence))
+    return found
+
+
+def _path_faults(path: Path, name: str, names: tuple[str, ...]) -> list[Fault]:
+    """What does not fit together; `names` of a point's coordinates."""
+    found = shape_faults(path, f"{name}.")
+    if not names:
+        found.append(Fault(name, "has nothing to move: the machine has no placement coordinates"))
+    elif any(len(point) != len(names) for point in path.points):
+        sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
+        found.append(Fault(f"{name}.points", sentence))
+    return found
