@@ -23,6 +23,7 @@ from flexopt.robustness.mode_terms import ModeTerms, mode_terms
 from flexopt.robustness.modes import ReducedPencil, reduced_pencil
 from flexopt.robustness.residues import residue_factors
 
+NAMES = ["base", "posture", "p", "held", "alpha"]
 # `held` is a constant to CasADi but changes with the posture: a derivative taken of such a Function would be wrong, so
 # that none can be taken.
 NO_DERIVATIVES: dict[str, Any] = {
@@ -241,7 +242,10 @@ class Expansion:
         """-> V."""
         at, held, alpha = self._symbols()
         w, _ = self.slopes(self.parts(held), alpha)
-        return _function("value", [*at, held, alpha], {"V": ca.dot(alpha, w)})
+        # 1 wherever the machine stands. Without it CasADi would not see that V depends on z, and give 0 for a
+        # derivative instead of refusing it.
+        here = ca.fmax(1, ca.cos(ca.sum(ca.vertcat(*at[:2]))))
+        return _function("value", [*at, held, alpha], {"V": here * ca.dot(alpha, w)})
 
     @cached_property
     def slope(self) -> ca.Function:
@@ -261,5 +265,5 @@ class Expansion:
 
 
 def _function(name: str, symbols: list[ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
-    names = [symbol.name() for symbol in symbols]
-    return ca.Function(name, symbols, list(outputs.values()), names, list(outputs), NO_DERIVATIVES)
+    # A symbol without entries, as of a machine without placement, has no name.
+    return ca.Function(name, symbols, list(outputs.values()), NAMES, list(outputs), NO_DERIVATIVES)
