@@ -242,10 +242,7 @@ class Expansion:
         """-> V."""
         at, held, alpha = self._symbols()
         w, _ = self.slopes(self.parts(held), alpha)
-        # 1 wherever the machine stands. Without it CasADi would not see that V depends on z, and give 0 for a
-        # derivative instead of refusing it.
-        here = ca.fmax(1, ca.cos(ca.sum(ca.vertcat(*at[:2]))))
-        return _function("value", [*at, held, alpha], {"V": here * ca.dot(alpha, w)})
+        return _function("value", [*at, held, alpha], {"V": _here(at) * ca.dot(alpha, w)})
 
     @cached_property
     def slope(self) -> ca.Function:
@@ -253,7 +250,8 @@ class Expansion:
         at, held, alpha = self._symbols()
         parts = self.parts(held)
         w, by_f = self.slopes(parts, alpha)
-        return _function("slope", [*at, held, alpha], {"V": ca.dot(alpha, w), "V_z": self.gradient(at, parts, by_f)})
+        value = _here(at) * ca.dot(alpha, w)
+        return _function("slope", [*at, held, alpha], {"V": value, "V_z": self.gradient(at, parts, by_f)})
 
     @cached_property
     def curvature(self) -> ca.Function:
@@ -262,6 +260,14 @@ class Expansion:
         parts = self.parts(held)
         _, hessian = self.hessian(at, parts, self.slopes(parts, alpha)[1], alpha)
         return _function("curvature", [*at, held, alpha], {"V_zz": hessian})
+
+
+def _here(at: list[ca.MX]) -> ca.MX:
+    """1 wherever the machine stands.
+
+    Without it CasADi would not see that V depends on z, and give 0 for a derivative instead of refusing it.
+    """
+    return ca.fmax(1, ca.cos(ca.sum(ca.vertcat(*at[:2]))))
 
 
 def _function(name: str, symbols: list[ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
