@@ -278,7 +278,7 @@ def _newton(outputs: Sequence[Exact], pole: complex, vector: NDArray[np.complex1
     return _Mode(outputs, lam, u, max(relative, 10.0 ** (22 - getcontext().prec)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Graphs:
     plant: Plant
     gravity: bool
