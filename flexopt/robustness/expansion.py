@@ -127,8 +127,10 @@ class Expansion:
 
     @cached_property
     def _deflected(self) -> ca.Function:
-        g, symbols = self.plant.graph, [x for name, x in self.inputs.items() if name != "deflection"]
-        return self._of("deflected", symbols, [self.plant.deflected(g.base, g.posture, g.p)])
+        g = self.plant.graph
+        return self._of(
+            "deflected", [self.inputs[name] for name in self._given], [self.plant.deflected(g.base, g.posture, g.p)]
+        )
 
     @cached_property
     def point(self) -> OperatingPoint:
@@ -231,9 +233,13 @@ class Expansion:
     def _modes(self, held: Held) -> list[Any]:
         return [held[name] for name in ("omega_squared", "modes", "same", "f")]
 
+    @property
+    def _given(self) -> list[str]:
+        return [name for name in self.inputs if name != "deflection"]
+
     def _symbols(self) -> tuple[list[ca.MX], ca.MX, ca.MX]:
         """Symbols of the machine's inputs, of held, of alpha."""
-        at = [ca.MX.sym(name, x.shape[0]) for name, x in self.inputs.items() if name != "deflection"]
+        at = [ca.MX.sym(name, self.inputs[name].shape[0]) for name in self._given]
         return at, ca.MX.sym("held", self.held.shape[0]), ca.MX.sym("alpha", self.plant.n_passive)
 
     @cached_property
@@ -241,7 +247,7 @@ class Expansion:
         """-> V."""
         at, held, alpha = self._symbols()
         w, _ = self.slopes(self.parts(held), alpha)
-        return _function("value", [*at, held, alpha], {"V": ca.dot(alpha, w)})
+        return self._function("value", [*at, held, alpha], {"V": ca.dot(alpha, w)})
 
     @cached_property
     def slope(self) -> ca.Function:
@@ -249,7 +255,8 @@ class Expansion:
         at, held, alpha = self._symbols()
         parts = self.parts(held)
         w, by_f = self.slopes(parts, alpha)
-        return _function("slope", [*at, held, alpha], {"V": ca.dot(alpha, w), "V_z": self.gradient(at, parts, by_f)})
+        outputs = {"V": ca.dot(alpha, w), "V_z": self.gradient(at, parts, by_f)}
+        return self._function("slope", [*at, held, alpha], outputs)
 
     @cached_property
     def curvature(self) -> ca.Function:
@@ -257,9 +264,8 @@ class Expansion:
         at, held, alpha = self._symbols()
         parts = self.parts(held)
         _, hessian = self.hessian(at, parts, self.slopes(parts, alpha)[1], alpha)
-        return _function("curvature", [*at, held, alpha], {"V_zz": hessian})
+        return self._function("curvature", [*at, held, alpha], {"V_zz": hessian})
 
-
-def _function(name: str, symbols: list[ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
-    names = [symbol.name() for symbol in symbols]
-    return ca.Function(name, symbols, list(outputs.values()), names, list(outputs), NO_DERIVATIVES)
+    def _function(self, name: str, symbols: list[ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
+        names = [*self._given, "held", "alpha"]
+        return ca.Function(name, symbols, list(outputs.values()), names, list(outputs), NO_DERIVATIVES)
