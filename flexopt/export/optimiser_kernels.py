@@ -17,7 +17,7 @@ from flexopt.export.context import Context
 from flexopt.plant.reach import path_to_end_point, slide_reach
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import Measures
-from flexopt.robustness.modes import called_modes, called_modes_near
+from flexopt.robustness.modes import called_modes
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _of_modes(
     held, alpha = ca.MX.sym("held", expansion.held.shape[0]), ca.MX.sym("weights", plant.n_passive)
     if second is None:
         near = [ca.MX.sym("near", plant.n_passive, plant.n_passive)]
-        solved, z = expansion.hold(given, called_modes_near(plant.n_passive), *near)
+        solved, z = expansion.hold(given, called_modes(plant.n_passive, near=True), *near)
     else:
         near, (solved, z) = [], expansion.hold(given, called_modes(plant.n_passive))
     found: list[ca.MX] = [ca.veccat(*list[ca.MX](solved.values())), *z]

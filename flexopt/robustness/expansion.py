@@ -146,8 +146,8 @@ class Expansion:
     @cached_property
     def graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """K_p, M̄ (m, m) and F (2r, m)."""
-        factors = residue_factors(self.point, self.pencil, ca.SX.eye(self.plant.n_passive), self.control)
-        return self.pencil.stiffness, self.pencil.mass, ca.vertcat(*factors)
+        pencil = self.pencil
+        return pencil.stiffness, pencil.mass, residue_factors(self.point, pencil, self.control)
 
     @cached_property
     def reduced(self) -> ca.Function:
