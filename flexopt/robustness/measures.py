@@ -109,9 +109,8 @@ class Measures:
         """(base, posture, p, alpha (m,)) -> exact ∂(Σ αi wi)/∂z (1, n_z), z = [base, posture]."""
         slope = self.expansion.slope
         *at, _, alpha = slope.mx_in()
-        names = [name for name in slope.name_in() if name != "held"]
-        gradient = slope.call([*at, *self.hold.call(at), alpha])[1].T
-        return ca.Function("weighted_gradient", [*at, alpha], [gradient], names, ["V_z"])
+        outputs = [slope.call([*at, *self.hold.call(at), alpha])[1].T]
+        return ca.Function("weighted_gradient", [*at, alpha], outputs, [*NAMES, "alpha"], ["V_z"])
 
     @cached_property
     def end_point_gradient(self) -> ca.Function:
