@@ -108,10 +108,9 @@ class Measures:
     def weighted_gradient(self) -> ca.Function:
         """(base, posture, p, alpha (m,)) -> exact ∂(Σ αi wi)/∂z (1, n_z), z = [base, posture]."""
         slope = self.expansion.slope
-        symbols = [x for x in slope.mx_in() if x.name() != "held"]
-        given = [*symbols[:3], *self.hold.call(symbols[:3]), symbols[3]]
-        names = [x.name() for x in symbols]
-        return ca.Function("weighted_gradient", symbols, [slope.call(given)[1].T], names, ["V_z"])
+        *at, _, alpha = slope.mx_in()
+        outputs = [slope.call([*at, *self.hold.call(at), alpha])[1].T]
+        return ca.Function("weighted_gradient", [*at, alpha], outputs, [*NAMES, "alpha"], ["V_z"])
 
     @cached_property
     def end_point_gradient(self) -> ca.Function:
