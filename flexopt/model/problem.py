@@ -48,6 +48,9 @@ TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "pat
 PLACEMENTS = ("x", "y", "yaw")
 
 
+WEIGHT = Quantity("", low=0.0, high=1e6)
+
+
 @Checked
 def check_objective(value: Any) -> str:
     """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas."""
@@ -68,7 +71,7 @@ def check_weights(value: Any) -> tuple[float, ...]:
     values = entries(value)
     if not values:
         raise ValueError("must be a list of numbers, one for each mode")
-    weights = each_named(Quantity("", low=0.0, high=1e6), values, [f"α{i + 1}" for i in range(len(values))])
+    weights = each_named(WEIGHT, values, [f"α{i + 1}" for i in range(len(values))])
     if not any(weights):
         raise ValueError("at least one weight must be positive")
     return weights
