@@ -37,7 +37,7 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     if shares is not None and given["combine"] == "worst":
         arguments.note("shares", "go with combine = 'weighted' only", shares)
     elif shares is not None and targets is not None and len(shares) != len(targets):
-        arguments.note("shares", f"needs {len(targets)} by, one for each target", shares)
+        arguments.note("shares", f"needs {len(targets)} numbers, one for each target", shares)
 
 
 @public(
