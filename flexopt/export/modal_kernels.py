@@ -90,15 +90,16 @@ class ModalKernels:
     def graph(self, inputs: list[ca.MX], alpha: ca.MX) -> ModalGraph:
         """The graphs at MX inputs and weights."""
         expansion, m = self.expansion, self.at.plant.n_passive
-        held, sine_squared, *found = expansion.hold(inputs, called_modes(m), reduced=self.reduced)
-        parts, size = expansion.parts(held), expansion.sizes(held)
+        stiffness, mass, factors, sine_squared, *found = self.reduced.call(inputs)
+        held, _ = expansion.solved([], [stiffness, mass, factors], called_modes(m))
+        size = expansion.sizes(held)
         w, by_f = expansion.slopes(held, alpha)
-        of_terms, of_gaps = list[ca.MX]([*found, parts["modes"], size]), list[ca.MX]([parts["omega_squared"]])
+        of_terms, of_gaps = list[ca.MX]([*found, held["modes"], size]), list[ca.MX]([held["omega_squared"]])
         (terms, significance), (gap, least_gap) = self.terms.call(of_terms), self.gaps.call(of_gaps)
         by_mode = [expansion.slopes(held, one)[1] for one in ca.horzsplit(ca.DM.eye(m))]
         sizes = [ca.norm_2(ca.MX(expansion.gradient(inputs, held, each))) for each in by_mode]
         return ModalGraph(
-            omega_squared=parts["omega_squared"],
+            omega_squared=held["omega_squared"],
             w=w,
             size=size,
             sine_squared=sine_squared,

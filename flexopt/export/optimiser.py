@@ -47,7 +47,7 @@ WITH_WORK = {"hold", "value", "model", "slope"}
 # closed form, points of the whole range in each of so many rounds.
 STARTS = 16
 CURVE_SAMPLES, SURFACE_SAMPLES, SAMPLES, ROUNDS = 48, 96, 24, 4
-BUDGET, BUDGET_MAX = 480, 1_000_000
+BUDGET_MAX = 1_000_000
 EPSILON = {"double": 2.0**-52, "float": 2.0**-23}
 # A climb ends at this stationarity, the same in V/scale as `flexopt.selection.check`'s; where rounding ends it
 # earlier, the second number still counts as stationary. Values of V/scale closer than the third are equal.

@@ -1,9 +1,9 @@
 """The Functions that the posture optimiser evaluates: values and derivatives, exact.
 
 In: a machine's context. Out: Functions with dense outputs, the pieces of `flexopt.selection`'s program without its
-solver. The eigenvectors come from `hold`, which the others take as an input, as everywhere in flexopt. Where postures
-have a closed form everything is one SX graph each, second derivatives included; elsewhere graphs of six modes would
-fill a flash, so that V and its slope are calls (`ModalKernels`), and second derivatives are left to differences.
+solver. The eigenvectors come from `hold`, which the others take as an input, as everywhere in flexopt. Second
+derivatives are exact where postures have a closed form; elsewhere those of six modes would fill a flash, so that they
+are left to differences, and eigenvectors start from those nearby.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ class OptimiserKernels:
     """Functions of z = [base, posture], p and weights α (constants where they are baked: the inputs stay, unread).
 
     Attributes:
-        hold: (base, posture, p) -> held; by calls (base, posture, p, near) -> held and z, `near` of the next one.
+        hold: (base, posture, p) -> held; without closed form (base, posture, p, near) -> held and z, `near` of the
+            next one.
         value: (base, posture, p, held, weights) -> V = Σ α_i w_i, and its size Σ α_i |a_i||b_i|.
         position: (base, posture, p) -> r (n_task,), ∂r/∂z (n_task, n_z).
         distance, margin: (base, posture, p) -> sin² of the distance from singular postures; its gradient (n_z,).
@@ -158,16 +159,18 @@ def _of_modes(
     names = ["base", "posture", "p", "held", "weights"]
     if second is None:
         near = [ca.MX.sym("near", plant.n_passive, plant.n_passive)]
-        found = expansion.hold(given, called_modes_near(plant.n_passive), *near)
+        solved, z = expansion.hold(given, called_modes_near(plant.n_passive), *near)
     else:
-        near, found = [], expansion.hold(given, called_modes(plant.n_passive))
+        near, (solved, z) = [], expansion.hold(given, called_modes(plant.n_passive))
+    found: list[ca.MX] = [ca.veccat(*list[ca.MX](solved.values())), *z]
     inputs, weight = [*symbols, held, alpha], alpha if weights is None else ca.MX(list(weights))
-    w, by_f = expansion.slopes(held, weight)
-    value = [ca.dot(weight, w), ca.dot(weight, expansion.sizes(held))]
+    parts = expansion.parts(held)
+    w, by_f = expansion.slopes(parts, weight)
+    value = [ca.dot(weight, w), ca.dot(weight, expansion.sizes(parts))]
     if second is None:
-        slope = ca.Function("slope", inputs, [expansion.gradient(given, held, by_f)], names, ["V_z"])
+        slope = ca.Function("slope", inputs, [expansion.gradient(given, parts, by_f)], names, ["V_z"])
     else:
-        outputs = [*expansion.hessian(given, held, by_f, weight), *second.call([*symbols, held])]
+        outputs = [*expansion.hessian(given, parts, by_f, weight), *second.call([*symbols, held])]
         slope = ca.Function("model", inputs, outputs, names, ["V_z", "V_zz", "r_zz", "sine_squared_zz"])
     hold_names = [*names[:3], *(x.name() for x in near)]
     return {

@@ -23,12 +23,17 @@ from flexopt.robustness.mode_terms import ModeTerms, mode_terms
 from flexopt.robustness.modes import ReducedPencil, reduced_pencil
 from flexopt.robustness.residues import residue_factors
 
+NAMES = ["base", "posture", "p", "held", "alpha"]
 # `held` is a constant to CasADi but changes with the posture: a derivative taken of such a Function would be wrong, so
 # that none can be taken.
 NO_DERIVATIVES: dict[str, Any] = {
     "never_inline": True,
     **dict.fromkeys(("enable_forward", "enable_reverse", "enable_jacobian", "enable_fd"), False),
 }
+
+
+# The parts of `held` as graphs, SX or MX, by name.
+Held = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -64,32 +69,37 @@ class Expansion:
         """All of them as one vector symbol."""
         return ca.veccat(*self.held_parts.values())
 
-    def parts(self, held: Any) -> dict[str, Any]:
-        """The parts of a given `held`, SX or MX, by name."""
+    def parts(self, held: Any) -> Held:
+        """The parts of a given `held`."""
         edges = [0, *accumulate(part.numel() for part in self.held_parts.values())]
         names, symbols = self.held_parts.keys(), self.held_parts.values()
         split: list[Any] = [held[i:j] for i, j in pairwise(edges)]
         return {name: ca.reshape(x, *symbol.shape) for name, symbol, x in zip(names, symbols, split, strict=True)}
 
-    def hold(self, at: Sequence[Any], modes: ca.Function, *near: Any, reduced: ca.Function | None = None) -> list[Any]:
-        """`held` as a graph of inputs, SX or MX: of base, posture and p those that are inputs.
+    def hold(self, at: Sequence[Any], modes: ca.Function, *near: Any) -> tuple[Held, list[Any]]:
+        """The parts of `held` at graphs of the inputs (of base, posture and p), and what else `modes` gives."""
+        deflection = self.deflection(at)
+        return self.solved(deflection, self.reduced.call([*at, *deflection]), modes, *near)
 
-        With what else `modes` gives, (K_p, M̄, near) -> ω², Φ, clusters, …, and `reduced`, in the place of the one here.
-        """
-        deflection = self._deflected.call(list(at)) if self.gravity else []
-        stiffness, mass, factors, *others = (reduced or self.reduced).call([*at, *deflection])
+    def deflection(self, at: Sequence[Any]) -> list[Any]:
+        """The static deflection (m,) as a graph, in a list; an empty one without gravity."""
+        return self._deflected.call(list(at)) if self.gravity else []
+
+    def solved(self, deflection: list[Any], y: Sequence[Any], modes: ca.Function, *near: Any) -> tuple[Held, list[Any]]:
+        """`hold` from graphs of K_p, M̄ and F; `modes` is (K_p, M̄, near) -> ω², Φ, clusters, and more."""
+        stiffness, mass, factors = y
         omega_squared, shapes, same, *more = modes.call([stiffness, mass, *near])
-        f = self._f.call([factors, shapes])
-        return [ca.veccat(*deflection, omega_squared, shapes, same, *f), *more, *others]
+        f = self.terms.factors.call([factors, shapes])[0]
+        held = zip(self.held_parts, [*(deflection or [type(f)(0, 1)]), omega_squared, shapes, same, f], strict=True)
+        return dict(held), more
 
-    def slopes(self, held: Any, alpha: Any) -> list[Any]:
+    def slopes(self, held: Held, alpha: Any) -> list[Any]:
         """The w_i (m,) and ∂V/∂f (2r, m) as graphs."""
-        _, _, same, f = self._modes(held)
-        return self.terms.slopes.call([f, same, alpha])
+        return self.terms.slopes.call([held["f"], held["same"], alpha])
 
-    def sizes(self, held: Any) -> Any:
+    def sizes(self, held: Held) -> Any:
         """|a_i||b_i| (m,) as a graph."""
-        return self.terms.sizes.call([self.parts(held)["f"]])[0]
+        return self.terms.sizes.call([held["f"]])[0]
 
     # The machine: y and its derivatives.
 
@@ -101,8 +111,8 @@ class Expansion:
         given |= {} if self.baked else {"p": g.p}
         return given | ({"deflection": self.held_parts["deflection"]} if self.gravity else {})
 
-    def _at(self, at: Sequence[Any], held: Any) -> list[Any]:
-        return [*at, self.parts(held)["deflection"]] if self.gravity else list(at)
+    def _at(self, at: Sequence[Any], held: Held) -> list[Any]:
+        return [*at, held["deflection"]] if self.gravity else list(at)
 
     def of_machine(self, name: str, extra: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
         """A Function of the inputs and `extra`, constants in the place of what is no input."""
@@ -142,13 +152,6 @@ class Expansion:
     def reduced(self) -> ca.Function:
         """-> K_p, M̄ (m, m) and F (2r, m)."""
         return self.of_machine("reduced", [], self.graphs)
-
-    @cached_property
-    def _f(self) -> ca.Function:
-        """(F, Φ) -> f."""
-        m = self.plant.n_passive
-        factors, modes = ca.SX.sym("F", 2 * self.plant.n_task, m), ca.SX.sym("modes", m, m)
-        return ca.Function("factors", [factors, modes], [factors @ modes])
 
     @cached_property
     def _z(self) -> ca.SX:
@@ -200,12 +203,12 @@ class Expansion:
 
     # Both together.
 
-    def gradient(self, at: Sequence[Any], held: Any, by_f: Any) -> Any:
+    def gradient(self, at: Sequence[Any], held: Held, by_f: Any) -> Any:
         """∂V/∂z (n_z,) as a graph, from ∂V/∂f."""
         pull = self.terms.pull.call([*self._modes(held), by_f])
         return self._machine_slope.call([*self._at(at, held), *pull])[0]
 
-    def hessian(self, at: Sequence[Any], held: Any, by_f: Any, alpha: Any) -> tuple[Any, Any]:
+    def hessian(self, at: Sequence[Any], held: Held, by_f: Any, alpha: Any) -> tuple[Any, Any]:
         """∂V/∂z (n_z,) and ∂²V/∂z² (n_z, n_z) as graphs, from ∂V/∂f and α."""
         omega_squared, shapes, same, f = modes = self._modes(held)
         pull = self.terms.pull.call([*modes, by_f])
@@ -216,20 +219,18 @@ class Expansion:
             (hessian,) = self._spread.call([hessian, ca.horzcat(*into).T @ ca.horzcat(*bent)])
         return gradient, hessian
 
-    def jacobian(self, x: ca.SX, at: Sequence[Any], held: Any) -> Any:
+    def jacobian(self, x: ca.SX, at: Sequence[Any], held: Held) -> Any:
         """∂w/∂x (m, n_x) as a graph, for symbols x of base, posture and p."""
         (terms, y), m = self._terms_by(x), self.plant.n_passive
-        _, _, same, f = modes = self._modes(held)
-        by_f = [terms.slopes.call([f, same, one])[1] for one in ca.horzsplit(ca.DM.eye(m))]
+        modes, by_f = self._modes(held), [self.slopes(held, one)[1] for one in ca.horzsplit(ca.DM.eye(m))]
         pulls = ca.horzcat(*(terms.pull.call([*modes, each])[0] for each in by_f))
         pull = ca.SX.sym("G", *pulls.shape)
         # Forwards by few x, backwards from fewer modes.
         slopes = pull.T @ ca.jacobian(y, x) if x.shape[0] < m else ca.jtimes(y, x, pull, True).T
         return self.of_machine("machine_slopes", [pull], [slopes]).call([*self._at(at, held), pulls])[0]
 
-    def _modes(self, held: Any) -> list[Any]:
-        parts = self.parts(held)
-        return [parts[name] for name in ("omega_squared", "modes", "same", "f")]
+    def _modes(self, held: Held) -> list[Any]:
+        return [held[name] for name in ("omega_squared", "modes", "same", "f")]
 
     def _symbols(self) -> tuple[list[ca.MX], ca.MX, ca.MX]:
         """Symbols of the machine's inputs, of held, of alpha."""
@@ -240,23 +241,35 @@ class Expansion:
     def value(self) -> ca.Function:
         """-> V."""
         at, held, alpha = self._symbols()
-        return _function("value", [*at, held, alpha], {"V": ca.dot(alpha, self.slopes(held, alpha)[0])})
+        w, _ = self.slopes(self.parts(held), alpha)
+        return _function("value", [*at, held, alpha], {"V": _here(at) * ca.dot(alpha, w)})
 
     @cached_property
     def slope(self) -> ca.Function:
         """-> V and ∂V/∂z (n_z,)."""
         at, held, alpha = self._symbols()
-        w, by_f = self.slopes(held, alpha)
-        return _function("slope", [*at, held, alpha], {"V": ca.dot(alpha, w), "V_z": self.gradient(at, held, by_f)})
+        parts = self.parts(held)
+        w, by_f = self.slopes(parts, alpha)
+        value = _here(at) * ca.dot(alpha, w)
+        return _function("slope", [*at, held, alpha], {"V": value, "V_z": self.gradient(at, parts, by_f)})
 
     @cached_property
     def curvature(self) -> ca.Function:
         """-> ∂²V/∂z² (n_z, n_z)."""
         at, held, alpha = self._symbols()
-        _, hessian = self.hessian(at, held, self.slopes(held, alpha)[1], alpha)
+        parts = self.parts(held)
+        _, hessian = self.hessian(at, parts, self.slopes(parts, alpha)[1], alpha)
         return _function("curvature", [*at, held, alpha], {"V_zz": hessian})
 
 
+def _here(at: list[ca.MX]) -> ca.MX:
+    """1 wherever the machine stands.
+
+    Without it CasADi would not see that V depends on z, and give 0 for a derivative instead of refusing it.
+    """
+    return ca.fmax(1, ca.cos(ca.sum(ca.vertcat(*at[:2]))))
+
+
 def _function(name: str, symbols: list[ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
-    names = [symbol.name() for symbol in symbols]
-    return ca.Function(name, symbols, list(outputs.values()), names, list(outputs), NO_DERIVATIVES)
+    # A symbol without entries, as of a machine without placement, has no name.
+    return ca.Function(name, symbols, list(outputs.values()), NAMES, list(outputs), NO_DERIVATIVES)

@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
+from typing import Any
 
 import casadi as ca
 
@@ -30,8 +31,9 @@ from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.plant import OperatingPoint, Plant, build_plant
-from flexopt.robustness.modes import WRITTEN_OUT, called_modes, reduced_pencil, solve_modes
-from flexopt.robustness.residues import residue_factors, rigid_residue
+from flexopt.robustness.expansion import Expansion
+from flexopt.robustness.modes import WRITTEN_OUT, called_modes, modes_function
+from flexopt.robustness.residues import rigid_residue
 
 # A direction that the input or the output hardly touches is balanced as if it did by this share of the strongest one.
 WEAKEST = 1e-4
@@ -74,48 +76,49 @@ class Margin:
         return self.n_rates + self.plant.n_passive + self.plant.n_task
 
     @cached_property
+    def _expansion(self) -> Expansion:
+        return Expansion(self.plant, self.control, self.gravity, compact=True)
+
+    @cached_property
     def hold(self) -> ca.Function:
         """(base, posture, p, kr) -> held: deflection, time scale, and the scales of the state (see `_scaling`)."""
-        plant, g = self.plant, self.plant.graph
-        kr, m = ca.SX.sym("kr"), plant.n_passive
-        deflection = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX.zeros(m, 1)
-        at = plant.operating_point(g.base, g.posture, g.p, deflection if self.gravity else None)
-        pencil = reduced_pencil(at, m)
-        a, b = residue_factors(at, pencil, ca.SX.eye(m), self.control)
-        rigid = safe_norm(ca.vec(rigid_residue(at, pencil, self.control)))
-        of_posture = [pencil.stiffness, pencil.mass, a, b, rigid, ca.diag(pencil.actuated_mass), deflection]
-        inputs, names = [g.base, g.posture, g.p, kr], ["base", "posture", "p", "kr"]
-        options = {"cse": True, "is_diff_out": [False]}
+        expansion, pencil, m = self._expansion, self._expansion.pencil, self.plant.n_passive
+        names, symbols = self._symbols()
+        at: list[Any] = symbols
+        modes, options = called_modes(m), {"is_diff_out": [False]}
         if not self.compact and m <= WRITTEN_OUT:
-            values, modes, _ = solve_modes(pencil.stiffness, pencil.mass)
-            written = self._scales(kr, values, modes, of_posture)
-            return ca.Function("hold_margin", inputs, [written], names, ["held"], options)
-        of_posture = [ca.densify(graph) for graph in of_posture]
-        reduce = ca.Function("reduce", inputs[:3], of_posture, {"cse": True})
-        symbols = [ca.SX.sym(f"x{k}", *graph.shape) for k, graph in enumerate(of_posture)]
-        values, modes = ca.SX.sym("values", m), ca.SX.sym("modes", m, m)
-        found = self._scales(kr, values, modes, symbols)
-        scales = ca.Function("scales", [kr, values, modes, *symbols], [found], {"cse": True})
-        called = [ca.MX.sym(name, symbol.shape[0]) for name, symbol in zip(names, inputs, strict=True)]
-        reduced = reduce.call(called[:3])
-        held: ca.MX = scales.call([called[3], *called_modes(m).call(reduced[:2])[:2], *reduced])[0]
-        return ca.Function("hold_margin", called, [held], names, ["held"], {"is_diff_out": [False]})
+            at = [*list(expansion.inputs.values())[:3], ca.SX.sym("kr")]
+            modes, options = modes_function(m), options | {"cse": True}
+        rigid = safe_norm(ca.vec(rigid_residue(expansion.point, pencil, self.control)))
+        outputs = [*expansion.graphs, rigid, ca.diag(pencil.actuated_mass)]
+        deflection = expansion.deflection(at[:3])
+        y = expansion.of_machine("reduce", [], outputs).call([*at[:3], *deflection])
+        parts, _ = expansion.solved(deflection, y[:3], modes)
+        held = self._scales.call([at[3], *deflection, parts["omega_squared"], parts["modes"], *y[1:]])
+        return ca.Function("hold_margin", at, held, names, ["held"], options)
 
-    def _scales(self, kr: ca.SX, values: ca.SX, modes: ca.SX, of_posture: list[ca.SX]) -> ca.SX:
-        """What is held, from the modes and what `hold` takes from the posture."""
-        _, mass, a_modes, b_modes, rigid_size, inertia, deflection = of_posture
-        r = self.plant.n_task
-        a, b, rigid = a_modes @ modes, b_modes @ modes, kr * rigid_size
+    @cached_property
+    def _scales(self) -> ca.Function:
+        """(kr, deflection under gravity, ω², Φ, M̄, F, |R_0|, diagonal of M̂) -> what is held."""
+        m, r, n = self.plant.n_passive, self.plant.n_task, self.plant.n_actuated
+        sizes = {"kr": (1, 1), "deflection": (m, 1), "omega_squared": (m, 1), "modes": (m, m), "mass": (m, m)}
+        sizes |= {"factors": (2 * r, m), "rigid": (1, 1), "inertia": (n, 1)}
+        symbols = {name: ca.SX.sym(name, *size) for name, size in sizes.items()}
+        if not self.gravity:
+            del symbols["deflection"]
+        kr, *_, omega_squared, modes, mass, factors, rigid_size, inertia = symbols.values()
+        f, rigid, deflection = factors @ modes, kr * rigid_size, symbols.get("deflection", ca.SX.zeros(m, 1))
         # The geometric mean of the modes' frequencies and of where the rigid part crosses gain one.
-        logarithms = ca.sum(ca.log(values)) + r * ca.log(rigid)
-        rate = ca.exp(logarithms / (2 * (values.shape[0] + r)))
-        out, into = (ca.sqrt(ca.sum1(x**2)).T for x in (a, b))
+        logarithms = ca.sum(ca.log(omega_squared)) + r * ca.log(rigid)
+        rate = ca.exp(logarithms / (2 * (m + r)))
+        out, into = (ca.sqrt(ca.sum1(x**2)).T for x in (f[:r, :], f[r:, :]))
         out, into = (x + WEAKEST * ca.mmax(x) for x in (out, into))
         size = ca.sqrt(kr * into / out) / rate
         vibration, back = modes @ diagonal(size), diagonal(1 / size) @ modes.T @ mass
         arm = ca.sqrt(rigid) / rate * ca.SX.ones(r, 1)
         arm_rate = ca.sqrt(rigid * ca.sum(inertia) / inertia) / rate if self.keeps_joint_rates else arm
-        return ca.veccat(deflection, rate, vibration, back, arm, arm_rate)
+        held = ca.veccat(deflection, rate, vibration, back, arm, arm_rate)
+        return ca.Function("scales", list(symbols.values()), [held], {"cse": True})
 
     @property
     def _held_sizes(self) -> list[int]:
@@ -263,22 +266,6 @@ class Margin:
         outputs = [1 / ca.sqrt(1 + exact), stacked[:, :n_z], stacked[:, n_z : n_z + n_p], stacked[:, n_z + n_p :]]
         names = ["epsilon", "epsilon_z", "epsilon_p", "epsilon_kr"]
         return self._function("margin_gradients", symbols, outputs, names)
-
-    @cached_property
-    def differentiable(self) -> ca.Function:
-        """(base, posture, p, kr) -> epsilon (2, 1), with the adjoint gradient as its derivative: for NLPs."""
-        names, symbols = self._symbols()
-        # CasADi's convention: the Jacobian takes the inputs, then the outputs, and returns a block for each input.
-        out = ca.MX.sym("out_epsilon", 2, 1)
-        by_z, by_p, by_kr = (rows[:2, :] for rows in self.gradients.call(symbols)[1:])
-        n_b = self.plant.n_base
-        blocks = [by_z[:, :n_b], by_z[:, n_b:], by_p, by_kr]
-        jacobian = ca.Function(
-            "jac_epsilon_max", [*symbols, out], blocks, [*names, "out_epsilon"], [f"jac_epsilon_{n}" for n in names]
-        )
-        epsilon = self.values.call(symbols)[0]
-        options = {"custom_jacobian": jacobian, "never_inline": True}
-        return ca.Function("epsilon_max", symbols, [epsilon], names, ["epsilon"], options)
 
     @cached_property
     def _reverse_sweep(self) -> ca.Function:

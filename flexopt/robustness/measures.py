@@ -19,7 +19,7 @@ from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import screened
-from flexopt.robustness.expansion import Expansion
+from flexopt.robustness.expansion import Expansion, Held
 from flexopt.robustness.modes import WRITTEN_OUT, modes_function, quick_modes
 from flexopt.robustness.residues import rigid_residue
 
@@ -54,7 +54,8 @@ class Measures:
         Of many modes by calls, built in a fraction of the time.
         """
         symbols, called = self._symbols, self.plant.n_passive > WRITTEN_OUT
-        held = self.expansion.hold(symbols, modes_function(self.plant.n_passive))
+        parts, _ = self.expansion.hold(symbols, modes_function(self.plant.n_passive))
+        held = [ca.veccat(*list[ca.MX](parts.values()))]
         options = {"is_diff_out": [False], "never_inline": called, "cse": not called}
         return ca.Function("hold", symbols, held, NAMES, ["held"], options)
 
@@ -107,10 +108,10 @@ class Measures:
     def weighted_gradient(self) -> ca.Function:
         """(base, posture, p, alpha (m,)) -> exact ∂(Σ αi wi)/∂z (1, n_z), z = [base, posture]."""
         slope = self.expansion.slope
-        symbols = [x for x in slope.mx_in() if x.name() != "held"]
-        given = [*symbols[:3], *self.hold.call(symbols[:3]), symbols[3]]
-        names = [x.name() for x in symbols]
-        return ca.Function("weighted_gradient", symbols, [slope.call(given)[1].T], names, ["V_z"])
+        *at, _, alpha = slope.mx_in()
+        names = [name for name in slope.name_in() if name != "held"]
+        gradient = slope.call([*at, *self.hold.call(at), alpha])[1].T
+        return ca.Function("weighted_gradient", [*at, alpha], [gradient], names, ["V_z"])
 
     @cached_property
     def end_point_gradient(self) -> ca.Function:
@@ -173,17 +174,16 @@ class Measures:
         return compiled.batch(_function("sound", self.inputs, outputs))
 
     @cached_property
-    def _quickly(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _quickly(self) -> tuple[ca.SX, ca.SX, Held]:
         """The w_i (m, 1), the gap, and what `hold` would give."""
         expansion = self.expansion
-        held, squares, gap = expansion.hold(self.inputs, quick_modes(self.plant.n_passive))
-        parts = expansion.parts(held)
+        held, (squares, gap) = expansion.hold(self.inputs, quick_modes(self.plant.n_passive))
         # w is of second degree in the modes: to divide by φᵀ M̄ φ afterwards saves as many square roots.
         w = expansion.slopes(held, ca.DM.ones(self.plant.n_passive))[0] / squares
         lengths = ca.sqrt(ca.SX(squares)).T
         for name in ("modes", "f"):
-            parts[name] /= ca.repmat(lengths, parts[name].shape[0], 1)
-        return w, gap, ca.veccat(*list[ca.SX](parts.values()))
+            held[name] /= ca.repmat(lengths, held[name].shape[0], 1)
+        return w, gap, held
 
     @property
     def inputs(self) -> list[ca.SX]:
@@ -199,9 +199,9 @@ class Measures:
         return [ca.MX.sym(name, x.shape[0]) for name, x in zip(NAMES, self.inputs, strict=True)]
 
     @cached_property
-    def _held(self) -> Any:
+    def _held(self) -> Held:
         """What `hold` gives there."""
-        return self.hold.call(self._symbols)[0]
+        return self.expansion.parts(self.hold.call(self._symbols)[0])
 
     @cached_property
     def _w(self) -> Any:
@@ -210,8 +210,9 @@ class Measures:
 
     def _behind_hold(self, outputs: Mapping[str, ca.SX]) -> dict[str, Any]:
         """Graphs of base, posture, p and held, with what `hold` gives in the place of held."""
-        inner = ca.Function("inner", [*self.inputs, self.expansion.held], [ca.densify(x) for x in outputs.values()])
-        return dict(zip(outputs, inner.call([*self._symbols, self._held]), strict=True))
+        dense = [ca.densify(output) for output in outputs.values()]
+        inner = ca.Function("inner", [*self.inputs, *self.expansion.held_parts.values()], dense)
+        return dict(zip(outputs, inner.call([*self._symbols, *self._held.values()]), strict=True))
 
 
 def _function(name: str, at: list[Any], outputs: Mapping[str, Any], *, cse: bool = True) -> ca.Function:

@@ -74,6 +74,12 @@ class ModeTerms:
         return ca.Function(name, [self._symbols[each] for each in inputs], [ca.densify(output)])
 
     @cached_property
+    def factors(self) -> ca.Function:
+        """(F, Φ) -> f."""
+        f, modes = self._symbols["f"], self._symbols["modes"]
+        return ca.Function("factors", [f, modes], [f @ modes])
+
+    @cached_property
     def sizes(self) -> ca.Function:
         """(f) -> |a_i||b_i|, (m,)."""
         f, r = self._symbols["f"], self.r

@@ -172,13 +172,12 @@ class Ascent:
         stiff = (vectors * np.maximum(values, STIFF * values[-1])) @ vectors.T
         for _ in range(CHORDS):
             again = None if there is None else self._step(there, stiff, distance, coupled=step.coupled)
-            after = None if there is None or again is None else self.restored(there.x + again.d)
-            if there is None or again is None or after is None or after.value <= there.value:
+            if there is None or again is None or again.gain <= POOR * step.gain:
                 break
-            enough = after.value - there.value <= 0.5 * again.gain
+            after = self.restored(there.x + again.d)
+            if after is None or after.value <= there.value:
+                break
             there = after
-            if enough:
-                break
         return there
 
     def _off(self, at: Point, step: Step) -> float:

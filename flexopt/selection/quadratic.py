@@ -18,9 +18,9 @@ from flexopt.selection.programs import Bounds
 
 # Singular values below this share of the largest are rounding.
 DEPENDENT = 1e-12
-# Interior-point iterations at most, and the mean complementarity at which what is active is known; the share of the way
-# to the boundary that a step goes.
-ITERATIONS, KNOWN, SHORT = 60, 1e-13, 0.995
+# Interior-point iterations at most; the mean complementarity from which on active rows are tried, and the last one; the
+# share of the way to the boundary that a step goes.
+ITERATIONS, NEAR, KNOWN, SHORT = 60, 1e-2, 1e-13, 0.995
 # How far a solution with known active rows may break the others, or have multipliers of the wrong sign: of a problem
 # whose gradient and box are of order one.
 TOLERANCE = 1e-10
@@ -80,6 +80,11 @@ def _solved(second: Vector, rows: Vector, ends: Vector) -> tuple[Vector, Vector]
     n, k = second.shape[0], len(ends)
     cost = -np.eye(n)[-1]
     v, pulls, slacks = cast(tuple[Vector, Vector, Vector], (np.zeros(n), np.ones(k), np.maximum(ends, 1.0)))
+    # Most often one row bounds t and no other matters: the one that is lowest at first.
+    tried: NDArray[np.bool_] = np.arange(k) == int(np.argmin(np.where(rows[:, -1] > 0, ends, np.inf)))
+    exact = _with_active(second, cost, rows, ends, tried)
+    if exact is not None:
+        return exact
     best: tuple[float, Vector, Vector] | None = None
     for _ in range(ITERATIONS):
         off: Vector = second @ v + cost + rows.T @ pulls
@@ -90,8 +95,9 @@ def _solved(second: Vector, rows: Vector, ends: Vector) -> tuple[Vector, Vector]
             break
         if best is None or error < best[0]:
             best = error, v, pulls
-        if error <= KNOWN or gap < 1e-3:
-            exact = _with_active(second, cost, rows, ends, pulls > slacks)
+        active = pulls > slacks
+        if gap < NEAR and (active != tried).any():
+            tried, exact = active, _with_active(second, cost, rows, ends, active)
             if exact is not None:
                 return exact
         if error <= KNOWN:

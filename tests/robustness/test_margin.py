@@ -3,7 +3,6 @@
 import re
 import warnings
 
-import casadi as ca
 import numpy as np
 import pytest
 import scipy.linalg
@@ -260,17 +259,6 @@ def test_the_two_vector_step_is_right_where_one_vector_is_not(excavator):
     np.testing.assert_allclose(ours, scipy_epsilons(margin, 0, posture, p, GAIN), rtol=1e-10)
     lambdas = ours**-2 - 1
     assert lambdas[1] / lambdas[0] > 0.98
-
-
-def test_usable_inside_an_nlp_with_its_derivative(excavator):
-    margin = build_margin(excavator, "inverse")
-    p = margin.plant.parameter_values
-    x = ca.MX.sym("x", 2)
-    epsilon = margin.differentiable.call([0, x, p, GAIN])[0][0]
-    gradient = ca.Function("g", [x], [ca.gradient(epsilon, x)])
-    at = [0.9929, -2.6306]
-    exact = margin.gradients.call([0, at, p, GAIN])[1].full()[0, 1:]
-    np.testing.assert_allclose(gradient(at).full().ravel(), exact, rtol=1e-12)
 
 
 def test_generates_to_c_without_malloc_and_with_one_doubling_in_a_loop(excavator, tmp_path, monkeypatch):
