@@ -13,7 +13,7 @@ from flexopt.export.context import Context, unit_list
 from flexopt.export.control import GAIN_MAX
 from flexopt.export.modal_kernels import ModalKernels
 from flexopt.export.operations import TOLERANCES, Field, Guard, Operation
-from flexopt.model.problem import WEIGHT
+from flexopt.model.choices import WEIGHT
 from flexopt.robustness.margin import Margin, build_margin
 
 SERVO_GAIN_RANGE = (1e-6, 1e15)

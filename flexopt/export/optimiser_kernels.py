@@ -17,7 +17,7 @@ from flexopt.export.context import Context
 from flexopt.plant.reach import path_to_end_point, slide_reach
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import Measures
-from flexopt.robustness.modes import called_modes, called_modes_near
+from flexopt.robustness.modes import called_modes
 
 
 @dataclass(frozen=True)
@@ -153,13 +153,13 @@ def _of_modes(
     """`hold`, `value` and the derivatives; second ones where `second` gives those of the rows."""
     plant, g = at.plant, at.plant.graph
     expansion = Expansion(plant, at.control, measures.gravity, at.placement_matters, at.baked, compact=True)
-    symbols = [ca.MX.sym(name, x.shape[0]) for name, x in (("base", g.base), ("posture", g.posture), ("p", g.p))]
-    given = [symbol for symbol in symbols if symbol.name() in expansion.inputs]
-    held, alpha = ca.MX.sym("held", expansion.held.shape[0]), ca.MX.sym("weights", plant.n_passive)
     names = ["base", "posture", "p", "held", "weights"]
+    symbols = [ca.MX.sym(name, x.shape[0]) for name, x in zip(names, (g.base, g.posture, g.p), strict=False)]
+    given = [symbol for name, symbol in zip(names, symbols, strict=False) if name in expansion.inputs]
+    held, alpha = ca.MX.sym("held", expansion.held.shape[0]), ca.MX.sym("weights", plant.n_passive)
     if second is None:
         near = [ca.MX.sym("near", plant.n_passive, plant.n_passive)]
-        solved, z = expansion.hold(given, called_modes_near(plant.n_passive), *near)
+        solved, z = expansion.hold(given, called_modes(plant.n_passive, near=True), *near)
     else:
         near, (solved, z) = [], expansion.hold(given, called_modes(plant.n_passive))
     found: list[ca.MX] = [ca.veccat(*list[ca.MX](solved.values())), *z]
@@ -172,7 +172,7 @@ def _of_modes(
     else:
         outputs = [*expansion.hessian(given, parts, by_f, weight), *second.call([*symbols, held])]
         slope = ca.Function("model", inputs, outputs, names, ["V_z", "V_zz", "r_zz", "sine_squared_zz"])
-    hold_names = [*names[:3], *(x.name() for x in near)]
+    hold_names = [*names[:3], "near"][: 3 + len(near)]
     return {
         "hold": ca.Function("hold", [*symbols, *near], found, hold_names, ["held", "z"][: len(found)]),
         "value": ca.Function("value", inputs, value, names, ["V", "size"]),

@@ -24,9 +24,9 @@ from flexopt.foundation.quantities import (
     numbers_in,
     whole_number,
 )
+from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, GAIN, SEED, Elbow, check_objective, check_weights
 from flexopt.model.file_model import BuiltByCall, FileModel
 from flexopt.model.machine import AnyMachine, OnMachine
-from flexopt.model.problem import GAIN, SEED, Elbow, check_objective, check_weights
 from flexopt.model.targets import TIMES
 
 Feedback = Literal["pd", "pid", "robust", "none"]
@@ -40,7 +40,6 @@ TORQUE = Quantity("N m or N", low=0.0, high=1e12)
 BANDWIDTH = Quantity("Hz", low=1e-3, high=1e6)
 SERVO_GAIN = Quantity(JOINT_DAMPING.unit, above=0.0, high=1e12)
 NOISE, RATE_NOISE = (Quantity(unit, low=0.0, high=1e3) for unit in ("m", "m/s"))
-BASE_RATE, BASE_ACCELERATION = Quantity("m/s", above=0.0, high=1e3), Quantity("m/s²", above=0.0, high=1e4)
 
 Numbers = tuple[float, ...]
 
@@ -180,8 +179,8 @@ class SimulationOptions(BuiltByCall):
     gravity: bool = False
     gravity_compensation: bool = True
     nullspace_damping: Annotated[float, JOINT_DAMPING] = 0.0
-    sensor: Sensor = Sensor()
-    actuator: Actuator = Actuator()
+    sensor: Sensor = Sensor.model_construct()
+    actuator: Actuator = Actuator.model_construct()
     base_path: Path | None = None
     target_path: Path | None = None
     seed: Annotated[int, SEED] = 0

@@ -84,20 +84,22 @@ def damped_modes(
         InputError: a mode is overdamped, so that it has no complex pair.
         NoSolutionFound: Newton's method does not converge to a pole found in doubles, or a linear system is singular.
     """
-    graphs = _build(machine, control, gravity)
+    plant, matrices = build_plant(machine), _matrices(machine, control, gravity)
     try:
         with digits():
-            return _refined(graphs, base, posture, lowest_frequency)
+            return _refined(plant, matrices, base, posture, lowest_frequency, gravity=gravity)
     except np.linalg.LinAlgError as error:
         reason = f"the damped modes could not be computed ({error})"
         raise NoSolutionFound(reason, violations={}, iterate={}) from None
 
 
-def _refined(graphs: _Graphs, base: Vector, posture: Vector, lowest_frequency: float) -> DampedModes:
-    plant, p = graphs.plant, graphs.plant.parameter_values
+def _refined(
+    plant: Plant, matrices: ca.Function, base: Vector, posture: Vector, lowest_frequency: float, *, gravity: bool
+) -> DampedModes:
+    p = plant.parameter_values
     m, n, r = plant.n_passive, plant.n_coordinates, plant.n_task
-    deflection = plant.deflected(base, posture, p).full().ravel() if graphs.gravity else np.zeros(m)
-    evaluated = extended(graphs.matrices)(*(exact(x) for x in (base, posture, p.full().ravel(), deflection)))
+    deflection = plant.deflected(base, posture, p).full().ravel() if gravity else np.zeros(m)
+    evaluated = extended(matrices)(*(exact(x) for x in (base, posture, p.full().ravel(), deflection)))
     mass, damping, stiffness = (rounded(x) for x in evaluated.outputs[:3])
     by = 1 / np.sqrt(np.diag(mass))
     scaled = [by[:, None] * x * by for x in (mass, damping, stiffness)]
@@ -278,23 +280,14 @@ def _newton(outputs: Sequence[Exact], pole: complex, vector: NDArray[np.complex1
     return _Mode(outputs, lam, u, max(relative, 10.0 ** (22 - getcontext().prec)))
 
 
-@dataclass(frozen=True)
-class _Graphs:
-    plant: Plant
-    gravity: bool
-    matrices: ca.Function
-
-
 @lru_cache(maxsize=32)
-def _build(machine: AnyMachine, control: Control, gravity: bool) -> _Graphs:
+def _matrices(machine: AnyMachine, control: Control, gravity: bool) -> ca.Function:
+    """(base, posture, p, deflection) -> M, D, K, J, and the map E from forces to joints."""
     plant = build_plant(machine)
-    g, m, r = plant.graph, plant.n_passive, plant.n_task
-    deflection = ca.SX.sym("deflection", m)
+    g, deflection = plant.graph, ca.SX.sym("deflection", plant.n_passive)
     at = plant.operating_point(g.base, g.posture, g.p, deflection if gravity else None)
-    into = task_to_joints(at.rigid_jacobian, control, ca.SX.eye(r))
+    into = task_to_joints(at.rigid_jacobian, control, ca.SX.eye(plant.n_task))
     outputs = [ca.densify(x) for x in (at.mass, at.damping, at.stiffness, at.jacobian, into)]
     names = ["base", "posture", "p", "deflection"]
-    matrices = ca.Function(
-        "damped_plant", [g.base, g.posture, g.p, deflection], outputs, names, ["M", "D", "K", "J", "E"], {"cse": True}
-    )
-    return _Graphs(plant, gravity, matrices)
+    inputs = [g.base, g.posture, g.p, deflection]
+    return ca.Function("damped_plant", inputs, outputs, names, ["M", "D", "K", "J", "E"], {"cse": True})

@@ -128,8 +128,9 @@ class Expansion:
 
     @cached_property
     def _deflected(self) -> ca.Function:
-        g, symbols = self.plant.graph, [x for name, x in self.inputs.items() if name != "deflection"]
-        return self._of("deflected", symbols, [self.plant.deflected(g.base, g.posture, g.p)])
+        g = self.plant.graph
+        given = [x for name, x in self.inputs.items() if name != "deflection"]
+        return self._of("deflected", given, [self.plant.deflected(g.base, g.posture, g.p)])
 
     @cached_property
     def point(self) -> OperatingPoint:
@@ -145,8 +146,8 @@ class Expansion:
     @cached_property
     def graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """K_p, M̄ (m, m) and F (2r, m)."""
-        factors = residue_factors(self.point, self.pencil, ca.SX.eye(self.plant.n_passive), self.control)
-        return self.pencil.stiffness, self.pencil.mass, ca.vertcat(*factors)
+        pencil = self.pencil
+        return pencil.stiffness, pencil.mass, residue_factors(self.point, pencil, self.control)
 
     @cached_property
     def reduced(self) -> ca.Function:
@@ -232,42 +233,35 @@ class Expansion:
     def _modes(self, held: Held) -> list[Any]:
         return [held[name] for name in ("omega_squared", "modes", "same", "f")]
 
-    def _symbols(self) -> tuple[list[ca.MX], ca.MX, ca.MX]:
-        """Symbols of the machine's inputs, of held, of alpha."""
-        at = [ca.MX.sym(name, x.shape[0]) for name, x in self.inputs.items() if name != "deflection"]
-        return at, ca.MX.sym("held", self.held.shape[0]), ca.MX.sym("alpha", self.plant.n_passive)
+    def _begun(self) -> tuple[list[ca.MX], Held, ca.MX, ca.MX]:
+        """Symbols of all inputs; the parts of held; V and ∂V/∂f."""
+        g = self.plant.graph
+        sizes = [x.shape[0] for x in (g.base, g.posture, g.p, self.held)]
+        *at, held, alpha = symbols = [ca.MX.sym(*x) for x in zip(NAMES, [*sizes, self.plant.n_passive], strict=True)]
+        parts = self.parts(held)
+        w, by_f = self.slopes(parts, alpha)
+        # 1 wherever the machine stands. Without it CasADi would not see that V depends on z, and give 0 for a
+        # derivative instead of refusing it.
+        here = ca.fmax(1, ca.cos(ca.sum(ca.vertcat(*at[:2]))))
+        return symbols, parts, here * ca.dot(alpha, w), by_f
 
     @cached_property
     def value(self) -> ca.Function:
         """-> V."""
-        at, held, alpha = self._symbols()
-        w, _ = self.slopes(self.parts(held), alpha)
-        return _function("value", [*at, held, alpha], {"V": _here(at) * ca.dot(alpha, w)})
+        symbols, _, value, _ = self._begun()
+        return _function("value", symbols, {"V": value})
 
     @cached_property
     def slope(self) -> ca.Function:
         """-> V and ∂V/∂z (n_z,)."""
-        at, held, alpha = self._symbols()
-        parts = self.parts(held)
-        w, by_f = self.slopes(parts, alpha)
-        value = _here(at) * ca.dot(alpha, w)
-        return _function("slope", [*at, held, alpha], {"V": value, "V_z": self.gradient(at, parts, by_f)})
+        symbols, parts, value, by_f = self._begun()
+        return _function("slope", symbols, {"V": value, "V_z": self.gradient(symbols[:3], parts, by_f)})
 
     @cached_property
     def curvature(self) -> ca.Function:
         """-> ∂²V/∂z² (n_z, n_z)."""
-        at, held, alpha = self._symbols()
-        parts = self.parts(held)
-        _, hessian = self.hessian(at, parts, self.slopes(parts, alpha)[1], alpha)
-        return _function("curvature", [*at, held, alpha], {"V_zz": hessian})
-
-
-def _here(at: list[ca.MX]) -> ca.MX:
-    """1 wherever the machine stands.
-
-    Without it CasADi would not see that V depends on z, and give 0 for a derivative instead of refusing it.
-    """
-    return ca.fmax(1, ca.cos(ca.sum(ca.vertcat(*at[:2]))))
+        symbols, parts, _, by_f = self._begun()
+        return _function("curvature", symbols, {"V_zz": self.hessian(symbols[:3], parts, by_f, symbols[-1])[1]})
 
 
 def _function(name: str, symbols: list[ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:

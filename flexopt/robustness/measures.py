@@ -56,7 +56,7 @@ class Measures:
         symbols, called = self._symbols, self.plant.n_passive > WRITTEN_OUT
         parts, _ = self.expansion.hold(symbols, modes_function(self.plant.n_passive))
         held = [ca.veccat(*list[ca.MX](parts.values()))]
-        options = {"is_diff_out": [False], "never_inline": called, "cse": not called}
+        options = {"is_diff_out": [False], "never_inline": called}
         return ca.Function("hold", symbols, held, NAMES, ["held"], options)
 
     @cached_property
@@ -109,9 +109,8 @@ class Measures:
         """(base, posture, p, alpha (m,)) -> exact ∂(Σ αi wi)/∂z (1, n_z), z = [base, posture]."""
         slope = self.expansion.slope
         *at, _, alpha = slope.mx_in()
-        names = [name for name in slope.name_in() if name != "held"]
-        gradient = slope.call([*at, *self.hold.call(at), alpha])[1].T
-        return ca.Function("weighted_gradient", [*at, alpha], [gradient], names, ["V_z"])
+        outputs = [slope.call([*at, *self.hold.call(at), alpha])[1].T]
+        return ca.Function("weighted_gradient", [*at, alpha], outputs, [*NAMES, "alpha"], ["V_z"])
 
     @cached_property
     def end_point_gradient(self) -> ca.Function:

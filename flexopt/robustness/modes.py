@@ -29,7 +29,7 @@ TRUSTED_GAP = 1e-3
 WRITTEN_OUT = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReducedPencil:
     """K_p φ_p = ω² M̄ φ_p after the actuated coordinates are eliminated.
 
@@ -62,9 +62,11 @@ def solve_modes(stiffness: ca.SX, mass: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     side by side leave S graded, and Jacobi's rotations keep its small eigenvalues to full relative accuracy.
     NaN where K_p is not positive definite.
     """
-    symmetric, compliance = _symmetric_form(stiffness, mass)
+    before, after = _around(mass.shape[0])
+    symmetric, compliance = before.call([stiffness, mass])
     values, z = symmetric_eigen(symmetric)
-    return values, *_shapes(values, z, compliance)
+    modes, same = after.call([values, z, compliance])
+    return values, modes, same
 
 
 @lru_cache(maxsize=8)
@@ -77,54 +79,37 @@ def modes_function(size: int) -> ca.Function:
 
 
 @lru_cache(maxsize=8)
-def called_modes(size: int) -> ca.Function:
-    """(K_p, M̄) -> what `solve_modes` gives, by calls that keep its C small."""
+def called_modes(size: int, *, near: bool = False) -> ca.Function:
+    """(K_p, M̄) -> what `solve_modes` gives, by calls that keep its C small.
+
+    With `near` (K_p, M̄, near) -> the same, and z (m, m) of `solve_modes`; quicker where `near` is a z nearby. Where
+    none is known it is the unit matrix; so is z where ω² spread by more than `SPREAD`.
+    """
     before, after = _around(size)
-    pencil = [ca.MX.sym("K", size, size), ca.MX.sym("M", size, size)]
-    symmetric, solved = before.call(pencil)
-    pairs = called_eigen(size).call([symmetric])
+    names, results = ["K", "M"] + ["near"] * near, ["omega_squared", "modes", "same"] + ["z"] * near
+    inputs = [ca.MX.sym(name, size, size) for name in names]
+    symmetric, solved = before.call(inputs[:2])
+    pairs = (called_eigen_near if near else called_eigen)(size).call([symmetric, *inputs[2:]])
     outputs = [pairs[0], *after.call([*pairs, solved])]
-    return ca.Function("solve_modes", pencil, outputs, ["K", "M"], ["omega_squared", "modes", "same"])
+    if near:
+        values, z = ca.SX.sym("values", size), ca.SX.sym("z", size, size)
+        trusted = ca.if_else(values[-1] <= SPREAD * values[0], z, ca.SX.eye(size))
+        outputs += ca.Function("next_time", [values, z], [ca.densify(trusted)]).call(pairs)
+    return ca.Function("solve_modes" + "_near" * near, inputs, outputs, names, results)
 
 
 @lru_cache(maxsize=8)
-def called_modes_near(size: int) -> ca.Function:
-    """(K_p, M̄, near) -> what `called_modes` gives, and z (m, m) of `solve_modes`; quicker where `near` is a z nearby.
-
-    Where none is known `near` is the unit matrix; so is z where ω² spread by more than `SPREAD`.
-    """
-    before, after = _around(size)
-    inputs = [ca.MX.sym(name, size, size) for name in ("K", "M", "near")]
-    symmetric, solved = before.call(inputs[:2])
-    pairs = called_eigen_near(size).call([symmetric, inputs[2]])
-    values, z = ca.SX.sym("values", size), ca.SX.sym("z", size, size)
-    trusted = ca.if_else(values[-1] <= SPREAD * values[0], z, ca.SX.eye(size))
-    next_time = ca.Function("next_time", [values, z], [ca.densify(trusted)]).call(pairs)
-    outputs = [pairs[0], *after.call([*pairs, solved]), *next_time]
-    names = ["omega_squared", "modes", "same", "z"]
-    return ca.Function("solve_modes_near", inputs, outputs, ["K", "M", "near"], names)
-
-
 def _around(size: int) -> tuple[ca.Function, ca.Function]:
-    """What comes before and after the symmetric eigenproblem."""
+    """What comes before and after the symmetric eigenproblem: (K_p, M̄) -> S, X = M̄⁻¹ L; (ω², z, X) -> Φ, clusters."""
     stiffness, mass = ca.SX.sym("K", size, size), ca.SX.sym("M", size, size)
-    before = ca.Function("symmetric_form", [stiffness, mass], list(_symmetric_form(stiffness, mass)), {"cse": True})
-    values, z, compliance = ca.SX.sym("values", size), ca.SX.sym("z", size, size), ca.SX.sym("X", size, size)
-    after = ca.Function("shapes", [values, z, compliance], list(_shapes(values, z, compliance)), {"cse": True})
-    return before, after
-
-
-def _symmetric_form(stiffness: ca.SX, mass: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """S, and M̄⁻¹ L."""
     lower = ca.chol(stiffness).T
     compliance = solve_spd(mass, lower)
     symmetric = lower.T @ compliance
-    return ca.densify(symmetric + symmetric.T) / 2, ca.densify(compliance)
-
-
-def _shapes(values: ca.SX, z: ca.SX, compliance: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """φ_p, and which of them are of one cluster."""
-    return compliance @ z / ca.repmat(ca.sqrt(values).T, z.shape[0], 1), clusters(values, CLUSTER_TOLERANCE)
+    outputs = [ca.densify(symmetric + symmetric.T) / 2, ca.densify(compliance)]
+    before = ca.Function("symmetric_form", [stiffness, mass], outputs, {"cse": True})
+    values, z, solved = ca.SX.sym("values", size), ca.SX.sym("z", size, size), ca.SX.sym("X", size, size)
+    outputs = [solved @ z / ca.repmat(ca.sqrt(values).T, size, 1), clusters(values, CLUSTER_TOLERANCE)]
+    return before, ca.Function("shapes", [values, z, solved], outputs, {"cse": True})
 
 
 @lru_cache(maxsize=8)

@@ -12,15 +12,14 @@ from flexopt.plant.plant import OperatingPoint
 from flexopt.robustness.modes import ReducedPencil
 
 
-def residue_factors(at: OperatingPoint, pencil: ReducedPencil, modes: ca.SX, control: Control) -> tuple[ca.SX, ca.SX]:
-    """Columns a_i = J φ_i and b_i of R_i = a_i b_iᵀ, each (n_task, m).
+def residue_factors(at: OperatingPoint, pencil: ReducedPencil, control: Control) -> ca.SX:
+    """F = [A; B] (2 n_task, m) of the columns a_i = A φ_i = J φ_i and b_i = B φ_i of R_i = a_i b_iᵀ.
 
     b_i = Jv φ_a (transpose), (Jv⁺)ᵀ φ_a (inverse) or (J⁺_λ)ᵀ φ_a (damped); article, eqs. (3)–(6).
     """
-    m = modes.shape[0]
-    actuated = pencil.follow @ modes
-    a = at.jacobian[:, :m] @ modes + at.jacobian[:, m:] @ actuated
-    return a, task_to_joints_transposed(at.rigid_jacobian, control, actuated)
+    m = pencil.mass.shape[0]
+    a = at.jacobian[:, :m] + at.jacobian[:, m:] @ pencil.follow
+    return ca.vertcat(a, task_to_joints_transposed(at.rigid_jacobian, control, pencil.follow))
 
 
 def rigid_residue(at: OperatingPoint, pencil: ReducedPencil, control: Control) -> ca.SX:

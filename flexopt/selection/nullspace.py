@@ -21,8 +21,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import DURATION, Quantity, each_named, entries, vector
 from flexopt.model import AnyMachine
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG
-from flexopt.model.simulation import BASE_ACCELERATION, BASE_RATE
+from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, SINGULARITY_MARGIN_DEG
 from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop

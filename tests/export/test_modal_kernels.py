@@ -11,7 +11,7 @@ from flexopt.algebra import called_eigen, called_eigen_near, symmetric_eigen
 from flexopt.export.context import build_context
 from flexopt.export.modal_kernels import ModalKernels
 from flexopt.model import tree_from_dict
-from flexopt.robustness.modes import called_modes, called_modes_near, reduced_pencil, solve_modes
+from flexopt.robustness.modes import called_modes, reduced_pencil, solve_modes
 from tests.oracles.machines import Structure, random_machine
 from tests.oracles.spatial import grounded, random_tree
 
@@ -123,7 +123,7 @@ def test_modes_from_those_nearby_are_the_same() -> None:
         root = rng.normal(size=(4, 4))
         mass = 100 * np.eye(4) + root @ root.T
         expected = [x.full() for x in called_modes(4).call([stiffness, mass])]
-        *found, z = (x.full() for x in called_modes_near(4).call([stiffness, mass, near]))
+        *found, z = (x.full() for x in called_modes(4, near=True).call([stiffness, mass, near]))
         np.testing.assert_allclose(found[0], expected[0], rtol=1e-13)
         # Signs are free.
         np.testing.assert_allclose(
@@ -132,7 +132,7 @@ def test_modes_from_those_nearby_are_the_same() -> None:
         np.testing.assert_allclose(z.T @ z, np.eye(4), atol=1e-14)
         assert not np.allclose(z, np.eye(4))
         near = z
-    spread = called_modes_near(4).call([np.diag([1.0, 1e3, 1e5, 1e8]), np.eye(4) + 0.1, np.eye(4)])
+    spread = called_modes(4, near=True).call([np.diag([1.0, 1e3, 1e5, 1e8]), np.eye(4) + 0.1, np.eye(4)])
     np.testing.assert_array_equal(spread[3].full(), np.eye(4))
 
 

@@ -26,8 +26,7 @@ CONTROLS = ["inverse", "transpose", "damped:0.1"]
 
 def check(machine, control, gravity):
     margin = build_margin(machine, control, gravity)
-    graphs = damped._build(machine, control, gravity)
-    for function in (margin.plant_at, graphs.matrices):
+    for function in (margin.plant_at, damped._matrices(machine, control, gravity)):
         assert not extended(function).unknown
 
 
@@ -47,7 +46,7 @@ def test_trees_with_every_kind_of_row(rows, control):
 @pytest.fixture
 def built_anew():
     """Graphs are translated anew within a test, and again after it."""
-    caches = (extended, build_margin, damped._build)
+    caches = (extended, build_margin, damped._matrices)
     for cached in caches:
         cached.cache_clear()
     yield
