@@ -13,9 +13,9 @@ from flexopt.export.context import Context, unit_list
 from flexopt.export.control import GAIN_MAX
 from flexopt.export.modal_kernels import ModalKernels
 from flexopt.export.operations import TOLERANCES, Field, Guard, Operation
+from flexopt.model.choices import WEIGHT
 from flexopt.robustness.margin import Margin, build_margin
 
-WEIGHT_MAX = 1e6
 SERVO_GAIN_RANGE = (1e-6, 1e15)
 # The joints are free to move in a mode, and the arm's inertia holds the end-point still: a_i is a small difference of
 # large terms, and its error, like that which the last digit of an angle makes, is a share of these terms, not of a_i.
@@ -152,7 +152,7 @@ class _Weighted:
 
     def __init__(self, at: Context) -> None:
         plant = at.plant
-        weights = at.sizes.field("weights", "MODES", "", "alpha_i of V, one for each mode", high=WEIGHT_MAX,
+        weights = at.sizes.field("weights", "MODES", "", "alpha_i of V, one for each mode", high=WEIGHT.high,
                                  sample=(0.0, 1.0))  # fmt: skip
         self.at, self.kernels, self.share = at, ModalKernels(at), TERMS_SHARE[at.single]
         self.meaning = (

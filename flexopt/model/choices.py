@@ -17,6 +17,8 @@ SINGULARITY_MARGIN_DEG = 10.0
 SLACK = 1e-5
 STARTS_MAX = 10_000
 TARGETS_MAX = 1000
+WEIGHT = Quantity("", low=0.0, high=1e6)
+BASE_RATE, BASE_ACCELERATION = Quantity("m/s", above=0.0, high=1e3), Quantity("m/s²", above=0.0, high=1e4)
 
 
 @Checked
@@ -39,7 +41,7 @@ def check_weights(value: Any) -> tuple[float, ...]:
     values = entries(value)
     if not values:
         raise ValueError("must be a list of numbers, one for each mode")
-    weights = each_named(Quantity("", low=0.0, high=1e6), values, [f"α{i + 1}" for i in range(len(values))])
+    weights = each_named(WEIGHT, values, [f"α{i + 1}" for i in range(len(values))])
     if not any(weights):
         raise ValueError("at least one weight must be positive")
     return weights

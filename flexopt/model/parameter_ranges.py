@@ -20,10 +20,11 @@ from flexopt.model.machine import Parameter
 _QUANTITIES = {
     "length": LENGTH, "com": OFFSET, "com_offset": OFFSET, "mass": MASS, "inertia": INERTIA, "armature": ARMATURE,
     "stiffness": JOINT_STIFFNESS, "damping": JOINT_DAMPING, "joint_damping": JOINT_DAMPING, "rest_angle": ANGLE,
-    "gravity": ACCELERATION,
+    "gravity": ACCELERATION, "offset": OFFSET, "coupler": LENGTH,
 }  # fmt: skip
 # By the last word but one, of vectors and matrices.
-_ENTRIES = {"position": OFFSET, "com": OFFSET, "inertia": INERTIA}
+_PLACES = ("position", "com", "base_point", "rod_point", "pivot", "coupler_point", "rod_offset")
+_ENTRIES = {"inertia": INERTIA, **dict.fromkeys(_PLACES, OFFSET)}
 _COUPLED = {"stiffness": JOINT_STIFFNESS, "damping": JOINT_DAMPING}
 
 

@@ -16,6 +16,7 @@ from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import (
     COORDINATE,
     DURATION,
+    JOINT_DAMPING,
     JOINT_VALUE,
     BaseRange,
     Quantity,
@@ -23,9 +24,10 @@ from flexopt.foundation.quantities import (
     numbers_in,
     whole_number,
 )
-from flexopt.model.choices import GAIN, SEED, Elbow, check_objective, check_weights
+from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, GAIN, SEED, Elbow, check_objective, check_weights
 from flexopt.model.file_model import BuiltByCall, FileModel
 from flexopt.model.machine import AnyMachine, OnMachine
+from flexopt.model.targets import TIMES
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
@@ -33,13 +35,17 @@ METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
 SAMPLES_MAX = 10_000_000
 DELAY_MAX = 100  # samples
 PART_OF_SAMPLE = 1e-6  # below this share of a sample a dead time is a whole number of them
-GAIN_MAX = 1e15
+LOOP_GAIN = Quantity("N/m and the like", low=0.0, high=1e15)
+TORQUE = Quantity("N m or N", low=0.0, high=1e12)
+BANDWIDTH = Quantity("Hz", low=1e-3, high=1e6)
+SERVO_GAIN = Quantity(JOINT_DAMPING.unit, above=0.0, high=1e12)
+NOISE, RATE_NOISE = (Quantity(unit, low=0.0, high=1e3) for unit in ("m", "m/s"))
 
 Numbers = tuple[float, ...]
 
 
-Gains = Annotated[Numbers, numbers_in(Quantity("N/m and the like", low=0.0, high=GAIN_MAX))]
-Torques = Annotated[Numbers, numbers_in(Quantity("N m or N", low=0.0, high=1e12))]
+Gains = Annotated[Numbers, numbers_in(LOOP_GAIN)]
+Torques = Annotated[Numbers, numbers_in(TORQUE)]
 # Which of them are angles, and how many there must be, is the machine's to say.
 Coordinates = Annotated[Numbers, numbers_in(JOINT_VALUE)]
 _POINT = numbers_in(COORDINATE["m"])
@@ -55,10 +61,10 @@ class Sensor(BuiltByCall):
         delay: from measurement to command, s; a whole number of samples.
     """
 
-    noise: Annotated[float, Quantity("m", low=0.0, high=1e3)] = 0.0
-    rate_noise: Annotated[float, Quantity("m/s", low=0.0, high=1e3)] = 0.0
-    resolution: Annotated[float, Quantity("m", low=0.0, high=1e3)] = 0.0
-    rate_resolution: Annotated[float, Quantity("m/s", low=0.0, high=1e3)] = 0.0
+    noise: Annotated[float, NOISE] = 0.0
+    rate_noise: Annotated[float, RATE_NOISE] = 0.0
+    resolution: Annotated[float, NOISE] = 0.0
+    rate_resolution: Annotated[float, RATE_NOISE] = 0.0
     delay: Annotated[float, Quantity("s", low=0.0, high=10.0)] = 0.0
 
 
@@ -80,16 +86,16 @@ class Actuator(BuiltByCall):
 
     torque_limit: Torques | None = None
     dead_band: Torques | None = None
-    bandwidth_hz: Annotated[Numbers, numbers_in(Quantity("Hz", low=1e-3, high=1e6))] | None = None
+    bandwidth_hz: Annotated[Numbers, numbers_in(BANDWIDTH)] | None = None
     rate_limit: Torques | None = None
     levers: Literal["each", "uniform"] | None = None
-    servo_gain: Annotated[float, Quantity("N m s/rad or N s/m", above=0.0, high=1e12)] = 1.0
+    servo_gain: Annotated[float, SERVO_GAIN] = 1.0
 
 
 class Path(BuiltByCall):
     """Points at times, s, joined by straight lines; held before the first and after the last."""
 
-    times: Annotated[Numbers, numbers_in(Quantity("s", low=0.0, high=1e6))]
+    times: Annotated[Numbers, TIMES]
     points: Annotated[tuple[Numbers, ...], _POINTS]
 
     def structural_faults(self) -> list[Fault]:
@@ -162,7 +168,7 @@ class SimulationOptions(BuiltByCall):
     kp: Gains = (1e5,)
     kv: Gains = (2e3,)
     ki: Gains = (0.0,)
-    integral_limit: Annotated[float, Quantity("N", above=0.0, high=GAIN_MAX)] = GAIN_MAX
+    integral_limit: Annotated[float, Quantity("N", above=0.0, high=LOOP_GAIN.high)] = LOOP_GAIN.high
     gain: Annotated[float, GAIN] = 5e5
     offset: Coordinates | None = None
     duration: Annotated[float, DURATION] = 10.0
@@ -172,7 +178,7 @@ class SimulationOptions(BuiltByCall):
     substeps: Annotated[int, whole_number(1, 1000)] | None = None
     gravity: bool = False
     gravity_compensation: bool = True
-    nullspace_damping: Annotated[float, Quantity("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
+    nullspace_damping: Annotated[float, JOINT_DAMPING] = 0.0
     sensor: Sensor = Sensor.model_construct()
     actuator: Actuator = Actuator.model_construct()
     base_path: Path | None = None
@@ -249,8 +255,8 @@ class NullspaceOptions(FileModel):
     objective: Annotated[str, check_objective] = "w1"
     weights: Annotated[tuple[float, ...], check_weights] | None = None
     base_range: BaseRange | None = None
-    max_base_rate: Annotated[float, Quantity("m/s", above=0.0, high=1e3)] = 0.25
-    max_base_acceleration: Annotated[float, Quantity("m/s²", above=0.0, high=1e6)] | None = None
+    max_base_rate: Annotated[float, BASE_RATE] = 0.25
+    max_base_acceleration: Annotated[float, BASE_ACCELERATION] | None = None
     duration: Annotated[float, DURATION] = 60.0
 
 

@@ -14,7 +14,6 @@ from flexopt.foundation.quantities import COORDINATE_MAX, DURATION, Quantity, li
 from flexopt.model.choices import TARGETS_MAX
 from flexopt.model.file_model import FileModel, table_of
 
-RATE_MAX, TIME_MAX, SHARE_MAX = 1e3, 1e6, 1e6
 # Keys of [target], of which a problem has exactly one, with the keys of [selection] that go with it only.
 TargetKind = Literal["end_point", "end_points", "path"]
 KINDS: dict[TargetKind, tuple[str, ...]] = {
@@ -27,9 +26,9 @@ Numbers = tuple[float, ...]
 
 # The machine says how many, and which of them are angles; the targets how many shares.
 SOME_COORDINATES = numbers_in(Quantity("m or rad", low=-COORDINATE_MAX, high=COORDINATE_MAX))
-SOME_SHARES = numbers_in(Quantity("", low=0.0, high=SHARE_MAX))
-_RATES = numbers_in(Quantity("m/s or rad/s", low=0.0, high=RATE_MAX))
-_TIMES = numbers_in(Quantity("s", low=0.0, high=TIME_MAX))
+SOME_SHARES = numbers_in(Quantity("", above=0.0, high=1e6))
+RATES = numbers_in(Quantity("m/s or rad/s", low=0.0, high=1e3))
+TIMES = numbers_in(Quantity("s", low=0.0, high=1e6))
 _TO_REACH = f"to {TARGETS_MAX} targets, each a list of numbers in m"
 _TARGETS, _PATH = (list_of(f"{k} {_TO_REACH}", SOME_COORDINATES, "target {}:", k, TARGETS_MAX) for k in (1, 2))
 
@@ -65,10 +64,10 @@ class PathMotion(FileModel):
         start: where the base stands at the first target, m and rad.
     """
 
-    times: Annotated[Numbers, _TIMES] | None = None
+    times: Annotated[Numbers, TIMES] | None = None
     duration: Annotated[float, DURATION] | None = None
-    max_base_rate: Annotated[Numbers, _RATES] | None = None
-    max_joint_rate: Annotated[Numbers, _RATES] | None = None
+    max_base_rate: Annotated[Numbers, RATES] | None = None
+    max_joint_rate: Annotated[Numbers, RATES] | None = None
     start: Annotated[Numbers, SOME_COORDINATES] | None = None
 
 

@@ -27,8 +27,10 @@ FIRST, GREATEST, LEAST = 0.1, 0.5, 1e-10
 POOR, FAIR, FINE = 0.1, 0.25, 0.75
 # The Lagrangian's gradient at an optimum, of V / size by scaled variables: a tenth of what proofs allow.
 STATIONARY = 1e-7
-# How near to the rows points are, in their scales; to values that are kept, in theirs. Steps towards them.
-ON_ROWS, ON_KEPT, CORRECTIONS = 1e-11, 1e-10, 8
+# How near to the rows points are, in their scales. By how much values that are kept may be short, in theirs, and below
+# which of it no more steps are made towards them. Branches that differ by so many times as much are lifted together.
+ON_ROWS, ON_KEPT, AT_KEPT, CORRECTIONS = 1e-11, 1e-10, 1e-13, 6
+TOGETHER = 100.0
 # Gains below this share of V / size are rounding.
 ROUNDING = 1e-13
 # Steps with the same second derivatives back onto a ridge, and the least curvature then, relative to the greatest.
@@ -96,19 +98,37 @@ class Ascent:
                 break
             x = x - self._shortest(slopes, wrong, self._equal | (wrong != 0))
         point = self.at(np.clip(x, self.bounds.x_lower, self.bounds.x_upper))
+        best: tuple[float, Point | None] = (ON_KEPT, None)
         for _ in range(CORRECTIONS):
             if not point.is_finite:
-                return None
-            kept = point.objectives[:-1]
-            short = np.array([min(b.smallest - least, 0.0) for b, least in zip(kept, self.least, strict=True)])
-            wrong = self._beyond(point.rows)
-            if np.abs(wrong).max(initial=0.0) <= ON_ROWS and -short.min(initial=0.0) <= ON_KEPT:
-                return point
-            slopes = np.vstack([point.row_slopes, *(branches.lowest_slope for branches in kept)])
-            chosen = np.concatenate([self._equal | (wrong != 0), short < 0])
-            x = point.x - self._shortest(slopes, np.concatenate([wrong, short]), chosen)
+                break
+            wrong, slopes, short = self._lifting(point)
+            chosen = self._equal | (self._beyond(point.rows) != 0)
+            off = float(np.abs(self._beyond(point.rows)).max(initial=0.0))
+            if off <= ON_ROWS and short <= best[0]:
+                best = short, point
+            if best[0] <= AT_KEPT:
+                break
+            some = np.concatenate([chosen, np.ones(len(wrong) - chosen.size, dtype=bool)])
+            x = point.x - self._shortest(slopes, wrong, some)
             point = self.at(np.clip(x, self.bounds.x_lower, self.bounds.x_upper))
-        return None
+        return best[1]
+
+    def _lifting(self, at: Point) -> tuple[Vector, Vector, float]:
+        """What rows and kept objectives are off, their slopes, and by how much the objectives are short at most.
+
+        Near a kink both branches are lifted, and not mixed: to lift one alone may lower the other.
+        """
+        wrong, slopes, shortest = [self._beyond(at.rows)], [at.row_slopes], 0.0
+        for branches, least in zip(at.objectives[:-1], self.least, strict=True):
+            short = least - branches.smallest
+            if short <= 0:
+                continue
+            shortest = max(shortest, short)
+            together = branches.values.size > 1 and abs(branches.values[1] - branches.values[0]) <= TOGETHER * short
+            slopes.append(branches.slopes if together else branches.lowest_slope[None])
+            wrong.append(np.array([-short, -short, 0.0]) if together else np.array([-short]))
+        return np.concatenate(wrong), np.vstack(slopes), shortest
 
     @cached_property
     def _moving(self) -> Vector:

@@ -149,10 +149,14 @@ def best_step(
     for _ in range(0 if pulls is None else DIRECTIONS):
         if found is None:
             break
-        d, rise, _ = found
+        d, rise, multipliers = found
         lowest = [branches.lowest(d) for branches in here.objectives]
         rises = np.append(np.zeros(least.size), rise)
-        missing = [j for j, (value, _) in enumerate(lowest) if value < wanted[j] + rises[j] - NEAR * abs(rise)]
+        # What is kept counts by as much as it costs.
+        prices = [max(float(own.sum()), 1.0) for own in _own(multipliers, here, units)]
+        missing = [
+            j for j, (value, _) in enumerate(lowest) if value < wanted[j] + rises[j] - NEAR * abs(rise) / prices[j]
+        ]
         if not missing:
             break
         for j in missing:
@@ -164,12 +168,15 @@ def best_step(
     gain = rise - float(d @ bend @ d) / 2
     if gain < 0 or np.abs(d).max() > BEYOND * distance:
         return None
-    edges = np.cumsum([here.rows.size, *(len(mine) for mine in units)])
-    own = [np.maximum(-multipliers[i:j], 0.0) for i, j in pairwise(edges.tolist())]
-    weights = tuple(
-        np.einsum("c,ci,cj->ij", mu, mine, mine) for mu, mine in zip(own, map(np.array, units), strict=True)
-    )
+    pairs = zip(_own(multipliers, here, units), map(np.array, units), strict=True)
+    weights = tuple(np.einsum("c,ci,cj->ij", mu, mine, mine) for mu, mine in pairs)
     return Step(d, gain, weights, multipliers[: here.rows.size], bend, pulls is not None)
+
+
+def _own(multipliers: Vector, here: Point, units: list[list[Vector]]) -> list[Vector]:
+    """Of every objective the multipliers of its u, none negative."""
+    edges = np.cumsum([here.rows.size, *(len(mine) for mine in units)])
+    return [np.maximum(-multipliers[i:j], 0.0) for i, j in pairwise(edges.tolist())]
 
 
 def _limited(

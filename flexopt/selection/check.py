@@ -5,7 +5,6 @@ In: a program, of one configuration or many, and a point. Out: what the point vi
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,8 +75,8 @@ def prove_program(program: Program, x: Vector) -> Proof:
     violations = _infeasible(program, x, local.g)
     multipliers, kept = multipliers_of(local)
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
-    if KINK_NAME in local.names:
-        stationarity = _at_kink(local, multipliers, kept, stationarity)
+    if local.kinks:
+        stationarity = _at_kinks(local, multipliers, kept, stationarity)
     bounded = program.first.bounded_by_zero and program.goal != "motion"
     unsurpassed = bounded and -local.value <= BEST_TOLERANCE
     curvature = 0.0
@@ -95,6 +94,21 @@ def prove_program(program: Program, x: Vector) -> Proof:
 
 
 @dataclass(frozen=True)
+class Kink:
+    """Where an objective's branches meet: the numbers of what stands for it.
+
+    Attributes:
+        second: of the second branch among the inequalities; of the objective that is sought less the first branch.
+        coupling: of g_12 among the equalities.
+        first: of the first branch among the inequalities; None of the objective that is sought.
+    """
+
+    second: int
+    coupling: int
+    first: int | None
+
+
+@dataclass(frozen=True)
 class FirstOrderModel:
     """First-order model at a point, in y = x / scale, and t last where the program has one.
 
@@ -106,6 +120,7 @@ class FirstOrderModel:
         equalities: gradients of equality rows, of the coupling at a kink, of fixed variables.
         inequalities: gradients of the active ones c ≥ 0;  names: theirs.
         moving: 0 for variables that are fixed or at a bound, else 1.
+        kinks: where branches meet, of the objective that is sought and of those that are kept.
     """
 
     level: float
@@ -118,6 +133,7 @@ class FirstOrderModel:
     inequalities: Vector
     names: tuple[str, ...]
     moving: Vector
+    kinks: tuple[Kink, ...]
 
     def rows(self, kept: list[int]) -> Vector:
         """Gradients of the equalities and of the inequalities numbered in `kept`."""
@@ -181,14 +197,22 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
             active.append((k, sense))
             rows.append(sense * local.jacobian[k])
             names.append(constraint.name)
-    values, slopes = members[0].values[-1], members[0].slopes[-1]
-    coupling = np.zeros((0, local.gradient.size))
-    if len(values) > 1 and values[1] - values[0] <= KINK:
-        # V is the smaller branch, so V_2 − V_1 ≥ 0 is one more inequality; where the branches really meet, their
-        # coupling is one more free direction.
-        rows.append(slopes[1] - slopes[0])
-        names.append(KINK_NAME)
-        coupling = slopes[2:3]
+    # Where branches meet the second one counts, too, and their coupling is one more free direction.
+    couplings, kinks = list[Vector](), list[Kink]()
+    n_objectives = len(members[0].values)
+    held = len(program.first.constraints) * program.coupling.count + len(program.coupling.pairs)
+    for j, (values, slopes) in enumerate(zip(members[0].values, members[0].slopes, strict=True)):
+        if len(values) < 2 or values[1] - values[0] > KINK:
+            continue
+        first = None
+        if j < n_objectives - 1:
+            first = next((row for row, (k, _) in enumerate(active) if k == held + j * program.coupling.count), None)
+            if first is None:
+                continue
+        kinks.append(Kink(len(rows), len(equal) + len(couplings), first))
+        rows.append(slopes[1] - slopes[0] if first is None else slopes[1])
+        names.append(KINK_NAME if first is None else f"{KINK_NAME} that is kept")
+        couplings.append(slopes[2])
 
     identity, moving = np.eye(local.gradient.size), np.ones(local.gradient.size)
     fixed: list[Vector] = []
@@ -209,10 +233,11 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
         g=local.g,
         equal=equal,
         active=active,
-        equalities=np.vstack([local.jacobian[equal], coupling, *fixed]),
+        equalities=np.vstack([local.jacobian[equal], *(row[None] for row in couplings), *fixed]),
         inequalities=np.array(rows).reshape(-1, local.gradient.size),
         names=tuple(names),
         moving=moving,
+        kinks=tuple(kinks),
     )
 
 
@@ -232,25 +257,38 @@ def multipliers_of(local: FirstOrderModel) -> tuple[Vector, list[int]]:
     return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
-def _at_kink(local: FirstOrderModel, multipliers: Vector, kept: list[int], stationarity: float) -> float:
-    """Stationarity where the branches meet, with a mean of their gradients and no more.
+def _at_kinks(local: FirstOrderModel, multipliers: Vector, kept: list[int], stationarity: float) -> float:
+    """Stationarity where branches meet, with means of their gradients and no more.
 
-    V's generalised gradients are (1 − μ) g_11 + μ g_22 + 2 ν g_12 with ν² ≤ μ (1 − μ): multipliers beyond that would
-    make nearly equal branches out to be whatever is wanted. They are moved to the nearest mean, all others follow.
+    Generalised gradients are tr(U M_z) with M_z of g_11, g_22 and g_12 and U positive semidefinite, of trace 1 for the
+    objective that is sought: multipliers beyond that would make nearly equal branches out to be whatever is wanted.
+    They are moved to the nearest U, all others follow.
     """
-    at, coupling = local.names.index(KINK_NAME), len(local.equal)
-    share = -float(multipliers[len(local.equalities) + kept.index(at)]) if at in kept else 0.0
-    mixed = -float(multipliers[coupling]) / 2
-    away = math.hypot(share - 0.5, mixed)
-    if not away > 0.5:
+    pulls = np.zeros(len(local.inequalities))
+    pulls[kept] = -multipliers[len(local.equalities) :]
+    gradient, moved = local.gradient, False
+    for kink in local.kinks:
+        second, mixed = float(pulls[kink.second]), -float(multipliers[kink.coupling]) / 2
+        first = 1.0 - second if kink.first is None else float(pulls[kink.first])
+        values, vectors = np.linalg.eigh([[first, mixed], [mixed, second]])
+        moved = moved or float(values[0]) < 0
+        clipped = np.maximum(values, 0.0)
+        if kink.first is None:
+            # Of trace 1, the eigenvalues lie as far from 1/2 on either side.
+            clipped = np.clip(values, 0.0, 1.0)
+        nearest = (vectors * clipped) @ vectors.T
+        gradient = gradient + nearest[1, 1] * local.inequalities[kink.second]
+        gradient = gradient + 2 * nearest[0, 1] * local.equalities[kink.coupling]
+        if kink.first is not None:
+            gradient = gradient + nearest[0, 0] * local.inequalities[kink.first]
+    if not moved:
         return stationarity
-    share, mixed = 0.5 + (share - 0.5) / (2 * away), mixed / (2 * away)
+    taken = [k for kink in local.kinks for k in (kink.second, kink.first) if k is not None]
     plain = replace(
         local,
-        gradient=local.gradient + share * local.inequalities[at] + 2 * mixed * local.equalities[coupling],
-        equalities=np.delete(local.equalities, coupling, axis=0),
-        inequalities=np.delete(local.inequalities, at, axis=0),
-        names=tuple(name for name in local.names if name != KINK_NAME),
+        gradient=gradient,
+        equalities=np.delete(local.equalities, [kink.coupling for kink in local.kinks], axis=0),
+        inequalities=np.delete(local.inequalities, taken, axis=0),
     )
     others, pulling = multipliers_of(plain)
     return float(np.linalg.norm(plain.gradient - others @ plain.rows(pulling)))
@@ -265,7 +303,7 @@ def _curvature(program: Program, x: Vector, local: FirstOrderModel, multipliers:
     rows = local.rows(list(range(len(local.inequalities))))
     _, singular, directions = np.linalg.svd(rows)
     free = directions[int(np.sum(singular > 1e-9 * singular[0])) :] if len(rows) else np.eye(local.gradient.size)
-    if not free.size or KINK_NAME in local.names:
+    if not free.size or local.kinks:
         return 0.0
     weights = local.weights(multipliers, kept)
     values, vectors = np.linalg.eigh(lagrangian_hessian(program, x, free, weights))

@@ -16,12 +16,12 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import Check, number, of_machine, public, words
+from flexopt.foundation.boundary import Check, by, number, of_machine, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
-from flexopt.foundation.quantities import Quantity, each_named, entries, vector
+from flexopt.foundation.quantities import DURATION, Quantity, each_named, entries, vector
 from flexopt.model import AnyMachine
-from flexopt.model.choices import SINGULARITY_MARGIN_DEG
+from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, SINGULARITY_MARGIN_DEG
 from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop
@@ -93,19 +93,16 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
             arguments.note("base", f"must lie in base_range, {name} {low:g} to {high:g} {unit}", placement)
 
 
-_SPEED = number("m/s", above=0.0, high=1e3)
-
-
 @public(
     step_gain=_named(_k_xi),
     metric=_named(_metric),
     rate=number("Hz", above=0.0, high=1e5),
-    max_base_rate=_SPEED,
-    max_turn_rate=_SPEED,
+    max_base_rate=by(BASE_RATE),
+    max_turn_rate=by(BASE_RATE),
     max_joint_rate=number("rad/s or m/s", above=0.0, high=1e3),
-    max_base_acceleration=number("m/s²", above=0.0, high=1e4),
+    max_base_acceleration=by(BASE_ACCELERATION),
     min_gain=number("1/s", low=0.0, high=1e6),
-    duration=number("s", above=0.0, high=1e6),
+    duration=by(DURATION),
     on_descent=words("stop", "continue"),
     together=_together,
 )

@@ -17,6 +17,7 @@ import pytest
 
 import flexopt
 from flexopt.cli import _COMMANDS
+from flexopt.cli.analysis import select_command
 from tests.cli.command import MACHINE, PROBLEM, THIRD_LINK, Command, strict_json, toml
 
 ROOT = Path(__file__).parents[2]
@@ -409,3 +410,8 @@ def test_output_to_a_terminal_without_greek(encoding: str, tmp_path: Path) -> No
     )
     assert done.returncode == 0, done.stderr.decode("utf-8", "replace")[-300:]
     assert b"excavator" in done.stdout
+
+
+def test_every_option_of_a_selection_is_one_of_the_command() -> None:
+    known = {parameter.name for parameter in select_command.params}
+    assert set(flexopt.SelectionOptions.of("end_point")) <= known

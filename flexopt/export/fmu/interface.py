@@ -14,13 +14,14 @@ import casadi as ca
 import numpy as np
 
 from flexopt.export.control import RATE_MAX
-from flexopt.export.fmu.settings import NOISE_MAX, Groups, settings
+from flexopt.export.fmu.settings import Groups, settings
 from flexopt.export.fmu.variable import EFFORT, Variable, row_text, words
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.structure import Layout
 from flexopt.model.parameter_ranges import parameter_range
+from flexopt.model.simulation import NOISE
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.plant.motion import Motion
@@ -139,7 +140,7 @@ class Interface:
             for suffix, unit in (("", "m"), ("_rate", "m/s")):
                 text = f"error of the measured end-point{' rate' if suffix else ''}"
                 found += [
-                    Variable(f"sensor.noise.{row}{suffix}", unit, f"{text}, {row}", 0.0, -NOISE_MAX, NOISE_MAX)
+                    Variable(f"sensor.noise.{row}{suffix}", unit, f"{text}, {row}", 0.0, -NOISE.high, NOISE.high)
                     for row in rows
                 ]
         return tuple(found)

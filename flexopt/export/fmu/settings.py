@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from flexopt.export.fmu.variable import EFFORT, Variable, damper_unit, force_unit, gain_unit
-from flexopt.foundation.quantities import coordinate_max
+from flexopt.foundation.quantities import JOINT_DAMPING, coordinate_max
 from flexopt.loop.structure import LoopStructure
-from flexopt.model.simulation import GAIN_MAX
+from flexopt.model.simulation import BANDWIDTH, LOOP_GAIN, NOISE, RATE_NOISE, SERVO_GAIN, TORQUE
 from flexopt.simulation.scenario import Scenario
 
-TORQUE_MAX, NOISE_MAX = 1e12, 1e3
 Groups = dict[str, list[Variable]]
 
 
@@ -56,13 +55,13 @@ def _controller(scenario: Scenario, structure: LoopStructure) -> Groups:
     for name, text, of in gains[: {"pd": 2, "pid": 3}.get(structure.law, 0)]:
         found[name] = [
             Variable(
-                f"controller.{name}.{row}", gain_unit(force, of), f"{text}, axis {row}", value, 0.0, GAIN_MAX, True
+                f"controller.{name}.{row}", gain_unit(force, of), f"{text}, axis {row}", value, *LOOP_GAIN.range, True
             )
             for row, value in zip(rows, spread(getattr(options, name), len(rows)), strict=True)
         ]
     if structure.law == "pid":
         text, limit = "largest integral part of the force, each axis", options.integral_limit
-        found["integral_limit"] = [Variable("controller.integral_limit", force, text, limit, 0.0, GAIN_MAX, True)]
+        found["integral_limit"] = [Variable("controller.integral_limit", force, text, limit, *LOOP_GAIN.range, True)]
     if structure.nullspace_damped:
         text, unit, value = (
             "damping of the arm's self-motion",
@@ -70,18 +69,18 @@ def _controller(scenario: Scenario, structure: LoopStructure) -> Groups:
             options.nullspace_damping,
         )
         found["nullspace_damping"] = [
-            Variable("controller.nullspace_damping", unit, text, value, 0.0, TORQUE_MAX, True)
+            Variable("controller.nullspace_damping", unit, text, value, *JOINT_DAMPING.range, True)
         ]
     return found
 
 
 def _sensor(scenario: Scenario, structure: LoopStructure) -> Groups:
     found = Groups()
-    for name, unit, what in (("resolution", "m", "position"), ("rate_resolution", "m/s", "rate")):
+    for name, quantity, what in (("resolution", NOISE, "position"), ("rate_resolution", RATE_NOISE, "rate")):
         if structure.quantised:
             text = f"step to which the measured {what} is rounded; 0: not rounded"
             value = float(getattr(scenario.options.sensor, name))
-            found[name] = [Variable(f"sensor.{name}", unit, text, value, 0.0, NOISE_MAX, True)]
+            found[name] = [Variable(f"sensor.{name}", quantity.unit, text, value, *quantity.range, True)]
     return found
 
 
@@ -96,15 +95,19 @@ def _actuator(scenario: Scenario, structure: LoopStructure) -> Groups:
         if values is not None:
             found[name] = [
                 Variable(f"actuator.{name}.{joint}", f"{EFFORT[unit][1]}{per}",
-                         f"{joint}: {text.format(EFFORT[unit][0])}", value, 0.0, TORQUE_MAX, True)
+                         f"{joint}: {text.format(EFFORT[unit][0])}", value, *TORQUE.range, True)
                 for joint, unit, value in _of_joints(machine.joints, machine.joint_units, values)
             ]  # fmt: skip
     if structure.hydraulic is not None:
         text, unit = "torque or force of a joint rate behind the levers", damper_unit(machine.joint_units)
-        found["servo_gain"] = [Variable("actuator.servo_gain", unit, text, actuator.servo_gain, 1e-9, TORQUE_MAX, True)]
+        found["servo_gain"] = [
+            Variable("actuator.servo_gain", unit, text, actuator.servo_gain, 1e-9, SERVO_GAIN.high, True)
+        ]
     if actuator.bandwidth_hz is not None:
         found["bandwidth_hz"] = [
-            Variable(f"actuator.bandwidth.{joint}", "Hz", f"{joint}: bandwidth of the servo", value, 1e-3, 1e6, True)
+            Variable(
+                f"actuator.bandwidth.{joint}", "Hz", f"{joint}: bandwidth of the servo", value, *BANDWIDTH.range, True
+            )
             for joint, _, value in _of_joints(machine.joints, machine.joint_units, actuator.bandwidth_hz)
         ]
     return found

@@ -18,14 +18,15 @@ import numpy as np
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import Keywords, number, numbers, public
+from flexopt.foundation.boundary import Keywords, by, public
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.quantities import DURATION
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
 from flexopt.model.constraints import Constraints
 from flexopt.model.problem import SelectionOptions, SharedKeywords
-from flexopt.model.targets import RATE_MAX, TIME_MAX
+from flexopt.model.targets import RATES, TIMES
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
@@ -51,7 +52,7 @@ CARRIED, CARRIED_STARTS = 4, 16
 SLACK = 1e-4
 # Points looked at between two targets.
 BETWEEN = 8
-BASE_RATE, DURATION = 0.25, 10.0
+BASE_RATE, SECONDS = 0.25, 10.0
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
@@ -73,15 +74,12 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
                 arguments.note(field, f"must be one number or {len(names)}: {', '.join(names)}", rates)
 
 
-_RATES = numbers("m/s or rad/s", low=0.0, high=RATE_MAX)
-
-
 @public(
     path=targets(2),
-    times=numbers("s", low=0.0, high=TIME_MAX),
-    duration=number("s", above=0.0, high=TIME_MAX),
-    max_base_rate=_RATES,
-    max_joint_rate=_RATES,
+    times=by(TIMES),
+    duration=by(DURATION),
+    max_base_rate=by(RATES),
+    max_joint_rate=by(RATES),
     together=_together,
     keywords=Keywords(SelectionOptions, SharedKeywords),
 )
@@ -128,7 +126,7 @@ def plan_base(
     points, begin, count = path, start, workers or available_cores()
     asked = SelectionOptions.model_construct(**keywords)
     seed = asked.seed
-    even = np.linspace(0.0, DURATION if duration is None else duration, len(points))
+    even = np.linspace(0.0, SECONDS if duration is None else duration, len(points))
     due = even if times is None else np.array(times)
     base_rates = np.resize(BASE_RATE if max_base_rate is None else max_base_rate, len(machine.base_coordinates))
     joint_rates = np.resize(machine.speeds if max_joint_rate is None else max_joint_rate, len(machine.joints))

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import Keywords, numbers, public, words
+from flexopt.foundation.boundary import Keywords, by, public, words
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
@@ -17,7 +17,7 @@ from flexopt.model.boundary import targets as several_targets
 from flexopt.model.choices import COMBINES
 from flexopt.model.constraints import Constraints
 from flexopt.model.problem import SelectionOptions, StandKeywords
-from flexopt.model.targets import SHARE_MAX
+from flexopt.model.targets import SOME_SHARES
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
 from flexopt.selection.program import Program
@@ -41,13 +41,10 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
         arguments.note("shares", f"needs {len(targets)} numbers, one for each target", shares)
 
 
-_SHARES = numbers("", above=0.0, high=SHARE_MAX)
-
-
 @public(
     targets=several_targets(1),
     combine=words(*COMBINES),
-    shares=_SHARES,
+    shares=by(SOME_SHARES),
     together=_together,
     keywords=Keywords(SelectionOptions, StandKeywords),
 )
