@@ -44,7 +44,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.foundation.writing import make_folder, write_file
 from flexopt.model import AnyMachine
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG
+from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, reach, sampled_ranges
 from flexopt.selection.optima import run_solver

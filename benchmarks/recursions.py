@@ -12,8 +12,7 @@ from typing import Any
 
 import casadi as ca
 
-from flexopt.plant.tree_algebra import ORIGIN, ZERO, Spin, add, cross, dot, scaled
-from flexopt.plant.tree_constants import AXES, SECOND
+from flexopt.plant.tree_algebra import AXES, ORIGIN, SECOND, ZERO, Spin, add, cross, dot, scaled
 from flexopt.plant.tree_motion import TreeMotion
 from flexopt.plant.tree_recursion import Recursion
 

@@ -28,7 +28,7 @@ import flexopt
 from benchmarks.timing import table
 from flexopt.errors import FlexoptError
 from flexopt.model import Machine
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG
+from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import build_measures
 from tests.oracles.machines import arm_at_rest, random_machine, regular_posture, segment_lengths

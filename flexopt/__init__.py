@@ -16,6 +16,7 @@ from flexopt.errors import SingularPosture as SingularPosture
 from flexopt.errors import UnreachableTarget as UnreachableTarget
 from flexopt.errors import WriteError as WriteError
 from flexopt.errors import WrongSlope as WrongSlope
+from flexopt.foundation.later import later
 
 if TYPE_CHECKING:
     from flexopt.coprime import RobustMargin as RobustMargin
@@ -163,85 +164,36 @@ __all__ = [
     "verify_bundle",
 ]
 
-# What is imported when first asked for, from which module: an import that needs nothing else takes milliseconds.
-_LATER: dict[str, str] = {
-    "Actuator": "simulation",
-    "BasePlan": "selection",
-    "BaseTrajectory": "selection",
-    "Candidate": "selection",
-    "Check": "robustness.checking",
-    "Ensemble": "simulation",
-    "Evaluation": "robustness",
-    "Experiment": "model.simulation",
-    "ExportReport": "export",
-    "FmuReport": "export.fmu",
-    "Hydraulics": "plant",
-    "Machine": "model",
-    "Measures": "robustness",
-    "Path": "simulation",
-    "Plant": "plant",
-    "Problem": "model",
-    "Report": "study",
-    "RobustMargin": "coprime",
-    "Selection": "selection",
-    "SelectionOptions": "model",
-    "SelectionProblem": "selection",
-    "Sensor": "simulation",
-    "SimulationOptions": "model.simulation",
-    "Stand": "selection",
-    "StateSpace": "coprime",
-    "Trajectory": "simulation",
-    "Tree": "model",
-    "Verification": "export",
-    "WorkspaceMap": "study",
-    "build_hydraulics": "plant",
-    "build_measures": "robustness",
-    "build_plant": "plant",
-    "build_selection": "selection",
-    "check": "robustness.checking",
-    "evaluate": "robustness",
-    "evaluate_w": "robustness",
-    "export_c": "export",
-    "export_fmu": "export.fmu",
-    "gap": "coprime",
-    "inverse_kinematics": "plant",
-    "load": "model",
-    "load_experiment": "model",
-    "load_problem": "model",
-    "load_robot": "model.robots",
-    "machine_from_dict": "model",
-    "map_workspace": "study",
-    "ncf_margin": "coprime",
-    "nu_gap": "coprime",
-    "nullspace_trajectory": "selection",
-    "optimal_controller": "coprime",
-    "plan_base": "selection",
-    "report": "study",
-    "robust_margin": "coprime",
-    "run_experiment": "simulation",
-    "sampled_loop": "simulation",
-    "select": "selection",
-    "select_stand": "selection",
-    "simulate": "simulation",
-    "simulate_ensemble": "simulation",
-    "solve_problem": "selection",
-    "solve_selection": "selection",
-    "stability_border": "simulation",
-    "tree_from_dict": "model",
-    "verify_bundle": "export",
+# What is imported when first asked for, by module: an import that needs nothing else takes milliseconds.
+_LATER = {
+    "coprime": "RobustMargin StateSpace gap ncf_margin nu_gap optimal_controller robust_margin",
+    "export": "ExportReport Verification export_c verify_bundle",
+    "export.fmu": "FmuReport export_fmu",
+    "model": (
+        "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"
+    ),
+    "model.robots": "load_robot",
+    "model.simulation": "Experiment SimulationOptions",
+    "plant": "Hydraulics Plant build_hydraulics build_plant inverse_kinematics",
+    "robustness": "Evaluation Measures build_measures evaluate evaluate_w",
+    "robustness.checking": "Check check",
+    "selection": (
+        "BasePlan BaseTrajectory Candidate Selection SelectionProblem Stand build_selection "
+        "nullspace_trajectory plan_base select select_stand solve_problem solve_selection"
+    ),
+    "simulation": (
+        "Actuator Ensemble Path Sensor Trajectory run_experiment sampled_loop simulate simulate_ensemble "
+        "stability_border"
+    ),
+    "study": "Report WorkspaceMap map_workspace report",
 }
-_ROOMS = {module.partition(".")[0] for module in _LATER.values()}
+_ROOMS = {module.partition(".")[0] for module in _LATER}
+_named = later(__name__, **_LATER)
 
 
 def __getattr__(name: str) -> object:
     """A public name, or a room, imported when it is first asked for."""
-    if name in _ROOMS:
-        return import_module(f"flexopt.{name}")
-    if name not in _LATER:
-        raise AttributeError(f"module 'flexopt' has no attribute {name!r}")
-    found = getattr(import_module(f"flexopt.{_LATER[name]}"), name)
-    globals()[name] = found
-    return found
+    return import_module(f"flexopt.{name}") if name in _ROOMS else _named(name)
 
 
 def __dir__() -> list[str]:

@@ -76,10 +76,9 @@ def _swept(size: int, state: list[ca.MX], least: int) -> list[ca.MX]:
 def _steps(size: int) -> tuple[ca.Function, ca.Function, ca.Function]:
     """A matrix -> itself and the unit matrix after one sweep; with vectors -> the same; and -> both in order."""
     a, vectors = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
-    # It folds the zeros of the unit matrix.
-    started = _sweep(a, ca.densify(ca.SX(ca.DM.eye(size)))) if size > 1 else (a, ca.SX.ones(1, 1))
-    first = ca.Function("first_sweep", [a], [ca.densify(x) for x in started], {"cse": True})
     sweep = ca.Function("sweep", [a, vectors], [ca.densify(x) for x in _sweep(a, vectors)], {"cse": True})
+    # The zeros of the unit matrix fold.
+    first = ca.Function("first_sweep", [a], sweep.call([a, ca.densify(ca.SX.eye(size))]), {"cse": True})
     order = ca.Function("ascending", [a, vectors], list(_sorted(ca.diag(a), vectors)), {"cse": True})
     return first, sweep, order
 

@@ -15,7 +15,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.foundation.turns import in_turn
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Elbow
+from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
 from flexopt.study.grid import end_point_grid

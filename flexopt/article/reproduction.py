@@ -32,7 +32,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.results import Result
 from flexopt.foundation.turns import in_turn
 from flexopt.model import AnyMachine
-from flexopt.model.problem import ELBOWS
+from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant
 from flexopt.selection import Selection, select
 from flexopt.study.gains import KV_HELD, RATIOS, GainMap, map_gains

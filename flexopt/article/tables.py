@@ -15,7 +15,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.results import Result
 from flexopt.foundation.turns import in_turn
 from flexopt.model import AnyMachine, load
-from flexopt.model.problem import Elbow
+from flexopt.model.choices import Elbow
 from flexopt.plant import inverse_kinematics
 from flexopt.plant.plant import build_plant
 from flexopt.robustness import Evaluation, evaluate

@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import io
 import sys
-from difflib import get_close_matches
 from importlib import import_module
 
 import click
@@ -50,6 +49,8 @@ class _Commands(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """As click, but with the commands that are spelt like an unknown one, which not every version of it names."""
         if args[0] not in _COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            from difflib import get_close_matches  # noqa: PLC0415  (which only mistakes need)
+
             near = " or ".join(repr(name) for name in get_close_matches(args[0], _COMMANDS))
             ctx.fail(f"No such command {args[0]!r}.{near and f' Did you mean {near}?'}")
         return super().resolve_command(ctx, args)

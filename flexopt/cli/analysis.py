@@ -36,8 +36,8 @@ from flexopt.cli.common import (
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.writing import write_file
-from flexopt.model import AnyMachine, Problem, load, load_any
-from flexopt.model.problem import ELBOWS
+from flexopt.model import AnyMachine, load, load_any
+from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import evaluate
 
@@ -153,6 +153,8 @@ def select_command(as_json: bool, machine: str, plot: str | None, out: str | Non
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given."""
+    from flexopt.model import Problem  # noqa: PLC0415  (`evaluate` does not need it)
+
     loaded = read(load_any, machine)
     settings: dict[str, Any] = loaded.select_arguments() if isinstance(loaded, Problem) else {"machine": loaded}
     if isinstance(loaded, Problem) and loaded.target.kind != "end_point":

@@ -15,7 +15,7 @@ import click
 from flexopt.errors import Fault, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
 from flexopt.foundation.control import CONTROLS, DAMPED
 from flexopt.foundation.escapes import terminal
-from flexopt.model.problem import ELBOWS
+from flexopt.model.choices import ELBOWS
 
 BAD_INPUT, FAILED = 2, 3
 FILE_NAME_MAX = 255

@@ -38,7 +38,7 @@ from flexopt.cli.common import (
 from flexopt.cli.simulation import loop_options
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import Problem, load, load_any, load_experiment
-from flexopt.model.problem import ELBOWS
+from flexopt.model.choices import ELBOWS
 from flexopt.selection import SelectionProblem, build_selection
 
 # Options of the closed loops that a report has.

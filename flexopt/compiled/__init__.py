@@ -8,8 +8,9 @@ Libraries are kept in `cache_folder()`, shared by processes, and may be deleted 
 Each name is imported when it is first asked for: what compiles nothing does not load what compiles.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from flexopt.foundation.later import later
 
 if TYPE_CHECKING:
     from flexopt.compiled.accelerated import accelerate as accelerate
@@ -23,24 +24,12 @@ if TYPE_CHECKING:
     from flexopt.compiled.recurrences import recurrence as recurrence
     from flexopt.compiled.storage import cache_folder as cache_folder
 
-_LATER = {
-    "Batch": "batched",
-    "Compiler": "compilers",
-    "Economical": "economical",
-    "Records": "recurrences",
-    "Recurrence": "recurrences",
-    "accelerate": "accelerated",
-    "batch": "batched",
-    "cache_folder": "storage",
-    "find_compiler": "compilers",
-    "recurrence": "recurrences",
-}
-
-
-def __getattr__(name: str) -> object:
-    """A name of this room, imported when it is first asked for."""
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
-    globals()[name] = found
-    return found
+__getattr__ = later(
+    __name__,
+    accelerated="accelerate",
+    batched="Batch batch",
+    compilers="Compiler find_compiler",
+    economical="Economical",
+    recurrences="Records Recurrence recurrence",
+    storage="cache_folder",
+)

@@ -191,7 +191,7 @@ class _Tables(NamedTuple):
     others: NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Evaluated:
     """A Function's instructions at one point.
 

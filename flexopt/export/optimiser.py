@@ -29,7 +29,7 @@ from flexopt.foundation.boundary import anything, by, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX, whole_number
 from flexopt.model import AnyMachine
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG
+from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 
 # How alike two words must be for one to be suggested for the other.
@@ -11,6 +10,8 @@ ALIKE = 0.6
 
 def nearest(word: str, known: Iterable[str], alike: float = ALIKE) -> str | None:
     """The one of `known` that is most like `word`, if any is at all."""
+    import difflib  # noqa: PLC0415  (which only faults need)
+
     return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=alike)), None)
 
 

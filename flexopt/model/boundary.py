@@ -12,20 +12,18 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE, Check, by, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.quantities import entries
-from flexopt.model.constraints import read_constraints
-from flexopt.model.machine import AnyMachine
-from flexopt.model.problem import (
+from flexopt.model.choices import (
     ELBOWS,
     GAIN,
     MARGIN_DEG,
     SEED,
     SLACK_SHARE,
     STARTS,
-    Problem,
+    TARGETS_MAX,
     check_objective,
     check_weights,
 )
-from flexopt.model.targets import TARGETS_MAX
+from flexopt.model.machine import AnyMachine
 
 
 def targets(least: int) -> Check:
@@ -72,10 +70,15 @@ def _base_range(arguments: Arguments, machine: AnyMachine, field: str, value: An
     return arguments.checked(field, value, lambda v: check_base_range(v, names, units), None)
 
 
+def _constraints(arguments: Arguments, field: str, value: Any) -> Any:
+    from flexopt.model.constraints import read_constraints  # noqa: PLC0415  (which few calls need)
+
+    return arguments.collect(field, lambda: read_constraints(value))
+
+
 TABLE.update(
     {
         "machine": _machine,
-        "problem": holding_machine(Problem, "a Problem, from flexopt.load_problem"),
         "elbow": words(*ELBOWS),
         "gain": by(GAIN),
         "singularity_margin_deg": by(MARGIN_DEG),
@@ -85,6 +88,6 @@ TABLE.update(
         "objective": by(check_objective),
         "weights": by(check_weights),
         "base_range": of_machine(_base_range),
-        "constraints": lambda a, field, value: a.collect(field, lambda: read_constraints(value)),
+        "constraints": _constraints,
     }
 )

@@ -59,8 +59,8 @@ class Base(FileModel):
     mass: Mass
     inertia: Inertia
     rest_angle: Angle
-    stiffness: BaseStiffness = BaseStiffness()
-    damping: BaseDamping = BaseDamping()
+    stiffness: BaseStiffness = BaseStiffness.model_construct()
+    damping: BaseDamping = BaseDamping.model_construct()
 
 
 class Link(FileModel):
@@ -96,7 +96,7 @@ class Machine(AnyMachine):
 
     base: Base
     links: tuple[Link, ...] = Field(min_length=1)
-    payload: Payload = Payload()
+    payload: Payload = Payload.model_construct()
     support: Span | None = None
 
     __hash__ = AnyMachine.__hash__

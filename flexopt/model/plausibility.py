@@ -8,7 +8,6 @@ and drives, mass against the square of the reach. `flexopt.robustness.plausibili
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -129,7 +128,8 @@ def implausible_numbers(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
 def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> Iterator[ImplausibleNumber]:
     given = [part.length for part in parts if part.length > 0]
     for part in parts:
-        others = statistics.median([length for length in given if length != part.length] or given or [0.0])
+        lengths = sorted([length for length in given if length != part.length] or given or [0.0])
+        others = (lengths[(len(lengths) - 1) // 2] + lengths[len(lengths) // 2]) / 2  # the median
         if len(given) > 1 and part.length > LONGER * others:
             yield ImplausibleNumber(
                 f"{part.where}.length",

@@ -2,83 +2,43 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, TypedDict, cast
+from typing import Annotated, Any, TypedDict, cast
 
 from pydantic import Field
 
 from flexopt.errors import Fault
+from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.quantities import (
     COORDINATE,
     Checked,
-    Quantity,
-    each_named,
-    entries,
     pair,
-    whole_number,
+)
+from flexopt.model.boundary import holding_machine
+from flexopt.model.choices import (
+    GAIN,
+    MARGIN_DEG,
+    SEED,
+    SINGULARITY_MARGIN_DEG,
+    SLACK,
+    SLACK_SHARE,
+    STARTS,
+    Combine,
+    Elbow,
+    check_objective,
+    check_weights,
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.file_model import BuiltByCall
 from flexopt.model.machine import OnMachine
-from flexopt.model.targets import (
-    KINDS,
-    SOME_COORDINATES,
-    SOME_SHARES,
-    PathMotion,
-    Target,
-    TargetKind,
-    problem_faults,
-)
+from flexopt.model.targets import KINDS, SOME_COORDINATES, SOME_SHARES, PathMotion, Target, TargetKind, problem_faults
 
-Elbow = Literal["up", "down"]
-ELBOWS: tuple[Elbow, ...] = ("up", "down")
-# How the targets that share a placement count: the worst one, or all by their shares.
-Combine = Literal["worst", "weighted"]
-COMBINES: tuple[Combine, ...] = ("worst", "weighted")
-SINGULARITY_MARGIN_DEG = 10.0
-# The best maxima of the excavator's ε_max differ by 4e-5 of it and more.
-SLACK = 1e-5
-STARTS_MAX = 10_000
 # What the calls that solve a problem name the keys of [target].
 TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "path"}
 # Coordinates that some machine may be placed by.
 PLACEMENTS = ("x", "y", "yaw")
-
-
-@Checked
-def check_objective(value: Any) -> str:
-    """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas."""
-    words = value.replace(" ", "").split(",") if isinstance(value, str) else []
-    if not words or not all(re.fullmatch(r"V|epsilon_max|w[1-9][0-9]?", word) for word in words):
-        raise ValueError(
-            "must be w1, w2, … (one mode), V (a weighted sum) or epsilon_max, or several of them in order of "
-            "importance, separated by commas"
-        )
-    if len(set(words)) < len(words):
-        raise ValueError("names the same objective twice")
-    return ",".join(words)
-
-
-@Checked
-def check_weights(value: Any) -> tuple[float, ...]:
-    """The weights α of V = Σ αi wi: non-negative, not all zero."""
-    values = entries(value)
-    if not values:
-        raise ValueError("must be a list of numbers, one for each mode")
-    weights = each_named(Quantity("", low=0.0, high=1e6), values, [f"α{i + 1}" for i in range(len(values))])
-    if not any(weights):
-        raise ValueError("at least one weight must be positive")
-    return weights
-
-
-MARGIN_DEG = Quantity("°", low=0.01, high=80.0)
-GAIN = Quantity("", above=0.0, high=1e15)
-SEED = whole_number(0, 2**32 - 1, "2³² − 1")
-SLACK_SHARE = Quantity("", low=1e-7, high=1.0)
-STARTS = whole_number(1, STARTS_MAX)
 
 
 @Checked
@@ -198,3 +158,6 @@ class Problem(OnMachine):
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options
+
+
+TABLE["problem"] = holding_machine(Problem, "a Problem, from flexopt.load_problem")

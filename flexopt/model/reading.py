@@ -14,11 +14,10 @@ from flexopt.model.file_model import Table, check_extent, read_table, table_of, 
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.planar import Machine
 from flexopt.model.planar_faults import machine_faults
-from flexopt.model.problem import Problem
-from flexopt.model.targets import problem_faults
 from flexopt.model.tree import Tree
 
 if TYPE_CHECKING:
+    from flexopt.model.problem import Problem
     from flexopt.model.simulation import Experiment
 
 
@@ -140,6 +139,9 @@ def _experiment(source: Source) -> Experiment:
 
 
 def _problem(source: Source) -> Problem:
+    from flexopt.model.problem import Problem  # noqa: PLC0415  (what no file asks for is not loaded)
+    from flexopt.model.targets import problem_faults  # noqa: PLC0415
+
     if "simulation" in source.data:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
     check_extent(source.data, source.name)

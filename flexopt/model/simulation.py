@@ -23,9 +23,9 @@ from flexopt.foundation.quantities import (
     numbers_in,
     whole_number,
 )
+from flexopt.model.choices import GAIN, SEED, Elbow, check_objective, check_weights
 from flexopt.model.file_model import BuiltByCall, FileModel
 from flexopt.model.machine import AnyMachine, OnMachine
-from flexopt.model.problem import GAIN, SEED, Elbow, check_objective, check_weights
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
@@ -173,8 +173,8 @@ class SimulationOptions(BuiltByCall):
     gravity: bool = False
     gravity_compensation: bool = True
     nullspace_damping: Annotated[float, Quantity("N m s/rad or N s/m", low=0.0, high=1e12)] = 0.0
-    sensor: Sensor = Sensor()
-    actuator: Actuator = Actuator()
+    sensor: Sensor = Sensor.model_construct()
+    actuator: Actuator = Actuator.model_construct()
     base_path: Path | None = None
     target_path: Path | None = None
     seed: Annotated[int, SEED] = 0

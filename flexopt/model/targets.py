@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal, cast
 
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import COORDINATE_MAX, DURATION, Quantity, list_of, numbers_in
+from flexopt.model.choices import TARGETS_MAX
 from flexopt.model.file_model import FileModel, table_of
 
-TARGETS_MAX = 1000
 RATE_MAX, TIME_MAX, SHARE_MAX = 1e3, 1e6, 1e6
 # Keys of [target], of which a problem has exactly one, with the keys of [selection] that go with it only.
 TargetKind = Literal["end_point", "end_points", "path"]

@@ -35,7 +35,7 @@ class Tree(AnyMachine):
     stiffness_matrix: JointMatrix | None = None
     damping_matrix: JointMatrix | None = None
     placement: tuple[Placement, ...] = ("x", "y", "yaw")
-    payload: Payload = Payload()
+    payload: Payload = Payload.model_construct()
     support: Polygon | None = None
 
     __hash__ = AnyMachine.__hash__

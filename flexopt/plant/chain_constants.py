@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 
 import casadi as ca
 
-from flexopt.plant.tree_constants import AXES
+from flexopt.plant.tree_algebra import AXES
 from flexopt.plant.tree_structure import Numbers, Skeleton
 
 

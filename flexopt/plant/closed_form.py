@@ -18,7 +18,7 @@ from flexopt.plant.tree_structure import Skeleton
 from flexopt.plant.tree_task import placed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class InverseKinematicsGraph:
     """Closed-form inverse kinematics and the arm's segments, as SX graphs.
 

@@ -17,7 +17,7 @@ from flexopt.plant.tree_structure import rounded, segments_and_frames
 from flexopt.plant.tree_task import in_inertial_axes, placed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frames:
     """Frames of bodies as SX graphs of q, base and p; d = 2 in the plane, 3 in space.
 

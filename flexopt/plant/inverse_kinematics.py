@@ -21,7 +21,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Elbow
+from flexopt.model.choices import Elbow
 from flexopt.plant.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, missed, sampled_ranges, unreachable
 from flexopt.plant.statics import check_held

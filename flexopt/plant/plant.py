@@ -22,7 +22,7 @@ from flexopt.plant.mass_centre import centre_of_mass
 STATIC_ITERATIONS = 12
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OperatingPoint:
     """SX graphs at a configuration where the machine stands still. Shapes as in `Plant`."""
 

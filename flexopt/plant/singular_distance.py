@@ -13,7 +13,7 @@ from itertools import pairwise
 import casadi as ca
 
 from flexopt.algebra import determinant, safe_norm
-from flexopt.plant.tree_constants import AXES
+from flexopt.plant.tree_algebra import AXES
 from flexopt.plant.tree_structure import Skeleton
 
 # Of sums of products of squared singular values, where the mean of these is 1.
@@ -57,7 +57,7 @@ def _quotient(a: ca.SX, b: ca.SX) -> ca.SX:
     return a * b / (b**2 + ROUNDING**2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArmLine:
     """The actuated joints on the way to the end-point, from the ground outwards, in one configuration.
 

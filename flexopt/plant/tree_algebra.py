@@ -11,15 +11,18 @@ from functools import cached_property, reduce
 
 import casadi as ca
 
-from flexopt.plant.tree_constants import SECOND
+from flexopt.model.kinematic_tree import INERTIA_ENTRIES
 from flexopt.plant.tree_structure import Numbers
 
 Scalar = ca.SX
 Vector = tuple[Scalar, Scalar, Scalar]
 Pair = tuple[Scalar, Scalar]
 Wrench = tuple[Vector, Vector]  # force, moment about the body's origin
+AXES = "xyz"
+SECOND = INERTIA_ENTRIES
 ZERO = ca.SX(0)
 ORIGIN: Vector = (ZERO, ZERO, ZERO)
+NOWHERE: dict[str, Scalar] = dict.fromkeys(SECOND, ZERO)
 
 
 def _plus(a: Scalar, b: Scalar) -> Scalar:
@@ -95,7 +98,7 @@ def about_z(turn: Pair | None, a: Vector) -> Vector:
     return x, y, a[2]
 
 
-def second_about_z(turn: Pair | None, second: dict[str, Scalar]) -> dict[str, Scalar]:
+def second_about_z(turn: Pair | None, second: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
     """A second moment turned about z."""
     if turn is None:
         return second
@@ -109,7 +112,38 @@ def second_about_z(turn: Pair | None, second: dict[str, Scalar]) -> dict[str, Sc
             "xz": c * xz - s * yz, "yz": s * xz + c * yz}  # fmt: skip
 
 
-@dataclass(frozen=True)
+def second_turned(matrix: Numbers, second: Mapping[str, Scalar]) -> dict[str, Scalar]:
+    """A second moment S turned by a constant matrix, E S Eᵀ."""
+    rows = [[second["".join(sorted(a + b))] for b in AXES] for a in AXES]
+    half = [turned(matrix, (row[0], row[1], row[2])) for row in rows]  # S Eᵀ
+    columns = [turned(matrix, (half[0][k], half[1][k], half[2][k])) for k in range(3)]
+    return {name: columns[AXES.index(name[1])][AXES.index(name[0])] for name in SECOND}
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Mass, first and second moment of what is rigid, about an origin, in some axes."""
+
+    mass: Scalar
+    first: Vector
+    second: Mapping[str, Scalar]
+
+    def __add__(self, other: Moments) -> Moments:
+        second = {name: _plus(self.second[name], other.second[name]) for name in SECOND}
+        return Moments(_plus(self.mass, other.mass), add(self.first, other.first), second)
+
+    def moved(self, at: Vector) -> Moments:
+        """About the point from which the origin lies `at`."""
+        second: dict[str, Scalar] = {}
+        for name in SECOND:
+            a, b = AXES.index(name[0]), AXES.index(name[1])
+            both = _times(self.first[a], at[b])
+            both = _plus(both, both if a == b else _times(self.first[b], at[a]))
+            second[name] = _plus(_plus(self.second[name], both), _times(_times(self.mass, at[a]), at[b]))
+        return Moments(self.mass, add(self.first, scaled(self.mass, at)), second)
+
+
+@dataclass(frozen=True, eq=False)
 class Spin:
     """How a body's axes turn: rate ω, its square's and its derivative's part in U (rows), all in its axes."""
 

@@ -10,32 +10,13 @@ that only ever turns about its own z keeps nothing of S but S_xx + S_yy.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import casadi as ca
-import numpy as np
 
-from flexopt.model.kinematic_tree import INERTIA_ENTRIES, KinematicTree
-from flexopt.plant.tree_structure import Matrix, Segment, ground_frame, rounded, segments_and_frames
-
-AXES = "xyz"
-SECOND = INERTIA_ENTRIES
-
-
-@dataclass
-class _Moments:
-    """Mass, first moment and second moment (3, 3) about a frame's origin."""
-
-    mass: ca.SX
-    first: ca.SX
-    second: ca.SX
-
-    def add(self, mass: ca.SX, first: ca.SX, second: ca.SX, at: ca.SX) -> None:
-        """What has these moments about `at`, in the same axes."""
-        self.mass += mass
-        self.first += first + mass * at
-        self.second += second + at @ first.T + first @ at.T + mass * at @ at.T
+from flexopt.model.kinematic_tree import KinematicTree
+from flexopt.plant.tree_algebra import AXES, NOWHERE, ORIGIN, SECOND, ZERO, Moments, Vector, second_turned, turned
+from flexopt.plant.tree_structure import Segment, ground_frame, rounded, segments_and_frames
 
 
 def constant_graphs(tree: KinematicTree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
@@ -49,32 +30,30 @@ def constant_graphs(tree: KinematicTree, value: Mapping[str, ca.SX]) -> dict[str
     entry = {key: value[name] for key, name in tree.entries.items()}
     index = {body.name: i for i, body in enumerate(tree.bodies)}
     result: dict[str, ca.SX] = {}
-    offsets: list[ca.SX] = []
-    moments: list[_Moments] = []
+    offsets: list[Vector] = []
+    moments: list[Moments] = []
     for i, segment in enumerate(segments):
         of_parent = ground_frame(tree) if segment.parent < 0 else frames[segment.parent]
-        offsets.append(_turned(of_parent.T, _vector(entry, f"offset{i}")))
-        own = _Moments(ca.SX(0), ca.SX.zeros(3, 1), ca.SX.zeros(3, 3))
+        offsets.append(turned(rounded(of_parent.T), _vector(entry, f"offset{i}")))
+        own, back = Moments(ZERO, ORIGIN, NOWHERE), rounded(frames[i].T)
         if f"mass{i}" in entry:
-            at = _turned(frames[i].T, _vector(entry, f"com{i}"))
-            inertia = [entry.get(f"inertia{i}.{ab}", ca.SX(0)) for ab in SECOND]
-            zero = ca.SX.zeros(3, 1)
-            own.add(entry[f"mass{i}"], zero, _both(frames[i].T, _second_of(inertia)), at)
+            inertia = second_turned(back, _second_of(*(entry.get(f"inertia{i}.{ab}", ZERO) for ab in SECOND)))
+            own = Moments(entry[f"mass{i}"], ORIGIN, inertia).moved(turned(back, _vector(entry, f"com{i}")))
         moments.append(own)
     tip = index[tree.end_point.body]
-    end = _turned(frames[tip].T, _vector(entry, "tip"))
-    moments[tip].add(entry["payload"], ca.SX.zeros(3, 1), ca.SX.zeros(3, 3), end)
+    end = turned(rounded(frames[tip].T), _vector(entry, "tip"))
+    moments[tip] += Moments(entry["payload"], ORIGIN, NOWHERE).moved(end)
     carried = _carried(segments, [own.mass for own in moments])
     _move_inwards(segments, offsets, moments)
 
     for i, (offset, own) in enumerate(zip(offsets, moments, strict=True)):
         result |= {f"offset{i}.{axis}": offset[k] for k, axis in enumerate(AXES)}
         result |= {f"m{i}": own.mass} | {f"c{i}.{axis}": own.first[k] for k, axis in enumerate(AXES)}
-        result |= {f"s{i}.{ab}": own.second[AXES.index(ab[0]), AXES.index(ab[1])] for ab in SECOND}
+        result |= {f"s{i}.{ab}": own.second[ab] for ab in SECOND}
     result |= {f"tip.{axis}": end[k] for k, axis in enumerate(AXES)}
     result |= {key: graph for key, graph in entry.items() if key.startswith(("stiffness", "damping"))}
-    result |= {f"rest{i}": entry.get(f"rest{i}", ca.SX(0)) for i, segment in enumerate(segments) if segment.passive}
-    rotors = [entry.get(f"armature{i}", ca.SX(0)) for i in range(len(segments))]
+    result |= {f"rest{i}": entry.get(f"rest{i}", ZERO) for i, segment in enumerate(segments) if segment.passive}
+    rotors = [entry.get(f"armature{i}", ZERO) for i in range(len(segments))]
     result |= {f"armature{i}": rotor for i, rotor in enumerate(rotors)}
     moved = [mass + rotor for mass, rotor in zip(carried, rotors, strict=True)]
     result |= {f"inverse{i}": 1 / mass for i, mass in enumerate(moved) if segments[i].slide}
@@ -90,48 +69,29 @@ def _carried(segments: tuple[Segment, ...], masses: list[ca.SX]) -> list[ca.SX]:
     return carried
 
 
-def _move_inwards(segments: tuple[Segment, ...], offsets: list[ca.SX], moments: list[_Moments]) -> None:
-    for segment, offset, own in zip(reversed(segments), reversed(offsets), reversed(moments), strict=True):
-        turn = np.array(segment.turn)
+def _move_inwards(segments: tuple[Segment, ...], offsets: list[Vector], moments: list[Moments]) -> None:
+    for i, segment in reversed(list(enumerate(segments))):
+        own = moments[i]
         if segment.slide:
-            moved = (ca.SX(0), ca.SX.zeros(3, 1), own.second)
-            own.second = ca.SX.zeros(3, 3)
+            kept, moved = Moments(own.mass, own.first, NOWHERE), Moments(ZERO, ORIGIN, own.second)
         else:
-            along = ca.SX(turn[:, 2])
-            moved = (own.mass, along * own.first[2], along @ along.T * own.second[2, 2])
-            own.mass, own.first[2], own.second[2, 2] = ca.SX(0), ca.SX(0), ca.SX(0)
+            (x, y, z), zz = own.first, own.second["zz"]
+            kept = Moments(ZERO, (x, y, ZERO), {**own.second, "zz": ZERO})
+            turn = segment.turn
+            moved = Moments(own.mass, turned(turn, (ZERO, ZERO, z)), second_turned(turn, {**NOWHERE, "zz": zz}))
         if segment.parent >= 0:
-            moments[segment.parent].add(*moved, offset)
-    for own, segment in zip(moments, segments, strict=True):
+            moments[segment.parent] += moved.moved(offsets[i])
         if segment.parallel:
-            about = own.second[0, 0] + own.second[1, 1]
-            own.second = ca.SX.zeros(3, 3)
-            own.second[0, 0] = about
+            kept = Moments(kept.mass, kept.first, {**NOWHERE, "xx": own.second["xx"] + own.second["yy"]})
+        moments[i] = kept
 
 
-def _vector(entry: Mapping[str, ca.SX], name: str) -> ca.SX:
-    return ca.vertcat(*(entry.get(f"{name}.{axis}", ca.SX(0)) for axis in AXES))
+def _vector(entry: Mapping[str, ca.SX], name: str) -> Vector:
+    x, y, z = (entry.get(f"{name}.{axis}", ZERO) for axis in AXES)
+    return x, y, z
 
 
-def _turned(matrix: Matrix, vector: ca.SX) -> ca.SX:
-    """Matrix · vector, zeros and ones of the matrix folded."""
-    return ca.vertcat(*(_sum(entry * vector[k] for k, entry in enumerate(row) if entry) for row in rounded(matrix)))
-
-
-def _both(matrix: Matrix, square: ca.SX) -> ca.SX:
-    """Matrix · square · matrixᵀ."""
-    left = ca.horzcat(*(_turned(matrix, square[:, k]) for k in range(3)))
-    return ca.horzcat(*(_turned(matrix, left[k, :].T) for k in range(3))).T
-
-
-def _second_of(inertia: list[ca.SX]) -> ca.SX:
+def _second_of(xx: ca.SX, yy: ca.SX, zz: ca.SX, xy: ca.SX, xz: ca.SX, yz: ca.SX) -> dict[str, ca.SX]:
     """Second moment ½ tr(I) 1 − I."""
-    xx, yy, zz, xy, xz, yz = inertia
     diagonal = [0.5 * (yy + zz - xx), 0.5 * (xx + zz - yy), 0.5 * (xx + yy - zz)]
-    return ca.vertcat(
-        ca.horzcat(diagonal[0], -xy, -xz), ca.horzcat(-xy, diagonal[1], -yz), ca.horzcat(-xz, -yz, diagonal[2])
-    )
-
-
-def _sum(terms: Iterable[ca.SX]) -> ca.SX:
-    return sum(terms, start=ca.SX(0))
+    return dict(zip(SECOND, (*diagonal, -xy, -xz, -yz), strict=True))

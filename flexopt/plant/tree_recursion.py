@@ -17,7 +17,9 @@ import casadi as ca
 
 from flexopt.plant.tree_algebra import (
     ORIGIN,
+    SECOND,
     ZERO,
+    Moments,
     Pair,
     Scalar,
     Spin,
@@ -30,24 +32,15 @@ from flexopt.plant.tree_algebra import (
     reversed_turn,
     scaled,
     second_about_z,
+    second_turned,
     times,
     turned,
     turned_back,
 )
-from flexopt.plant.tree_constants import AXES, SECOND
 from flexopt.plant.tree_structure import Skeleton
 
 
-@dataclass(frozen=True)
-class Composite:
-    """Mass, first and second moments of a body and all beyond it, about the body's origin, in its axes."""
-
-    mass: Scalar
-    first: Vector
-    second: dict[str, Scalar]
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recursion:
     """A tree in one configuration.
 
@@ -132,7 +125,7 @@ class Recursion:
         """First moment of the body alone."""
         return self.of_body(i, self.vector(f"c{i}"))
 
-    def second(self, i: int) -> dict[str, Scalar]:
+    def second(self, i: int) -> Mapping[str, Scalar]:
         """Second moment of the body alone."""
         own = {ab: self.of(f"s{i}.{ab}") for ab in SECOND}
         return own if self.skeleton.segments[i].parallel else second_about_z(self._heading(i), own)
@@ -185,34 +178,21 @@ class Recursion:
         return at
 
     @cached_property
-    def composites(self) -> list[Composite]:
-        """Each body with all beyond it."""
-        result = [Composite(self.of(f"m{i}"), self.first(i), self.second(i)) for i in range(self.n)]
+    def composites(self) -> list[Moments]:
+        """Each body with all beyond it, about its origin, in the axes of its row."""
+        result = [Moments(self.of(f"m{i}"), self.first(i), self.second(i)) for i in range(self.n)]
         for i in reversed(range(self.n)):
-            parent = self.skeleton.segments[i].parent
+            parent, of = self.skeleton.segments[i].parent, result[i]
             if parent >= 0:
-                result[parent] = _joined(result[parent], self._seen_by_parent(i, result[i]))
+                turned_in = Moments(of.mass, self.inwards(i, of.first), self._second_inwards(i, of.second))
+                result[parent] += turned_in.moved(self.offset(i))
         return result
 
-    def _seen_by_parent(self, i: int, of: Composite) -> Composite:
-        at, first = self.offset(i), self.inwards(i, of.first)
-        second = self._second_inwards(i, of.second)
-        shifted: dict[str, Scalar] = {}
-        for name in SECOND:
-            a, b = AXES.index(name[0]), AXES.index(name[1])
-            cross_terms = 2 * first[a] * at[a] if a == b else first[a] * at[b] + first[b] * at[a]
-            shifted[name] = second[name] + cross_terms + of.mass * at[a] * at[b]
-        return Composite(of.mass, add(first, scaled(of.mass, at)), shifted)
-
-    def _second_inwards(self, i: int, second: dict[str, Scalar]) -> dict[str, Scalar]:
+    def _second_inwards(self, i: int, second: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
         segment = self.skeleton.segments[i]
         if segment.slide or segment.in_row:
             return second
-        entries = second_about_z(self.along[i], second)
-        rows = [[entries["".join(sorted(a + b))] for b in AXES] for a in AXES]
-        half = [turned(segment.turn, (row[0], row[1], row[2])) for row in rows]  # S Eᵀ
-        columns = [turned(segment.turn, (half[0][k], half[1][k], half[2][k])) for k in range(3)]  # E S Eᵀ
-        back = {name: columns[AXES.index(name[1])][AXES.index(name[0])] for name in SECOND}
+        back = second_turned(segment.turn, second_about_z(self.along[i], second))
         return second_about_z(self._heading(segment.parent), back)
 
     @cached_property
@@ -276,8 +256,3 @@ class Recursion:
                 force, moment = self.wrench_inwards(i, wrenches[i])
                 wrenches[parent] = (add(wrenches[parent][0], force), add(wrenches[parent][1], moment))
         return result
-
-
-def _joined(a: Composite, b: Composite) -> Composite:
-    second = {name: a.second[name] + b.second[name] for name in SECOND}
-    return Composite(a.mass + b.mass, add(a.first, b.first), second)

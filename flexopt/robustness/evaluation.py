@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings as python_warnings
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,11 +20,13 @@ from flexopt.model import AnyMachine
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
-from flexopt.robustness.damped import DampedModes, damped_modes
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.posture_margin import evaluate_margin, prepare_margin
+
+if TYPE_CHECKING:
+    from flexopt.robustness.damped import DampedModes
 
 
 @dataclass(frozen=True)
@@ -281,6 +283,8 @@ def evaluate_checked(
     clusters = tuple(g for g in groups if len(g) > 1)
     detail, difference = None, None
     if damped:
+        from flexopt.robustness.damped import damped_modes  # noqa: PLC0415  (which few calls need)
+
         detail = damped_modes(machine, base, posture, control, gravity, float(omega[0]))
         difference = float(np.max(np.abs(detail.w - w) / np.where(scale > 0, scale, 1.0)))
         clusters = detail.clusters

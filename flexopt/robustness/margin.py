@@ -77,7 +77,7 @@ class Margin:
 
     @cached_property
     def _expansion(self) -> Expansion:
-        return Expansion(self.plant, self.control, self.gravity, compact=True)
+        return Expansion(self.plant, self.control, self.gravity, compact=self.compact)
 
     @cached_property
     def hold(self) -> ca.Function:
@@ -85,17 +85,17 @@ class Margin:
         expansion, pencil, m = self._expansion, self._expansion.pencil, self.plant.n_passive
         names, symbols = self._symbols()
         at: list[Any] = symbols
-        modes, options = called_modes(m), {"is_diff_out": [False]}
+        modes = called_modes(m)
         if not self.compact and m <= WRITTEN_OUT:
             at = [*list(expansion.inputs.values())[:3], ca.SX.sym("kr")]
-            modes, options = modes_function(m), options | {"cse": True}
+            modes = modes_function(m)
         rigid = safe_norm(ca.vec(rigid_residue(expansion.point, pencil, self.control)))
         outputs = [*expansion.graphs, rigid, ca.diag(pencil.actuated_mass)]
         deflection = expansion.deflection(at[:3])
         y = expansion.of_machine("reduce", [], outputs).call([*at[:3], *deflection])
         parts, _ = expansion.solved(deflection, y[:3], modes)
         held = self._scales.call([at[3], *deflection, parts["omega_squared"], parts["modes"], *y[1:]])
-        return ca.Function("hold_margin", at, held, names, ["held"], options)
+        return ca.Function("hold_margin", at, held, names, ["held"], {"is_diff_out": [False]})
 
     @cached_property
     def _scales(self) -> ca.Function:
@@ -118,7 +118,7 @@ class Margin:
         arm = ca.sqrt(rigid) / rate * ca.SX.ones(r, 1)
         arm_rate = ca.sqrt(rigid * ca.sum(inertia) / inertia) / rate if self.keeps_joint_rates else arm
         held = ca.veccat(deflection, rate, vibration, back, arm, arm_rate)
-        return ca.Function("scales", list(symbols.values()), [held], {"cse": True})
+        return ca.Function("scales", list(symbols.values()), [held], {"cse": self.compact})
 
     @property
     def _held_sizes(self) -> list[int]:

@@ -56,7 +56,7 @@ class Measures:
         symbols, called = self._symbols, self.plant.n_passive > WRITTEN_OUT
         parts, _ = self.expansion.hold(symbols, modes_function(self.plant.n_passive))
         held = [ca.veccat(*list[ca.MX](parts.values()))]
-        options = {"is_diff_out": [False], "never_inline": called, "cse": not called}
+        options = {"is_diff_out": [False], "never_inline": called}
         return ca.Function("hold", symbols, held, NAMES, ["held"], options)
 
     @cached_property

@@ -29,7 +29,7 @@ TRUSTED_GAP = 1e-3
 WRITTEN_OUT = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReducedPencil:
     """K_p φ_p = ω² M̄ φ_p after the actuated coordinates are eliminated.
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from flexopt.errors import ImplausibleMachine
+from flexopt.foundation.arrays import spread
 from flexopt.model import AnyMachine
 from flexopt.model.plausibility import Array, ImplausibleNumber, implausible_numbers
 from flexopt.plant import Plant, build_plant
@@ -109,6 +110,4 @@ def _postures(machine: AnyMachine) -> list[Array]:
     low = np.array([max(limits[0], -r) for limits, r in zip(machine.limits, units, strict=True)])
     high = np.array([min(limits[1], r) for limits, r in zip(machine.limits, units, strict=True)])
     low, high = np.minimum(low, high), np.maximum(low, high)
-    # Spread evenly by multiples of irrational numbers, as random ones would be: numpy.random takes longer to import.
-    irrational = np.sqrt(2.0 + np.arange(len(low)) * 3.0)
-    return [(low + high) / 2, *(low + (high - low) * np.modf(k * irrational)[0] for k in range(1, POSTURES))]
+    return [(low + high) / 2, *(low + (high - low) * spread(POSTURES - 1, len(low)))]

@@ -123,7 +123,7 @@ def _n_p(margin: Margin) -> int:
     return len(margin.plant.parameter_names)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Unseen:
     """States that nothing depends on: A R = 0 and C R = 0 for R = [−W; I] in the columns (P, F).
 
@@ -168,7 +168,7 @@ class _Unseen:
         return by_f, Q.T @ B, by_c
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _ScaledPlant:
     """The plant in physical units as evaluated, and its equation for x = T ξ, t = τ/rate, unseen states left out."""
 

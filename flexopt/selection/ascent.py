@@ -60,7 +60,7 @@ class Ascent:
         here, distance = self.restored(start), FIRST
         if here is None:
             return None
-        step = self._step(here, np.eye(here.x.size), distance, coupled=False)
+        step = self._step(here, np.eye(here.x.size), distance)
         for number in range(iterations):
             second = None if step is None else self._second(here, step)
             if second is None:
@@ -127,15 +127,15 @@ class Ascent:
     def _shortest(self, slopes: Vector, wrong: Vector, chosen: NDArray[np.bool_]) -> Vector:
         return self._moving * np.linalg.lstsq(slopes[chosen] * self._moving, wrong[chosen], rcond=1e-12)[0]
 
-    def _step(self, here: Point, bend: Vector, distance: float, *, coupled: bool) -> Step | None:
-        return best_step(here, bend, self.bounds, self.least, distance, coupled=coupled)
+    def _step(self, here: Point, bend: Vector, distance: float, pulls: tuple[Vector, ...] | None = None) -> Step | None:
+        return best_step(here, bend, self.bounds, self.least, distance, pulls)
 
     def _model(self, second: SecondOrder, distance: float) -> Step | None:
         """The step by branches of their own, where it is too short to mix them; else by coupled ones."""
-        step = self._step(second.here, second.bend(coupled=False), distance, coupled=False)
+        step = self._step(second.here, second.bend(coupled=False), distance)
         if step is None or all(branches.stay_apart(step.d) for branches in second.mixed.objectives):
             return step
-        return self._step(second.mixed, second.bend(coupled=True), distance, coupled=True)
+        return self._step(second.mixed, second.bend(coupled=True), distance, second.pulls)
 
     def _next(self, second: SecondOrder, distance: float) -> tuple[Point | None, Step | None, float]:
         """The next point, the step that led to it, and how far the model is to be trusted; no point at the end."""
@@ -171,7 +171,7 @@ class Ascent:
         values, vectors = np.linalg.eigh(step.bend)
         stiff = (vectors * np.maximum(values, STIFF * values[-1])) @ vectors.T
         for _ in range(CHORDS):
-            again = None if there is None else self._step(there, stiff, distance, coupled=step.coupled)
+            again = None if there is None else self._step(there, stiff, distance, step.pulls if step.coupled else None)
             if there is None or again is None or again.gain <= POOR * step.gain:
                 break
             after = self.restored(there.x + again.d)

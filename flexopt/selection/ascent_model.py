@@ -24,7 +24,7 @@ DIFFERENCE, APART = 3e-4, 4.0
 # The least curvature of a model, relative to its greatest: where V is flat, steps are short without it.
 FLAT = 1e-7
 # Unit vectors u of a pair of branches, and how near to the smaller eigenvalue they lead, as a share of what V gains.
-DIRECTIONS, NEAR = 12, 1e-3
+DIRECTIONS, NEAR = 12, 1e-2
 # A solution this far beyond its box is none.
 BEYOND = 1.01
 
@@ -128,7 +128,7 @@ class Step:
 
 
 def best_step(
-    here: Point, bend: Vector, bounds: Bounds, least: Vector, distance: float, *, coupled: bool
+    here: Point, bend: Vector, bounds: Bounds, least: Vector, distance: float, pulls: tuple[Vector, ...] | None
 ) -> Step | None:
     """The step that maximises V − dᵀ bend d / 2 within a distance, the rows and what is kept; None without a solution.
 
@@ -138,12 +138,15 @@ def best_step(
         bounds: of x and of the rows.
         least: V / size that is kept, of each objective but the last.
         distance: of any entry.
-        coupled: whether the branches' coupling is looked at.
+        pulls: where the branches' coupling is looked at those of the step before; else None.
     """
     units = [list(np.eye(branches.values.size)) for branches in here.objectives]
+    for mine, weights in zip(units, pulls or (), strict=False):
+        if len(mine) > 1 and np.trace(weights) > 0:
+            mine += list(np.linalg.eigh(weights)[1].T)
     wanted = np.append(least, here.value)
     found = _limited(here, bend, bounds, wanted, distance, units)
-    for _ in range(DIRECTIONS if coupled else 0):
+    for _ in range(0 if pulls is None else DIRECTIONS):
         if found is None:
             break
         d, rise, _ = found
@@ -163,8 +166,10 @@ def best_step(
         return None
     edges = np.cumsum([here.rows.size, *(len(mine) for mine in units)])
     own = [np.maximum(-multipliers[i:j], 0.0) for i, j in pairwise(edges.tolist())]
-    pulls = tuple(np.einsum("c,ci,cj->ij", mu, mine, mine) for mu, mine in zip(own, map(np.array, units), strict=True))
-    return Step(d, gain, pulls, multipliers[: here.rows.size], bend, coupled)
+    weights = tuple(
+        np.einsum("c,ci,cj->ij", mu, mine, mine) for mu, mine in zip(own, map(np.array, units), strict=True)
+    )
+    return Step(d, gain, weights, multipliers[: here.rows.size], bend, pulls is not None)
 
 
 def _limited(

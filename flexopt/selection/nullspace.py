@@ -21,7 +21,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, each_named, entries, vector
 from flexopt.model import AnyMachine
-from flexopt.model.problem import SINGULARITY_MARGIN_DEG
+from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop

@@ -15,8 +15,8 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, flag, instance, number, public
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
+from flexopt.model.choices import Elbow
 from flexopt.model.constraints import Constraints as ConstraintsAsked
-from flexopt.model.problem import Elbow
 from flexopt.robustness.measures import Measures
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet

@@ -164,7 +164,7 @@ class Program:
         """
         first, shift = self.first, self._spread(self.shift[0])
         if self.coupling.count == 1 and any(form.kinks for form in first.forms):
-            found = self._climbed(start, quick=quick, within=within)
+            found = self.climbed(start, ASCENT_QUICK if quick else ASCENT_LONG, within)
             if found is not None:
                 return found
         solver = build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=quick)
@@ -184,8 +184,8 @@ class Program:
             x = self.packed(list(first.wrapped(np.array([self.of(x, k) for k in range(self.coupling.count)]))))
         return np.clip(x, *self.bounds()), reached.iterations, reached.status
 
-    def _climbed(self, start: Vector, *, quick: bool, within: float) -> tuple[Vector, int, str] | None:
-        """The same by an ascent, of one configuration; None where the start leads onto no constraints."""
+    def climbed(self, start: Vector, steps: int, within: float = np.inf) -> tuple[Vector, int, str] | None:
+        """`solve` by an ascent of so many steps, of one configuration; None where no constraints are near the start."""
         first, (shift, _), parameters = self.first, self.shift, self.parameters()
         functions = build_branched(first.configuration, first.forms, compiled=self._compiles)
         x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
@@ -209,7 +209,7 @@ class Program:
         )
         kinks = np.array([objective.beta for objective in objectives]) / sizes
         ascent = Ascent(functions, parameters, kinks, np.array(first.kept) / sizes[:-1], bounds, margin)
-        found = ascent.climbed(x0, ASCENT_QUICK if quick else ASCENT_LONG)
+        found = ascent.climbed(x0, steps)
         if found is None:
             return None
         x, iterations, status = found

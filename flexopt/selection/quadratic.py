@@ -61,7 +61,9 @@ def best_gain(bend: Vector, rows: Vector, bounds: Bounds) -> tuple[Vector, float
     ends = np.concatenate([(high - moved)[above], (moved - low)[below]])
     lengths = np.linalg.norm(sides, axis=1)
     lengths[lengths == 0] = 1.0
-    found = _solved(second, sides / lengths[:, None], ends / lengths)
+    # Of what contradicts itself the multipliers grow without bound.
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        found = _solved(second, sides / lengths[:, None], ends / lengths)
     if found is None:
         return None
     u, pulls = found[0], found[1] * gain / lengths

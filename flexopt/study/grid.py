@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Elbow
+from flexopt.model.choices import Elbow
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
 from flexopt.plant.reach import arm_length, missed, outer_reach, reach, sampled_ranges

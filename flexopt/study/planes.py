@@ -16,7 +16,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import COORDINATE, Quantity, coordinate_max, pair, several
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Elbow
+from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.study.grid import (
     Grid,

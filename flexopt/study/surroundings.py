@@ -9,7 +9,7 @@ from typing import Any
 
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Elbow
+from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection

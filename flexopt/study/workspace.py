@@ -15,7 +15,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import entries
 from flexopt.model import AnyMachine
-from flexopt.model.problem import Elbow
+from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.study.grid import Grid, Over
 from flexopt.study.planes import Plane, read_plane

@@ -167,7 +167,7 @@ def walk(monkeypatch):
         now[:] = [problem]
         if isinstance(problem, flexopt.SelectionProblem) and any(form.kinks for form in problem.forms):
             with monkeypatch.context() as no_ascent:
-                no_ascent.setattr(program_module.Program, "_climbed", lambda *_, **__: None)
+                no_ascent.setattr(program_module.Program, "climbed", lambda *_, **__: None)
                 with pytest.raises(_WalkedError):
                     optima.run_solver(problem, *args)
         with pytest.raises(_WalkedError):

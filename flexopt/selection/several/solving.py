@@ -58,7 +58,13 @@ def _numbered(program: Program, starts: list[Vector], number: int) -> End:
 
 
 def end_from(program: Program, start: Vector) -> End:
-    """IPOPT from a start, and what the equations say of its end."""
+    """IPOPT from a start, and what the equations say of its end; once more from there where only IPOPT accepts it."""
+    end = _end(program, start)
+    again = _end(program, end.x) if end.violations and end.status in SOLVED else end
+    return end if again.violations else again
+
+
+def _end(program: Program, start: Vector) -> End:
     x, _, status = program.solve(start)
     if not np.all(np.isfinite(x)):
         return End(x, {"solver": np.inf}, np.inf, status)

@@ -14,8 +14,9 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
+from flexopt.model.choices import COMBINES
 from flexopt.model.constraints import Constraints
-from flexopt.model.problem import COMBINES, SelectionOptions, StandKeywords
+from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SHARE_MAX
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes

@@ -1,0 +1,52 @@
+"""What files and arguments say about a choice, each by itself: words, numbers and their ranges."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal
+
+from flexopt.foundation.quantities import Checked, Quantity, each_named, entries, whole_number
+
+Elbow = Literal["up", "down"]
+ELBOWS: tuple[Elbow, ...] = ("up", "down")
+# How the targets that share a placement count: the worst one, or all by their shares.
+Combine = Literal["worst", "weighted"]
+COMBINES: tuple[Combine, ...] = ("worst", "weighted")
+SINGULARITY_MARGIN_DEG = 10.0
+# The best maxima of the excavator's ε_max differ by 4e-5 of it and more.
+SLACK = 1e-5
+STARTS_MAX = 10_000
+TARGETS_MAX = 1000
+
+
+@Checked
+def check_objective(value: Any) -> str:
+    """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas."""
+    words = value.replace(" ", "").split(",") if isinstance(value, str) else []
+    if not words or not all(re.fullmatch(r"V|epsilon_max|w[1-9][0-9]?", word) for word in words):
+        raise ValueError(
+            "must be w1, w2, … (one mode), V (a weighted sum) or epsilon_max, or several of them in order of "
+            "importance, separated by commas"
+        )
+    if len(set(words)) < len(words):
+        raise ValueError("names the same objective twice")
+    return ",".join(words)
+
+
+@Checked
+def check_weights(value: Any) -> tuple[float, ...]:
+    """The weights α of V = Σ αi wi: non-negative, not all zero."""
+    values = entries(value)
+    if not values:
+        raise ValueError("must be a list of numbers, one for each mode")
+    weights = each_named(Quantity("", low=0.0, high=1e6), values, [f"α{i + 1}" for i in range(len(values))])
+    if not any(weights):
+        raise ValueError("at least one weight must be positive")
+    return weights
+
+
+MARGIN_DEG = Quantity("°", low=0.01, high=80.0)
+GAIN = Quantity("", above=0.0, high=1e15)
+SEED = whole_number(0, 2**32 - 1, "2³² − 1")
+SLACK_SHARE = Quantity("", low=1e-7, high=1.0)
+STARTS = whole_number(1, STARTS_MAX)

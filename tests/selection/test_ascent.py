@@ -1,0 +1,121 @@
+"""The ascent where ε_max takes part: on toys whose optimum is known, and on machines beside a method without slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.selection.ascent import DONE, Ascent
+from flexopt.selection.nlp import Branched
+from flexopt.selection.program import single
+from flexopt.selection.programs import Bounds
+from flexopt.selection.seen import settled, value_at
+from flexopt.selection.starts import starting_points
+
+Entry = Callable[[ca.SX], ca.SX]
+EXCAVATOR = flexopt.load("excavator")
+
+
+def toy(n: int, smooth: Entry, entries: tuple[Entry, Entry, Entry], row: Entry) -> Ascent:
+    """Maximise smooth(x) + λ_min of [[a, c], [c, b]](x) with row(x) = 0, as an ascent sees it: by its eigenvalues."""
+    x, p = ca.SX.sym("x", n), ca.SX.sym("p")
+    a, b, c = (entry(x) for entry in entries)
+    middle, away = (a + b) / 2, ca.sqrt(((a - b) / 2) ** 2 + c**2)
+    angle = ca.atan2(c, (a - b) / 2) / 2
+    # Eigenvectors of the larger and the smaller eigenvalue.
+    high, low = ca.vertcat(ca.cos(angle), ca.sin(angle)), ca.vertcat(-ca.sin(angle), ca.cos(angle))
+    slopes = [ca.jacobian(each, x) for each in (a, b, c)]
+
+    def between(u: ca.SX, v: ca.SX) -> ca.SX:
+        return u[0] * v[0] * slopes[0] + u[1] * v[1] * slopes[1] + (u[0] * v[1] + u[1] * v[0]) * slopes[2]
+
+    epsilon = ca.vertcat(middle - away, middle + away)
+    epsilon_x = ca.vertcat(between(low, low), between(high, high), between(low, high))
+    value, slope = smooth(x), ca.jacobian(smooth(x), x)
+    rows, rows_x = row(x), ca.jacobian(row(x), x)
+    pull, row_pull = ca.SX.sym("pull"), ca.SX.sym("row_pull")
+    bent = pull * ca.hessian(value, x)[0] + row_pull * ca.hessian(rows, x)[0]
+    last_x = ca.repmat(slope, 2, 1) + epsilon_x[:2, :]
+    outputs = [value + epsilon, rows, last_x, rows_x, epsilon_x]
+    margin = ca.Function("margin", [x], [ca.densify(epsilon_x)])
+    functions = Branched(
+        ca.Function("model", [x, p], [ca.densify(each) for each in outputs]),
+        ca.Function("rows", [x, p], [rows, ca.densify(rows_x)]),
+        ca.Function("curvature", [x, p, pull, row_pull], [ca.densify(bent)]),
+        margin,
+    )
+    bounds = Bounds(np.full(n, -3.0), np.full(n, 3.0), np.zeros(1), np.zeros(1))
+    return Ascent(functions, np.zeros(1), np.ones(1), np.zeros(0), bounds, lambda at: margin.call([at])[0].full())
+
+
+def circle(x: ca.SX) -> ca.SX:
+    """x_0² + x_1² = 1, other entries free."""
+    return x[0] ** 2 + x[1] ** 2 - 1
+
+
+def test_a_smooth_optimum_is_reached_quadratically() -> None:
+    """The branches stay apart: max x_0 + λ_min on the circle, λ_min = −x_1² − 2 at the end of its smooth branch."""
+    far = (lambda x: -(x[1] ** 2) - 2, lambda _: ca.SX(5), lambda _: ca.SX(0))
+    ascent = toy(2, lambda x: x[0], far, circle)
+    found = ascent.climbed(np.array([-0.2, 0.9]), 30)
+    assert found is not None
+    assert found[2] == DONE
+    # The gradient is below 1e-7, and the curvature of order one.
+    np.testing.assert_allclose(found[0], [1.0, 0.0], atol=1e-7)
+    assert found[1] <= 10
+
+
+@pytest.mark.parametrize("tip", [0.0, 0.3])
+def test_the_tip_of_a_cone_is_found(tip: float) -> None:
+    """λ_min of [[u, v], [v, −u]] is −√(u² + v²): a cone whose tip, at u = v = 0, is the optimum."""
+    cone = (lambda x: x[2] - tip, lambda x: -(x[2] - tip), lambda x: x[3] + x[2] - tip)
+    ascent = toy(4, lambda x: 0.2 * x[2] + 0.1 * x[0], cone, circle)
+    found = ascent.climbed(np.array([0.3, -0.8, 0.9, -0.7]), 60)
+    assert found is not None
+    np.testing.assert_allclose(found[0], [1.0, 0.0, tip, 0.0], atol=1e-6)
+    assert found[1] <= 30
+
+
+def test_a_bent_ridge_is_followed() -> None:
+    """Along a parabola, across which V falls 10⁴ times as fast as it rises along it."""
+    far = (lambda _: ca.SX(0), lambda _: ca.SX(1), lambda _: ca.SX(0))
+    ascent = toy(3, lambda x: -1e2 * (x[1] - x[0] ** 2) ** 2 - 1e-2 * (x[0] - 1) ** 2, far, lambda x: x[2])
+    found = ascent.climbed(np.array([-1.0, 1.0, 0.0]), 60)
+    assert found is not None
+    np.testing.assert_allclose(found[0], [1.0, 1.0, 0.0], atol=1e-4)
+
+
+@pytest.mark.parametrize("objective", ["epsilon_max", "V"])
+def test_steps_never_lead_down_nor_off_the_rows(objective: str) -> None:
+    weights = [1.0, 0.3, 0.3, 1e-3] if objective == "V" else None
+    problem = flexopt.build_selection(EXCAVATOR, (0.0, 1.6), objective=objective, weights=weights)
+    program = single(problem)
+    for start in starting_points(problem)[:4]:
+        low = value_at(problem, start)
+        for steps in (1, 2, 4, 8):
+            found = program.climbed(start, steps)
+            assert found is not None
+            high = value_at(problem, found[0])
+            # A start is on the rows to 1e-7, and ε_max told to some 1e-13.
+            assert high >= low - 1e-8 * problem.objective_scale
+            rows = problem.rows(found[0])[: problem.target.size]
+            np.testing.assert_allclose(rows, problem.target, atol=1e-9)
+            low = high
+
+
+@pytest.mark.parametrize(("machine", "target"), [("excavator", (0.0, 1.6)), ("truck-crane", (6.0, 0.0, 3.0))])
+def test_no_point_nearby_is_better(machine: str, target: tuple[float, ...]) -> None:
+    """Random points about the optimum, moved onto the rows by other steps: V alone is looked at."""
+    selection = flexopt.select(flexopt.load(machine), target, objective="epsilon_max", starts=2, workers=1)
+    problem, best = selection.problem, selection.best
+    value, rng = value_at(problem, best.z), np.random.default_rng(0)
+    for size in (1e-1, 1e-2, 1e-3, 1e-4):
+        for _ in range(6):
+            beside = best.z + size * rng.standard_normal(best.z.size) * problem.scale
+            there = settled(problem, np.clip(beside, problem.lower, problem.upper))
+            if there is not None and np.abs((there - best.z) / problem.scale).max() <= 3 * size:
+                assert value_at(problem, there) <= value + 1e-9
