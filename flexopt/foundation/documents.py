@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from enum import Enum
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import PurePath
 from typing import Any, cast
 
@@ -20,7 +21,9 @@ from flexopt.foundation.writing import AnyPath, write_file
 def package_version(name: str) -> str:
     """Version of an installed package, `"unknown"` in a source tree that was never installed."""
     try:
-        return version(name)
+        # Its first lines are enough; `version` parses all of it as an e-mail, which takes longer than all else here.
+        found = re.search(r"^Version: *(\S+)", distribution(name).read_text("METADATA") or "", re.MULTILINE)
+        return found[1] if found else version(name)
     except PackageNotFoundError:
         return "unknown"
 

@@ -2,6 +2,9 @@
 
 In: a task and how many numbers. Out: its results in order, the same on any number of processes. Where processes can be
 forked they inherit every graph that is built; elsewhere the task is pickled and builds its own.
+
+A pool of `concurrent.futures` does not do: its processes outlive a parent that is killed, and one that is ended from
+outside fails every number of the pool without a word of which it worked on.
 """
 
 from __future__ import annotations

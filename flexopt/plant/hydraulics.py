@@ -110,13 +110,6 @@ class Hydraulics:
         return self._function("cylinder_ratios", {}, [jacobian], ["L_q"])
 
     @cached_property
-    def length_rates(self) -> ca.Function:
-        """L̇_i = r_i q̇, (n_c,), m/s, positive where the cylinder extends. Inputs posture, rates (n,), p."""
-        rates = ca.SX.sym("rates", self.plant.n_actuated)
-        found = [arm * rates[joint] for joint, arm in zip(self.joints, self._arms, strict=True)]
-        return self._function("cylinder_rates", {"rates": rates}, [_column(found)], ["L_rate"])
-
-    @cached_property
     def forces(self) -> ca.Function:
         """F_i = τ/r_i, (n_c,), N, positive where it pushes: the virtual work F δL is τ δq.
 

@@ -18,15 +18,11 @@ CONDITION_MAX = 1e6
 PROBE = 1e-3
 
 
-def condition_number(plant: Plant, q: Vector, base: Vector) -> float:
-    """Cond Jv(q), the ratio of its extreme singular values; infinite where the smallest is zero.
+def _largest_and_condition(plant: Plant, q: Vector, base: Vector) -> tuple[float, float]:
+    """The largest singular value of Jv(q), and its ratio to the smallest; infinite where that is zero.
 
     A single row has one singular value alone: it is compared with that of the end-point's position, if larger.
     """
-    return _largest_and_condition(plant, q, base)[1]
-
-
-def _largest_and_condition(plant: Plant, q: Vector, base: Vector) -> tuple[float, float]:
     values = np.linalg.svd(plant.rigid_jacobian(q, base, plant.parameter_values).full(), compute_uv=False)
     largest = values[0]
     if plant.n_task == 1:

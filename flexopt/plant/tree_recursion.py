@@ -156,17 +156,11 @@ class Recursion:
 
     def to_ground(self, i: int, a: Vector) -> Vector:
         """From a body's own axes to the ground's."""
-        a = self.of_body(i, a)
-        while i >= 0:
-            a, i = self.inwards(i, a), self.skeleton.segments[i].parent
-        return a
+        return self.step(i, i, a)
 
     def point(self, i: int, at: Vector) -> Vector:
         """Where a point of a body lies in the ground's frame."""
-        at = self.of_body(i, at)
-        while i >= 0:
-            at, i = add(self.offset(i), self.inwards(i, at)), self.skeleton.segments[i].parent
-        return at
+        return self.step(-1, i, at)
 
     def step(self, start: int, i: int, at: Vector) -> Vector:
         """From the origin of a body to a point of one that it carries, in the ground's axes."""

@@ -199,6 +199,41 @@ def test_an_interrupt_ends_the_processes():
     assert out.stdout.split() == ["interrupted", "0"], out.stderr
 
 
+KILLED = """
+import multiprocessing, threading, time
+from flexopt.foundation.processes import in_parallel
+def tell():
+    while len(children := multiprocessing.active_children()) < 2:
+        time.sleep(0.01)
+    print(*[child.pid for child in children], flush=True)
+threading.Thread(target=tell, daemon=True).start()
+in_parallel(lambda number: time.sleep(0.1), 2000, 2)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a lambda cannot be sent to spawned processes")
+def test_processes_end_with_a_parent_that_is_killed():
+    with subprocess.Popen([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        left = [int(pid) for pid in parent.stdout.readline().split()]
+        parent.kill()
+    assert len(left) == 2
+    for _ in range(600):
+        left = [pid for pid in left if _state(pid) != "Z"]
+        if not left:
+            break
+        time.sleep(0.05)
+    assert not left
+
+
+def _state(pid: int) -> str:
+    """Z where it has ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except OSError:  # nobody knows it any more
+        return "Z"
+
+
 def _in_a_daemon(connection) -> None:
     connection.send(in_parallel(_slowly, 5, 2))
 
