@@ -104,16 +104,12 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
     """
     plant, g = measures.plant, measures.plant.graph
     z = ca.vertcat(g.base, g.posture)
-    alpha = ca.SX.sym("weights", plant.n_passive)
     sine = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
-    constants = [(alpha, ca.SX(list(weights)))] if weights is not None else []
-    constants += [(g.p, ca.SX(plant.parameter_values))] if at.baked else []
 
     def function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
-        graphs = list(outputs.values())
-        for symbol, constant in constants:
-            graphs = [ca.substitute(each, symbol, constant) for each in graphs]
-        dense = [ca.densify(ca.vec(each)) for each in graphs]
+        dense = [ca.densify(ca.vec(each)) for each in outputs.values()]
+        if at.baked:
+            dense = [ca.substitute(each, g.p, ca.SX(plant.parameter_values)) for each in dense]
         return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": True})
 
     inputs = {"base": g.base, "posture": g.posture, "p": g.p}
@@ -182,11 +178,9 @@ def _of_modes(
 
 def _position(measures: Measures, z: ca.SX) -> dict[str, ca.SX]:
     """The end-point; under gravity at the deflection."""
-    plant, g = measures.plant, measures.plant.graph
-    deflection = ca.SX.sym("deflection", plant.n_passive)
-    at = plant.operating_point(g.base, g.posture, g.p, deflection if measures.gravity else None)
-    outputs = [at.end_point, ca.jacobian(at.end_point, z)]
+    expansion, at = measures.expansion, measures.inputs
+    outputs = [expansion.point.end_point, ca.jacobian(expansion.point.end_point, z)]
     if measures.gravity:
-        inner = ca.Function("inner", [g.base, g.posture, g.p, deflection], [ca.densify(each) for each in outputs])
-        outputs = list(inner.call([g.base, g.posture, g.p, plant.deflected(g.base, g.posture, g.p)]))
+        inner = ca.Function("inner", list(expansion.inputs.values()), [ca.densify(each) for each in outputs])
+        outputs = list(inner.call([*at, *expansion.deflection(at)]))
     return {"r": outputs[0], "r_z": outputs[1]}

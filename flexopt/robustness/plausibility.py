@@ -81,7 +81,10 @@ def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
 
 
 def _modes(plant: Plant, posture: Array) -> tuple[Array, Array]:
-    """Frequencies, Hz, ascending, and damping ratios φᵀDφ / (2 ω), with the joints free as in `robustness.modes`."""
+    """Frequencies, Hz, ascending, and damping ratios φᵀDφ / (2 ω), with the joints free as in `robustness.modes`.
+
+    In numbers: `flexopt.check` would take a fifth longer if it built the measures' graphs.
+    """
     m, p = plant.n_passive, plant.parameter_values
     base = np.zeros(plant.n_base)
     q = plant.rest(base, posture, p)

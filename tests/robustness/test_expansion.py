@@ -12,6 +12,7 @@ from flexopt.model import tree_from_dict
 from flexopt.robustness.measures import build_measures
 from flexopt.robustness.modes import called_modes, solve_modes
 from flexopt.robustness.residues import measure
+from tests.export.test_modal_kernels import gantry
 from tests.oracles.gradient_cases import near_repeated
 from tests.oracles.machines import random_posture
 from tests.oracles.perturbation import perturbed_pencil
@@ -90,6 +91,21 @@ def test_repeated_frequencies(seed):
     same = build_measures(case.machine).values.call([0.0, case.posture, build_plant(case.machine).parameter_values])
     assert same[build_measures(case.machine).values.index_out("same")].full()[0, 1] == 1.0
     compare(case.machine, case.posture, rng)
+
+
+def test_a_gantry_of_one_frequency_has_a_hessian():
+    """Both modes are one cluster, and by symmetry their measure is the same everywhere."""
+    measures, rng = build_measures(gantry()), np.random.default_rng(0)
+    plant, posture, alpha = measures.plant, [0.3, 0.5, -0.7], rng.standard_normal(2)
+    at = [np.zeros(plant.n_base), posture, plant.parameter_values]
+    hessian = measures.expansion.curvature.call([*at, measures.hold.call(at)[0], alpha])[0].full()
+    slopes = [
+        measures.weighted_gradient.call([at[0], np.array(posture) + step, at[2], alpha])[0].full()
+        for step in 1e-4 * np.vstack([np.eye(3), -np.eye(3)])
+    ]
+    expected = np.vstack(slopes[:3]) - np.vstack(slopes[3:])
+    size = measures.w.call(at)[1].full().max()
+    assert np.abs(hessian[plant.n_base :] - expected / 2e-4).max() <= 1e-6 * size
 
 
 def test_a_machine_of_slides_whose_posture_changes_nothing():

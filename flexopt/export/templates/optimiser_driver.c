@@ -1,3 +1,4 @@
+{% set driver = "optimiser_driver" %}
 /* Replays calls of the optimiser from a file, on a workstation or on a microcontroller with semihosting:
  * optimiser_driver INPUTS OUTPUTS.
  *
@@ -12,17 +13,7 @@
 
 #include "{{ prefix }}_optimiser.h"
 
-#ifdef FLEXOPT_TARGET
-uint32_t target_calibrate(void);
-uint32_t target_ticks(void);
-void target_paint_stack(void);
-uint32_t target_stack_used(void);
-#else
-static uint32_t target_calibrate(void) { return 0; }
-static uint32_t target_ticks(void) { return 0; }
-static void target_paint_stack(void) {}
-static uint32_t target_stack_used(void) { return 0; }
-#endif
+{% include "export/templates/driver_clock.c" %}
 
 enum { NULL_PROBLEM = 1, NULL_START = 2, NULL_OPTIONS = 4, NULL_WORKSPACE = 8, NULL_RESULT = 16, MISALIGNED = 32 };
 enum { N_PROBLEM = sizeof({{ prefix }}_optimiser_problem) / sizeof({{ prefix }}_real), N_REALS = {{ PREFIX }}_OPTIMISER_N_Z + 6 };
@@ -45,16 +36,7 @@ int main(int argc, char **argv)
   FILE *source, *sink;
   uint32_t call[4], head[2];
   {{ prefix }}_real numbers[1 + N_PROBLEM + {{ PREFIX }}_OPTIMISER_N_Z];
-  if (argc < 3) {
-    fputs("optimiser_driver INPUTS OUTPUTS\n", stderr);
-    return 2;
-  }
-  source = fopen(argv[1], "rb");
-  sink = fopen(argv[2], "wb");
-  if ((source == NULL) || (sink == NULL)) {
-    fputs("optimiser_driver: a file cannot be opened\n", stderr);
-    return 2;
-  }
+{% include "export/templates/driver_files.c" %}
   head[0] = target_calibrate();
   head[1] = (uint32_t){{ PREFIX }}_OPTIMISER_WORKSPACE_SIZE;
   fwrite(head, sizeof head, 1, sink);
