@@ -16,7 +16,7 @@ from flexopt.errors import SingularPosture as SingularPosture
 from flexopt.errors import UnreachableTarget as UnreachableTarget
 from flexopt.errors import WriteError as WriteError
 from flexopt.errors import WrongSlope as WrongSlope
-from flexopt.foundation.later import later
+from flexopt.foundation.later import later as _later
 
 if TYPE_CHECKING:
     from flexopt.coprime import RobustMargin as RobustMargin
@@ -188,7 +188,7 @@ _LATER = {
     "study": "Report WorkspaceMap map_workspace report",
 }
 _ROOMS = {module.partition(".")[0] for module in _LATER}
-_named = later(__name__, **_LATER)
+_named = _later(__name__, **_LATER)
 
 
 def __getattr__(name: str) -> object:

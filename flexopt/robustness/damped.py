@@ -40,6 +40,7 @@ CLUSTER_TOLERANCE = 5e-7
 NEWTON_STEPS = 12
 # Last Newton correction, relative, and the bound on ∂w beside its largest element, up to which results are told.
 CONVERGED, TOLD = 1e-25, 1e-7
+EPS = float(np.finfo(float).eps)
 ROUNDING = 2.0**-52
 
 
@@ -133,7 +134,8 @@ def _refined(
         if len(group) == 1:
             i = group[0]
             row, error = modes[i].gradient(evaluated, directions[:, -1])
-            size = float(np.linalg.norm(n0[i]))
+            # Of a mode that the end-point does not see N0 is rounding.
+            size = max(float(np.linalg.norm(n0[i])), EPS * modes[i].reach)
             if _told(row[:n_z], error[:n_z], 1.0, size) and _told(row[n_z:], error[n_z:], p.full().ravel(), size):
                 w_z[i], w_p[i], z_error[i], p_error[i] = row[:n_z], row[n_z:], error[:n_z], error[n_z:]
     clusters = tuple(g for g in groups if len(g) > 1)
@@ -191,6 +193,13 @@ class _Mode:
         _, _, _, jacobian, into = self.outputs
         rho = self.u.left(jacobian).outer(self._actuated.left(into.T))
         return (rho * self.lam.conjugate()).re * -2, rho.re * 2
+
+    @property
+    def reach(self) -> float:
+        """What |N0| is at most, by the sizes of its factors."""
+        _, _, _, jacobian, into = (rounded(x) for x in self.outputs)
+        size = sum(float(np.linalg.norm(rounded(part))) ** 2 for part in (self.u.re, self.u.im))
+        return 2 * abs(self.pole) * size * float(np.linalg.norm(jacobian) * np.linalg.norm(into))
 
     @property
     def _actuated(self) -> Complex:
