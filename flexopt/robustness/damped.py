@@ -40,7 +40,8 @@ CLUSTER_TOLERANCE = 5e-7
 NEWTON_STEPS = 12
 # Last Newton correction, relative, and the bound on ∂w beside its largest element, up to which results are told.
 CONVERGED, TOLD = 1e-25, 1e-7
-EPS = float(np.finfo(float).eps)
+# A share of what N0 could be that is rounding in doubles.
+UNSEEN = 1e-12
 ROUNDING = 2.0**-52
 
 
@@ -134,8 +135,8 @@ def _refined(
         if len(group) == 1:
             i = group[0]
             row, error = modes[i].gradient(evaluated, directions[:, -1])
-            # Of a mode that the end-point does not see N0 is rounding.
-            size = max(float(np.linalg.norm(n0[i])), EPS * modes[i].reach)
+            # Of a mode that the end-point does not see N0 is nothing to measure errors by.
+            size = max(float(np.linalg.norm(n0[i])), UNSEEN * modes[i].reach)
             if _told(row[:n_z], error[:n_z], 1.0, size) and _told(row[n_z:], error[n_z:], p.full().ravel(), size):
                 w_z[i], w_p[i], z_error[i], p_error[i] = row[:n_z], row[n_z:], error[:n_z], error[n_z:]
     clusters = tuple(g for g in groups if len(g) > 1)
