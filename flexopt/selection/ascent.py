@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.ascent_model import DIFFERENCE, Branches, Point, SecondOrder, Step, best_step
+from flexopt.selection.ascent_model import DIFFERENCE, ROUNDING, Branches, Point, SecondOrder, Step, best_step
 from flexopt.selection.nlp import Branched
 from flexopt.selection.programs import Bounds
 
@@ -31,8 +31,6 @@ STATIONARY = 1e-7
 # which of it no more steps are made towards them. Branches that differ by so many times as much are lifted together.
 ON_ROWS, ON_KEPT, AT_KEPT, CORRECTIONS = 1e-11, 1e-10, 1e-13, 6
 TOGETHER = 100.0
-# Gains below this share of V / size are rounding.
-ROUNDING = 1e-13
 # Steps with the same second derivatives back onto a ridge, and the least curvature then, relative to the greatest.
 CHORDS, STIFF = 3, 0.3
 DONE, CUT_SHORT, STUCK = "Solve_Succeeded", "Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small"
@@ -96,7 +94,7 @@ class Ascent:
                 return None
             if np.abs(wrong).max(initial=0.0) <= ON_ROWS:
                 break
-            x = x - self._shortest(slopes, wrong, self._equal | (wrong != 0))
+            x = x - self._shortest(x, slopes, wrong, self._equal | (wrong != 0))
         point = self.at(np.clip(x, self.bounds.x_lower, self.bounds.x_upper))
         best: tuple[float, Point | None] = (ON_KEPT, None)
         for _ in range(CORRECTIONS):
@@ -110,7 +108,7 @@ class Ascent:
             if best[0] <= AT_KEPT:
                 break
             some = np.concatenate([chosen, np.ones(len(wrong) - chosen.size, dtype=bool)])
-            x = point.x - self._shortest(slopes, wrong, some)
+            x = point.x - self._shortest(point.x, slopes, wrong, some)
             point = self.at(np.clip(x, self.bounds.x_lower, self.bounds.x_upper))
         return best[1]
 
@@ -144,8 +142,16 @@ class Ascent:
     def _beyond(self, rows: Vector) -> Vector:
         return np.minimum(rows - self.bounds.g_lower, 0.0) + np.maximum(rows - self.bounds.g_upper, 0.0)
 
-    def _shortest(self, slopes: Vector, wrong: Vector, chosen: NDArray[np.bool_]) -> Vector:
-        return self._moving * np.linalg.lstsq(slopes[chosen] * self._moving, wrong[chosen], rcond=1e-12)[0]
+    def _shortest(self, x: Vector, slopes: Vector, wrong: Vector, chosen: NDArray[np.bool_]) -> Vector:
+        """The shortest change that takes `wrong` off, to first order; what would leave its bounds is held."""
+        moving, step = self._moving.copy(), np.zeros(x.size)
+        for _ in range(x.size):
+            step = moving * np.linalg.lstsq(slopes[chosen] * moving, wrong[chosen], rcond=1e-12)[0]
+            down, up = (x <= self.bounds.x_lower) & (step > 0), (x >= self.bounds.x_upper) & (step < 0)
+            if not np.any(down | up):
+                break
+            moving[down | up] = 0.0
+        return step
 
     def _step(self, here: Point, bend: Vector, distance: float, pulls: tuple[Vector, ...] | None = None) -> Step | None:
         return best_step(here, bend, self.bounds, self.least, distance, pulls)

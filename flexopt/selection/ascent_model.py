@@ -25,6 +25,8 @@ DIFFERENCE, APART = 3e-4, 4.0
 FLAT = 1e-7
 # Unit vectors u of a pair of branches, and how near to the smaller eigenvalue they lead, as a share of what V gains.
 DIRECTIONS, NEAR = 12, 1e-2
+# Gains below this share of V / size are rounding.
+ROUNDING = 1e-13
 # A solution this far beyond its box is none.
 BEYOND = 1.01
 
@@ -95,7 +97,7 @@ class Point:
     @property
     def is_finite(self) -> bool:
         """Whether all of it is numbers."""
-        parts = [self.row_slopes, *(part for o in self.objectives for part in (o.values, o.slopes))]
+        parts = [self.rows, self.row_slopes, *(part for o in self.objectives for part in (o.values, o.slopes))]
         return all(bool(np.isfinite(part).all()) for part in parts)
 
 
@@ -144,7 +146,9 @@ def best_step(
     for mine, weights in zip(units, pulls or (), strict=False):
         if len(mine) > 1 and np.trace(weights) > 0:
             mine += list(np.linalg.eigh(weights)[1].T)
-    wanted = np.append(least, here.value)
+    # What is short by less than counts is not made up for by the model.
+    smallest = [branches.smallest for branches in here.objectives[:-1]]
+    wanted = np.append(np.minimum(least, smallest), here.value)
     found = _limited(here, bend, bounds, wanted, distance, units)
     for _ in range(0 if pulls is None else DIRECTIONS):
         if found is None:
@@ -166,11 +170,11 @@ def best_step(
         return None
     d, rise, multipliers = found
     gain = rise - float(d @ bend @ d) / 2
-    if gain < 0 or np.abs(d).max() > BEYOND * distance:
+    if gain < -ROUNDING * (1 + abs(here.value)) or np.abs(d).max() > BEYOND * distance:
         return None
     pairs = zip(_own(multipliers, here, units), map(np.array, units), strict=True)
     weights = tuple(np.einsum("c,ci,cj->ij", mu, mine, mine) for mu, mine in pairs)
-    return Step(d, gain, weights, multipliers[: here.rows.size], bend, pulls is not None)
+    return Step(d, max(gain, 0.0), weights, multipliers[: here.rows.size], bend, pulls is not None)
 
 
 def _own(multipliers: Vector, here: Point, units: list[list[Vector]]) -> list[Vector]:
@@ -237,7 +241,7 @@ class SecondOrder:
     def _mixed(self, branches: Branches, kink: float) -> Branches:
         gap, turn = self._apart(branches, kink)
         size = float(turn @ turn)
-        if gap == 0.0 or size == 0.0:
+        if gap == 0.0 or size**2 == 0.0:
             return branches
         seen = gap * float(turn @ (self.margins[1] - self.margins[0]) @ turn) / (4 * size**2)
         scaled = np.sqrt(np.clip(seen, 0.0, 1.0)) * branches.slopes[2:]

@@ -35,6 +35,8 @@ CORRECTIONS, ON_ROWS = 8, 1e-14
 # A gain below this share of V's and the multipliers' size is rounding.
 NOISE = 1e-12
 KINK_NAME = "kink of ε_max"
+# Branches meet where, to first order, they do within this distance, in scaled variables.
+MEETS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,8 @@ def prove_program(program: Program, x: Vector) -> Proof:
     multipliers, kept = multipliers_of(local)
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
     if local.kinks:
-        stationarity = _at_kinks(local, multipliers, kept, stationarity)
+        # Which U fits best is not looked for among all: one with the coupling's free multiplier, and one without it.
+        stationarity = min(_at_kinks(local, multipliers, kept, stationarity), _unmixed(local))
     bounded = program.first.bounded_by_zero and program.goal != "motion"
     unsurpassed = bounded and -local.value <= BEST_TOLERANCE
     curvature = 0.0
@@ -202,7 +205,10 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
     n_objectives = len(members[0].values)
     held = len(program.first.constraints) * program.coupling.count + len(program.coupling.pairs)
     for j, (values, slopes) in enumerate(zip(members[0].values, members[0].slopes, strict=True)):
-        if len(values) < 2 or values[1] - values[0] > KINK:
+        if len(values) < 2:
+            continue
+        apart = float(np.hypot(np.linalg.norm(slopes[1] - slopes[0]), 2 * np.linalg.norm(slopes[2])))
+        if not values[1] - values[0] <= min(KINK, MEETS * apart):
             continue
         first = None
         if j < n_objectives - 1:
@@ -292,6 +298,16 @@ def _at_kinks(local: FirstOrderModel, multipliers: Vector, kept: list[int], stat
     )
     others, pulling = multipliers_of(plain)
     return float(np.linalg.norm(plain.gradient - others @ plain.rows(pulling)))
+
+
+def _unmixed(local: FirstOrderModel) -> float:
+    """The same with diagonal U alone."""
+    equalities = local.equalities.copy()
+    equalities[[kink.coupling for kink in local.kinks]] = 0.0
+    plain = replace(local, equalities=equalities)
+    multipliers, kept = multipliers_of(plain)
+    stationarity = float(np.linalg.norm(plain.gradient - multipliers @ plain.rows(kept)))
+    return _at_kinks(plain, multipliers, kept, stationarity)
 
 
 def _curvature(program: Program, x: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:

@@ -179,7 +179,8 @@ def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
     At a kink the solver's own stopping test may fail where the proof, which knows of both branches, holds; so it may
     where derivatives change without bound, as they do next to a_i = 0.
     """
-    return proof.holds and (status in SOLVED or problem.objective.has_kinks or proof.unsurpassed)
+    climbed = any(form.kinks for form in problem.forms)
+    return proof.holds and (status in SOLVED or climbed or proof.unsurpassed)
 
 
 def _hurried(problem: SelectionProblem) -> bool:

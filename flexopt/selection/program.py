@@ -163,7 +163,8 @@ class Program:
         `within` limits how far it leads, in scaled variables.
         """
         first, shift = self.first, self._spread(self.shift[0])
-        if self.coupling.count == 1 and any(form.kinks for form in first.forms):
+        one = self.coupling.count == 1 and not self.fixed and self.goal != "motion"
+        if one and any(form.kinks for form in first.forms):
             found = self.climbed(start, ASCENT_QUICK if quick else ASCENT_LONG, within)
             if found is not None:
                 return found
@@ -197,7 +198,8 @@ class Program:
         n_base, p = first.measures.plant.n_base, first.measures.plant.parameter_values
 
         def margin(x: Vector) -> Vector:
-            z = x * self.scale + shift
+            # As the model is told z, without its shift.
+            z = x * self.scale
             slopes: Vector = functions.margin.call([z[:n_base], z[n_base:], p, first.gain])[1].full()
             return slopes * self.scale
 

@@ -87,7 +87,7 @@ def test_nearly_equal_branches_do_not_prove_what_is_no_optimum(machine):
     )
     z = np.append(problem.scan.base[:, 300], problem.scan.posture[:, 300])
     plain, kinked = prove(problem, z), prove(mixed, z)
-    assert "kink of ε_max" in kinked.active
+    assert "kink of ε_max" not in kinked.active
     assert plain.stationarity > 1e-3
     assert kinked.stationarity == pytest.approx(plain.stationarity, rel=1e-3)
     assert not kinked.holds
