@@ -101,14 +101,13 @@ class Ascent:
             if not point.is_finite:
                 break
             wrong, slopes, short = self._lifting(point)
-            chosen = self._equal | (self._beyond(point.rows) != 0)
-            off = float(np.abs(self._beyond(point.rows)).max(initial=0.0))
-            if off <= ON_ROWS and short <= best[0]:
+            of_rows = wrong[: point.rows.size]
+            if np.abs(of_rows).max(initial=0.0) <= ON_ROWS and short <= best[0]:
                 best = short, point
             if best[0] <= AT_KEPT:
                 break
-            some = np.concatenate([chosen, np.ones(len(wrong) - chosen.size, dtype=bool)])
-            x = point.x - self._shortest(point.x, slopes, wrong, some)
+            chosen = np.append(self._equal | (of_rows != 0), np.full(wrong.size - of_rows.size, fill_value=True))
+            x = point.x - self._shortest(point.x, slopes, wrong, chosen)
             point = self.at(np.clip(x, self.bounds.x_lower, self.bounds.x_upper))
         return best[1]
 

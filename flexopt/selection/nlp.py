@@ -298,7 +298,8 @@ class _Member:
     def values(self) -> tuple[Branches, ca.MX]:
         """V / size less travel of every objective, and the rows."""
         smooth = [found[0] for found in self._of_modes(self.configuration.expansion.value)]
-        return self._objectives(smooth), self._rows(self.configuration.row_values.call(self.row_inputs)[0])
+        epsilon = self.margin[0].call([*self.at, self.s["gain"]])[0] if self._kinks else None
+        return self._objectives(smooth, epsilon), self._rows(self.configuration.row_values.call(self.row_inputs)[0])
 
     def slopes(self) -> tuple[tuple[Branches, ca.MX], tuple[Branches, ca.MX]]:
         """As `values`, from the calls that give the slopes, too; and the slopes by x."""
@@ -310,7 +311,7 @@ class _Member:
         ]
         scaled = row_slopes / ca.repmat(s["row_scale"], 1, row_slopes.shape[1])
         scaled = scaled * ca.repmat(s["z_scale"].T, row_slopes.shape[0], 1)
-        return (self._objectives([v for v, _ in found]), self._rows(rows)), (by_x, self._by_x(scaled))
+        return (self._objectives([v for v, _ in found], self._told[0]), self._rows(rows)), (by_x, self._by_x(scaled))
 
     def curvature(self, of_values: ca.MX, of_rows: ca.MX) -> ca.MX:
         """Σ of_values_j ∂²(V_j / size_j less travel) + Σ of_rows_i ∂²row_i by x, (n_x, n_x)."""
@@ -336,11 +337,10 @@ class _Member:
     def _rows(self, rows: ca.MX) -> ca.MX:
         return (rows - self.offset) / self.s["row_scale"]
 
-    def _objectives(self, smooth: list[ca.MX]) -> Branches:
+    def _objectives(self, smooth: list[ca.MX], epsilon: ca.MX | None) -> Branches:
         s, travel = self.s, self.s["cost"] * ca.sumsqr(self.away)
         both: Branches = [[value] for value in smooth]
-        if any(form.kinks for form in self.forms):
-            epsilon = self.margin[0].call([*self.at, s["gain"]])[0]
+        if epsilon is not None:
             both = [
                 [value + s["beta"][j] * epsilon[b] for b in range(2)] if form.kinks else [value]
                 for j, (form, value) in enumerate(zip(self.forms, smooth, strict=True))
@@ -349,9 +349,9 @@ class _Member:
 
     def _branch_slopes(self, smooth: list[ca.MX]) -> Branches:
         """∂V/∂z (n_z,) of every objective and branch."""
-        if not any(form.kinks for form in self.forms):
+        s, epsilon_z = self.s, self._told[1]
+        if epsilon_z is None:
             return [[v_z] for v_z in smooth]
-        s, epsilon_z = self.s, self._epsilon_z
         return [
             [v_z + s["beta"][j] * epsilon_z[b, :].T for b in range(2)] if form.kinks else [v_z]
             for j, (form, v_z) in enumerate(zip(self.forms, smooth, strict=True))
@@ -359,16 +359,26 @@ class _Member:
 
     def epsilon_x(self) -> ca.MX:
         """Slopes by x of ε_max's branches and of their coupling, (3, n_x), as in `Margin.gradients`."""
-        return self._by_x(self._epsilon_z * ca.repmat(self.s["z_scale"].T, 3, 1))
+        slopes = self._told[1]
+        assert slopes is not None, "an ascent is for objectives with ε_max"
+        return self._by_x(slopes * ca.repmat(self.s["z_scale"].T, 3, 1))
 
     @cached_property
     def margin(self) -> tuple[ca.Function, ca.Function]:
         """`Margin.values` and `gradients` for a solver."""
         return _margin(self.configuration, compiled=self.compiled)
 
+    @property
+    def _kinks(self) -> bool:
+        return any(form.kinks for form in self.forms)
+
     @cached_property
-    def _epsilon_z(self) -> ca.MX:
-        return self.margin[1].call([*self.at, self.s["gain"]])[1]
+    def _told(self) -> tuple[ca.MX, ca.MX] | tuple[None, None]:
+        """ε_max's branches and slopes, of one call; nothing where it takes no part."""
+        if not self._kinks:
+            return None, None
+        epsilon, slopes = self.margin[1].call([*self.at, self.s["gain"]])[:2]
+        return epsilon, slopes
 
 
 @lru_cache(maxsize=48)
