@@ -196,6 +196,11 @@ class Expansion:
         return self.of_machine("machine_curvature", [pull], [slope, both[:n_z, :], both[n_z:, self._moving]])
 
     @cached_property
+    def _machine_jacobian(self) -> ca.Function:
+        """(inputs) -> the columns of Y that are not zero."""
+        return self.of_machine("machine_jacobian", [], [ca.jacobian(self._y_terms[1], self._z)[:, self._moving]])
+
+    @cached_property
     def _spread(self) -> ca.Function:
         """(second derivatives by z, by the moving z) -> their sum, symmetric."""
         n_z, k = self._z.shape[0], len(self._moving)
@@ -229,6 +234,17 @@ class Expansion:
         # Forwards by few x, backwards from fewer modes.
         slopes = pull.T @ ca.jacobian(y, x) if x.shape[0] < m else ca.jtimes(y, x, pull, True).T
         return self.of_machine("machine_slopes", [pull], [slopes]).call([*self._at(at, held), pulls])[0]
+
+    def factor_slopes(self, at: Sequence[Any], held: Held) -> Any:
+        """∂f/∂z (2r m, n_z) as a graph, f column by column."""
+        omega_squared, shapes, same, f = self._modes(held)
+        columns = [ca.MX.zeros(f.numel(), 1) for _ in range(self._z.shape[0])]
+        found = self._machine_jacobian.call(self._at(at, held))[0]
+        for k, column in zip(self._moving, ca.horzsplit(found), strict=True):
+            (into,) = self.terms.into_modes.call([column, shapes])
+            (change,) = self.terms.moved.call([into, omega_squared, same, f])
+            columns[k] = ca.MX(ca.vec(change))
+        return ca.horzcat(*columns)
 
     def _modes(self, held: Held) -> list[Any]:
         return [held[name] for name in ("omega_squared", "modes", "same", "f")]

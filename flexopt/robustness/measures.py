@@ -113,6 +113,17 @@ class Measures:
         return ca.Function("weighted_gradient", [*at, alpha], outputs, [*NAMES, "alpha"], ["V_z"])
 
     @cached_property
+    def factors(self) -> ca.Function:
+        """(base, posture, p) -> `f` = [a_i; b_i] (2r, m), exact slopes of its columns by z as `f_z`, and `same`.
+
+        `f_z` is (2r m, n_b + n); `same` (m, m) has 1 where modes have the same frequency.
+        """
+        at = [ca.MX.sym(name, x.shape[0]) for name, x in zip(NAMES, self.inputs, strict=True)]
+        held = self.expansion.parts(self.hold.call(at)[0])
+        slopes = self.expansion.factor_slopes(at, held)
+        return _function("factors", at, {"f": held["f"], "f_z": slopes, "same": held["same"]})
+
+    @cached_property
     def end_point_gradient(self) -> ca.Function:
         """(base, posture, p) -> exact ∂r/∂z (n_task, n_z), z = [base, posture]."""
         g = self.plant.graph

@@ -140,6 +140,14 @@ class ModeTerms:
         return self._function("into_modes", ("change", "modes"), self._in_axes)
 
     @cached_property
+    def moved(self) -> ca.Function:
+        """(change, omega_squared, same, f), the change in the axes of the modes -> how f changes, (2r, m)."""
+        s = self._symbols
+        stiffness, mass, factors = self._split(s["change"])
+        first, _ = expanded_vectors(stiffness, mass, s["omega_squared"], s["same"])
+        return self._function("moved", ("change", "omega_squared", "same", "f"), factors + s["f"] @ first)
+
+    @cached_property
     def bent(self) -> ca.Function:
         """(change, omega_squared, same, f, ∂V/∂f, alpha) -> (∂²V/∂y²) change, in the axes of the modes."""
         s, names = self._symbols, ("change", "omega_squared", "same", "f", "by_f")
@@ -149,10 +157,9 @@ class ModeTerms:
         # V's terms of second degree: linear in C_2, products with C_1, and quadratic in the change of f, of which the
         # derivative is written down.
         terms = ca.dot(s["f"].T @ s["by_f"], second) + ca.dot(factors.T @ s["by_f"], first) + ca.dot(s["along"], moved)
-        move = self._function("moved", names, moved)
         finish = self._function("terms", (*names, "along"), ca.gradient(terms, s["change"]))
-        given: list[Any] = [*move.mx_in(), ca.MX.sym("alpha", self.m)]
-        along = self.second_slopes.call([given[3], given[2], given[5], *move.call(given[:5])])[1]
+        given: list[Any] = [*finish.mx_in()[: len(names)], ca.MX.sym("alpha", self.m)]
+        along = self.second_slopes.call([given[3], given[2], given[5], *self.moved.call(given[:4])])[1]
         return ca.Function("bent", given, finish.call([*given[:5], along]))
 
 

@@ -1,4 +1,4 @@
-"""Ascent of one configuration's objective where ε_max takes part: a maximum of the smaller of two branches.
+"""Ascent of one configuration's objective, which may have kinks: of ε_max, and of w_i where a_i = 0 or b_i = 0.
 
 In: a program's Functions, and a start. Out: a point that keeps every constraint and is never worse than the start.
 
@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.ascent_model import DIFFERENCE, ROUNDING, Branches, Point, SecondOrder, Step, best_step
+from flexopt.selection.ascent_model import DIFFERENCE, ROUNDING, Cone, Point, SecondOrder, Step, best_step
+from flexopt.selection.cones import SHARED, TINY, mode_cones, smooth_slope, split_factors
 from flexopt.selection.nlp import Branched
 from flexopt.selection.programs import Bounds
 
@@ -29,10 +30,16 @@ POOR, FAIR, FINE = 0.1, 0.25, 0.75
 STATIONARY = 1e-7
 # How near to the rows points are, in their scales. By how much values that are kept may be short, in theirs, and below
 # which of it no more steps are made towards them. Branches that differ by so many times as much are lifted together.
-ON_ROWS, ON_KEPT, AT_KEPT, CORRECTIONS = 1e-11, 1e-10, 1e-13, 6
+ON_ROWS, ON_KEPT, AT_KEPT, CORRECTIONS, LIFTS = 1e-11, 1e-10, 1e-13, 6, 24
 TOGETHER = 100.0
 # Steps with the same second derivatives back onto a ridge, and the least curvature then, relative to the greatest.
 CHORDS, STIFF = 3, 0.3
+# Step of the differences of what the cones leave of w_i, in scaled variables.
+BESIDE = 1e-5
+# Multipliers of ε_max, as a share of those where it alone is sought, from which on its differences are central.
+DEAR = 10.0
+# Cones up to so many steps away are looked at, and how many times as long as the one before a step is taken to be.
+REACH, AHEAD = 2.0, 3.0
 DONE, CUT_SHORT, STUCK = "Solve_Succeeded", "Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small"
 
 
@@ -42,27 +49,33 @@ class Ascent:
 
     Attributes:
         functions: from `build_branched`;  parameters: those of the solver.
-        kinks: of each objective, the one that is sought last, β / size, 0 where ε_max takes no part.
+        alphas: of each objective, the one that is sought last, α / size, (j, m).
+        kinks: of each objective β / size, 0 where ε_max takes no part.
         least: V / size that is kept, of each objective but the last.
         bounds: of x and of the rows.
         margin: x -> slopes of ε_max's branches, and of their coupling, by x, (3, n).
+        without: α of every mode of which cones are looked at -> the parameters with these modes left out.
+        noise: rounding error of V / size of the objectives that are kept: what is short by less is not short.
     """
 
     functions: Branched
     parameters: Vector
+    alphas: Vector
     kinks: Vector
     least: Vector
     bounds: Bounds
     margin: Callable[[Vector], Vector]
+    without: Callable[[list[int]], Vector]
+    noise: float = 0.0
 
     def climbed(self, start: Vector, iterations: int) -> tuple[Vector, int, str] | None:
         """Where steps from a start lead, how many, and why they ended; None where the start leads onto no rows."""
-        here, distance = self.restored(start), FIRST
+        here, distance = self.restored(start, LIFTS), FIRST
         if here is None:
             return None
-        step = self._step(here, np.eye(here.x.size), distance)
+        step = self._step(here, np.eye(here.x.size), distance, here.near(REACH * distance), None, coupled=False)
         for number in range(iterations):
-            second = None if step is None else self._second(here, step)
+            second = None if step is None else self._second(here, step, distance)
             if second is None:
                 return here.x, number, STUCK
             there, step, distance = self._next(second, distance)
@@ -74,18 +87,43 @@ class Ascent:
     def at(self, x: Vector) -> Point:
         """The program at x."""
         last, g, last_x, g_x, epsilon_x = (out.full() for out in self.functions.model.call([x, self.parameters]))
-        first = n_rows = self.bounds.g_lower.size
+        n_rows, gap = self.bounds.g_lower.size, 0.0
         values, slopes = np.concatenate([g, last]).ravel(), np.vstack([g_x, last_x])
-        objectives: list[Branches] = []
+        lowest, first = list[int](), n_rows
         for kink in self.kinks:
-            mine = slice(first, first + (2 if kink else 1))
-            coupling = kink * epsilon_x[2:] if kink else epsilon_x[:0]
-            objectives.append(Branches(values[mine], np.vstack([slopes[mine], coupling])))
-            first = mine.stop
-        return Point(x, values[:n_rows], slopes[:n_rows], tuple(objectives), epsilon_x)
+            lowest.append(first)
+            gap = float(values[first + 1] - values[first]) / kink if kink else gap
+            first += 2 if kink else 1
+        f, f_x, same = self._factors(x)
+        modes = mode_cones(f, f_x, self.alphas)
+        return Point(
+            x=x,
+            rows=values[:n_rows],
+            row_slopes=slopes[:n_rows],
+            values=values[lowest],
+            slopes=slopes[lowest],
+            cones=(*modes, *self._margin_cone(gap, epsilon_x)),
+            alone=same[: len(modes) // 2] < SHARED,
+            epsilon_slopes=epsilon_x,
+        )
 
-    def restored(self, x: Vector) -> Point | None:
-        """The point nearest to x, to first order, where everything holds; None where steps do not lead there."""
+    def _factors(self, x: Vector) -> tuple[Vector, Vector, Vector]:
+        """As `split_factors`, and of every mode how many have its frequency."""
+        f, f_x, same = (out.full() for out in self.functions.factors.call([x, self.parameters]))
+        return *split_factors(f, f_x), same.sum(axis=0)
+
+    def _margin_cone(self, gap: float, epsilon_x: Vector) -> list[Cone]:
+        """−β |((V_1 − V_2) / 2, g_12)|, in a list; none where ε_max takes no part."""
+        if not self.kinks.any():
+            return []
+        slopes = np.vstack([(epsilon_x[0] - epsilon_x[1]) / 2, epsilon_x[2]])
+        return [Cone(np.array([-gap / 2, 0.0]), slopes, self.kinks, np.array([-1.0, 0.0]))]
+
+    def restored(self, x: Vector, lifts: int = CORRECTIONS) -> Point | None:
+        """The point nearest to x, to first order, where everything holds; None where steps do not lead there.
+
+        `lifts`: steps at most towards what is kept; each takes off three quarters of what is short next to a maximum.
+        """
         for _ in range(CORRECTIONS):
             x = np.clip(x, self.bounds.x_lower, self.bounds.x_upper)
             rows, slopes = (out.full() for out in self.functions.rows.call([x, self.parameters]))
@@ -96,15 +134,15 @@ class Ascent:
                 break
             x = x - self._shortest(x, slopes, wrong, self._equal | (wrong != 0))
         point = self.at(np.clip(x, self.bounds.x_lower, self.bounds.x_upper))
-        best: tuple[float, Point | None] = (ON_KEPT, None)
-        for _ in range(CORRECTIONS):
+        best: tuple[float, Point | None] = (max(ON_KEPT, 2 * self.noise), None)
+        for _ in range(lifts):
             if not point.is_finite:
                 break
             wrong, slopes, short = self._lifting(point)
             of_rows = wrong[: point.rows.size]
             if np.abs(of_rows).max(initial=0.0) <= ON_ROWS and short <= best[0]:
                 best = short, point
-            if best[0] <= AT_KEPT:
+            if best[1] is not None and best[0] <= max(AT_KEPT, self.noise):
                 break
             chosen = np.append(self._equal | (of_rows != 0), np.full(wrong.size - of_rows.size, fill_value=True))
             x = point.x - self._shortest(point.x, slopes, wrong, chosen)
@@ -114,17 +152,19 @@ class Ascent:
     def _lifting(self, at: Point) -> tuple[Vector, Vector, float]:
         """What rows and kept objectives are off, their slopes, and by how much the objectives are short at most.
 
-        Near a kink both branches are lifted, and not mixed: to lift one alone may lower the other.
+        Near a kink c is held: to lift one of two branches alone may lower the other.
         """
         wrong, slopes, shortest = [self._beyond(at.rows)], [at.row_slopes], 0.0
-        for branches, least in zip(at.objectives[:-1], self.least, strict=True):
-            short = least - branches.smallest
+        for j, short in enumerate(self.least - at.values[:-1]):
             if short <= 0:
                 continue
-            shortest = max(shortest, short)
-            together = branches.values.size > 1 and abs(branches.values[1] - branches.values[0]) <= TOGETHER * short
-            slopes.append(branches.slopes if together else branches.lowest_slope[None])
-            wrong.append(np.array([-short, -short, 0.0]) if together else np.array([-short]))
+            shortest = max(shortest, float(short))
+            slopes.append(at.slopes[j : j + 1])
+            wrong.append(np.array([-short]))
+            for cone in at.cones:
+                if 0 < 2 * cone.sizes[j] * np.linalg.norm(cone.value) <= TOGETHER * short:
+                    slopes.append(cone.slopes)
+                    wrong.append(np.zeros(cone.value.size))
         return np.concatenate(wrong), np.vstack(slopes), shortest
 
     @cached_property
@@ -152,29 +192,39 @@ class Ascent:
             moving[down | up] = 0.0
         return step
 
-    def _step(self, here: Point, bend: Vector, distance: float, pulls: tuple[Vector, ...] | None = None) -> Step | None:
-        return best_step(here, bend, self.bounds, self.least, distance, pulls)
+    def _step(
+        self,
+        here: Point,
+        bend: Vector,
+        distance: float,
+        cones: tuple[int, ...],
+        before: Step | None,
+        *,
+        coupled: bool,
+    ) -> Step | None:
+        return best_step(here, bend, self.bounds, self.least, distance, cones, before, coupled=coupled)
 
     def _model(self, second: SecondOrder, distance: float) -> Step | None:
-        """The step by branches of their own, where it is too short to mix them; else by coupled ones."""
-        step = self._step(second.here, second.bend(coupled=False), distance)
-        if step is None or all(branches.stay_apart(step.d) for branches in second.mixed.objectives):
+        """The step by ε_max's branches of their own, where it is too short to mix them; else by coupled ones."""
+        before, cones = second.step, second.cones
+        step = self._step(second.here, second.bend(coupled=False), distance, cones, before, coupled=False)
+        if step is None or second.stays_apart(step.d):
             return step
-        return self._step(second.mixed, second.bend(coupled=True), distance, second.pulls)
+        return self._step(second.mixed, second.bend(coupled=True), distance, cones, before, coupled=True)
 
     def _next(self, second: SecondOrder, distance: float) -> tuple[Point | None, Step | None, float]:
         """The next point, the step that led to it, and how far the model is to be trusted; no point at the end."""
         here = second.here
-        rounding = ROUNDING * (1 + abs(here.value))
+        rounding = ROUNDING * (1 + abs(here.value)) + self.noise * float(second.step.pulls[:-1].sum())
         while distance > LEAST:
             step = self._model(second, distance)
             if step is None:
                 distance /= 4
                 continue
             inside = step.length < 0.99 * distance
-            if inside and (step.length <= LEAST or (not step.coupled and step.slope <= STATIONARY)):
+            if inside and (step.length <= LEAST or max(step.slope, step.gain / step.length) <= STATIONARY):
                 return None, None, distance
-            there = self._corrected(self.restored(here.x + step.d), step, distance)
+            there = self._corrected(self.restored(here.x + step.d), step, distance, second.cones)
             gain = -np.inf if there is None else there.value - here.value
             if there is None or gain <= max(POOR * step.gain - rounding, -rounding):
                 distance = min(distance, step.length) / 4
@@ -188,7 +238,7 @@ class Ascent:
             return there, step, distance
         return None, None, 0.0
 
-    def _corrected(self, there: Point | None, step: Step, distance: float) -> Point | None:
+    def _corrected(self, there: Point | None, step: Step, distance: float, cones: tuple[int, ...]) -> Point | None:
         """Where the same second derivatives lead from the end of a step: back onto a ridge that is bent.
 
         Along the ridge, where V bends little, nearly nothing is moved.
@@ -196,8 +246,10 @@ class Ascent:
         values, vectors = np.linalg.eigh(step.bend)
         stiff = (vectors * np.maximum(values, STIFF * values[-1])) @ vectors.T
         for _ in range(CHORDS):
-            again = None if there is None else self._step(there, stiff, distance, step.pulls if step.coupled else None)
-            if there is None or again is None or again.gain <= POOR * step.gain:
+            if there is None:
+                break
+            again = self._step(there, stiff, distance, cones, step, coupled=step.coupled)
+            if again is None or again.gain <= POOR * step.gain:
                 break
             after = self.restored(there.x + again.d)
             if after is None or after.value <= there.value:
@@ -207,11 +259,8 @@ class Ascent:
 
     def _off(self, at: Point, step: Step) -> float:
         """What is left of V's gradient along the free directions, with a step's multipliers."""
-        left = -step.row_pulls @ at.row_slopes
-        for branches, weights in zip(at.objectives, step.pulls, strict=True):
-            left = left + branches.pulled(weights)
         inside = (at.x > self.bounds.x_lower + ON_ROWS) & (at.x < self.bounds.x_upper - ON_ROWS)
-        return float(np.linalg.norm(self._free(at) @ (left * inside)))
+        return float(np.linalg.norm(self._free(at) @ (step.left_at(at) * inside)))
 
     def _free(self, at: Point) -> Vector:
         """An orthonormal basis (d, n) of the directions that equations and fixed entries leave."""
@@ -222,16 +271,42 @@ class Ascent:
         _, singular, directions = np.linalg.svd(rows)
         return directions[int(np.sum(singular > 1e-9 * singular[0])) :]
 
-    def _second(self, here: Point, step: Step) -> SecondOrder | None:
-        """Second derivatives at a point, with the multipliers of a step."""
-        free, pulls = self._free(here), np.array([np.trace(weights) for weights in step.pulls])
-        given = [here.x, self.parameters, -pulls, step.row_pulls]
+    def _second(self, here: Point, step: Step, distance: float) -> SecondOrder | None:
+        """Second derivatives at a point, with the multipliers of a step, for steps up to a distance.
+
+        Where steps are short only cones nearby count: what w_i bend without them is less like V.
+        """
+        free, cones = self._free(here), here.near(REACH * min(distance, AHEAD * step.length))
+        modes = [number // 2 for number in cones if number < 2 * here.n_modes]
+        given = [here.x, self.without(modes) if modes else self.parameters, -step.pulls, step.row_pulls]
         smooth = free @ self.functions.curvature.call(given)[0].full() @ free.T
+        if modes:
+            smooth = smooth - self._left_of_modes(here, step, cones, free)
         margins = np.zeros((2, len(free), len(free)))
-        if len(free) and np.any(pulls[self.kinks > 0] > 0):
-            beside = [self.margin(here.x + DIFFERENCE * direction) - here.epsilon_slopes for direction in free]
-            change = np.array([difference[:2] @ free.T for difference in beside]).transpose(1, 0, 2) / DIFFERENCE
-            margins = (change + change.transpose(0, 2, 1)) / 2
+        pull = float(step.pulls @ self.kinks)
+        if len(free) and pull > 0:
+            ahead = [self.margin(here.x + DIFFERENCE * way) for way in free]
+            # What is kept may have multipliers of thousands, which the error of one-sided differences is multiplied by.
+            central = pull > DEAR * float(self.kinks.max())
+            behind = [self.margin(here.x - DIFFERENCE * way) if central else here.epsilon_slopes for way in free]
+            change = (np.array(ahead) - np.array(behind))[:, :2] @ free.T / (DIFFERENCE * (2 if central else 1))
+            margins = (change.transpose(1, 0, 2) + change.transpose(1, 2, 0)) / 2
         if not (np.isfinite(smooth).all() and np.isfinite(margins).all()):
             return None
-        return SecondOrder(here, free, smooth, margins, self.kinks, step.pulls)
+        return SecondOrder(here, free, smooth, margins, step, cones)
+
+    def _left_of_modes(self, here: Point, step: Step, cones: tuple[int, ...], free: Vector) -> Vector:
+        """Second derivatives (d, d) of what is smooth in w_i whose cones are looked at, ν as a step pulls it."""
+        held: dict[int, tuple[float, Vector]] = {}
+        for number in cones:
+            if number < 2 * here.n_modes:
+                cone, size = here.cones[number], float(np.linalg.norm(here.cones[number ^ 1].value))
+                pull = step.cone_pulls.get(number, float(step.pulls @ cone.sizes) * cone.unit)
+                held[number] = float(step.pulls @ self.alphas[:, number // 2]), pull / max(size, TINY)
+        beside = [
+            smooth_slope(*self._factors(here.x + BESIDE * way)[:2], held)
+            - smooth_slope(*self._factors(here.x - BESIDE * way)[:2], held)
+            for way in free
+        ]
+        change = np.array(beside).reshape(len(free), here.x.size) @ free.T / (2 * BESIDE)
+        return (change + change.T) / 2

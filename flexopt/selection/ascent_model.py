@@ -1,104 +1,124 @@
-"""The model that an ascent climbs by: branches of ε_max as eigenvalues of a matrix, and second derivatives.
+"""The model that an ascent climbs by: cones where an objective has kinks, and second derivatives.
 
-In: a point with its slopes, and the second derivatives there. Out: the step that maximises the model within a box.
+In: a point with its slopes and cones, and the second derivatives there. Out: the step that maximises the model.
 
-V ≤ uᵀ M(d) u for every unit u, with M(d) = [[V_1 + g_11·d, g_12·d], [g_12·d, V_2 + g_22·d]]: near a kink the branches
-are the eigenvalues of a matrix that is linear in the step d. As many u as matter stand as rows in a quadratic program.
+Objectives are smooth but for terms −size |c|, c a small vector: of w_i = a_i·b_i − |a_i||b_i| near a_i = 0 or b_i = 0,
+and of ε_max, the smaller eigenvalue of a 2 × 2 matrix, (V_1 + V_2) / 2 − |((V_1 − V_2) / 2, g_12)|. A step d takes c to
+c + C d: the model is a second-order cone program (`cone_program`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.cone_program import Cones, best_gain
 from flexopt.selection.programs import Bounds
-from flexopt.selection.quadratic import best_gain
 
-# Step of the differences of slopes, in scaled variables: where the slopes of ε_max have lost half their digits, still
-# three of the second derivatives are right. By how many steps' change branches are told apart.
+# Step of the differences of slopes of ε_max, in scaled variables: where they have lost half their digits, still three
+# of the second derivatives are right. By how many steps' change branches are told apart.
 DIFFERENCE, APART = 3e-4, 4.0
 # The least curvature of a model, relative to its greatest: where V is flat, steps are short without it.
 FLAT = 1e-7
-# Unit vectors u of a pair of branches, and how near to the smaller eigenvalue they lead, as a share of what V gains.
-DIRECTIONS, NEAR = 12, 1e-2
 # Gains below this share of V / size are rounding.
 ROUNDING = 1e-13
+# Singular values of a C below this share of its largest are rounding.
+DEPENDENT = 1e-9
 # A solution this far beyond its box is none.
 BEYOND = 1.01
 
 
 @dataclass(frozen=True)
-class Branches:
-    """V / size of one objective to first order: one value and slope (1, n), or two with g_12 after them, (3, n)."""
+class Cone:
+    """The term −sizes_j |c| of every objective j.
 
-    values: Vector
+    Attributes:
+        value: c, (r,);  slopes: C = ∂c/∂x, (r, n).
+        sizes: of the objectives, (k,).
+        unit: the u whose −sizes_j uᵀC is part of the slope that is told of objective j: c / |c|, or of ε_max (−1, 0).
+    """
+
+    value: Vector
     slopes: Vector
+    sizes: Vector
+    unit: Vector
+
+    @cached_property
+    def length(self) -> float:
+        """|C|: how much |c| changes at most in a step of length 1."""
+        return float(np.linalg.norm(self.slopes, 2))
+
+    @cached_property
+    def distance(self) -> float:
+        """How far c = 0 is, in scaled variables, to first order and at least."""
+        return float(np.linalg.norm(self.value)) / self.length if self.length > 0 else np.inf
 
     @property
-    def smallest(self) -> float:
-        """The objective itself."""
-        return float(self.values.min())
-
-    @property
-    def lowest_slope(self) -> Vector:
-        """Its slope, (n,)."""
-        return self.slopes[int(np.argmin(self.values))]
-
-    def along(self, u: Vector) -> tuple[float, Vector]:
-        """Value and slope of uᵀ M u; u (1,) or (2,)."""
-        weights = _weights(np.outer(u, u))
-        return float(weights[: self.values.size] @ self.values), weights @ self.slopes
-
-    def pulled(self, weights: Vector) -> Vector:
-        """Slope of tr(W M), (n,)."""
-        return _weights(weights) @ self.slopes
-
-    def lowest(self, d: Vector) -> tuple[float, Vector]:
-        """The smallest eigenvalue of M(d), and its vector."""
-        change = self.slopes @ d
-        if self.values.size == 1:
-            return float(self.values[0] + change[0]), np.ones(1)
-        matrix = np.diag(self.values) + np.array([[change[0], change[2]], [change[2], change[1]]])
-        values, vectors = np.linalg.eigh(matrix)
-        return float(values[0]), vectors[:, 0]
-
-    def stay_apart(self, d: Vector) -> bool:
-        """Whether a step is too short to mix the branches."""
-        return self.values.size == 1 or 4 * abs(float(self.slopes[2] @ d)) <= self.values[1] - self.values[0]
-
-
-def _weights(matrix: Vector) -> Vector:
-    """Weights of V_1, V_2 and g_12 in tr(W M)."""
-    return matrix[0] if matrix.size == 1 else np.array([matrix[0, 0], matrix[1, 1], 2 * matrix[0, 1]])
+    def axes(self) -> Vector:
+        """Unit vectors (k, r) of what C reaches."""
+        left, singular, _ = np.linalg.svd(self.slopes, full_matrices=False)
+        return left.T[singular > DEPENDENT * self.length]
 
 
 @dataclass(frozen=True)
 class Point:
     """A program at x (n,): rows (k,) with slopes (k, n), and its objectives, the one that is sought last.
 
-    `epsilon_slopes` (3, n) are those of ε_max's branches, and of their coupling.
+    Attributes:
+        x, rows, row_slopes: see above.
+        values, slopes: V / size of the objectives, (j,) and (j, n).
+        cones: where they may have kinks; of modes two each, then that of ε_max where it takes part.
+        alone: of each mode, whether its frequency is simple: cones of others are not looked at.
+        epsilon_slopes: of ε_max's branches, and of their coupling, (3, n); else (0, n).
     """
 
     x: Vector
     rows: Vector
     row_slopes: Vector
-    objectives: tuple[Branches, ...]
+    values: Vector
+    slopes: Vector
+    cones: tuple[Cone, ...]
+    alone: NDArray[np.bool_]
     epsilon_slopes: Vector
 
     @property
     def value(self) -> float:
         """V / size of the objective that is sought."""
-        return self.objectives[-1].smallest
+        return float(self.values[-1])
 
     @property
     def is_finite(self) -> bool:
         """Whether all of it is numbers."""
-        parts = [self.rows, self.row_slopes, *(part for o in self.objectives for part in (o.values, o.slopes))]
+        parts = [self.rows, self.row_slopes, self.values, self.slopes]
+        parts += [part for cone in self.cones for part in (cone.value, cone.slopes)]
         return all(bool(np.isfinite(part).all()) for part in parts)
+
+    @property
+    def n_modes(self) -> int:
+        """How many modes have cones."""
+        return self.alone.size
+
+    @property
+    def margin_cone(self) -> int | None:
+        """Number of the cone of ε_max."""
+        return 2 * self.n_modes if len(self.cones) > 2 * self.n_modes else None
+
+    def near(self, distance: float) -> tuple[int, ...]:
+        """Numbers of the cones that steps with entries of this size may meet; of a mode's two the nearer one."""
+        chosen: list[int] = []
+        for i in range(self.n_modes):
+            k = min((2 * i, 2 * i + 1), key=lambda number: self.cones[number].distance)
+            if self.alone[i] and self.cones[k].sizes.any() and self.cones[k].distance <= distance:
+                chosen.append(k)
+        last = self.margin_cone
+        if last is not None and self.cones[last].distance <= np.sqrt(self.x.size) * distance:
+            chosen.append(last)
+        return tuple(chosen)
 
 
 @dataclass(frozen=True)
@@ -107,14 +127,16 @@ class Step:
 
     Attributes:
         gain: what the model predicts.
-        pulls: of each objective the matrix Σ μ u uᵀ of its multipliers;  row_pulls: those of the rows.
-        bend: the model's second derivatives, sign changed, (n, n);  coupled: whether it mixes branches.
+        pulls: multipliers of the objectives, that of the last 1;  row_pulls: those of the rows.
+        cone_pulls: of the cones by number, their p, |p| ≤ Σ pulls sizes: −pᵀ C is their part in the slope.
+        bend: the model's second derivatives, sign changed, (n, n);  coupled: whether it mixes the branches of ε_max.
     """
 
     d: Vector
     gain: float
-    pulls: tuple[Vector, ...]
+    pulls: Vector
     row_pulls: Vector
+    cone_pulls: dict[int, Vector]
     bend: Vector
     coupled: bool
 
@@ -128,9 +150,25 @@ class Step:
         """The Lagrangian's gradient where the step begins, its largest entry."""
         return float(np.abs(self.bend @ self.d).max())
 
+    def left_at(self, at: Point) -> Vector:
+        """What is left of V's gradient (n,) at a point, with this step's multipliers."""
+        left = self.pulls @ at.slopes - self.row_pulls @ at.row_slopes
+        for number, pull in self.cone_pulls.items():
+            cone = at.cones[number]
+            left = left + (float(self.pulls @ cone.sizes) * cone.unit - pull) @ cone.slopes
+        return left
+
 
 def best_step(
-    here: Point, bend: Vector, bounds: Bounds, least: Vector, distance: float, pulls: tuple[Vector, ...] | None
+    here: Point,
+    bend: Vector,
+    bounds: Bounds,
+    least: Vector,
+    distance: float,
+    cones: Sequence[int],
+    before: Step | None,
+    *,
+    coupled: bool,
 ) -> Step | None:
     """The step that maximises V − dᵀ bend d / 2 within a distance, the rows and what is kept; None without a solution.
 
@@ -140,63 +178,62 @@ def best_step(
         bounds: of x and of the rows.
         least: V / size that is kept, of each objective but the last.
         distance: of any entry.
-        pulls: where the branches' coupling is looked at those of the step before; else None.
+        cones: numbers of those that are looked at; of all others the slopes are.
+        before: a step whose multipliers are tried first.
+        coupled: whether the branches of ε_max mix.
     """
-    units = [list(np.eye(branches.values.size)) for branches in here.objectives]
-    for mine, weights in zip(units, pulls or (), strict=False):
-        if len(mine) > 1 and np.trace(weights) > 0:
-            mine += list(np.linalg.eigh(weights)[1].T)
+    chosen: dict[int, Cone] = {}
+    for number in cones:
+        cone = here.cones[number]
+        if number == here.margin_cone and not coupled:
+            cone = replace(cone, slopes=cone.slopes * np.array([[1.0], [0.0]]))
+        if cone.length > 0:
+            chosen[number] = cone
+    r, n = max((cone.value.size for cone in chosen.values()), default=1), here.x.size
+    values, slopes, units = np.zeros((len(chosen), r)), np.zeros((len(chosen), r, n)), np.zeros((len(chosen), r))
+    for i, cone in enumerate(chosen.values()):
+        values[i, : cone.value.size], slopes[i, : cone.value.size] = cone.value, cone.slopes
+        units[i, : cone.value.size] = cone.unit
+    sizes = np.array([cone.sizes for cone in chosen.values()]).reshape(len(chosen), here.values.size)
+    # What the slopes that are told have of the cones, the cones have themselves.
+    trunks = here.slopes + sizes.T @ (units[:, None, :] @ slopes)[:, 0]
     # What is short by less than counts is not made up for by the model.
-    smallest = [branches.smallest for branches in here.objectives[:-1]]
-    wanted = np.append(np.minimum(least, smallest), here.value)
-    found = _limited(here, bend, bounds, wanted, distance, units)
-    for _ in range(0 if pulls is None else DIRECTIONS):
-        if found is None:
-            break
-        d, rise, multipliers = found
-        lowest = [branches.lowest(d) for branches in here.objectives]
-        rises = np.append(np.zeros(least.size), rise)
-        # What is kept counts by as much as it costs.
-        prices = [max(float(own.sum()), 1.0) for own in _own(multipliers, here, units)]
-        missing = [
-            j for j, (value, _) in enumerate(lowest) if value < wanted[j] + rises[j] - NEAR * abs(rise) / prices[j]
-        ]
-        if not missing:
-            break
-        for j in missing:
-            units[j].append(lowest[j][1])
-        found = _limited(here, bend, bounds, wanted, distance, units)
+    wanted = np.minimum(np.append(least, here.value) - here.values, 0.0) - sizes.T @ (units * values).sum(1)
+    n_rows = here.rows.size
+    rows = np.zeros((n_rows + wanted.size, n + 1))
+    rows[:n_rows, :n], rows[n_rows:, :n], rows[-1, n] = here.row_slopes, trunks, -1.0
+    weights = np.zeros((len(rows), len(chosen)))
+    weights[n_rows:] = sizes.T
+    limits = Bounds(
+        np.maximum(bounds.x_lower - here.x, -distance),
+        np.minimum(bounds.x_upper - here.x, distance),
+        np.concatenate([bounds.g_lower - here.rows, wanted]),
+        np.concatenate([bounds.g_upper - here.rows, np.full(wanted.size, np.inf)]),
+    )
+    guess = None if before is None else _guess(before, chosen, units)
+    found = best_gain(bend, rows, limits, Cones(values, slopes, weights), guess)
     if found is None:
         return None
-    d, rise, multipliers = found
-    gain = rise - float(d @ bend @ d) / 2
+    d, pulls = found.d, np.append(np.maximum(-found.multipliers[n_rows:-1], 0.0), 1.0)
+    gain = found.rise - float(d @ bend @ d) / 2
     if gain < -ROUNDING * (1 + abs(here.value)) or np.abs(d).max() > BEYOND * distance:
         return None
-    pairs = zip(_own(multipliers, here, units), map(np.array, units), strict=True)
-    weights = tuple(np.einsum("c,ci,cj->ij", mu, mine, mine) for mu, mine in pairs)
-    return Step(d, max(gain, 0.0), weights, multipliers[: here.rows.size], bend, pulls is not None)
+    cone_pulls = {
+        number: force[: cone.value.size] for (number, cone), force in zip(chosen.items(), found.forces, strict=True)
+    }
+    return Step(d, max(gain, 0.0), pulls, found.multipliers[:n_rows], cone_pulls, bend, coupled)
 
 
-def _own(multipliers: Vector, here: Point, units: list[list[Vector]]) -> list[Vector]:
-    """Of every objective the multipliers of its u, none negative."""
-    edges = np.cumsum([here.rows.size, *(len(mine) for mine in units)])
-    return [np.maximum(-multipliers[i:j], 0.0) for i, j in pairwise(edges.tolist())]
-
-
-def _limited(
-    here: Point, bend: Vector, bounds: Bounds, wanted: Vector, distance: float, units: list[list[Vector]]
-) -> tuple[Vector, float, Vector] | None:
-    """The step where every objective j, the last one with its rise, is at most uᵀ M u for the u in `units`[j]."""
-    lower, upper = np.maximum(bounds.x_lower - here.x, -distance), np.minimum(bounds.x_upper - here.x, distance)
-    rows = [np.append(slope, 0.0) for slope in here.row_slopes]
-    low, high = list(bounds.g_lower - here.rows), list(bounds.g_upper - here.rows)
-    for j, (branches, mine) in enumerate(zip(here.objectives, units, strict=True)):
-        sought = j == len(units) - 1
-        for value, slope in map(branches.along, mine):
-            rows.append(np.append(slope, -1.0 if sought else 0.0))
-            low.append(wanted[j] - value if sought else min(wanted[j] - value, 0.0))
-            high.append(np.inf)
-    return best_gain(bend, np.array(rows), Bounds(lower, upper, np.array(low), np.array(high)))
+def _guess(before: Step, cones: dict[int, Cone], units: Vector) -> tuple[Vector, Vector]:
+    """Multipliers of rows and forces of cones as in a step before; of cones that were not looked at the smooth ones."""
+    forces = np.zeros(units.shape)
+    for i, (number, cone) in enumerate(cones.items()):
+        total = float(before.pulls @ cone.sizes)
+        pull = before.cone_pulls.get(number)
+        forces[i] = total * units[i]
+        if pull is not None:
+            forces[i, : pull.size] = pull
+    return np.append(before.row_pulls, -before.pulls), forces
 
 
 @dataclass(frozen=True)
@@ -205,24 +242,22 @@ class SecondOrder:
 
     Attributes:
         here: the point.
-        smooth: those of the Lagrangian without ε_max, sign changed, (d, d).
-        margins: those of both branches, (2, d, d).
-        kinks: of each objective β / size, 0 where ε_max takes no part;  pulls: as in `Step`.
+        free: see above.
+        smooth: those of the Lagrangian without ε_max and without what the cones bend, sign changed, (d, d).
+        margins: those of both branches of ε_max, (2, d, d).
+        step: the one whose multipliers count;  cones: numbers of those that are looked at.
     """
 
     here: Point
     free: Vector
     smooth: Vector
     margins: Vector
-    kinks: Vector
-    pulls: tuple[Vector, ...]
+    step: Step
+    cones: tuple[int, ...]
 
     def bend(self, *, coupled: bool) -> Vector:
         """Those of the Lagrangian, sign changed, made positive, (n, n); without what coupled branches bend."""
-        inner = self.smooth
-        for kink, branches, weights in zip(self.kinks, self.mixed.objectives, self.pulls, strict=True):
-            if kink:
-                inner = inner - kink * self._of_margin(branches, weights, kink, coupled=coupled)
+        inner = self.smooth - self._of_margin(coupled=coupled)
         values, vectors = np.linalg.eigh((inner + inner.T) / 2)
         size = max(float(np.abs(values).max(initial=0.0)), FLAT)
         values = np.maximum(values, FLAT * size)
@@ -231,39 +266,54 @@ class SecondOrder:
 
     @cached_property
     def mixed(self) -> Point:
-        """The point, with g_12 as large as the branches' second derivatives say that it mixes them.
+        """The point, with g_12 as large as the second derivatives of ε_max's branches say that it mixes them.
 
         Off a kink g_12 depends on how the eigenvectors are taken along, which the derivatives of the branches undo.
         """
-        pairs = zip(self.here.objectives, self.kinks, strict=True)
-        return replace(self.here, objectives=tuple(self._mixed(branches, kink) for branches, kink in pairs))
-
-    def _mixed(self, branches: Branches, kink: float) -> Branches:
-        gap, turn = self._apart(branches, kink)
+        number = self.here.margin_cone
+        if number is None:
+            return self.here
+        cone, (gap, turn) = self.here.cones[number], self._apart(self.here)
         size = float(turn @ turn)
         if gap == 0.0 or size**2 == 0.0:
-            return branches
+            return self.here
         seen = gap * float(turn @ (self.margins[1] - self.margins[0]) @ turn) / (4 * size**2)
-        scaled = np.sqrt(np.clip(seen, 0.0, 1.0)) * branches.slopes[2:]
-        return replace(branches, slopes=np.vstack([branches.slopes[:2], scaled]))
+        scale = np.array([[1.0], [np.sqrt(np.clip(seen, 0.0, 1.0))]])
+        cones = list(self.here.cones)
+        cones[number] = replace(cone, slopes=cone.slopes * scale)
+        return replace(self.here, cones=tuple(cones))
 
-    def _apart(self, branches: Branches, kink: float) -> tuple[float, Vector]:
+    def stays_apart(self, d: Vector) -> bool:
+        """Whether a step is too short to mix the branches of ε_max."""
+        number = self.mixed.margin_cone
+        if number is None:
+            return True
+        cone = self.mixed.cones[number]
+        return 2 * abs(float(cone.slopes[1] @ d)) <= -float(cone.value[0])
+
+    def _apart(self, at: Point) -> tuple[float, Vector]:
         """By how much the branches of ε_max differ, 0 where differences mix them, and g_12 along `free`."""
-        if branches.values.size == 1:
+        number = at.margin_cone
+        if number is None:
             return 0.0, np.zeros(len(self.free))
-        gap = float(branches.values[1] - branches.values[0]) / kink
-        turn = self.free @ branches.slopes[2] / kink
-        pull = self.free @ (branches.slopes[1] - branches.slopes[0]) / kink
+        cone = at.cones[number]
+        gap, turn, pull = -2 * float(cone.value[0]), self.free @ cone.slopes[1], 2 * self.free @ cone.slopes[0]
         near = gap < APART * DIFFERENCE * float(np.linalg.norm(pull) + 2 * np.linalg.norm(turn))
         return 0.0 if near else gap, turn
 
-    def _of_margin(self, branches: Branches, weights: Vector, kink: float, *, coupled: bool) -> Vector:
-        """Second derivatives of tr(W M) / kink, (d, d); of the branches' mean where differences mix them."""
+    def _of_margin(self, *, coupled: bool) -> Vector:
+        """Second derivatives of what the objectives take of ε_max, (d, d); of the mean where differences mix it."""
+        number = self.here.margin_cone
+        if number is None:
+            return np.zeros(self.smooth.shape)
+        total = float(self.step.pulls @ self.here.cones[number].sizes)
+        pull = self.step.cone_pulls.get(number, np.array([-total, 0.0]))
+        low, high = (total - float(pull[0])) / 2, (total + float(pull[0])) / 2
         first, second = self.margins
         if not coupled:
-            return weights[0, 0] * first + weights[1, 1] * second
-        gap, turn = self._apart(branches, kink)
+            return low * first + high * second
+        gap, turn = self._apart(self.mixed)
         if gap == 0.0:
-            return (weights[0, 0] + weights[1, 1]) * (first + second) / 2
+            return total * (first + second) / 2
         bent = 2 * np.outer(turn, turn) / gap
-        return weights[0, 0] * (first + bent) + weights[1, 1] * (second - bent)
+        return low * (first + bent) + high * (second - bent)

@@ -5,16 +5,19 @@ In: a program, of one configuration or many, and a point. Out: what the point vi
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.ascent_model import Cone
+from flexopt.selection.cones import SHARED, mode_cones, name_of, smooth_slope
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import Program, single
+from flexopt.selection.program import Linearisation, Program, margin_noise, single
 from flexopt.selection.programs import Local
 
 TARGET_TOLERANCE = 1e-8
@@ -32,11 +35,17 @@ BEST_TOLERANCE = 1e-9
 PROBES = (1e-2, 1e-3, 1e-4)
 # Steps back onto the active rows, and how near they lead: what is left is taken off what V gains.
 CORRECTIONS, ON_ROWS = 8, 1e-14
+# How many times as much as ε_max's rounding may be missing of one that is kept.
+NOISY = 4.0
 # A gain below this share of V's and the multipliers' size is rounding.
 NOISE = 1e-12
 KINK_NAME = "kink of ε_max"
-# Branches meet where, to first order, they do within this distance, in scaled variables.
-MEETS = 1e-3
+# Branches meet where, to first order, they do within this distance, in scaled variables; a_i or b_i is zero within TIP.
+MEETS, TIP = 1e-3, 1e-6
+# Rounds in which multipliers of kinks are looked for where the nearest are too large, and by how much they may be.
+ROUNDS, OVER = 200, 1e-9
+# Of kinks by number in `mode_cones`, what `smooth_slope` holds.
+Held = dict[int, tuple[float, Vector]]
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,7 @@ class Proof:
         stationarity: norm of what multipliers of the right signs leave of the objective's gradient, as in `Candidate`.
         curvature: largest curvature of the Lagrangian along the feasible directions, in the same units; positive
             where the point is no maximum.
+        kinks: of every kink that the point stands on its multiplier, as a share of the largest one that an optimum has.
         unsurpassed: whether V is a value that no configuration exceeds.
     """
 
@@ -58,6 +68,7 @@ class Proof:
     target_error: float
     stationarity: float
     curvature: float
+    kinks: dict[str, float]
     unsurpassed: bool
 
     @property
@@ -75,11 +86,8 @@ def prove_program(program: Program, x: Vector) -> Proof:
     """Check a point x of a program from the equations, in double, by functions that no solver used."""
     local = linearised(program, x)
     violations = _infeasible(program, x, local.g)
-    multipliers, kept = multipliers_of(local)
+    multipliers, kept = certified(local)
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
-    if local.kinks:
-        # Which U fits best is not looked for among all: one with the coupling's free multiplier, and one without it.
-        stationarity = min(_at_kinks(local, multipliers, kept, stationarity), _unmixed(local))
     bounded = program.first.bounded_by_zero and program.goal != "motion"
     unsurpassed = bounded and -local.value <= BEST_TOLERANCE
     curvature = 0.0
@@ -93,22 +101,26 @@ def prove_program(program: Program, x: Vector) -> Proof:
     lengths = np.array([row.scale for row in rows[:n_task]])
     of_targets = local.g[: len(rows) * program.coupling.count].reshape(-1, len(rows))[:, :n_task] * lengths
     off = float(np.sqrt(np.sum(of_targets**2, axis=1)).max())
-    return Proof(violations, local.names, off, stationarity, curvature, unsurpassed)
+    kinks = dict(zip((kink.name for kink in local.kinks), local.shares(multipliers, kept), strict=True))
+    return Proof(violations, (*local.names, *kinks), off, stationarity, curvature, kinks, unsurpassed)
 
 
 @dataclass(frozen=True)
 class Kink:
-    """Where an objective's branches meet: the numbers of what stands for it.
+    """A term −|c| of an objective where c = 0: −pᵀC is part of its gradients for every p with |p| ≤ 1.
 
     Attributes:
-        second: of the second branch among the inequalities; of the objective that is sought less the first branch.
-        coupling: of g_12 among the equalities.
-        first: of the first branch among the inequalities; None of the objective that is sought.
+        name: see `Proof`;  rows: which of the equalities are C, along its axes.
+        first: number of the objective among the inequalities, whose multiplier limits |p|; None of what is sought.
+        number: of the cone in `mode_cones`, None of ε_max;  axes: of C, (k, r);  alpha: α_i / size of the objective.
     """
 
-    second: int
-    coupling: int
+    name: str
+    rows: slice
     first: int | None
+    number: int | None = None
+    axes: Vector | None = None
+    alpha: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -120,10 +132,10 @@ class FirstOrderModel:
         value, gradient: of what is maximised.
         g: values of the constraints, as `Program.constraints` lists them.
         equal, active: numbers of the equalities among them; of the active inequalities, with their sense.
-        equalities: gradients of equality rows, of the coupling at a kink, of fixed variables.
+        equalities: gradients of equality rows, of c at the kinks, of fixed variables.
         inequalities: gradients of the active ones c ≥ 0;  names: theirs.
         moving: 0 for variables that are fixed or at a bound, else 1.
-        kinks: where branches meet, of the objective that is sought and of those that are kept.
+        kinks: of the objective that is sought and of those that are kept; their gradients are those without −|c|.
     """
 
     level: float
@@ -142,10 +154,38 @@ class FirstOrderModel:
         """Gradients of the equalities and of the inequalities numbered in `kept`."""
         return np.vstack([self.equalities, self.inequalities[kept]])
 
-    def weights(self, multipliers: Vector, kept: list[int]) -> Vector:
-        """Multipliers of the constraints, (n_g,): the Lagrangian is V − weightsᵀ g."""
+    def pulls(self, multipliers: Vector, kept: list[int]) -> Vector:
+        """Multipliers of all inequalities, none positive."""
         pulls = np.zeros(len(self.inequalities))
         pulls[kept] = multipliers[len(self.equalities) :]
+        return pulls
+
+    def limits(self, multipliers: Vector, kept: list[int]) -> list[float]:
+        """How large |p| of every kink may be."""
+        pulls = self.pulls(multipliers, kept)
+        return [1.0 if kink.first is None else -float(pulls[kink.first]) for kink in self.kinks]
+
+    def shares(self, multipliers: Vector, kept: list[int]) -> list[float]:
+        """|p| of every kink as a share of that."""
+        sizes = [float(np.linalg.norm(multipliers[kink.rows])) for kink in self.kinks]
+        pairs = zip(sizes, self.limits(multipliers, kept), strict=True)
+        return [size / limit if limit > 0 else (np.inf if size > OVER else 0.0) for size, limit in pairs]
+
+    def held(self, multipliers: Vector, kept: list[int]) -> Held:
+        """What `smooth_slope` holds of the kinks."""
+        found: Held = {}
+        limits = self.limits(multipliers, kept)
+        none: tuple[float, Vector] = (0.0, np.zeros(1))
+        for kink, limit in zip(self.kinks, limits, strict=True):
+            if kink.number is not None and kink.axes is not None:
+                alpha, pull = found.get(kink.number, none)
+                more = kink.alpha * (multipliers[kink.rows] @ kink.axes)
+                found[kink.number] = alpha + kink.alpha * limit, pull + more
+        return found
+
+    def weights(self, multipliers: Vector, kept: list[int]) -> Vector:
+        """Multipliers of the constraints, (n_g,): the Lagrangian is V − weightsᵀ g."""
+        pulls = self.pulls(multipliers, kept)
         weights = np.zeros(self.g.size)
         weights[self.equal] = multipliers[: len(self.equal)]
         for (number, sense), pull in zip(self.active, pulls, strict=False):
@@ -177,8 +217,14 @@ def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
         for variable, value in zip(problem.variables, program.of(x, k), strict=True):
             out = max(variable.lower - value, value - variable.upper)
             _note(violations, f"{program.prefix(k)}{variable.name} range", out, BOUND_TOLERANCE)
-    for row, size in list(zip(constraints, beyond, strict=True))[each * len(program.problems) :]:
-        _note(violations, row.name, size, BOUND_TOLERANCE)
+    rest = list(zip(constraints, beyond, strict=True))[each * len(program.problems) :]
+    first, noise = program.first, 0.0
+    pairs = zip(first.objectives[: len(first.kept)], first.objective_scales, strict=False)
+    share = max((objective.beta / size for objective, size in pairs), default=0.0)
+    if share > 0 and program.coupling.count == 1 and any(size > BOUND_TOLERANCE for _, size in rest):
+        noise = share * margin_noise(program.first, program.first.quantities.margin.values, program.of(x, 0))
+    for row, size in rest:
+        _note(violations, row.name, size, BOUND_TOLERANCE + NOISY * noise)
     return violations
 
 
@@ -200,25 +246,23 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
             active.append((k, sense))
             rows.append(sense * local.jacobian[k])
             names.append(constraint.name)
-    # Where branches meet the second one counts, too, and their coupling is one more free direction.
-    couplings, kinks = list[Vector](), list[Kink]()
+    gradient = -local.gradient
+    corners, kinks = list[Vector](), list[Kink]()
     n_objectives = len(members[0].values)
     held = len(program.first.constraints) * program.coupling.count + len(program.coupling.pairs)
-    for j, (values, slopes) in enumerate(zip(members[0].values, members[0].slopes, strict=True)):
-        if len(values) < 2:
-            continue
-        apart = float(np.hypot(np.linalg.norm(slopes[1] - slopes[0]), 2 * np.linalg.norm(slopes[2])))
-        if not values[1] - values[0] <= min(KINK, MEETS * apart):
-            continue
+    for j, name, cone, number, alpha in _tips(program, x, members[0]):
         first = None
         if j < n_objectives - 1:
             first = next((row for row, (k, _) in enumerate(active) if k == held + j * program.coupling.count), None)
             if first is None:
                 continue
-        kinks.append(Kink(len(rows), len(equal) + len(couplings), first))
-        rows.append(slopes[1] - slopes[0] if first is None else slopes[1])
-        names.append(KINK_NAME if first is None else f"{KINK_NAME} that is kept")
-        couplings.append(slopes[2])
+            rows[first] = rows[first] + cone.unit @ cone.slopes
+        else:
+            gradient = gradient + cone.unit @ cone.slopes
+        begin = len(equal) + sum(len(corner) for corner in corners)
+        corners.append(cone.axes @ cone.slopes)
+        full = name if first is None else f"{name} that is kept"
+        kinks.append(Kink(full, slice(begin, begin + len(corners[-1])), first, number, cone.axes, alpha))
 
     identity, moving = np.eye(local.gradient.size), np.ones(local.gradient.size)
     fixed: list[Vector] = []
@@ -235,11 +279,11 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
     return FirstOrderModel(
         level=level,
         value=-local.f,
-        gradient=-local.gradient,
+        gradient=gradient,
         g=local.g,
         equal=equal,
         active=active,
-        equalities=np.vstack([local.jacobian[equal], *(row[None] for row in couplings), *fixed]),
+        equalities=np.vstack([local.jacobian[equal], *corners, *fixed]),
         inequalities=np.array(rows).reshape(-1, local.gradient.size),
         names=tuple(names),
         moving=moving,
@@ -263,51 +307,75 @@ def multipliers_of(local: FirstOrderModel) -> tuple[Vector, list[int]]:
     return np.concatenate([of_equalities, -pull[kept]]), kept
 
 
-def _at_kinks(local: FirstOrderModel, multipliers: Vector, kept: list[int], stationarity: float) -> float:
-    """Stationarity where branches meet, with means of their gradients and no more.
+def certified(local: FirstOrderModel) -> tuple[Vector, list[int]]:
+    """As `multipliers_of`, with |p| of every kink no larger than an optimum's.
 
-    Generalised gradients are tr(U M_z) with M_z of g_11, g_22 and g_12 and U positive semidefinite, of trace 1 for the
-    objective that is sought: multipliers beyond that would make nearly equal branches out to be whatever is wanted.
-    They are moved to the nearest U, all others follow.
+    Where the nearest multipliers have larger ones, p is moved by projected gradients of what is left; others follow.
     """
-    pulls = np.zeros(len(local.inequalities))
-    pulls[kept] = -multipliers[len(local.equalities) :]
-    gradient, moved = local.gradient, False
+    multipliers, kept = multipliers_of(local)
+    if all(share <= 1 + OVER for share in local.shares(multipliers, kept)) or not np.isfinite(multipliers).all():
+        return multipliers, kept
+    corners = np.vstack([local.equalities[kink.rows] for kink in local.kinks])
+    others = np.ones(len(local.equalities), dtype=np.bool_)
     for kink in local.kinks:
-        second, mixed = float(pulls[kink.second]), -float(multipliers[kink.coupling]) / 2
-        first = 1.0 - second if kink.first is None else float(pulls[kink.first])
-        values, vectors = np.linalg.eigh([[first, mixed], [mixed, second]])
-        moved = moved or float(values[0]) < 0
-        clipped = np.maximum(values, 0.0)
-        if kink.first is None:
-            # Of trace 1, the eigenvalues lie as far from 1/2 on either side.
-            clipped = np.clip(values, 0.0, 1.0)
-        nearest = (vectors * clipped) @ vectors.T
-        gradient = gradient + nearest[1, 1] * local.inequalities[kink.second]
-        gradient = gradient + 2 * nearest[0, 1] * local.equalities[kink.coupling]
-        if kink.first is not None:
-            gradient = gradient + nearest[0, 0] * local.inequalities[kink.first]
-    if not moved:
-        return stationarity
-    taken = [k for kink in local.kinks for k in (kink.second, kink.first) if k is not None]
-    plain = replace(
-        local,
-        gradient=gradient,
-        equalities=np.delete(local.equalities, [kink.coupling for kink in local.kinks], axis=0),
-        inequalities=np.delete(local.inequalities, taken, axis=0),
-    )
-    others, pulling = multipliers_of(plain)
-    return float(np.linalg.norm(plain.gradient - others @ plain.rows(pulling)))
+        others[kink.rows] = False
+    # Its own share of a step each time, and the momentum of Nesterov.
+    short = 1.0 / float(np.linalg.norm(corners, 2)) ** 2
+    pulls = np.concatenate([multipliers[kink.rows] for kink in local.kinks])
+    ends = np.cumsum([0, *(kink.rows.stop - kink.rows.start for kink in local.kinks)]).tolist()
+    limits = local.limits(multipliers, kept)
+    best: tuple[float, Vector, list[int]] = (np.inf, multipliers, kept)
+    before = ahead = _clipped(pulls, ends, limits)
+    for number in range(ROUNDS):
+        plain = replace(local, gradient=local.gradient - ahead @ corners, equalities=local.equalities[others], kinks=())
+        found, pulling = multipliers_of(plain)
+        left = plain.gradient - found @ plain.rows(pulling)
+        whole = np.zeros(len(local.equalities) + len(pulling))
+        whole[: len(others)][others] = found[: int(others.sum())]
+        whole[: len(others)][~others] = ahead
+        whole[len(others) :] = found[int(others.sum()) :]
+        size = float(np.linalg.norm(left))
+        if size < best[0] and all(share <= 1 + OVER for share in local.shares(whole, pulling)):
+            best = size, whole, pulling
+        if best[0] <= STATIONARITY_TOLERANCE / 10:
+            break
+        limits = local.limits(whole, pulling)
+        now = _clipped(ahead + short * (corners @ left), ends, limits)
+        ahead, before = _clipped(now + number / (number + 3) * (now - before), ends, limits), now
+    return (best[1], best[2]) if np.isfinite(best[0]) else (multipliers, kept)
 
 
-def _unmixed(local: FirstOrderModel) -> float:
-    """The same with diagonal U alone."""
-    equalities = local.equalities.copy()
-    equalities[[kink.coupling for kink in local.kinks]] = 0.0
-    plain = replace(local, equalities=equalities)
-    multipliers, kept = multipliers_of(plain)
-    stationarity = float(np.linalg.norm(plain.gradient - multipliers @ plain.rows(kept)))
-    return _at_kinks(plain, multipliers, kept, stationarity)
+def _clipped(pulls: Vector, ends: list[int], limits: list[float]) -> Vector:
+    """The p of all kinks, each no longer than its limit."""
+    parts: list[Vector] = []
+    for i, j, limit in zip(ends[:-1], ends[1:], limits, strict=True):
+        size = float(np.linalg.norm(pulls[i:j]))
+        parts.append(pulls[i:j] * min(1.0, limit / size) if size > 0 else pulls[i:j])
+    return np.concatenate(parts)
+
+
+def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[int, str, Cone, int | None, float]]:
+    """Of every objective the cones at whose tips x stands, in units of V / size: j, name, −|c|, number, α / size."""
+    for j, (values, slopes) in enumerate(zip(member.values, member.slopes, strict=True)):
+        if len(values) < 2:
+            continue
+        apart = float(np.hypot(np.linalg.norm(slopes[1] - slopes[0]), 2 * np.linalg.norm(slopes[2])))
+        if values[1] - values[0] <= min(KINK, MEETS * apart):
+            halves = np.vstack([(slopes[0] - slopes[1]) / 2, slopes[2]])
+            yield j, KINK_NAME, Cone(np.zeros(2), halves, np.ones(1), np.array([-1.0, 0.0])), None, 0.0
+    # How several share what they stand on is not looked at.
+    if program.coupling.count > 1 or program.goal == "motion":
+        return
+    first, count = program.first, len(member.values)
+    sizes = np.array(first.objective_scales[:count])
+    alphas = np.array([objective.alpha for objective in first.objectives[:count]]) / sizes[:, None]
+    f, f_z, same = first.factors(program.of(x, 0))
+    for number, cone in enumerate(mode_cones(f, f_z * first.scale, alphas)):
+        for j, size in enumerate(cone.sizes.tolist()):
+            if size > 0 and same[number // 2] < SHARED and cone.distance <= TIP:
+                scaled = Cone(size * cone.value, size * cone.slopes, np.ones(1), cone.unit)
+                alpha = float(alphas[j, number // 2])
+                yield j, f"kink of w{number // 2 + 1}: {name_of(number)}", scaled, number, alpha
 
 
 def _curvature(program: Program, x: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
@@ -319,18 +387,21 @@ def _curvature(program: Program, x: Vector, local: FirstOrderModel, multipliers:
     rows = local.rows(list(range(len(local.inequalities))))
     _, singular, directions = np.linalg.svd(rows)
     free = directions[int(np.sum(singular > 1e-9 * singular[0])) :] if len(rows) else np.eye(local.gradient.size)
-    if not free.size or local.kinks:
+    if not free.size or any(kink.number is None for kink in local.kinks):
         return 0.0
-    weights = local.weights(multipliers, kept)
-    values, vectors = np.linalg.eigh(lagrangian_hessian(program, x, free, weights))
+    weights, held = local.weights(multipliers, kept), local.held(multipliers, kept)
+    values, vectors = np.linalg.eigh(lagrangian_hessian(program, x, free, weights, held))
     largest = float(values[-1])
     if largest > CURVATURE_TOLERANCE and not _rises(program, x, local, free.T @ vectors[:, -1], weights, largest):
         return 0.0
     return largest
 
 
-def lagrangian_hessian(program: Program, x: Vector, free: Vector, weights: Vector) -> Vector:
-    """Second derivatives of V − weightsᵀ c along the rows of `free` (d, n_x), scaled variables, (d, d)."""
+def lagrangian_hessian(program: Program, x: Vector, free: Vector, weights: Vector, held: Held) -> Vector:
+    """Second derivatives of V − weightsᵀ c along the rows of `free` (d, n_x), scaled variables, (d, d).
+
+    `held`, from `FirstOrderModel.held`: where w_i have kinks what is left of them that is smooth.
+    """
     hessian = np.zeros((len(free), len(free)))
     for k, place in enumerate(program.coupling.places):
         # What the others do does not matter to this one's second derivatives, and it has few directions of its own.
@@ -338,25 +409,30 @@ def lagrangian_hessian(program: Program, x: Vector, free: Vector, weights: Vecto
         _, reach, basis = np.linalg.svd(own, full_matrices=False)
         basis = basis[reach > 1e-9]
         along = own @ basis.T
-        hessian += along @ _second_derivatives(program, k, program.of(x, k), basis, weights) @ along.T
+        hessian += along @ _second_derivatives(program, k, program.of(x, k), basis, weights, held) @ along.T
     if program.goal == "motion":
         steps = free @ program.coupling.steps(free.shape[1]).T
         hessian -= steps @ steps.T
     return (hessian + hessian.T) / 2
 
 
-def _second_derivatives(program: Program, k: int, z: Vector, basis: Vector, weights: Vector) -> Vector:
+def _second_derivatives(program: Program, k: int, z: Vector, basis: Vector, weights: Vector, held: Held) -> Vector:
     """Second derivatives of configuration k's share in the Lagrangian along a basis (d, n_z) of z / scale, (d, d)."""
     count, kept, n_rows = program.coupling.count, len(program.first.kept), len(program.first.constraints)
     before = n_rows * count + len(program.coupling.pairs)
     weighted = before + kept * count == weights.size
     of_value = program.share[k] if weighted else -weights[before + kept * count + k]
 
+    smooth = program.without_modes({number // 2 for number in held})
+
     def pull(there: Vector) -> Vector:
-        row_slopes, _, slopes = program.slopes_of(k, there)
+        row_slopes, _, slopes = smooth.slopes_of(k, there)
         total = of_value * slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ row_slopes
         for j in range(kept):
             total = total - weights[before + j * count + k] * slopes[j][0]
+        if held:
+            f, f_z, _ = program.problems[k].factors(there)
+            total = total + smooth_slope(f, f_z * program.first.scale, held)
         return total
 
     second = np.zeros((len(basis), len(basis)))
@@ -387,9 +463,18 @@ def _rises(
         at = y[:n_x] * program.scale
         return program.local(at, program.linear(at), float(y[-1]), lowest=True)
 
+    tips = [kink for kink in local.kinks if kink.number is not None]
+
     def linear(y: Vector) -> tuple[Vector, Vector]:
         at = there(y)
-        return at.g[numbers] - wanted, at.jacobian[numbers]
+        values, slopes = [at.g[numbers] - wanted], [at.jacobian[numbers]]
+        f, f_z, _ = program.first.factors(y[:n_x] * program.scale) if tips else (np.zeros(0),) * 3
+        for kink in tips:
+            i, side = divmod(kink.number or 0, 2)
+            size = float(np.linalg.norm(f_z[i, side] * program.scale, 2))
+            values.append(kink.axes @ f[i, side] / size)
+            slopes.append(kink.axes @ f_z[i, side] * program.scale / size)
+        return np.concatenate(values), np.vstack(slopes)
 
     landed, start = False, np.append(x / program.scale, local.level)[: local.gradient.size]
     for step in PROBES:

@@ -59,7 +59,7 @@ def _step(
     rows = local.rows(kept)
     _, singular, directions = np.linalg.svd(rows)
     free = directions[int(np.sum(singular > 1e-9 * singular[0])) :]
-    bent = lagrangian_hessian(program, x, free, local.weights(multipliers, kept))
+    bent = lagrangian_hessian(program, x, free, local.weights(multipliers, kept), local.held(multipliers, kept))
     if not np.all(np.isfinite(bent)) or (free.size and np.linalg.eigvalsh(bent)[-1] >= 0.0):
         return None
     step = -np.linalg.pinv(rows) @ _beyond(program, local, kept) - free.T @ np.linalg.solve(bent, free @ off)

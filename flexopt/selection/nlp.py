@@ -122,6 +122,11 @@ class SolverParameters:
         assert [x.size for x in flat] == [size for _, size in self.sizes]
         return np.concatenate(flat)
 
+    def place(self, name: str) -> slice:
+        """Where a part stands in the vector."""
+        names, edges = [each for each, _ in self.sizes], np.cumsum([0, *(size for _, size in self.sizes)]).tolist()
+        return slice(edges[names.index(name)], edges[names.index(name) + 1])
+
     def symbols(self) -> tuple[ca.MX, dict[str, ca.MX]]:
         """The vector as a symbol, and its parts."""
         edges = np.cumsum([0, *(size for _, size in self.sizes)]).tolist()
@@ -196,21 +201,24 @@ def build_solver(
 
 @dataclass(frozen=True)
 class Branched:
-    """One configuration's program where ε_max takes part, as Functions of x and the parameters of `build_solver`.
+    """One configuration's program for an ascent, as Functions of x and the parameters of `build_solver`.
 
     Attributes:
         model: -> the last objective's branches (1 or 2,), the constraints before them, as `build_solver` has them, and
-            the slopes of both by x; `coupling`: of every objective with ε_max, the slope of g_12 of `Margin.gradients`.
+            the slopes of both by x, and of ε_max's branches and their coupling as in `Margin.gradients`, (3 or 0, n_x).
         rows: -> the rows and their slopes alone.
         curvature: of x, the parameters, `pulls` (of each objective) and `row_pulls` -> Σ pulls_j ∂²V_j + Σ row_pulls_i
             ∂²row_i, without ε_max.
-        margin: (base, posture, p, kr) -> as `Margin.gradients`.
+        factors: -> f = [a_i; b_i] (2r, m), slopes of its columns (2r m, n_x), and which modes have the same
+            frequency, (m, m).
+        margin: (base, posture, p, kr) -> as `Margin.gradients`; none where ε_max takes no part.
     """
 
     model: ca.Function
     rows: ca.Function
     curvature: ca.Function
-    margin: ca.Function
+    factors: ca.Function
+    margin: ca.Function | None
 
 
 @lru_cache(maxsize=48)
@@ -227,6 +235,7 @@ def build_branched(configuration: Configuration, forms: tuple[ObjectiveForm, ...
         "g_x": ca.vertcat(row_slopes, *chain(*slopes[:-1])),
         "epsilon_x": member.epsilon_x(),
     }
+    of_modes: dict[str, ca.MX] = dict(zip(("f", "f_x", "same"), member.factors(), strict=True))
     of_rows = {name: outputs[name][: configuration.n_rows, :] for name in ("g", "g_x")}
     pulls, row_pulls = ca.MX.sym("pulls", len(forms)), ca.MX.sym("row_pulls", configuration.n_rows)
     bent = member.curvature(pulls, row_pulls)
@@ -236,7 +245,10 @@ def build_branched(configuration: Configuration, forms: tuple[ObjectiveForm, ...
         return ca.Function(name, at, [ca.densify(each) for each in found.values()], names, list(found))
 
     second = ca.Function("curvature", [*at, pulls, row_pulls], [bent], [*names, "pulls", "row_pulls"], ["V_xx"])
-    return Branched(function("model", outputs), function("rows", of_rows), second, member.margin[1])
+    margin = member.margin[1] if any(form.kinks for form in forms) else None
+    return Branched(
+        function("model", outputs), function("rows", of_rows), second, function("factors", of_modes), margin
+    )
 
 
 def told_branches(functions: Branched, parameters: Vector, x: Vector) -> Local:
@@ -359,9 +371,15 @@ class _Member:
 
     def epsilon_x(self) -> ca.MX:
         """Slopes by x of ε_max's branches and of their coupling, (3, n_x), as in `Margin.gradients`."""
-        slopes = self._told[1]
-        assert slopes is not None, "an ascent is for objectives with ε_max"
-        return self._by_x(slopes * ca.repmat(self.s["z_scale"].T, 3, 1))
+        slopes, scale = self._told[1], self.s["z_scale"].T
+        return ca.MX(0, scale.shape[1]) if slopes is None else self._by_x(slopes * ca.repmat(scale, 3, 1))
+
+    def factors(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """As `Branched.factors`."""
+        expansion, scale = self.configuration.expansion, self.s["z_scale"].T
+        held = expansion.parts(self.held)
+        slopes = expansion.factor_slopes(self.at, held)
+        return held["f"], self._by_x(slopes * ca.repmat(scale, slopes.shape[0], 1)), held["same"]
 
     @cached_property
     def margin(self) -> tuple[ca.Function, ca.Function]:

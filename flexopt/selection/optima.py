@@ -19,15 +19,18 @@ from flexopt.selection.ascent import CUT_SHORT
 from flexopt.selection.check import Proof, prove
 from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
-from flexopt.selection.program import SOLVED, single
+from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, single
 from flexopt.selection.result import Attempt, Kept
 from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
 
 SAME_POINT = 1e-4
 # Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
 NEARLY = 1e-3
-# How often a solve that was cut short is taken up again.
-RESUMED = 3
+# From how many starts, the best ones, it is climbed at once: a step costs more than one of a solver, but never leads
+# down and knows of kinks, on which the best optima often stand.
+CLIMBED = 8
+# How many of those that were cut short below the best optimum are taken up again, too.
+BEHIND = 4
 # Where no optimum of a later objective is found from those of the one before: how far away, in scaled variables, it is
 # tried again, and from how many points each time.
 AROUND = (0.0, 1e-3, 1e-2, 1e-1)
@@ -180,7 +183,7 @@ def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
     where derivatives change without bound, as they do next to a_i = 0.
     """
     climbed = any(form.kinks for form in problem.forms)
-    return proof.holds and (status in SOLVED or climbed or proof.unsurpassed)
+    return proof.holds and (status in SOLVED or climbed or bool(proof.kinks) or proof.unsurpassed)
 
 
 def _hurried(problem: SelectionProblem) -> bool:
@@ -192,15 +195,32 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
     """A start's solution; where there is much redundancy, after a few iterations (see `_promising`)."""
     if not _hurried(problem):
         return _finish(problem, starts, number)
+    if number < CLIMBED:
+        found = single(problem).climbed(starts[number], ASCENT_QUICK)
+        if found is not None:
+            return _proved(problem, *found)
     z, proof, iterations, status = _proved(problem, *run_solver(problem, starts[number], quick=True))
     if proof is not None and not proof.holds and status in SOLVED:
-        z, proof, more, status = _finish(problem, [z], 0)
-        iterations += more
+        return _further(problem, z, iterations)
     return z, proof, iterations, status
 
 
 def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
-    return _proved(problem, *run_solver(problem, starts[number]))
+    """A start's solution; where derivatives jump, by an ascent from there on."""
+    z, proof, iterations, status = _proved(problem, *run_solver(problem, starts[number]))
+    if proof is None or proof.holds or any(form.kinks for form in problem.forms):
+        return z, proof, iterations, status
+    there = _further(problem, z, iterations)
+    return there if there[1] is not None else (z, proof, iterations, status)
+
+
+def _further(problem: SelectionProblem, z: Vector, iterations: int) -> SolveOutcome:
+    """Where an ascent leads from a point that a solver reached; no proof where it is on no rows."""
+    found = single(problem).climbed(z, ASCENT_LONG)
+    if found is None:
+        return z, None, iterations, CUT_SHORT
+    z, more, status = found
+    return _proved(problem, z, iterations + more, status)
 
 
 def _proved(problem: SelectionProblem, z: Vector, iterations: int, status: str) -> SolveOutcome:
@@ -231,20 +251,14 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
 
 
 def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> SolveOutcome:
-    """A solve that was cut short, taken up again a few times: what wanders for longer does not settle."""
-    z, iterations, status = points[number], 0, CUT_SHORT
-    for _ in range(RESUMED):
-        z, more, status = run_solver(problem, z, quick=True)
-        iterations += more
-        if status != CUT_SHORT:
-            break
-    return _proved(problem, z, iterations, status)
+    """A solve that was cut short, taken up again."""
+    return _further(problem, points[number], 0)
 
 
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[int]:
     """Numbers of the starts that were cut short and may still lead to more than the best optimum found.
 
-    Where none was found that is every one.
+    Those that are ahead of it, and the best few of the others, which may be on a long way; all where none was found.
     """
     if not _hurried(problem):
         return []
@@ -252,7 +266,11 @@ def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[in
     best = max((value_at(problem, z) for z in good), default=-np.inf)
     short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
     near = [k for k in short if np.abs(beyond_bounds(problem, solved[k][0])).max() <= NEARLY]
-    return [k for k in near if value_at(problem, solved[k][0]) > best] if good else short
+    if not good:
+        return short
+    values = {k: value_at(problem, solved[k][0]) for k in near}
+    order = sorted(near, key=lambda k: -values[k])
+    return [k for number, k in enumerate(order) if values[k] > best or number < BEHIND]
 
 
 def next_stage(problem: SelectionProblem, found: list[Found]) -> tuple[SelectionProblem, Kept]:

@@ -18,6 +18,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.robustness.measures import Measures
+from flexopt.selection.cones import split_factors
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.nlp import Coupling, Goal, ObjectiveForm, alone, build_solver, parameters_of
@@ -226,6 +227,14 @@ class SelectionProblem:
         return values - cost, gradients
 
     @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
+    def factors(self, z: Vector) -> tuple[Vector, Vector, Vector]:
+        """As `split_factors`, slopes by z; and of every mode how many have its frequency, (m,)."""
+        plant, n_base = self.measures.plant, self.measures.plant.n_base
+        f, f_z, same = (
+            out.full() for out in self.measures.factors.call([z[:n_base], z[n_base:], plant.parameter_values])
+        )
+        return *split_factors(f, f_z), same.sum(axis=0)
+
     def travel_cost(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
         """What V of an objective is less by at z (…, n_z), and its gradient."""
         if self.travel is None:

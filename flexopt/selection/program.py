@@ -18,12 +18,15 @@ from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.selection.ascent import Ascent
 from flexopt.selection.configuration import ConstraintRows
-from flexopt.selection.nlp import Coupling, Goal, alone, build_branched, build_solver, told_branches
+from flexopt.selection.nlp import Coupling, Goal, alone, build_branched, build_solver, parameters_of, told_branches
+from flexopt.selection.objective import Objective
 from flexopt.selection.problem import Constraint, SelectionProblem, packed_parameters
 from flexopt.selection.programs import Bounds, Local, confirm_once, run
 
 # Steps of an ascent; one that takes longer is taken up again where it is ahead of the best.
 ASCENT_QUICK, ASCENT_LONG = 15, 60
+# Points right beside each other, in scaled variables, over which ε_max differs by rounding alone.
+NOISE_POINTS, NOISE_STEP = 4, 1e-11
 # Starts of a problem that leaves their number open, where work is estimated.
 STARTS_COUNTED = 64
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
@@ -200,6 +203,7 @@ class Program:
         def margin(x: Vector) -> Vector:
             # As the model is told z, without its shift.
             z = x * self.scale
+            assert functions.margin is not None, "asked for without ε_max"
             slopes: Vector = functions.margin.call([z[:n_base], z[n_base:], p, first.gain])[1].full()
             return slopes * self.scale
 
@@ -209,8 +213,20 @@ class Program:
         confirm_once(
             functions.model, parameters, partial(told_branches, functions, parameters), independent, x0, bounds
         )
+        of_alpha = parameters_of(first.configuration, self.coupling, count).place("alpha")
+
+        def without(modes: list[int]) -> Vector:
+            changed = parameters.copy()
+            changed[of_alpha].reshape(count, -1)[:, modes] = 0.0
+            return changed
+
+        alphas = np.array([objective.alpha for objective in objectives]) / sizes[:, None]
         kinks = np.array([objective.beta for objective in objectives]) / sizes
-        ascent = Ascent(functions, parameters, kinks, np.array(first.kept) / sizes[:-1], bounds, margin)
+        least = np.array(first.kept) / sizes[:-1]
+        noise = 0.0
+        if kinks[:-1].any() and functions.margin is not None:
+            noise = float(kinks[:-1].max()) * margin_noise(first, functions.margin, x0 * self.scale)
+        ascent = Ascent(functions, parameters, alphas, kinks, least, bounds, margin, without, noise)
         found = ascent.climbed(x0, steps)
         if found is None:
             return None
@@ -298,6 +314,17 @@ class Program:
         turns = self.first.wrapped(self.of(x, 0)) - self.of(x, 0)
         return self.packed([self.of(x, k) + turns for k in range(self.coupling.count)])
 
+    def without_modes(self, modes: set[int]) -> Program:
+        """The program with the w_i of these modes left out of every objective."""
+        if not modes:
+            return self
+
+        def left(objective: Objective) -> Objective:
+            return replace(objective, alpha=tuple(0.0 if i in modes else a for i, a in enumerate(objective.alpha)))
+
+        objectives = tuple(left(objective) for objective in self.first.objectives)
+        return replace(self, problems=tuple(replace(problem, objectives=objectives) for problem in self.problems))
+
     def kept(self, level: float) -> Program:
         """The program of the shortest way on which every V_k / size is at least the level."""
         return replace(self, goal="motion", level=level)
@@ -306,6 +333,14 @@ class Program:
 def single(problem: SelectionProblem) -> Program:
     """The program of one configuration."""
     return Program((problem,), alone(problem.scale.size), np.zeros(0), np.ones(1), problem.goal)
+
+
+def margin_noise(problem: SelectionProblem, margin: ca.Function, z: Vector) -> float:
+    """How much ε_max differs between points at z that are one but for rounding; `margin` is as `Margin.values`."""
+    n_base, p = problem.measures.plant.n_base, problem.measures.plant.parameter_values
+    near = [z + NOISE_STEP * k * problem.scale for k in range(NOISE_POINTS)]
+    epsilon = [float(margin.call([at[:n_base], at[n_base:], p, problem.gain])[0][0]) for at in near]
+    return max(epsilon) - min(epsilon)
 
 
 def values_of(problem: SelectionProblem, z: Vector) -> Vector:

@@ -19,8 +19,9 @@ import numpy as np
 from flexopt.errors import WrongSlope
 from flexopt.foundation.arrays import Vector
 
-# Both sides are exact, and agree to rounding: the largest entry of each row counts as 1 and more.
-TOLERANCE = 1e-6
+# Both sides are exact, and agree to rounding: the largest entry of each row counts as 1 and more. On stiff machines the
+# slopes of ε_max have rounding that is seen from one point to the next one: so many times as much is no disagreement.
+TOLERANCE, NOISY, BESIDE = 1e-6, 10.0, 1e-12
 # Points compared at most, and how far they stand from a start in the solver's variables: an optimum tells little of
 # slopes, and a point at which one of the two has lost its digits tells nothing.
 POINTS, AWAY = 5, 3e-2
@@ -147,6 +148,9 @@ def confirm(
             continue
         size, row, what = max((*each, what) for each, what in zip(found, ("value", "slope"), strict=True) if each)
         if size <= TOLERANCE:
+            return
+        again = [_disagreement(mine, other) for mine, other in zip(independent(x + BESIDE).rows(), others, strict=True)]
+        if size <= NOISY * max((each[0] for each in again if each is not None), default=0.0):
             return
         worst = min(worst or (np.inf, 0, ""), (size, row, what))
     if worst is not None:

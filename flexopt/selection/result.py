@@ -46,7 +46,9 @@ class Candidate:
         target_error: |r − target|, m.
         stationarity: norm of the objective's gradient along the feasible directions, relative to the problem's
             objective scale, in scaled variables.
-        iterations: of IPOPT.
+        iterations: of IPOPT, or of the ascent that went on from there.
+        kinks: where V has a kink at the candidate (a_i = 0 or b_i = 0, or eigenvalues of XZ that meet), the multiplier
+            that proves it (Clarke's generalised gradient holds 0), as a share of the largest one allowed: at most 1.
         continuum: further placements (n_b,) found at which the same posture is the same optimum, as those of a machine
             in space that may be turned about its target: nothing changes on the way to them; see
             `flexopt.selection.continua`.
@@ -60,6 +62,7 @@ class Candidate:
     target_error: float
     stationarity: float
     iterations: int
+    kinks: dict[str, float]
     evaluate: Callable[[], Evaluation] = field(repr=False, compare=False)
     continuum: tuple[tuple[float, ...], ...] = ()
 
@@ -83,6 +86,7 @@ class Candidate:
             "target_error": self.target_error,
             "stationarity": self.stationarity,
             "iterations": self.iterations,
+            "kinks": self.kinks,
             "continuum": self.continuum,
         }
         return self.evaluation.to_dict() | json_ready(own)

@@ -24,18 +24,20 @@ ON_ROWS = 1e-9
 TRIED = 8
 # Further starts of a later objective.
 PEAKS = 16
+# What is kept is often a surface that no point of a scan lies on: points are moved there that are short by this share.
+NEARLY_KEPT = 0.05
 
 
-def seen_values(problem: SelectionProblem) -> Vector:
+def seen_values(problem: SelectionProblem, short: float = 0.0) -> Vector:
     """V of the objective being solved at all points of the scan (N,), the cost of travel taken off.
 
-    −∞ where a point breaks a constraint or does not keep an earlier objective.
+    −∞ where a point breaks a constraint or is short of what is kept by more than a share of that objective's scale.
     """
     scan = problem.scan
     z = np.vstack([scan.base, scan.posture])
     allowed = scan.violation <= FEASIBLE
-    for objective, kept in zip(problem.objectives, problem.kept, strict=False):
-        allowed[allowed] = _values(problem, objective, z, allowed) >= kept
+    for objective, kept, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
+        allowed[allowed] = _values(problem, objective, z, allowed) >= kept - short * size
     values = np.full(scan.size, -np.inf)
     found = _values(problem, problem.objective, z, allowed)
     values[allowed] = np.where(np.isfinite(found), found, -np.inf)
@@ -43,10 +45,13 @@ def seen_values(problem: SelectionProblem) -> Vector:
 
 
 def kept_peaks(problem: SelectionProblem) -> list[Vector]:
-    """Points of the scan that keep the earlier objectives and are local maxima of the one being solved."""
-    values, scan = seen_values(problem), problem.scan
+    """Points of the scan that keep the earlier objectives, or nearly, and are local maxima of the one being solved."""
+    scan, found = problem.scan, dict[int, None]()
+    for short in (0.0, NEARLY_KEPT):
+        values = seen_values(problem, short)
+        found |= dict.fromkeys(peaks(scan, values, np.isfinite(values))[:PEAKS].tolist())
     z = np.vstack([scan.base, scan.posture])
-    return [z[:, k] for k in peaks(scan, values, np.isfinite(values))[:PEAKS]]
+    return [z[:, k] for k in found]
 
 
 def _values(problem: SelectionProblem, objective: Objective, z: Vector, among: NDArray[np.bool_]) -> Vector:

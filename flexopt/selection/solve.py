@@ -113,6 +113,7 @@ def _candidate(problem: SelectionProblem, group: list[Found]) -> Candidate:
         target_error=proof.target_error,
         stationarity=proof.stationarity,
         iterations=iterations,
+        kinks=proof.kinks,
         evaluate=partial(problem.quantities.evaluated, z),
         continuum=tuple(tuple(other[:n_base].tolist()) for other, _, _ in others),
     )

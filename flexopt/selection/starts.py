@@ -2,10 +2,14 @@
 
 In: a problem. Out: starts z. Where postures have a closed form they are the peaks of the scan. Everywhere else, and
 where other constraints leave little of the scan, points of a low-discrepancy sample are moved onto the target and into
-the constraints by damped Newton steps, and the best of them that stand apart are taken.
+the constraints by damped Newton steps, the best of them climb at random, and those that then stand apart are taken.
 """
 
 from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +18,7 @@ from flexopt.algebra.feasible import repeated
 from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import low_discrepancy, reach_steps
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import values_of
 from flexopt.selection.scan import Scan, empty_scan, peaks, scanned
 
 # Enough for every peak of a curve; the redundancy of longer arms has maxima without end.
@@ -27,6 +32,14 @@ ROUNDS = 4
 ENOUGH = 3
 # Share of the sample, the best of it, that starts are taken from.
 BEST_SHARE = 1 / 3
+# Values of a joint about which a machine may be symmetric; points that tell, how far beside, and how even w_i are
+# there, relative to |a_i||b_i|. Starts from each plane of symmetry.
+PLANES = (0.0, math.pi, -math.pi, math.pi / 2, -math.pi / 2)
+SYMMETRIC, ASIDE, EVEN = 8, 0.3, 1e-9
+INSIDE = 4
+# Points for each start that climb at random; steps, and the first one and the bounds of all, in scaled variables; by
+# how much a step grows after one that helped, and shrinks after others.
+CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 3, 60, 0.3, 1e-4, 0.5, 1.6, 0.8
 # Largest violation, in units of the rows' scales, of a point that counts as feasible.
 FEASIBLE = 1e-7
 # Starts that differ by less, in scaled variables, are one.
@@ -121,8 +134,73 @@ def starting_points(problem: SelectionProblem) -> list[Vector]:
     count, good = problem.starts or STARTS, scan.violation <= 0
     order = np.lexsort([-scan.objective, scan.violation])
     order = order[good[order]] if good.any() else order
-    best = order[: max(count, round(BEST_SHARE * order.size))]
-    return _apart(z[:, best], problem.scale, count, problem.measures.plant.n_base)
+    best = z[:, order[: max(count, round(BEST_SHARE * order.size))]]
+    n_base = problem.measures.plant.n_base
+    if not good.any() or problem.objectives[0].has_kinks or problem.redundancy < 2:
+        return _apart(best, problem.scale, count, n_base)
+    climbing = best[:, : CLIMBING * count]
+    free = _apart(_climbing(problem, climbing), problem.scale, count, n_base)
+    planes = [_climbing(plane, _into(plane, climbing[:, ::2])) for plane in _planes(problem)]
+    inside = [start for z in planes for start in (_apart(z, problem.scale, INSIDE, n_base) if z.size else [])]
+    # In turn, the best first.
+    pairs = zip_longest(free[: len(inside)], inside)
+    return [*(start for pair in pairs for start in pair if start is not None), *free[len(inside) :]][:count]
+
+
+def _planes(problem: SelectionProblem) -> list[SelectionProblem]:
+    """The problem with a joint held where the machine is symmetric about it: all w_i are even in that joint.
+
+    Optima like to stand there, on kinks that no random step leads to exactly.
+    """
+    plant, found = problem.measures.plant, list[SelectionProblem]()
+    sample = np.vstack([problem.scan.base, problem.scan.posture])[:, :SYMMETRIC]
+    for k in range(plant.n_base, sample.shape[0]):
+        variable, before = problem.variables[k], list[float]()
+        for value in PLANES:
+            whole_turns = any(abs(math.remainder(value - other, math.tau)) < EVEN for other in before)
+            if variable.unit != "rad" or not variable.lower <= value <= variable.upper or whole_turns:
+                continue
+            z = np.tile(sample, 3)
+            z[k] = value + ASIDE * np.repeat([-1.0, 0.0, 1.0], sample.shape[1])
+            at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values]
+            w, size = (out.full() for out in problem.measures.w.call(at)[:2])
+            left, middle, right = np.split(w / size, 3, axis=1)
+            if np.abs(right - left).max() <= EVEN < np.abs(right - middle).max():
+                before.append(value)
+                held = list(problem.variables)
+                held[k] = replace(variable, lower=value, upper=value)
+                found.append(replace(problem, variables=tuple(held)))
+    return found
+
+
+def _into(plane: SelectionProblem, z: Vector) -> Vector:
+    """The points (n_z, N) that reach the target with what is held."""
+    there, off = onto_target(plane, np.clip(z, plane.lower[:, None], plane.upper[:, None]))
+    return there[:, off <= FEASIBLE]
+
+
+def _climbing(problem: SelectionProblem, z: Vector) -> Vector:
+    """The points (n_z, N) after random steps along the target, taken where they keep all constraints and V grows.
+
+    The best first. No slope is asked for, so that kinks and narrow valleys stop it less than a solver.
+    """
+    rng, count = np.random.default_rng(problem.seed), z.shape[1]
+    lower, upper, free, scale = (x[:, None] for x in _bounds(problem))
+    values, step = _feasible_values(problem, z), np.full(count, STEP)
+    for _ in range(STEPS):
+        there = np.clip(z + step * rng.standard_normal(z.shape) * scale * free, lower, upper)
+        there, off = onto_target(problem, there)
+        found = np.where(off <= FEASIBLE, _feasible_values(problem, there), -np.inf)
+        better = found > values
+        z, values = np.where(better, there, z), np.where(better, found, values)
+        step = np.clip(step * np.where(better, LONGER, SHORTER), STEP_LEAST, STEP_MOST)
+    return z[:, np.argsort(-values, kind="stable")]
+
+
+def _feasible_values(problem: SelectionProblem, z: Vector) -> Vector:
+    """V (N,) at points that reach the target; −∞ where they break a constraint."""
+    values = values_of(problem, z)
+    return np.where((violated(problem, z) <= FEASIBLE) & np.isfinite(values), values, -np.inf)
 
 
 def _onto_constraints(problem: SelectionProblem, z: Vector, feasible: NDArray[np.bool_]) -> list[Vector]:

@@ -1,4 +1,4 @@
-"""The ascent where ε_max takes part: on toys whose optimum is known, and on machines beside a method without slopes."""
+"""The ascent of objectives with kinks: on toys whose optimum is known, and on machines beside a method without slopes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.robustness.residues import rank_one_measure
 from flexopt.selection.ascent import DONE, Ascent
 from flexopt.selection.check import prove
 from flexopt.selection.nlp import Branched
@@ -43,14 +44,45 @@ def toy(n: int, smooth: Entry, entries: tuple[Entry, Entry, Entry], row: Entry) 
     last_x = ca.repmat(slope, 2, 1) + epsilon_x[:2, :]
     outputs = [value + epsilon, rows, last_x, rows_x, epsilon_x]
     margin = ca.Function("margin", [x], [ca.densify(epsilon_x)])
+    # One task row: a_i·b_i has no kink.
+    none = [ca.DM.zeros(2, 1), ca.DM.zeros(2, n), ca.DM.eye(1)]
     functions = Branched(
         ca.Function("model", [x, p], [ca.densify(each) for each in outputs]),
         ca.Function("rows", [x, p], [rows, ca.densify(rows_x)]),
         ca.Function("curvature", [x, p, pull, row_pull], [ca.densify(bent)]),
+        ca.Function("factors", [x, p], none),
         margin,
     )
     bounds = Bounds(np.full(n, -3.0), np.full(n, 3.0), np.zeros(1), np.zeros(1))
-    return Ascent(functions, np.zeros(1), np.ones(1), np.zeros(0), bounds, lambda at: margin.call([at])[0].full())
+    alphas, of_margin = np.zeros((1, 1)), lambda at: margin.call([at])[0].full()
+    return Ascent(functions, np.zeros(1), alphas, np.ones(1), np.zeros(0), bounds, of_margin, lambda _: np.zeros(1))
+
+
+def modes_toy(n: int, smooth: Entry, a: Entry, b: Entry, row: Entry) -> Ascent:
+    """Maximise smooth(x) + Σ (a_i·b_i − |a_i||b_i|) with row(x) = 0; the columns of a(x) and b(x) are of modes."""
+    x, p = ca.SX.sym("x", n), ca.SX.sym("p", ca.SX(a(ca.SX.zeros(n))).shape[1])
+    f = ca.densify(ca.vertcat(a(x), b(x)))
+    r, m = f.shape[0] // 2, f.shape[1]
+    w = ca.vertcat(*(rank_one_measure(f[:r, i], f[r:, i]) for i in range(m)))
+    value, rows = smooth(x) + ca.dot(p, w), row(x)
+    pull, row_pull = ca.SX.sym("pull"), ca.SX.sym("row_pull")
+    bent = pull * ca.hessian(value, x)[0] + row_pull * ca.hessian(rows, x)[0]
+    rows_x = ca.densify(ca.jacobian(rows, x))
+    outputs = [value, rows, ca.jacobian(value, x), rows_x, ca.SX(0, n)]
+    functions = Branched(
+        ca.Function("model", [x, p], [ca.densify(each) for each in outputs]),
+        ca.Function("rows", [x, p], [rows, rows_x]),
+        ca.Function("curvature", [x, p, pull, row_pull], [ca.densify(bent)]),
+        ca.Function("factors", [x, p], [f, ca.densify(ca.jacobian(ca.vec(f), x)), ca.DM.eye(m)]),
+        None,
+    )
+    bounds = Bounds(np.full(n, -3.0), np.full(n, 3.0), np.zeros(1), np.zeros(1))
+
+    def without(modes: list[int]) -> np.ndarray:
+        return np.array([0.0 if i in modes else 1.0 for i in range(m)])
+
+    none = np.zeros((3, n))
+    return Ascent(functions, np.ones(m), np.ones((1, m)), np.zeros(1), np.zeros(0), bounds, lambda _: none, without)
 
 
 def test_the_way_back_onto_a_row_does_not_lean_on_a_bound() -> None:
@@ -91,6 +123,31 @@ def test_the_tip_of_a_cone_is_found(tip: float) -> None:
     assert found is not None
     np.testing.assert_allclose(found[0], [1.0, 0.0, tip, 0.0], atol=1e-6)
     assert found[1] <= 30
+
+
+@pytest.mark.parametrize("side", ["a", "b"])
+@pytest.mark.parametrize("start", [(0.3, -0.8, 0.9, -0.7), (1.0, 0.0, 0.2, 1e-9), (-0.6, 0.8, -1.0, 2.0)])
+def test_the_tip_of_a_measure_is_found(side: str, start: tuple[float, ...]) -> None:
+    """w = o·c − |o||c| with c = 0 at (0.2, 0): near it V falls by more than a·b and the smooth part rise."""
+    other = lambda x: ca.vertcat(1 + 0.1 * x[0], 0.3 + 0.1 * x[2])  # noqa: E731 - an entry like the others
+    tip = lambda x: ca.vertcat(x[2] - 0.2, x[3] + 0.5 * (x[2] - 0.2) ** 2)  # noqa: E731
+    a, b = (tip, other) if side == "a" else (other, tip)
+    ascent = modes_toy(4, lambda x: 0.1 * x[0] - 0.4 * x[2] + 0.2 * x[3] - 0.05 * x[3] ** 2, a, b, circle)
+    found = ascent.climbed(np.array(start), 60)
+    assert found is not None
+    # The gradient is below 1e-7, and V bends by 0.1.
+    np.testing.assert_allclose(found[0], [1.0, 0.0, 0.2, 0.0], atol=1e-6)
+    assert found[1] <= 25
+
+
+def test_two_modes_share_a_point() -> None:
+    """b_1 = 0 along a line, and b_2 = 0 across it: the optimum is where both vanish."""
+    a = lambda x: ca.horzcat(ca.vertcat(1, 0.5), ca.vertcat(0.2, 1 + 0.1 * x[0]))  # noqa: E731
+    b = lambda x: ca.horzcat(ca.vertcat(x[2], 2 * x[2]), ca.vertcat(x[3] - x[2], x[3] - 3 * x[2]))  # noqa: E731
+    ascent = modes_toy(4, lambda x: 0.1 * x[0] - 0.3 * x[2] - 0.3 * x[3], a, b, circle)
+    found = ascent.climbed(np.array([0.2, 0.9, 0.6, -0.5]), 60)
+    assert found is not None
+    np.testing.assert_allclose(found[0], [1.0, 0.0, 0.0, 0.0], atol=1e-6)
 
 
 def test_a_bent_ridge_is_followed() -> None:
