@@ -138,7 +138,8 @@ def _driver(bench: Bench, name: str, compiler: str, library: list[Path], flags: 
 
 def _fuzz(bench: Bench) -> Finding:
     compiler = sanitizing_compiler(SANITIZERS, bench.scratch)
-    driver = _driver(bench, "driver-sanitized", compiler, bench.sources, ["-std=c99", *SANITIZERS])
+    objects = list(bench.objects("sanitized", compiler, ["-std=c99", *SANITIZERS]).values())
+    driver = _driver(bench, "driver-sanitized", compiler, objects, ["-std=c99", *SANITIZERS])
     blocks = [_faulty(bench, k, o) for k, o in enumerate(bench.library.all_operations)]
     calls, said = bench.scratch / "faulty.bin", bench.scratch / "faulty-answers.bin"
     replay.write_calls(calls, blocks, single=bench.single)

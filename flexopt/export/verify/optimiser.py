@@ -174,7 +174,7 @@ def sanitized(bench: Bench, flags: tuple[str, ...]) -> Finding:
     """The self-test of the whole bundle and faulty calls of the optimiser, with sanitizers."""
     compiler = sanitizing_compiler(flags, bench.scratch)
     need(compiler)
-    # One object for both programs: the kernels take the compiler long.
+    # The objects of the other faulty calls, too: the kernels take the compiler long.
     objects = list(bench.objects("sanitized", compiler, ["-std=c99", *flags]).values())
     tests = bench.folder / "test"
     selftest = bench.program("selftest-sanitized", compiler, [tests / "selftest.c", *objects], ["-std=c99", *flags])
