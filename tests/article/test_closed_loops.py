@@ -24,18 +24,18 @@ STATED = {"control": "inverse", "feedback": "pd", "integrator": "rk4", "rate": 2
 
 
 @pytest.fixture(scope="module")
-def stands():
-    return closed_loops.article_stands(MACHINE, flexopt.select(MACHINE, (0.0, 1.6), base=0.0), 4.97e5)
+def loops(result):
+    return result.loops
 
 
 @pytest.fixture(scope="module")
-def loops(stands):
-    return closed_loops.close_loops(MACHINE, stands)
+def stands(loops):
+    return loops.stands
 
 
 @pytest.fixture(scope="module")
-def gain_map(stands):
-    return gains.map_gains(MACHINE, stands, STATED)
+def gain_map(result):
+    return result.gains
 
 
 def oracle(stand, kp, kv, method):

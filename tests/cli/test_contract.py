@@ -120,8 +120,8 @@ def test_switches_change_the_numbers(command: Command) -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [EVALUATE, SELECT, ("select", "article"), ("doctor",), ("reproduce",)],
-    ids=["evaluate", "select", "select-problem", "doctor", "reproduce"],
+    [EVALUATE, SELECT, ("select", "article"), ("doctor",)],
+    ids=["evaluate", "select", "select-problem", "doctor"],
 )
 def test_every_document_stands_alone_and_has_provenance(command: Command, arguments: tuple[str, ...]) -> None:
     document = command.json(*arguments)
