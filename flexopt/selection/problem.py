@@ -226,7 +226,7 @@ class SelectionProblem:
         gradients[: values.size] -= slope
         return values - cost, gradients
 
-    @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
+    @public(sizes=_sizes, z=array_of(("n_z",)))
     def factors(self, z: Vector) -> tuple[Vector, Vector, Vector]:
         """As `split_factors`, slopes by z; and of every mode how many have its frequency, (m,)."""
         plant, n_base = self.measures.plant, self.measures.plant.n_base
@@ -235,6 +235,7 @@ class SelectionProblem:
         )
         return *split_factors(f, f_z), same.sum(axis=0)
 
+    @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
     def travel_cost(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
         """What V of an objective is less by at z (…, n_z), and its gradient."""
         if self.travel is None:

@@ -405,6 +405,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "Report.write": lambda: {"folder": "report"},
     "Selection.plot": lambda: {"path": "selection.png"},
     "SelectionProblem.branches": lambda: {"objective": _objective(), "z": _z(), "exact": True},
+    "SelectionProblem.factors": lambda: {"z": _z()},
     "SelectionProblem.given_up": lambda: {"best": 0.1},
     "SelectionProblem.rows": lambda: {"z": _z()},
     "SelectionProblem.solver": lambda: {"quick": False},
