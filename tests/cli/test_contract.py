@@ -340,6 +340,7 @@ def test_failed_solve_tells_constraint_and_iterate(command: Command, monkeypatch
         return start + np.array([0.1, 0.0, 0.0]), 200, "Maximum_Iterations_Exceeded"
 
     monkeypatch.setattr("flexopt.selection.optima.run_solver", lose)
+    monkeypatch.setattr("flexopt.selection.program.Program.climbed", lambda *_: None)
     outcome = command(*SELECT, "--json", "--out", "choice.json")
     assert outcome.code == 3
     error = outcome.document["error"]
