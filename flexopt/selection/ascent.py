@@ -94,8 +94,11 @@ class Ascent:
             lowest.append(first)
             gap = float(values[first + 1] - values[first]) / kink if kink else gap
             first += 2 if kink else 1
-        f, f_x, same = self._factors(x)
-        modes = mode_cones(f, f_x, self.alphas)
+        modes, alone = list[Cone](), np.zeros(0, dtype=np.bool_)
+        if self.alphas.any():
+            f, f_x, same = self._factors(x)
+            modes = mode_cones(f, f_x, self.alphas)
+            alone = same[: len(modes) // 2] < SHARED
         return Point(
             x=x,
             rows=values[:n_rows],
@@ -103,7 +106,7 @@ class Ascent:
             values=values[lowest],
             slopes=slopes[lowest],
             cones=(*modes, *self._margin_cone(gap, epsilon_x)),
-            alone=same[: len(modes) // 2] < SHARED,
+            alone=alone,
             epsilon_slopes=epsilon_x,
         )
 

@@ -369,6 +369,8 @@ def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[
     first, count = program.first, len(member.values)
     sizes = np.array(first.objective_scales[:count])
     alphas = np.array([objective.alpha for objective in first.objectives[:count]]) / sizes[:, None]
+    if not alphas.any():
+        return
     f, f_z, same = first.factors(program.of(x, 0))
     for number, cone in enumerate(mode_cones(f, f_z * first.scale, alphas)):
         for j, size in enumerate(cone.sizes.tolist()):

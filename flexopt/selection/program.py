@@ -237,7 +237,7 @@ class Program:
     def _compiles(self) -> bool:
         """Whether ascents cost more than to compile ε_max: by counts, so that results do not depend on the moment."""
         first = self.first
-        if first.redundancy < 2:
+        if first.redundancy < 2 or not any(form.kinks for form in first.forms):
             return False
         margin = first.quantities.margin
         calls = (first.starts or STARTS_COUNTED) * ASCENT_QUICK * (first.redundancy + 2)

@@ -140,8 +140,11 @@ def starting_points(problem: SelectionProblem) -> list[Vector]:
         return _apart(best, problem.scale, count, n_base)
     climbing = best[:, : CLIMBING * count]
     free = _apart(_climbing(problem, climbing), problem.scale, count, n_base)
-    planes = [_climbing(plane, _into(plane, climbing[:, ::2])) for plane in _planes(problem)]
-    inside = [start for z in planes for start in (_apart(z, problem.scale, INSIDE, n_base) if z.size else [])]
+    inside = list[Vector]()
+    for plane in _planes(problem):
+        points = _into(plane, climbing[:, ::2])
+        if points.size:
+            inside += _apart(_climbing(plane, points), problem.scale, INSIDE, n_base)
     # In turn, the best first.
     pairs = zip_longest(free[: len(inside)], inside)
     return [*(start for pair in pairs for start in pair if start is not None), *free[len(inside) :]][:count]
@@ -164,8 +167,9 @@ def _planes(problem: SelectionProblem) -> list[SelectionProblem]:
             z[k] = value + ASIDE * np.repeat([-1.0, 0.0, 1.0], sample.shape[1])
             at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values]
             w, size = (out.full() for out in problem.measures.w.call(at)[:2])
-            left, middle, right = np.split(w / size, 3, axis=1)
-            if np.abs(right - left).max() <= EVEN < np.abs(right - middle).max():
+            left, middle, right = np.split(w, 3, axis=1)
+            rounding = EVEN * np.split(size, 3, axis=1)[2]
+            if np.all(np.abs(right - left) <= rounding) and np.any(np.abs(right - middle) > rounding):
                 before.append(value)
                 held = list(problem.variables)
                 held[k] = replace(variable, lower=value, upper=value)
