@@ -49,6 +49,7 @@ class Candidate:
         iterations: of IPOPT, or of the ascent that went on from there.
         kinks: where V has a kink at the candidate (a_i = 0 or b_i = 0, or eigenvalues of XZ that meet), the multiplier
             that proves it (Clarke's generalised gradient holds 0), as a share of the largest one allowed: at most 1.
+        unsurpassed: whether V is 0 to rounding where no configuration has more: w_i ≤ 0 for two task rows and more.
         continuum: further placements (n_b,) found at which the same posture is the same optimum, as those of a machine
             in space that may be turned about its target: nothing changes on the way to them; see
             `flexopt.selection.continua`.
@@ -63,6 +64,7 @@ class Candidate:
     stationarity: float
     iterations: int
     kinks: dict[str, float]
+    unsurpassed: bool
     evaluate: Callable[[], Evaluation] = field(repr=False, compare=False)
     continuum: tuple[tuple[float, ...], ...] = ()
 
@@ -87,6 +89,7 @@ class Candidate:
             "stationarity": self.stationarity,
             "iterations": self.iterations,
             "kinks": self.kinks,
+            "unsurpassed": self.unsurpassed,
             "continuum": self.continuum,
         }
         return self.evaluation.to_dict() | json_ready(own)
@@ -180,6 +183,8 @@ class Selection(Result):
             alike = f"   and {len(candidate.continuum)} placements alike" if candidate.continuum else ""
             lines.append(f"  {rank:4d} {numbers}{_measures(e)}{active}{alike}")
         lines += [f"  {kept}" for kept in self.kept]
+        if self.best.unsurpassed and not self.kept:
+            lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:

@@ -114,6 +114,7 @@ def _candidate(problem: SelectionProblem, group: list[Found]) -> Candidate:
         stationarity=proof.stationarity,
         iterations=iterations,
         kinks=proof.kinks,
+        unsurpassed=proof.unsurpassed,
         evaluate=partial(problem.quantities.evaluated, z),
         continuum=tuple(tuple(other[:n_base].tolist()) for other, _, _ in others),
     )

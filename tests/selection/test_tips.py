@@ -57,6 +57,8 @@ def test_where_every_solve_stalls_at_the_kink_there_is_an_answer() -> None:
 def test_an_optimum_at_a_equal_to_zero() -> None:
     selection = flexopt.select(SLEWING, (6.0, 2.0, 1.0), objective="V", weights=[1.0] * 6)
     assert any("a6 = 0" in name for name in selection.best.kinks)
+    assert not selection.best.unsurpassed
+    assert "no configuration has a larger" not in repr(selection)
     assert no_better_nearby(selection.problem, selection.best.z, 1) >= 10
 
 
@@ -80,3 +82,10 @@ def test_a_method_without_slopes_finds_nothing_better(number: int) -> None:
     selection = flexopt.select(machine, target, **options)
     value, _ = Other(selection.problem, number).best(200, 40, 80)
     assert value <= selection.best.objective + 1e-4 * selection.problem.objective_scale
+
+
+def test_zero_is_the_most_there_is() -> None:
+    selection = flexopt.solve_problem(flexopt.load_problem("article"))
+    assert selection.best.unsurpassed
+    assert "no configuration has a larger w1: 0 is the most there is" in repr(selection)
+    assert not all(candidate.unsurpassed for candidate in selection.candidates)
