@@ -21,7 +21,7 @@ class BundleLibrary:
         path = folder / f"lib{report.prefix}.so"
         sources = sorted((report.folder / "src").glob("*.c"))
         include = f"-I{report.folder / 'include'}"
-        command = ["gcc", "-std=c99", "-O2", "-shared", "-fPIC", include, *map(str, sources), "-o", str(path), "-lm"]
+        command = ["gcc", "-std=c99", "-O0", "-shared", "-fPIC", include, *map(str, sources), "-o", str(path), "-lm"]
         subprocess.run(command, check=True, capture_output=True)
         self.c = ctypes.CDLL(str(path))
         self.real = ctypes.c_float if report.manifest["options"]["real"] == "float" else ctypes.c_double

@@ -139,7 +139,7 @@ def _sources(machine: AnyMachine, options: tuple[tuple[str, Any], ...]) -> Optim
     return build_optimiser(machine, prefix="case", **dict(options))
 
 
-def library(machine: AnyMachine, folder: Path, flags: tuple[str, ...] = ("-O1",), **options: Any) -> Library:
+def library(machine: AnyMachine, folder: Path, flags: tuple[str, ...] = ("-O0",), **options: Any) -> Library:
     """Compiled with all warnings as errors."""
     sources = _sources(machine, tuple(sorted(options.items())))
     return Library(sources, machine, folder, list(flags), options.get("real", "double"))

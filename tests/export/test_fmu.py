@@ -120,8 +120,11 @@ def test_ten_seconds_are_those_of_simulate(report: FmuReport) -> None:
     assert worst(result, reference(report), report.outputs) < TOLERANCE
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("case", CASES)
+# The versions differ in what is around the loop: that is in both, with everything in it, other loops in turns.
+@pytest.mark.parametrize(
+    ("case", "version"),
+    [*((case, VERSIONS[k % 2]) for k, case in enumerate(CASES)), ("everything", VERSIONS[0])],
+)
 def test_other_loops_are_those_of_simulate(tmp_path: Path, case: str, version: str) -> None:
     machine, options = CASES[case]
     made = export(tmp_path, machine, version=version, **options)
@@ -524,7 +527,7 @@ def test_no_leak_and_no_undefined_behaviour(report: FmuReport, tmp_path: Path) -
         pytest.skip("no gcc")
     sources(report, tmp_path)
     (tmp_path / "main.c").write_text(MAIN_2 if report.version == "2.0" else MAIN_3)
-    flags = ["-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    flags = ["-std=c99", "-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     command = ["gcc", *flags, str(tmp_path / "main.c"), "-o", str(tmp_path / "main"), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[:3000]

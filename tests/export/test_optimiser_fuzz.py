@@ -16,7 +16,7 @@ from tests.oracles.machines import random_machine
 
 pytestmark = GCC
 
-SANITIZERS = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+SANITIZERS = ["-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 DRIVER = """
 #include <stdio.h>

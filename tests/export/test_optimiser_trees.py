@@ -358,7 +358,7 @@ def test_a_bundle_without_a_placement(tmp_path):
     assert entry["units"] == list(machine.joint_units) == ["m", "rad", "rad", "rad"]
     assert {field["name"]: field["shape"] for field in entry["inputs"]}["target"] == [3]
     bench = bench_of(report, tmp_path / "scratch", 6, 10_000)
-    objects = list(bench.objects("plain", "gcc", ["-std=c99", "-O1"]).values())
+    objects = list(bench.objects("plain", "gcc", ["-std=c99", "-O0"]).values())
     selftest = bench.program("selftest", "gcc", [report.folder / "test" / "selftest.c", *objects], ["-std=c99"])
     said = subprocess.run([selftest], capture_output=True, text=True, check=True).stdout
     assert "all passed" in said

@@ -132,7 +132,7 @@ def test_a_worse_optimiser_is_found(tmp_path: Path, right: str, wrong: str, sent
     assert text.count(right) == 1
     source.write_text(text.replace(right, wrong))
     bench = examined(folder, tmp_path / "scratch", 24, 10_000)
-    objects_of = bench.objects("plain", "gcc", ["-std=c99", "-O1"])
+    objects_of = bench.objects("plain", "gcc", ["-std=c99", "-O0"])
     runner = optimiser.host_runner(bench, "gcc", list(objects_of.values()))
     found = optimiser.agreement(bench, runner) if "IPOPT" in sentence else optimiser.faulty_calls(bench, runner)
     assert any(sentence in fault for fault in found.faults)

@@ -21,7 +21,8 @@ from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run, sa
 
 COMPILERS = (("gcc", "g++"), ("clang", "clang++"))
 STANDARDS = ("c99", "c11")
-SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+# Unoptimised: they see no less, and the kernels are compiled in a quarter of the time.
+SANITIZERS = ("-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 FUZZ_SEED = 30
 COMPARED = 1000
 
