@@ -64,6 +64,9 @@ def cases(machine: Any, count: int, seed: int, **options: Any) -> list[Case]:
             found = flexopt.select(machine, target, objective="V", weights=weights, starts=8, **options)
         except (UnreachableTarget, flexopt.NoSolutionFound):
             continue
+        if found.best.kinks:
+            # The optimiser in C steps along slopes alone, and stops short of a kink.
+            continue
         scan = found.problem.scan
         k = int(rng.integers(scan.size))
         made.append(Case(found, np.concatenate([scan.base[:, k], scan.posture[:, k]])))
