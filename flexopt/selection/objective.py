@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -104,8 +105,9 @@ class Quantities:
         )
 
 
+@lru_cache(maxsize=64)
 def quantities(machine: AnyMachine, control: Control, gravity: bool, gain: float) -> Quantities:
-    """The Functions for a problem."""
+    """The Functions for a problem (put together once, and kept: a selection asks thousands of times)."""
     return Quantities(build_measures(machine, control, gravity), build_margin(machine, control, gravity), gain)
 
 
