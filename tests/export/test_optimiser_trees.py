@@ -64,9 +64,6 @@ def cases(machine: Any, count: int, seed: int, **options: Any) -> list[Case]:
             found = flexopt.select(machine, target, objective="V", weights=weights, starts=8, **options)
         except (UnreachableTarget, flexopt.NoSolutionFound):
             continue
-        if found.best.kinks:
-            # The optimiser in C steps along slopes alone, and stops short of a kink.
-            continue
         scan = found.problem.scan
         k = int(rng.integers(scan.size))
         made.append(Case(found, np.concatenate([scan.base[:, k], scan.posture[:, k]])))
@@ -102,7 +99,8 @@ def assert_back_at_the_optimum(lib: Library, problems: list[Case]) -> None:
         assert_feasible(case.problem, answer, ROUNDING)
         v = value_of(case.problem, answer.z)[0]
         assert answer.value == pytest.approx(v, abs=1e-11 * answer.scale)
-        assert v >= case.best - SAME * scale
+        # The optimiser in C steps along slopes alone, and stops short of a kink: there it only never leads down.
+        assert v >= case.best - SAME * scale or case.found.best.kinks
         assert v >= away.value
 
 
