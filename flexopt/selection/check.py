@@ -6,7 +6,7 @@ In: a program, of one configuration or many, and a point. Out: what the point vi
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.ascent_model import Cone
 from flexopt.selection.cones import SHARED, mode_cones, name_of, smooth_slope
-from flexopt.selection.nonnegative import nonnegative_least_squares
+from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, Held, Kink, certified
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Linearisation, Program, margin_noise, single
@@ -23,7 +23,6 @@ from flexopt.selection.programs import Local
 TARGET_TOLERANCE = 1e-8
 BOUND_TOLERANCE = 1e-8
 ACTIVE_TOLERANCE = 1e-6
-STATIONARITY_TOLERANCE = 1e-6
 FIRST_ORDER = "first-order optimality"
 CURVATURE_TOLERANCE = 1e-6
 STATIONARY_NEARLY = 1e-3
@@ -42,10 +41,6 @@ NOISE = 1e-12
 KINK_NAME = "kink of ε_max"
 # Branches meet where, to first order, they do within this distance, in scaled variables; a_i or b_i is zero within TIP.
 MEETS, TIP = 1e-3, 1e-6
-# Rounds in which multipliers of kinks are looked for where the nearest are too large, and by how much they may be.
-ROUNDS, OVER = 200, 1e-9
-# Of kinks by number in `mode_cones`, what `smooth_slope` holds.
-Held = dict[int, tuple[float, Vector]]
 
 
 @dataclass(frozen=True)
@@ -103,94 +98,6 @@ def prove_program(program: Program, x: Vector) -> Proof:
     off = float(np.sqrt(np.sum(of_targets**2, axis=1)).max())
     kinks = dict(zip((kink.name for kink in local.kinks), local.shares(multipliers, kept), strict=True))
     return Proof(violations, (*local.names, *kinks), off, stationarity, curvature, kinks, unsurpassed)
-
-
-@dataclass(frozen=True)
-class Kink:
-    """A term −|c| of an objective where c = 0: −pᵀC is part of its gradients for every p with |p| ≤ 1.
-
-    Attributes:
-        name: see `Proof`;  rows: which of the equalities are C, along its axes.
-        first: number of the objective among the inequalities, whose multiplier limits |p|; None of what is sought.
-        number: of the cone in `mode_cones`, None of ε_max;  axes: of C, (k, r);  alpha: α_i / size of the objective.
-    """
-
-    name: str
-    rows: slice
-    first: int | None
-    number: int | None = None
-    axes: Vector | None = None
-    alpha: float = 0.0
-
-
-@dataclass(frozen=True)
-class FirstOrderModel:
-    """First-order model at a point, in y = x / scale, and t last where the program has one.
-
-    Attributes:
-        level: t, the smallest V / size.
-        value, gradient: of what is maximised.
-        g: values of the constraints, as `Program.constraints` lists them.
-        equal, active: numbers of the equalities among them; of the active inequalities, with their sense.
-        equalities: gradients of equality rows, of c at the kinks, of fixed variables.
-        inequalities: gradients of the active ones c ≥ 0;  names: theirs.
-        moving: 0 for variables that are fixed or at a bound, else 1.
-        kinks: of the objective that is sought and of those that are kept; their gradients are those without −|c|.
-    """
-
-    level: float
-    value: float
-    gradient: Vector
-    g: Vector
-    equal: list[int]
-    active: list[tuple[int, float]]
-    equalities: Vector
-    inequalities: Vector
-    names: tuple[str, ...]
-    moving: Vector
-    kinks: tuple[Kink, ...]
-
-    def rows(self, kept: list[int]) -> Vector:
-        """Gradients of the equalities and of the inequalities numbered in `kept`."""
-        return np.vstack([self.equalities, self.inequalities[kept]])
-
-    def pulls(self, multipliers: Vector, kept: list[int]) -> Vector:
-        """Multipliers of all inequalities, none positive."""
-        pulls = np.zeros(len(self.inequalities))
-        pulls[kept] = multipliers[len(self.equalities) :]
-        return pulls
-
-    def limits(self, multipliers: Vector, kept: list[int]) -> list[float]:
-        """How large |p| of every kink may be."""
-        pulls = self.pulls(multipliers, kept)
-        return [1.0 if kink.first is None else -float(pulls[kink.first]) for kink in self.kinks]
-
-    def shares(self, multipliers: Vector, kept: list[int]) -> list[float]:
-        """|p| of every kink as a share of that."""
-        sizes = [float(np.linalg.norm(multipliers[kink.rows])) for kink in self.kinks]
-        pairs = zip(sizes, self.limits(multipliers, kept), strict=True)
-        return [size / limit if limit > 0 else (np.inf if size > OVER else 0.0) for size, limit in pairs]
-
-    def held(self, multipliers: Vector, kept: list[int]) -> Held:
-        """What `smooth_slope` holds of the kinks."""
-        found: Held = {}
-        limits = self.limits(multipliers, kept)
-        none: tuple[float, Vector] = (0.0, np.zeros(1))
-        for kink, limit in zip(self.kinks, limits, strict=True):
-            if kink.number is not None and kink.axes is not None:
-                alpha, pull = found.get(kink.number, none)
-                more = kink.alpha * (multipliers[kink.rows] @ kink.axes)
-                found[kink.number] = alpha + kink.alpha * limit, pull + more
-        return found
-
-    def weights(self, multipliers: Vector, kept: list[int]) -> Vector:
-        """Multipliers of the constraints, (n_g,): the Lagrangian is V − weightsᵀ g."""
-        pulls = self.pulls(multipliers, kept)
-        weights = np.zeros(self.g.size)
-        weights[self.equal] = multipliers[: len(self.equal)]
-        for (number, sense), pull in zip(self.active, pulls, strict=False):
-            weights[number] = sense * pull
-        return weights
 
 
 def _note(violations: dict[str, float], name: str, size: float, tolerance: float) -> None:
@@ -289,69 +196,6 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
         moving=moving,
         kinks=tuple(kinks),
     )
-
-
-def multipliers_of(local: FirstOrderModel) -> tuple[Vector, list[int]]:
-    """Multipliers of a maximum: gradient = λᵀ equalities − μᵀ inequalities, μ ≥ 0, and the inequalities that pull.
-
-    The nearest there are: non-negative least squares on what the equalities cannot take up.
-    """
-    every = list(range(len(local.inequalities)))
-    if not np.all(np.isfinite(local.gradient)) or not np.all(np.isfinite(local.rows(every))):
-        return np.full(len(local.equalities) + len(every), np.nan), every
-    inverse = np.linalg.pinv(local.equalities.T)
-    free = np.eye(local.gradient.size) - local.equalities.T @ inverse
-    pull = nonnegative_least_squares(-free @ local.inequalities.T, free @ local.gradient)
-    kept: list[int] = np.flatnonzero(pull > 0).tolist()
-    of_equalities = inverse @ (local.gradient + pull @ local.inequalities)
-    return np.concatenate([of_equalities, -pull[kept]]), kept
-
-
-def certified(local: FirstOrderModel) -> tuple[Vector, list[int]]:
-    """As `multipliers_of`, with |p| of every kink no larger than an optimum's.
-
-    Where the nearest multipliers have larger ones, p is moved by projected gradients of what is left; others follow.
-    """
-    multipliers, kept = multipliers_of(local)
-    if all(share <= 1 + OVER for share in local.shares(multipliers, kept)) or not np.isfinite(multipliers).all():
-        return multipliers, kept
-    corners = np.vstack([local.equalities[kink.rows] for kink in local.kinks])
-    others = np.ones(len(local.equalities), dtype=np.bool_)
-    for kink in local.kinks:
-        others[kink.rows] = False
-    # Its own share of a step each time, and the momentum of Nesterov.
-    short = 1.0 / float(np.linalg.norm(corners, 2)) ** 2
-    pulls = np.concatenate([multipliers[kink.rows] for kink in local.kinks])
-    ends = np.cumsum([0, *(kink.rows.stop - kink.rows.start for kink in local.kinks)]).tolist()
-    limits = local.limits(multipliers, kept)
-    best: tuple[float, Vector, list[int]] = (np.inf, multipliers, kept)
-    before = ahead = _clipped(pulls, ends, limits)
-    for number in range(ROUNDS):
-        plain = replace(local, gradient=local.gradient - ahead @ corners, equalities=local.equalities[others], kinks=())
-        found, pulling = multipliers_of(plain)
-        left = plain.gradient - found @ plain.rows(pulling)
-        whole = np.zeros(len(local.equalities) + len(pulling))
-        whole[: len(others)][others] = found[: int(others.sum())]
-        whole[: len(others)][~others] = ahead
-        whole[len(others) :] = found[int(others.sum()) :]
-        size = float(np.linalg.norm(left))
-        if size < best[0] and all(share <= 1 + OVER for share in local.shares(whole, pulling)):
-            best = size, whole, pulling
-        if best[0] <= STATIONARITY_TOLERANCE / 10:
-            break
-        limits = local.limits(whole, pulling)
-        now = _clipped(ahead + short * (corners @ left), ends, limits)
-        ahead, before = _clipped(now + number / (number + 3) * (now - before), ends, limits), now
-    return (best[1], best[2]) if np.isfinite(best[0]) else (multipliers, kept)
-
-
-def _clipped(pulls: Vector, ends: list[int], limits: list[float]) -> Vector:
-    """The p of all kinks, each no longer than its limit."""
-    parts: list[Vector] = []
-    for i, j, limit in zip(ends[:-1], ends[1:], limits, strict=True):
-        size = float(np.linalg.norm(pulls[i:j]))
-        parts.append(pulls[i:j] * min(1.0, limit / size) if size > 0 else pulls[i:j])
-    return np.concatenate(parts)
 
 
 def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[int, str, Cone, int | None, float]]:

@@ -13,17 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.check import (
-    FIRST_ORDER,
-    STATIONARITY_TOLERANCE,
-    STATIONARY_NEARLY,
-    FirstOrderModel,
-    Proof,
-    lagrangian_hessian,
-    linearised,
-    multipliers_of,
-    prove_program,
-)
+from flexopt.selection.check import FIRST_ORDER, STATIONARY_NEARLY, Proof, lagrangian_hessian, linearised, prove_program
+from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, multipliers_of
 from flexopt.selection.program import Program
 
 STEPS = 8
