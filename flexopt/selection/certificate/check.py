@@ -1,0 +1,556 @@
+"""Check a certificate's log: python -m flexopt.selection.certificate.check LOG.json
+
+A program of its own, which shares no line with what wrote the log: it imports nothing of flexopt, takes the machine's
+numbers from the log, and computes in the ball arithmetic of Arb (python-flint). It needs no start and no solver; it
+checks that the cells cover every placement with either elbow, that cells which are left out hold no allowed
+configuration, and that V stays below the certificate's bound in all others.
+
+How: joint angles enter by sine and cosine alone, from the triangle of the two arm segments. Positions, Jacobians and
+M = Σ m Jᵀ J + Ωᵀ I Ω are summed body by body; K_p = L Lᵀ and C = L⁻¹ (M_pp − M_pa M_aa⁻¹ M_ap) L⁻ᵀ; its eigenvalues are
+roots of the characteristic polynomial, and w_i = (tr A P_i Bᵀ − sqrt(tr A P_i Aᵀ · tr B P_i Bᵀ)) / μ_i with P_i =
+Π_j≠i (C − μ_j) / (μ_i − μ_j), so that no eigenvector is needed. All are polynomials in the placement, whose
+coefficients are balls.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from flint import arb, arb_mat, arb_poly, arb_series, ctx
+
+# Degree of polynomials; bits of a ball; how often a cell is halved; what rounding in doubles may have done to the
+# numbers in the log, as a share of the scale.
+DEGREE, BITS, DEPTH, ROUNDING = 6, 128, 40, 1e-9
+Number = Any  # an int 0, an arb, or a Cell
+Vector = list[Number]
+Matrix = list[Vector]
+Terms = tuple[Matrix, Matrix, Matrix]
+
+
+class Unknown(Exception):
+    """A ball is too wide to divide by, or to take the root of."""
+
+
+class Cell:
+    """A function of h in a cell, |h| ≤ radius: Σ_k c_k h^k with c_k in balls that may depend on h."""
+
+    def __init__(self, polynomial: arb_poly, h: arb) -> None:
+        self.h = h
+        if polynomial.degree() > DEGREE:
+            c = polynomial.coeffs()
+            last = reduce(lambda value, each: value * h + each, reversed(c[DEGREE:]))
+            polynomial = arb_poly([*c[:DEGREE], last])
+        self.polynomial = polynomial
+
+    def _of(self, other: Cell | arb | int) -> arb_poly | arb | int:
+        return other.polynomial if isinstance(other, Cell) else other
+
+    def __add__(self, other: Cell | arb | int) -> Cell:
+        return Cell(self.polynomial + self._of(other), self.h)
+
+    def __sub__(self, other: Cell | arb | int) -> Cell:
+        return Cell(self.polynomial - self._of(other), self.h)
+
+    def __rsub__(self, other: arb | int) -> Cell:
+        return Cell(other - self.polynomial, self.h)
+
+    def __mul__(self, other: Cell | arb | int) -> Cell:
+        return Cell(self.polynomial * self._of(other), self.h)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    @property
+    def range(self) -> arb:
+        """All values: of the parabola at its ends and its vertex, and of the rest."""
+        c = [*self.polynomial.coeffs(), arb(0), arb(0), arb(0)]
+        r, h2 = arb(self.h.rad()), self.h * self.h
+        values = [c[0] + r * (c[1] + r * c[2]), c[0] - r * (c[1] - r * c[2])]
+        vertex = -c[1] / (2 * c[2]) if not c[2].contains(0) else None
+        if vertex is None:
+            values = [c[0] + c[1] * self.h + c[2] * h2]
+        elif vertex.overlaps(self.h):
+            values.append(c[0] + vertex * c[1] / 2)
+        hull = reduce(lambda one, other: one.union(other), values)
+        return hull + reduce(lambda value, each: value * self.h + each, reversed(c[3:]), arb(0)) * h2 * self.h
+
+    def _approximate(self, root: bool) -> Cell:
+        """The exact polynomial of 1/f or √f about the middle."""
+        ctx.cap = DEGREE + 1
+        middle = arb_series([x.mid() for x in self.polynomial.coeffs()] or [0])
+        found = middle.sqrt() if root else 1 / middle
+        return Cell(arb_poly([found[k].mid() for k in range(DEGREE + 1)]), self.h)
+
+    def inverse(self) -> Cell:
+        """1/f = q / (1 − e) with e = 1 − f q."""
+        if self.polynomial[0].contains(0):
+            raise Unknown
+        q = self._approximate(root=False)
+        off = (1 - self * q).range.abs_upper()
+        if not off < 0.5:
+            raise Unknown
+        return q + arb(0, (q.range.abs_upper() * off / (1 - off)).upper())
+
+    def root(self) -> Cell:
+        """√f = s + (f − s²) / (√f + s)."""
+        if not self.polynomial[0] > 0:
+            raise Unknown
+        s = self._approximate(root=True)
+        off, least = (self - s * s).range.abs_upper(), s.range.lower()
+        if not (least > 0 and off < least * least / 2):
+            raise Unknown
+        return s + arb(0, (off / least).upper())
+
+
+def span(x: Number) -> arb:
+    """All values of a number."""
+    return x.range if isinstance(x, Cell) else arb(x)
+
+
+def zero(x: Number) -> bool:
+    return isinstance(x, int) and x == 0
+
+
+def times(x: Number, y: Number) -> Number:
+    return 0 if zero(x) or zero(y) else x * y
+
+
+def plus(x: Number, y: Number) -> Number:
+    return y if zero(x) else x if zero(y) else x + y
+
+
+def minus(x: Number, y: Number) -> Number:
+    return plus(x, times(-1, y))
+
+
+def inverted(x: Number) -> Number:
+    if isinstance(x, Cell):
+        return x.inverse()
+    if arb(x).contains(0):
+        raise Unknown
+    return 1 / x
+
+
+def root(x: Number) -> Number:
+    if isinstance(x, Cell):
+        return x.root()
+    if not x > 0:
+        raise Unknown
+    return x.sqrt()
+
+
+def total(terms: Any) -> Number:
+    return reduce(plus, terms, 0)
+
+
+def dot(x: Vector, y: Vector) -> Number:
+    return total(times(a, b) for a, b in zip(x, y, strict=True))
+
+
+def product(x: Matrix, y: Matrix) -> Matrix:
+    columns = list(zip(*y, strict=True))
+    return [[dot(row, list(column)) for column in columns] for row in x]
+
+
+def added(x: Matrix, y: Matrix) -> Matrix:
+    return [[plus(a, b) for a, b in zip(*rows, strict=True)] for rows in zip(x, y, strict=True)]
+
+
+def transposed(x: Matrix) -> Matrix:
+    return [list(column) for column in zip(*x, strict=True)]
+
+
+def identity(n: int) -> Matrix:
+    return [[arb(1) if i == j else 0 for j in range(n)] for i in range(n)]
+
+
+def cross(x: Vector, y: Vector) -> Vector:
+    return [minus(times(x[i], y[j]), times(x[j], y[i])) for i, j in ((1, 2), (2, 0), (0, 1))]
+
+
+def number(x: float) -> Number:
+    return arb(x) if x else 0
+
+
+def numbers(x: list[float]) -> Vector:
+    return [number(each) for each in x]
+
+
+def solved(a: Matrix, b: Matrix) -> Matrix:
+    """A⁻¹ B by elimination, A symmetric and positive definite."""
+    a, b = [list(row) for row in a], [list(row) for row in b]
+    for k in range(len(a)):
+        pivot = inverted(a[k][k])
+        a[k], b[k] = [times(x, pivot) for x in a[k]], [times(x, pivot) for x in b[k]]
+        for i in range(len(a)):
+            share = a[i][k]
+            if i != k and not zero(share):
+                a[i] = [minus(x, times(share, y)) for x, y in zip(a[i], a[k], strict=True)]
+                b[i] = [minus(x, times(share, y)) for x, y in zip(b[i], b[k], strict=True)]
+    return b
+
+
+def inverse_of_lower(k: Matrix) -> Matrix:
+    """L⁻¹ of K = L Lᵀ."""
+    n = len(k)
+    lower = [[arb(0)] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            left = k[i][j] - sum((lower[i][q] * lower[j][q] for q in range(j)), arb(0))
+            lower[i][j] = left.sqrt() if i == j else left / lower[j][j]
+    inverse = arb_mat(lower).inv()
+    return [[inverse[i, j] if j <= i else arb(0) for j in range(n)] for i in range(n)]
+
+
+def rotation(axis: list[float], cosine: Number, sine: Number) -> Matrix:
+    """About a unit axis: c I + s [a]× + (1 − c) a aᵀ."""
+    a = x, y, z = numbers(axis)
+    skew = [[0, times(-1, z), y], [z, 0, times(-1, x)], [times(-1, y), x, 0]]
+    rest = minus(arb(1), cosine)
+    return [
+        [total((cosine if i == j else 0, times(sine, skew[i][j]), times(rest, times(a[i], a[j])))) for j in range(3)]
+        for i in range(3)
+    ]
+
+
+class Machine:
+    """The machine of a log, standing on an anchor that is moved along x."""
+
+    def __init__(self, log: dict[str, Any]) -> None:
+        of = log["machine"]
+        self.bodies, self.tip, self.control = of["bodies"], of["end_point"], log["control"]
+        self.index = {body["name"]: k for k, body in enumerate(self.bodies)}
+        self.parent = [self.index.get(body["parent"]) for body in self.bodies]
+        self.passive, self.actuated = ([self.index[name] for name in of[kind]] for kind in ("passive", "actuated"))
+        self.rows = ["xyz".index(row) for row in self.tip["rows"]]
+        self.payload, self.target = number(of["payload"]), [arb(x) for x in log["target"]]
+        self.lower = inverse_of_lower([[arb(x) for x in row] for row in of["stiffness"]])
+        _, origins, axes, tip = self.placed({k: (arb(1), 0) for k in self.actuated})
+        first, second, end = ([point[row] for row in self.rows] for point in (*(origins[k] for k in self.actuated), tip))
+        self.start = first
+        self.one, self.two = ([minus(x, y) for x, y in zip(*ends, strict=True)] for ends in ((second, first), (end, second)))
+        normal = cross(*([arb(1) if k == row else 0 for k in range(3)] for row in self.rows))
+        self.senses = [1 if dot(normal, axes[k]) > 0 else -1 for k in self.actuated]
+        self.lengths = [root(dot(v, v)) for v in (self.one, self.two)]
+
+    def placed(self, turned: dict[int, tuple[Number, Number]]) -> tuple[list[Matrix], Matrix, Matrix, Vector]:
+        """Rotations, origins and joint axes of all bodies, and the end-point, the anchor at x = 0."""
+        rotations, origins, axes = list[Matrix](), list[Vector](), list[Vector]()
+        for k, body in enumerate(self.bodies):
+            joint, parent = body["joint"], self.parent[k]
+            around = identity(3) if parent is None else rotations[parent]
+            origin = [0, 0, 0] if parent is None else origins[parent]
+            origin = [plus(o, dot(row, numbers(body["position"]))) for o, row in zip(origin, around, strict=True)]
+            own = product(around, [numbers(row) for row in body["rotation"]])
+            axis = [dot(row, numbers(joint["axis"])) for row in own]
+            rest = number(joint["rest"] if joint["passive"] else 0.0)
+            if joint["kind"] == "slide":
+                origin = [plus(o, times(a, rest)) for o, a in zip(origin, axis, strict=True)]
+            else:
+                still = (arb(1), 0) if zero(rest) else (rest.cos(), rest.sin())
+                own = product(own, rotation(joint["axis"], *turned.get(k, still)))
+            rotations.append(own)
+            origins.append(origin)
+            axes.append(axis)
+        last = self.index[self.tip["body"]]
+        reach = numbers(self.tip["position"])
+        tip = [plus(o, dot(row, reach)) for o, row in zip(origins[last], rotations[last], strict=True)]
+        return rotations, origins, axes, tip
+
+    def elbow_cosine(self, x: Number) -> tuple[Number, Vector]:
+        """Cosine of the angle between the arm's segments, and the way from the first joint to the target."""
+        away = [minus(t, s) for t, s in zip(self.target, self.start, strict=True)]
+        away[0] = minus(away[0], x)
+        one, two = self.lengths
+        return (dot(away, away) - one * one - two * two) * inverted(2 * one * two), away
+
+    def reaching(self, x: Number, elbow: int) -> list[tuple[Number, Number]]:
+        """(cos, sin) of both joints that put the end-point on the target."""
+        cosine, away = self.elbow_cosine(x)
+        sine = elbow * root(1 - cosine * cosine)
+        # In complex numbers: the second turn is e^{iθ} conj(w) / |w|, w = conj(u) v, and the first d / (u + turn v).
+        (u0, u1), (v0, v1) = self.one, self.two
+        w0, w1 = plus(times(u0, v0), times(u1, v1)), minus(times(u0, v1), times(u1, v0))
+        size = inverted(self.lengths[0] * self.lengths[1])
+        c, s = times(plus(times(cosine, w0), times(sine, w1)), size), times(minus(times(sine, w0), times(cosine, w1)), size)
+        a0 = plus(u0, minus(times(c, v0), times(s, v1)))
+        a1 = plus(u1, plus(times(s, v0), times(c, v1)))
+        over = inverted(a0 * a0 + a1 * a1)
+        first = times(away[0] * a0 + away[1] * a1, over), times(away[1] * a0 - away[0] * a1, over)
+        return [(cos, sense * sin) for (cos, sin), sense in zip((first, (c, s)), self.senses, strict=True)]
+
+    def terms(self, x: Number, elbow: int) -> Terms:
+        """C, A L⁻ᵀ and B L⁻ᵀ."""
+        turned = dict(zip(self.actuated, self.reaching(x, elbow), strict=True))
+        rotations, origins, axes, tip = self.placed(turned)
+        order = [*self.passive, *self.actuated]
+        ways: list[set[int]] = []
+        for k, parent in enumerate(self.parent):
+            ways.append((set() if parent is None else ways[parent]) | {k})
+
+        def moved(body: int, point: Vector) -> tuple[Matrix, Matrix]:
+            """What each coordinate does to a point of a body, and to its direction."""
+            linear, angular = list[Vector](), list[Vector]()
+            for k in order:
+                slide, on = self.bodies[k]["joint"]["kind"] == "slide", k in ways[body]
+                away = [minus(a, b) for a, b in zip(point, origins[k], strict=True)]
+                linear.append([0, 0, 0] if not on else axes[k] if slide else cross(axes[k], away))
+                angular.append([0, 0, 0] if slide or not on else axes[k])
+            return linear, angular
+
+        n, m = len(order), len(self.passive)
+        mass: Matrix = [[0] * n for _ in range(n)]
+        for k, body in enumerate(self.bodies):
+            xx, yy, zz, xy, xz, yz = numbers(body["inertia"])
+            inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+            arm = [dot(row, numbers(body["com"])) for row in rotations[k]]
+            linear, angular = moved(k, [plus(o, c) for o, c in zip(origins[k], arm, strict=True)])
+            own = product(angular, rotations[k])
+            heavy = [[times(number(body["mass"]), a) for a in row] for row in linear]
+            mass = added(mass, added(product(heavy, transposed(linear)), product(product(own, inertia), transposed(own))))
+            if k in order:
+                at = order.index(k)
+                mass[at][at] = plus(mass[at][at], number(body["joint"]["armature"]))
+        of_tip = moved(self.index[self.tip["body"]], tip)[0]
+        mass = added(mass, product([[times(self.payload, a) for a in row] for row in of_tip], transposed(of_tip)))
+        inner, coupling = [row[m:] for row in mass[m:]], [row[:m] for row in mass[m:]]
+        follow = [[times(-1, a) for a in row] for row in solved(inner, coupling)]
+        reduced = added([row[:m] for row in mass[:m]], product(transposed(coupling), follow))
+        jacobian = transposed([[column[row] for row in self.rows] for column in of_tip])
+        jv = [row[m:] for row in jacobian]
+        a = added([row[:m] for row in jacobian], product(jv, follow))
+        b = product(task_map(jv, self.control), follow)
+        back = transposed(self.lower)
+        return product(product(self.lower, reduced), back), product(a, back), product(b, back)
+
+
+def task_map(jv: Matrix, control: str) -> Matrix:
+    """Jv, Jv⁻ᵀ, or (Jv Jvᵀ + λ² I)⁻¹ Jv."""
+    if control == "transpose":
+        return jv
+    if control.startswith("damped"):
+        square = arb(float(control.partition(":")[2])) ** 2
+        gram = added(product(jv, transposed(jv)), [[times(square, x) for x in row] for row in identity(len(jv))])
+        return solved(gram, jv)
+    (p, q), (r, s) = jv
+    over = inverted(minus(times(p, s), times(q, r)))
+    return [[times(s, over), times(times(-1, r), over)], [times(times(-1, q), over), times(p, over)]]
+
+
+def characteristic(c: Matrix) -> Vector:
+    """Coefficients of det(λ I − C), of λⁿ first (Faddeev and LeVerrier)."""
+    n = len(c)
+    found: Vector = [arb(1)]
+    work: Matrix = [[0] * n for _ in range(n)]
+    for k in range(1, n + 1):
+        work = added(product(c, work), [[times(found[-1], x) for x in row] for row in identity(n)])
+        moved = product(c, work)
+        found.append(times(arb(-1) / k, total(moved[i][i] for i in range(n))))
+    return found
+
+
+def eigenvalues(c: Matrix, h: arb) -> Vector:
+    """All eigenvalues of C, largest first: polynomials, and how far off they are at most.
+
+    With z_i the polynomials and W_i = p(z_i) / Π (z_i − z_j), a root of p lies within n |W_i| of z_i, one in each of
+    these discs where they are apart (Smith, Journal of the ACM 17(1), 1970).
+    """
+    p, n = characteristic(c), len(c)
+    middle = arb_mat([[(x.polynomial[0] if isinstance(x, Cell) else arb(x)).mid() for x in row] for row in c])
+    starts = sorted((value.real.mid() for value in middle.eig(algorithm="approx")), key=lambda x: -float(x))
+    found: Vector = [Cell(arb_poly([value]), h) for value in starts]
+
+    def corrections() -> Vector:
+        steps: Vector = []
+        for i, value in enumerate(found):
+            left = reduce(lambda total, coefficient: plus(times(total, value), coefficient), p, 0)
+            others = (inverted(value - other) for j, other in enumerate(found) if j != i)
+            steps.append(reduce(times, others, left))
+        return steps
+
+    for _ in range(DEGREE.bit_length() + 1):
+        better = [value - step for value, step in zip(found, corrections(), strict=True)]
+        found = [Cell(arb_poly([x.mid() for x in value.polynomial.coeffs()]), h) for value in better]
+    off = [arb(0, (n * span(step).abs_upper()).upper()) for step in corrections()]
+    for i in range(n):
+        for j in range(i):
+            if not abs(span(found[i] - found[j])) > off[i].abs_upper() + off[j].abs_upper():
+                raise Unknown
+    return [value + wrong for value, wrong in zip(found, off, strict=True)]
+
+
+def objective(terms: Terms, h: arb, weights: list[float]) -> Number:
+    """Σ α_i w_i."""
+    (c, a, b), n = terms, len(terms[0])
+    # In axes in which C is nearly diagonal, balls stay smaller.
+    whole = arb_mat([[(x.polynomial[0] if isinstance(x, Cell) else arb(x)).mid() for x in row] for row in c])
+    _, vectors = whole.eig(right=True, algorithm="approx")
+    axes = arb_mat([[vectors[i, j].real.mid() for j in range(n)] for i in range(n)])
+    x, back = ([[each[i, j] for j in range(n)] for i in range(n)] for each in (axes, axes.inv()))
+    c = product(product(back, c), x)
+    left = [product(each, x) for each in (a, b)]
+    right = [transposed(product(back, transposed(each))) for each in (a, b)]
+    mu, value = eigenvalues(c, h), arb(0)
+    for i, alpha in enumerate(weights[:n]):
+        if not alpha:
+            continue
+        projector = identity(n)
+        for j in range(n):
+            if j != i:
+                over = inverted(mu[i] - mu[j])
+                shifted = added(c, [[times(times(-1, mu[j]), y) for y in row] for row in identity(n)])
+                projector = [[times(y, over) for y in row] for row in product(projector, shifted)]
+        aa, bb, ab = (
+            total(dot(row, other) for row, other in zip(product(left[p], projector), right[q], strict=True))
+            for p, q in ((0, 0), (1, 1), (0, 1))
+        )
+        try:
+            value = value + arb(alpha) * (ab - root(aa * bb)) * inverted(mu[i])
+        except Unknown:
+            # At a kink, |a| or |b| = 0: w_i lies between −2|a||b| and 0.
+            sizes = span(aa).abs_upper() * span(bb).abs_upper()
+            value = value + arb(alpha) * (arb(-1) + arb(0, 1)) * sizes.sqrt() / span(mu[i])
+    return value
+
+
+def within(low: float, high: float) -> tuple[arb, arb]:
+    """A cell's middle, and what is to be added to it."""
+    middle = arb((low + high) / 2)
+    return middle, arb(0, max((arb(high) - middle).abs_upper(), (arb(low) - middle).abs_upper()))
+
+
+def upper_bound(machine: Machine, log: dict[str, Any], low: float, high: float, elbow: int, weights: list[float]) -> float:  # fmt: skip
+    """An upper bound on V in a cell, less the cost of travel."""
+    middle, h = within(low, high)
+    x = Cell(arb_poly([middle, 1]), h)
+    try:
+        value = objective(machine.terms(x, elbow), h, weights) - travel_cost(machine, log, x, elbow)
+    except (Unknown, ZeroDivisionError):
+        return math.inf
+    bound = float(span(value).upper())
+    return math.inf if math.isnan(bound) else bound
+
+
+def angles(machine: Machine, x: Number, elbow: int) -> Vector:
+    """Both joint angles over a cell, each on one turn."""
+    found: Vector = []
+    for c, s in machine.reaching(x, elbow):
+        c0, s0 = (each.polynomial[0].mid() if isinstance(each, Cell) else each for each in (c, s))
+        tangent = (s * c0 - c * s0) * inverted(c * c0 + s * s0)
+        if not span(c * c0 + s * s0) > 0:
+            raise Unknown
+        # atan t = t − t³ / (3 (1 + τ²)³) · …: |atan t − t| ≤ |t|³ / 3.
+        found.append(tangent + arb.atan2(s0, c0) + arb(0, (span(tangent).abs_upper() ** 3 / 3).upper()))
+    return found
+
+
+def travel_cost(machine: Machine, log: dict[str, Any], x: Number, elbow: int) -> Number:
+    """What the way from the present configuration costs, each joint on its nearest turn; from below, where unsure."""
+    travel = log["travel"]
+    if travel is None:
+        return 0
+    cost: Number = 0
+    for k, (value, now, scale) in enumerate(zip([x, *angles(machine, x, elbow)], travel["now"], travel["scale"], strict=True)):
+        away = value - arb(now)
+        if k and machine.bodies[machine.actuated[k - 1]]["joint"]["kind"] == "hinge":
+            turns = round(float(span(away).mid()) / math.tau)
+            away = away - 2 * arb.pi() * turns
+            if not abs(span(away)) < arb.pi():
+                away = arb((arb.pi() - (span(away).abs_upper() - arb.pi())).lower())
+        cost = plus(cost, away * away * (1 / (arb(scale) * arb(scale))))
+    return cost * arb(travel["cost"])
+
+
+def left_out(machine: Machine, log: dict[str, Any], low: float, high: float, elbow: int, why: str) -> bool:
+    """Whether no placement of the cell allows the target to be reached inside margin and limits."""
+    middle, h = within(low, high)
+    if why in ("reach", "margin"):
+        return bool(abs(span(machine.elbow_cosine(middle + h)[0])) > arb(log["margin"]).cos())
+    if why == "limit":
+        try:
+            found = angles(machine, Cell(arb_poly([middle, 1]), h), elbow)
+        except Unknown:
+            return False
+        for angle, (lower, upper) in zip(map(span, found), log["bounds"][1:], strict=True):
+            if lower is None or upper is None:
+                continue
+            shifted = [angle + 2 * arb.pi() * turn for turn in range(-4, 5)]
+            if all(bool(each < lower) or bool(each > upper) for each in shifted):
+                return True
+        return False
+    if why == "kept":
+        return any(
+            upper_bound(machine, log, low, high, elbow, weights) < least
+            for weights, least in zip(log["weights"], log["kept"], strict=False)
+        )
+    return False
+
+
+def holds(machine: Machine, log: dict[str, Any], cell: tuple[float, float, int, str], bound: float, depth: int) -> bool:
+    """Whether a cell is what the log says, halved where that does not show at once."""
+    low, high, elbow, why = cell
+    if left_out(machine, log, low, high, elbow, why or "margin"):
+        return True
+    if not why and upper_bound(machine, log, low, high, elbow, log["weights"][-1]) <= bound:
+        return True
+    middle = (low + high) / 2
+    if depth == 0 or not low < middle < high:
+        return False
+    halves = (low, middle, elbow, why), (middle, high, elbow, why)
+    return all(holds(machine, log, half, bound, depth - 1) for half in halves)
+
+
+def uncovered(log: dict[str, Any]) -> list[str]:
+    """Sentences about what the cells leave out of the placements."""
+    lower, upper = log["bounds"][0]
+    faults: list[str] = []
+    for elbow in (-1, 1):
+        spans = sorted((low, high) for side, low, high, *_ in log["cells"] if side == elbow)
+        ends = [lower, *(high for _, high in spans)]
+        faults += [f"elbow {elbow}: nothing covers {end} to {low} m" for end, (low, _) in zip(ends, spans, strict=False) if low > end]  # fmt: skip
+        if ends[-1] < upper or not spans:
+            faults.append(f"elbow {elbow}: nothing covers {ends[-1]} to {upper} m")
+    return faults
+
+
+def check(log: dict[str, Any]) -> tuple[list[str], int]:
+    """What is wrong with a log, a sentence each; and how many cells were left out for constraints it does not tell."""
+    ctx.prec = BITS
+    if not log["cells"]:
+        zero_is_most = all(weight >= 0 for weight in log["weights"][-1])
+        reached = -ROUNDING * log["scale"] <= log["value"] <= 0 == log["upper"]
+        return ([] if zero_is_most and reached else ["no cells, and 0 is not reached"]), 0
+    machine, faults, trusted = Machine(log), uncovered(log), 0
+    tolerance = ROUNDING * log["scale"]
+    for elbow, low, high, why, bound in log["cells"]:
+        if why == "constraint":
+            trusted += 1
+            continue
+        least = log["upper"] if not why else math.inf
+        if not why and (bound is None or bound > least):
+            faults.append(f"[{low}, {high}], elbow {elbow:g}: its bound is above that of the certificate")
+        elif not holds(machine, log, (low, high, int(elbow), why), least + tolerance, DEPTH):
+            faults.append(f"[{low}, {high}], elbow {elbow:g}: not shown to be {why or 'below the bound'}")
+    return faults, trusted
+
+
+def main(arguments: list[str]) -> int:
+    """Exit code 0 if all is as the log says, else 3."""
+    log = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
+    faults, trusted = check(log)
+    for fault in faults:
+        print(fault)
+    share = (log["upper"] - log["value"]) / log["scale"]
+    if not faults:
+        print(f"{len(log['cells'])} cells: no allowed configuration has more than {log['upper']:.9g}, {100 * share:.2g} % of the scale above {log['value']:.9g}")  # fmt: skip
+        if trusted:
+            print(f"{trusted} cells are left out for constraints that the log does not tell: not checked")
+    return 3 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
