@@ -5,8 +5,9 @@ polynomial in t ∈ [−1, 1] and a bound r, so that the output is within r of t
 
 Every operation adds to r what it leaves out and bounds on its own rounding: sums and products of doubles are within one
 unit roundoff of the exact ones (IEEE 754, rounding to nearest), the library's sin, cos and atan2 within `LIBRARY` units
-in the last place. r is infinite where nothing is known, as next to a pole. Source: Makino and Berz, "Taylor models and
-other validated functional inclusion methods", International Journal of Pure and Applied Mathematics 4(4), 2003.
+in the last place. r is infinite where nothing is known, as next to a pole; NumPy's warnings of that are for callers to
+silence. Source: Makino and Berz, "Taylor models and other validated functional inclusion methods", International
+Journal of Pure and Applied Mathematics 4(4), 2003.
 """
 
 from __future__ import annotations
@@ -61,9 +62,8 @@ class TaylorModel:
     @staticmethod
     def between(low: Array, high: Array) -> TaylorModel:
         """What is known to lie in [low, high], (N,) each, and nothing more."""
-        with np.errstate(invalid="ignore"):
-            middle = np.where(np.isfinite(low) & np.isfinite(high), (low + high) / 2, 0.0)
-            radius = np.maximum(high - middle, middle - low)
+        middle = np.where(np.isfinite(low) & np.isfinite(high), (low + high) / 2, 0.0)
+        radius = np.maximum(high - middle, middle - low)
         return TaylorModel(middle[None, :], _known(radius * _SAFE + _LEAST))
 
     @cached_property
@@ -81,8 +81,7 @@ class TaylorModel:
         """Bounds on f from below and above: those of the parabola, widened by all else."""
         c0, c1, c2 = (self.c[k] if k < len(self.c) else np.zeros_like(self.c[0]) for k in range(3))
         rest = np.abs(self.c[3:]).sum(axis=0) + self.r + 8 * UNIT_ROUNDOFF * self.size + _LEAST
-        with np.errstate(divide="ignore", invalid="ignore"):
-            vertex = np.where(np.abs(c1) < 2 * np.abs(c2), -c1 * c1 / (4 * c2), 0.0)
+        vertex = np.where(np.abs(c1) < 2 * np.abs(c2), -c1 * c1 / (4 * c2), 0.0)
         ends = np.abs(c1) + c2
         up, down = np.maximum(ends, np.maximum(vertex, 0.0)), np.minimum(c2 - np.abs(c1), np.minimum(vertex, 0.0))
         return c0 + down - rest * _SAFE, c0 + up + rest * _SAFE
@@ -120,8 +119,7 @@ class TaylorModel:
         if len(a.c) > len(b.c):
             a, b = b, a
         if len(a.c) == 1:
-            with np.errstate(invalid="ignore"):
-                r = a.r * b.largest + np.abs(a.c[0]) * b.r
+            r = a.r * b.largest + np.abs(a.c[0]) * b.r
             return _rounded(a.c * b.c, r, 1.0)
         n_a, n_b = len(a.c) - 1, len(b.c) - 1
         most = min(DEGREE, n_a + n_b)
@@ -129,12 +127,11 @@ class TaylorModel:
         for i in range(n_a + 1):
             n = min(n_b, most - i) + 1
             c[i : i + n] += a.c[i] * b.c[:n]
-        with np.errstate(invalid="ignore"):
-            r = a.r * b.largest + a.size * b.r + (n_a + 2) * UNIT_ROUNDOFF * a.size * b.size
-            if n_a + n_b > DEGREE:
-                tails = np.cumsum(np.abs(b.c[::-1]), axis=0)[::-1]
-                for i in range(max(0, DEGREE + 1 - n_b), n_a + 1):
-                    r = r + np.abs(a.c[i]) * tails[DEGREE + 1 - i]
+        r = a.r * b.largest + a.size * b.r + (n_a + 2) * UNIT_ROUNDOFF * a.size * b.size
+        if n_a + n_b > DEGREE:
+            tails = np.cumsum(np.abs(b.c[::-1]), axis=0)[::-1]
+            for i in range(max(0, DEGREE + 1 - n_b), n_a + 1):
+                r = r + np.abs(a.c[i]) * tails[DEGREE + 1 - i]
         return TaylorModel(c, _known(r * _SAFE + _LEAST))
 
     def scaled(self, factor: Array | float, roundoffs: float = 1.0) -> TaylorModel:
@@ -143,30 +140,28 @@ class TaylorModel:
 
     def inverse(self) -> TaylorModel:
         """1 / f: the reciprocal's series, and a bound on its error from what f times it is short of 1."""
-        with np.errstate(all="ignore"):
-            f, n = self.c, len(self.c)
-            q = np.zeros((1 if n == 1 else DEGREE + 1, f.shape[1]))
-            q[0] = 1.0 / f[0]
-            for k in range(1, len(q)):
-                q[k] = -q[0] * sum(f[i] * q[k - i] for i in range(1, min(k, n - 1) + 1))
-            inverse = TaylorModel(np.nan_to_num(q), np.zeros(q.shape[1]))
-            off = (_ONE - self * inverse).largest
-            r = np.where(off < 0.5, inverse.size * off / (1.0 - off), np.inf)
+        f, n = self.c, len(self.c)
+        q = np.zeros((1 if n == 1 else DEGREE + 1, f.shape[1]))
+        q[0] = 1.0 / f[0]
+        for k in range(1, len(q)):
+            q[k] = -q[0] * sum(f[i] * q[k - i] for i in range(1, min(k, n - 1) + 1))
+        inverse = TaylorModel(np.nan_to_num(q), np.zeros(q.shape[1]))
+        off = (_ONE - self * inverse).largest
+        r = np.where(off < 0.5, inverse.size * off / (1.0 - off), np.inf)
         return TaylorModel(inverse.c, _known(r * _SAFE + _LEAST))
 
     def sqrt(self) -> TaylorModel:
         """√f: the root's series s, and |√f − s| = |f − s²| / (√f + s)."""
-        with np.errstate(all="ignore"):
-            f, n = self.c, len(self.c)
-            s = np.zeros((1 if n == 1 else DEGREE + 1, f.shape[1]))
-            s[0] = np.sqrt(f[0])
-            for k in range(1, len(s)):
-                inner = sum((s[i] * s[k - i] for i in range(1, k)), start=np.zeros_like(s[0]))
-                s[k] = ((f[k] if k < n else 0.0) - inner) / (2.0 * s[0])
-            root = TaylorModel(np.nan_to_num(s), np.zeros(s.shape[1]))
-            off = (self - root * root).largest
-            least = (2.0 * s[0] - root.size) * (1.0 - 1e-12)
-            r = np.where((least > 0) & (off <= 0.5 * least * least), off / least, np.inf)
+        f, n = self.c, len(self.c)
+        s = np.zeros((1 if n == 1 else DEGREE + 1, f.shape[1]))
+        s[0] = np.sqrt(f[0])
+        for k in range(1, len(s)):
+            inner = sum((s[i] * s[k - i] for i in range(1, k)), start=np.zeros_like(s[0]))
+            s[k] = ((f[k] if k < n else 0.0) - inner) / (2.0 * s[0])
+        root = TaylorModel(np.nan_to_num(s), np.zeros(s.shape[1]))
+        off = (self - root * root).largest
+        least = (2.0 * s[0] - root.size) * (1.0 - 1e-12)
+        r = np.where((least > 0) & (off <= 0.5 * least * least), off / least, np.inf)
         return TaylorModel(root.c, _known(r * _SAFE + _LEAST))
 
     def sine_cosine(self) -> tuple[TaylorModel, TaylorModel]:
@@ -178,9 +173,8 @@ class TaylorModel:
         for j in range(terms - 1, 0, -1):
             sine = _ONE - (square * sine).scaled(1.0 / (2 * j * (2 * j + 1)))
             cosine = _ONE - (square * cosine).scaled(1.0 / ((2 * j - 1) * 2 * j))
-        with np.errstate(all="ignore"):
-            sine = (change * sine).widened(size ** (2 * terms + 1) / math.factorial(2 * terms + 1))
-            cosine = cosine.widened(size ** (2 * terms) / math.factorial(2 * terms))
+        sine = (change * sine).widened(size ** (2 * terms + 1) / math.factorial(2 * terms + 1))
+        cosine = cosine.widened(size ** (2 * terms) / math.factorial(2 * terms))
         s, c = np.sin(self.c[0]), np.cos(self.c[0])
         both = (
             cosine.scaled(s, 2 * LIBRARY) + sine.scaled(c, 2 * LIBRARY),
@@ -220,8 +214,7 @@ def angle(y: TaylorModel, x: TaylorModel) -> TaylorModel:
     for j in range(terms - 1, -1, -1):
         # 1 / (2j + 1) is rounded.
         series = _ONE.scaled(1.0 / (2 * j + 1)) - square * series
-    with np.errstate(all="ignore"):
-        left = np.where((along.bounds[0] > 0) & (size < _TURN), size ** (2 * terms + 1) / (2 * terms + 1), np.inf)
+    left = np.where((along.bounds[0] > 0) & (size < _TURN), size ** (2 * terms + 1) / (2 * terms + 1), np.inf)
     turned = (tangent * series).widened(left)
     middle = np.arctan2(y0, x0)
     start = TaylorModel(middle[None, :], 2 * LIBRARY * UNIT_ROUNDOFF * np.abs(middle) + _LEAST)
@@ -320,6 +313,7 @@ class TaylorFunction:
     def __init__(self, function: ca.Function) -> None:
         self._graph = Instructions(function)
 
+    @np.errstate(all="ignore")
     def __call__(self, *inputs: Sequence[TaylorModel]) -> list[list[TaylorModel]]:
         """The entries of each output, column by column, from those of each input."""
         graph, values = self._graph, list[TaylorModel]()

@@ -57,7 +57,11 @@ class Cells:
 
     def rows(self) -> list[tuple[float, float, float, str, float]]:
         """Elbow, ends, why it is left out, and bound of every cell, by elbow and placement."""
-        return list(zip(*(x.tolist() for x in (self.elbow, self.low, self.high)), self.outside, self.bound.tolist(), strict=True))
+        return list(
+            zip(
+                *(x.tolist() for x in (self.elbow, self.low, self.high)), self.outside, self.bound.tolist(), strict=True
+            )
+        )
 
 
 def branch_and_bound(curve: Curve, sought: float) -> Cells:
@@ -92,9 +96,7 @@ def branch_and_bound(curve: Curve, sought: float) -> Cells:
     words = [word for each in done for word in each[3]]
     sides, lows, highs, bounds = (np.concatenate([each[k] for each in done]) for k in (0, 1, 2, 4))
     order = np.lexsort([lows, sides])
-    return Cells(
-        sides[order], lows[order], highs[order], [words[k] for k in order], bounds[order], decided, better
-    )
+    return Cells(sides[order], lows[order], highs[order], [words[k] for k in order], bounds[order], decided, better)
 
 
 def _better(curve: Curve, cells: NDArray[np.int64], low: Array, high: Array, elbow: Array) -> Better | None:

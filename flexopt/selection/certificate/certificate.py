@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from flexopt.errors import Fault, InputError
+from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import instance, number, path, public
@@ -23,7 +23,7 @@ from flexopt.foundation.documents import json_ready, package_version
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
-from flexopt.selection.certificate.bound import Better, Cells, branch_and_bound
+from flexopt.selection.certificate.bound import Cells, branch_and_bound
 from flexopt.selection.certificate.curve import Curve
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Selection
@@ -161,7 +161,17 @@ def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
         value = float(problem.branches(problem.objective, best.z)[0][0])
         short = max(-value, 0.0)
         return Certificate(
-            "proven", name, value, 0.0, short, asked, scale, 0, None, (), lambda: _log(problem, best.z, value, 0.0, None)
+            "proven",
+            name,
+            value,
+            0.0,
+            short,
+            asked,
+            scale,
+            0,
+            None,
+            (),
+            lambda: _log(problem, best.z, value, 0.0, None),
         )
     curve = Curve(problem)
     value = _value(curve, best.z)
@@ -192,9 +202,7 @@ def _value(curve: Curve, z: Vector) -> float:
 def _log(problem: SelectionProblem, z: Vector, value: float, upper: float, cells: Cells | None) -> dict[str, Any]:
     """All that the proof stands on."""
     machine, tree = problem.machine, problem.machine.kinematic_tree
-    bodies = [
-        body.model_dump(mode="json") | {"held": i in tree.held} for i, body in enumerate(tree.bodies)
-    ]
+    bodies = [body.model_dump(mode="json") | {"held": i in tree.held} for i, body in enumerate(tree.bodies)]
     stiffness = problem.measures.plant.stiffness.call([problem.measures.plant.parameter_values])[0].full()
     m = problem.measures.plant.n_passive
     travel = problem.travel

@@ -1,4 +1,6 @@
-"""Check a certificate's log: python -m flexopt.selection.certificate.check LOG.json
+"""Check the log of a certificate.
+
+Run: python -m flexopt.selection.certificate.check LOG.json (needs python-flint)
 
 A program of its own, which shares no line with what wrote the log: it imports nothing of flexopt, takes the machine's
 numbers from the log, and computes in the ball arithmetic of Arb (python-flint). It needs no start and no solver; it
@@ -230,9 +232,13 @@ class Machine:
         self.payload, self.target = number(of["payload"]), [arb(x) for x in log["target"]]
         self.lower = inverse_of_lower([[arb(x) for x in row] for row in of["stiffness"]])
         _, origins, axes, tip = self.placed({k: (arb(1), 0) for k in self.actuated})
-        first, second, end = ([point[row] for row in self.rows] for point in (*(origins[k] for k in self.actuated), tip))
+        first, second, end = (
+            [point[row] for row in self.rows] for point in (*(origins[k] for k in self.actuated), tip)
+        )
         self.start = first
-        self.one, self.two = ([minus(x, y) for x, y in zip(*ends, strict=True)] for ends in ((second, first), (end, second)))
+        self.one, self.two = (
+            [minus(x, y) for x, y in zip(*ends, strict=True)] for ends in ((second, first), (end, second))
+        )
         normal = cross(*([arb(1) if k == row else 0 for k in range(3)] for row in self.rows))
         self.senses = [1 if dot(normal, axes[k]) > 0 else -1 for k in self.actuated]
         self.lengths = [root(dot(v, v)) for v in (self.one, self.two)]
@@ -276,7 +282,10 @@ class Machine:
         (u0, u1), (v0, v1) = self.one, self.two
         w0, w1 = plus(times(u0, v0), times(u1, v1)), minus(times(u0, v1), times(u1, v0))
         size = inverted(self.lengths[0] * self.lengths[1])
-        c, s = times(plus(times(cosine, w0), times(sine, w1)), size), times(minus(times(sine, w0), times(cosine, w1)), size)
+        c, s = (
+            times(plus(times(cosine, w0), times(sine, w1)), size),
+            times(minus(times(sine, w0), times(cosine, w1)), size),
+        )
         a0 = plus(u0, minus(times(c, v0), times(s, v1)))
         a1 = plus(u1, plus(times(s, v0), times(c, v1)))
         over = inverted(a0 * a0 + a1 * a1)
@@ -311,7 +320,9 @@ class Machine:
             linear, angular = moved(k, [plus(o, c) for o, c in zip(origins[k], arm, strict=True)])
             own = product(angular, rotations[k])
             heavy = [[times(number(body["mass"]), a) for a in row] for row in linear]
-            mass = added(mass, added(product(heavy, transposed(linear)), product(product(own, inertia), transposed(own))))
+            mass = added(
+                mass, added(product(heavy, transposed(linear)), product(product(own, inertia), transposed(own)))
+            )
             if k in order:
                 at = order.index(k)
                 mass[at][at] = plus(mass[at][at], number(body["joint"]["armature"]))
@@ -454,7 +465,9 @@ def travel_cost(machine: Machine, log: dict[str, Any], x: Number, elbow: int) ->
     if travel is None:
         return 0
     cost: Number = 0
-    for k, (value, now, scale) in enumerate(zip([x, *angles(machine, x, elbow)], travel["now"], travel["scale"], strict=True)):
+    for k, (value, now, scale) in enumerate(
+        zip([x, *angles(machine, x, elbow)], travel["now"], travel["scale"], strict=True)
+    ):
         away = value - arb(now)
         if k and machine.bodies[machine.actuated[k - 1]]["joint"]["kind"] == "hinge":
             turns = round(float(span(away).mid()) / math.tau)

@@ -51,7 +51,9 @@ class Curve:
         """(x, elbow, target, p, c) -> the cosine of the elbow; posture, K_p, M̄, F, constraint rows."""
         measures, extra = self.problem.measures, self.problem.constraint_set
         plant = measures.plant
-        x, elbow, target, p = (ca.SX.sym(n, k) for n, k in zip("xetp", (1, 1, 2, len(plant.parameter_names)), strict=True))
+        x, elbow, target, p = (
+            ca.SX.sym(n, k) for n, k in zip("xetp", (1, 1, 2, len(plant.parameter_names)), strict=True)
+        )
         c = ca.SX.sym("c", self.problem.constants.size)
         posture, cosine = plant.posture_at.call([target, x, ca.SX(0, 1), elbow, p])
         outputs = [posture, *measures.expansion.reduced.call([x, posture, p])]
@@ -66,6 +68,7 @@ class Curve:
         numbers = problem.target, problem.measures.plant.parameter_values.full().ravel(), problem.constants
         return [[TaylorModel.constant(float(value)) for value in each] for each in numbers]
 
+    @np.errstate(all="ignore")
     def see(self, low: Array, high: Array, elbow: Array) -> Seen:
         """What is known of the cells [low, high] of x, m, with elbows −1 or +1, (N,) each."""
         problem, n = self.problem, low.size
@@ -121,9 +124,8 @@ class Curve:
         """Whole turns that bring joint k of a cell's postures into its limits: the least and the largest number."""
         variable = self.problem.variables[1 + k]
         low, high = (np.broadcast_to(bound, outside.shape) for bound in angle.bounds)
-        with np.errstate(invalid="ignore"):
-            first = np.ceil((variable.lower - EDGE - high) / TURN - 1e-12)
-            last = np.floor((variable.upper + EDGE - low) / TURN + 1e-12)
+        first = np.ceil((variable.lower - EDGE - high) / TURN - 1e-12)
+        last = np.floor((variable.upper + EDGE - low) / TURN + 1e-12)
         outside[(first > last) & (outside == "")] = LIMIT
         return first, last
 

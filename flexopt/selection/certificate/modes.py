@@ -1,9 +1,10 @@
 """Every w_i over whole cells: Taylor models of modes and measures from those of K_p, M̄ and F = [A; B].
 
-With X the modes in a cell's middle, H = Xᵀ M̄ X is nearly diagonal and G = Xᵀ K_p X nearly I. Polynomials y_i(t), μ_i(t)
-follow order by order from H y = μ G y; what they leave of it, |H y − μ G y| ≤ δ in the cell, bounds their errors:
-an eigenvalue is within δ of μ_i, and where the others are a gap away, y_i is within an angle asin(δ / gap) of its
-eigenvector (Davis and Kahan, SIAM Journal on Numerical Analysis 7(1), 1970).
+With X the modes in a cell's middle, H = Xᵀ M̄ X is nearly diagonal there and G = Xᵀ K_p X nearly I. Polynomials Y(t),
+found order by order from H y = μ G y, make Ĥ = Yᵀ H Y and Ĝ = Yᵀ G Y nearly diagonal in the whole cell. What is left
+beside their diagonals proves the rest: where the equations of an eigenvector e_i + e of Ĥ v = μ Ĝ v, solved for e_j by
+its diagonal, map a box |e_j| ≤ E_j into itself, the box holds a solution (Brouwer); m of them whose eigenvalues are
+apart are all there are. Bounds by components, not by norms, keep what stiff and soft modes have in common small.
 """
 
 from __future__ import annotations
@@ -22,19 +23,24 @@ _ONE = TaylorModel.constant(1.0)
 _UP = 1.0 + 1e-12
 # Frequencies nearer than this, relative, may be one to whoever computes in doubles.
 _APART = 2.0 * CLUSTER_TOLERANCE
+# Steps that improve the modes in the middle, whose small parts eigenvalue solvers round.
+_IMPROVED = 2
 
 
 @dataclass(frozen=True)
-class _Mode:
-    """A mode in the axes X: y (m,) with y_i = 1, μ = 1/ω², and the bound on its residual, (N,)."""
+class _Nearly:
+    """Ĥ and Ĝ, bounds on their entries' absolute values (m, m, N), and the eigenvalues' models μ̂_i = Ĥ_ii / Ĝ_ii."""
 
-    y: list[TaylorModel]
-    mu: TaylorModel
-    residual: Array
+    h: Matrix
+    g: Matrix
+    sizes_h: Array
+    sizes_g: Array
+    mu: list[TaylorModel]
 
 
+@np.errstate(all="ignore")
 def enclosed_measures(stiffness: Matrix, mass: Matrix, factors: Matrix) -> tuple[list[TaylorModel], Array]:
-    """The w_i in order of ascending frequency, and how far from each other neighbouring 1/ω² are, relative, (N,).
+    """The w_i in order of ascending frequency, and how far from each other 1/ω² are, relative, from below, (N,).
 
     Unknown (r infinite) where frequencies come too close in a cell.
 
@@ -43,22 +49,18 @@ def enclosed_measures(stiffness: Matrix, mass: Matrix, factors: Matrix) -> tuple
         factors: [A; B], (2r, m), r ≥ 2.
     """
     m, count = len(mass), max(x.c.shape[1] for row in mass for x in row)
-    axes = _modes_in_the_middle(stiffness, mass, count)
-    h, g, f = (_times(_turned(axes, left, x), axes) for left, x in ((True, mass), (True, stiffness), (False, factors)))
-    off = np.sqrt(sum((g[i][j] - (_ONE if i == j else _ONE - _ONE)).largest ** 2 for i in range(m) for j in range(m)))
-    off = np.broadcast_to(off * _UP, (count,))
-    modes = [_mode(h, g, i, off) for i in range(m)]
-    apart, least = np.full((m, count), np.inf), np.full(count, np.inf)
+    middle = _modes_in_the_middle(stiffness, mass, count)
+    h, g = (_symmetric(_transposed(_turned(_transposed(_turned(x, middle)), middle))) for x in (mass, stiffness))
+    shapes = _shapes(h, count)
+    nearly = _nearly_diagonal(h, g, shapes, count)
+    f = _product(_turned(factors, middle), shapes)
+    boxes = [_box(nearly, i) for i in range(m)]
+    least = np.full(count, np.inf)
     for i, j in combinations(range(m), 2):
-        between = (modes[i].mu - modes[j].mu).bounds[0]
-        others = (modes[j].residual, modes[i].residual)
-        for k, residual in zip((i, j), others, strict=True):
-            apart[k] = np.minimum(apart[k], between * (1 - 1e-12) - residual)
-        true = between - modes[i].residual - modes[j].residual
-        least = np.minimum(least, true / modes[i].mu.largest)
-    n_task = len(f) // 2
-    sizes = [np.sqrt(sum(x.largest**2 for row in part for x in row)) * _UP for part in (f[:n_task], f[n_task:])]
-    return [_measure(mode, f, g, apart[i], least, off, sizes) for i, mode in enumerate(modes)], least
+        between = (nearly.mu[i] - nearly.mu[j]).bounds[0] * (1 - 1e-12) - boxes[i][1] - boxes[j][1]
+        least = np.minimum(least, between / nearly.mu[i].largest)
+    known = np.where(least > _APART, 0.0, np.inf)
+    return [_measure(nearly, f, i, np.maximum(boxes[i][0], known)) for i in range(m)], least
 
 
 def _modes_in_the_middle(stiffness: Matrix, mass: Matrix, count: int) -> Array:
@@ -71,38 +73,52 @@ def _modes_in_the_middle(stiffness: Matrix, mass: Matrix, count: int) -> Array:
     k, m0 = (np.where(usable[:, None, None], x, np.eye(len(mass))) for x in (k, m0))
     inverse = np.linalg.inv(np.linalg.cholesky(k))
     _, vectors = np.linalg.eigh(inverse @ m0 @ inverse.transpose(0, 2, 1))
-    return (inverse.transpose(0, 2, 1) @ vectors[:, :, ::-1]).transpose(1, 2, 0)
+    x = inverse.transpose(0, 2, 1) @ vectors[:, :, ::-1]
+    for _ in range(_IMPROVED):
+        h, g = (x.transpose(0, 2, 1) @ matrix @ x for matrix in (m0, k))
+        mu = np.diagonal(h, axis1=1, axis2=2) / np.diagonal(g, axis1=1, axis2=2)
+        step = (h - mu[:, None, :] * g) / (mu[:, None, :] - mu[:, :, None])
+        better = x @ (np.eye(len(mass)) + np.where(np.abs(step) < 0.5, step, 0.0))
+        x = better / np.sqrt(np.einsum("nji,njk,nki->ni", better, k, better))[:, None, :]
+    return x.transpose(1, 2, 0)
 
 
-def _turned(axes: Array, left: bool, rows: Matrix) -> Matrix:
-    """Xᵀ R, or R where `left` is not wanted."""
-    if not left:
-        return rows
-    columns = list(zip(*rows, strict=True))
-    return [[_combined(axes[:, i], column) for column in columns] for i in range(axes.shape[1])]
+def _transposed(rows: Matrix) -> Matrix:
+    return [list(column) for column in zip(*rows, strict=True)]
 
 
-def _times(rows: Matrix, axes: Array) -> Matrix:
+def _symmetric(rows: Matrix) -> Matrix:
+    """The same with what is above the diagonal below it, too."""
+    return [[rows[min(i, j)][max(i, j)] for j in range(len(rows))] for i in range(len(rows))]
+
+
+def _turned(rows: Matrix, axes: Array) -> Matrix:
+    """Rows times a matrix of numbers (m, m, N)."""
     return [[_combined(axes[:, j], row) for j in range(axes.shape[1])] for row in rows]
 
 
-def _combined(numbers: Array, models: list[TaylorModel] | tuple[TaylorModel, ...]) -> TaylorModel:
+def _combined(numbers: Array, models: list[TaylorModel]) -> TaylorModel:
     total, *others = (model.scaled(number, 0.0) for number, model in zip(numbers, models, strict=True))
     for other in others:
         total = total + other
     return total
 
 
-def _mode(h: Matrix, g: Matrix, i: int, off: Array) -> _Mode:
-    """The i-th mode's polynomials, and what they leave of H y = μ G y in the norm of G."""
-    m, count = len(h), off.size
+def _product(rows: Matrix, others: Matrix) -> Matrix:
+    return [[dot(row, column) for column in _transposed(others)] for row in rows]
+
+
+def _shapes(h: Matrix, count: int) -> Matrix:
+    """Y (m, m), exact polynomials with Y_ii = 1: the modes in the axes X, to rounding and the degree kept."""
+    m = len(h)
     c = np.zeros((DEGREE + 1, m, m, count))
     for j in range(m):
         for k in range(m):
             c[: len(h[j][k].c), j, k] = h[j][k].c
-    y, mu = np.zeros((DEGREE + 1, m, count)), np.zeros((DEGREE + 1, count))
-    y[0, i], mu[0] = 1.0, c[0, i, i]
-    with np.errstate(all="ignore"):
+    shapes: Matrix = [[_ONE] * m for _ in range(m)]
+    for i in range(m):
+        y, mu = np.zeros((DEGREE + 1, m, count)), np.zeros((DEGREE + 1, count))
+        y[0, i], mu[0] = 1.0, c[0, i, i]
         for order in range(1, DEGREE + 1):
             pushed = sum(np.einsum("jkn,kn->jn", c[k], y[order - k]) for k in range(1, order + 1))
             mu[order] = pushed[i]
@@ -110,51 +126,72 @@ def _mode(h: Matrix, g: Matrix, i: int, off: Array) -> _Mode:
             for j in range(m):
                 if j != i:
                     y[order, j] = rest[j] / (mu[0] - c[0, j, j])
-    y, mu = np.nan_to_num(y), np.nan_to_num(mu)
-    exact = np.zeros(count)
-    models = [_ONE if j == i else TaylorModel(y[:, j], exact) for j in range(m)]
-    value = TaylorModel(mu, exact)
-    left = [dot(h[j], models) - value * dot(g[j], models) for j in range(m)]
-    with np.errstate(all="ignore"):
-        residual = np.sqrt(sum(x.largest**2 for x in left)) / (1.0 - off) * _UP
-    return _Mode(models, value, np.where((off < 0.1) & np.isfinite(residual), residual, np.inf))
+        y = np.nan_to_num(y, posinf=0.0, neginf=0.0)
+        for j in range(m):
+            if j != i:
+                shapes[j][i] = TaylorModel(y[:, j], np.zeros(count))
+    return shapes
 
 
-def _measure(
-    mode: _Mode, f: Matrix, g: Matrix, apart: Array, least: Array, off: Array, sizes: list[Array]
-) -> TaylorModel:
-    """W = (a·b − |a||b|) / (μ yᵀ G y) with a = A X y, b = B X y, and what the mode's error does to them."""
-    with np.errstate(all="ignore"):
-        sine = np.where((apart > 0) & (least > _APART), mode.residual / apart, np.inf)
-        sine = np.where(sine < 0.5, sine, np.inf)
-        tangent = sine / np.sqrt(1.0 - sine * sine) * _UP
-        length = np.sqrt(sum(x.largest**2 for x in mode.y) * (1.0 + off) / (1.0 - off)) * _UP
-    n_task = len(f) // 2
-    a, b = (
-        [dot(row, mode.y).widened(tangent * length * size) for row in rows]
-        for rows, size in zip((f[:n_task], f[n_task:]), sizes, strict=True)
-    )
-    square = dot(mode.y, [dot(row, mode.y) for row in g])
-    share = (mode.mu.widened(mode.residual) * square).inverse()
-    short = sine * sine
-    share = share * TaylorModel((1.0 - short / 2)[None, :], short / 2 * _UP) if np.all(np.isfinite(short)) else (
-        share * TaylorModel(np.where(np.isfinite(short), 1.0 - short / 2, 0.0)[None, :], short * _UP)
-    )  # fmt: skip
+def _nearly_diagonal(h: Matrix, g: Matrix, shapes: Matrix, count: int) -> _Nearly:
+    """Ĥ and Ĝ."""
+    turned = _transposed(shapes)
+    hats = [_product(turned, _product(x, shapes)) for x in (h, g)]
+    sizes = [np.array([[np.broadcast_to(x.largest, (count,)) for x in row] for row in hat]) for hat in hats]
+    mu = [hats[0][i][i] * hats[1][i][i].inverse() for i in range(len(h))]
+    return _Nearly(*hats, *sizes, mu)
+
+
+def _box(nearly: _Nearly, i: int) -> tuple[Array, Array]:
+    """Bounds E (m, N) on e, 0 of e_i, and on the error of μ̂_i, (N,); infinite where no box maps into itself."""
+    m, count = len(nearly.h), nearly.sizes_g.shape[-1]
+    mu, others = nearly.mu[i], [j for j in range(m) if j != i]
+    off = (nearly.sizes_h + mu.largest * nearly.sizes_g) * _UP
+    off[i, i] = (nearly.h[i][i] - mu * nearly.g[i][i]).largest
+    gap = np.full((m, count), np.inf)
+    for j in others:
+        low, high = (nearly.h[j][j] - mu * nearly.g[j][j]).bounds
+        gap[j] = np.maximum(np.maximum(low, -high), 0.0) * (1 - 1e-12)
+    own = nearly.g[i][i].bounds[0]
+
+    def mapped(e: Array) -> tuple[Array, Array]:
+        moved = off[i, i] + sum((off[i, j] * e[j] for j in others), start=np.zeros(count))
+        least = own * (1 - 1e-12) - sum((nearly.sizes_g[i, j] * e[j] for j in others), start=np.zeros(count)) * _UP
+        shift = np.where(least > 0, moved / least, np.inf) * _UP
+        found = np.zeros((m, count))
+        for j in others:
+            pushed = off[j, i] + sum((off[j, k] * e[k] for k in others if k != j), start=np.zeros(count))
+            along = nearly.sizes_g[j, i] + sum((nearly.sizes_g[j, k] * e[k] for k in others), start=np.zeros(count))
+            found[j] = (pushed + shift * along) / gap[j] * _UP + 1e-290
+        return found, shift
+
+    box = 2.0 * mapped(mapped(np.zeros((m, count)))[0])[0]
+    found, shift = mapped(box)
+    holds = np.all((found <= box) & np.isfinite(box), axis=0) & np.isfinite(shift)
+    return np.where(holds, box, np.inf), np.where(holds, shift, np.inf)
+
+
+def _measure(nearly: _Nearly, f: Matrix, i: int, box: Array) -> TaylorModel:
+    """W = (a·b − |a||b|) / (vᵀ H v) with a = A v, b = B v of the eigenvector v, whatever it is in its box."""
+    m, n_task = len(nearly.h), len(f) // 2
+    others = [j for j in range(m) if j != i]
+    ends = [
+        row[i].widened(sum((row[j].largest * box[j] for j in others), start=np.zeros(box.shape[1])) * _UP) for row in f
+    ]
+    sizes = nearly.sizes_h
+    short = sum((sizes[j, k] * box[j] * box[k] for j in others for k in others), start=np.zeros(box.shape[1]))
+    short = short + sum((2.0 * sizes[i, j] * box[j] for j in others), start=np.zeros(box.shape[1]))
+    share = nearly.h[i][i].widened(short * _UP).inverse()
+    a, b = ends[:n_task], ends[n_task:]
     product = (dot(a, a) * dot(b, b)).sqrt()
     return _not_positive((dot(a, b) - product) * share, a, b, share)
 
 
 def _not_positive(w: TaylorModel, a: list[TaylorModel], b: list[TaylorModel], share: TaylorModel) -> TaylorModel:
     """W, and where it has a kink, at |a| or |b| = 0, what is known of it anyway: −2|a||b| ≤ a·b − |a||b| ≤ 0."""
-    with np.errstate(all="ignore"):
-        size = np.sqrt(sum(x.largest**2 for x in a) * sum(x.largest**2 for x in b)) * share.largest * _UP
+    size = np.sqrt(sum(x.largest**2 for x in a) * sum(x.largest**2 for x in b)) * share.largest * _UP
     known = TaylorModel.between(-2.0 * size, np.zeros_like(size))
     crude = ~np.isfinite(w.r) & np.isfinite(size)
-    return TaylorModel(np.where(crude, 0.0, w.c) + _first(crude, known.c), np.where(crude, known.r, w.r))
-
-
-def _first(where: Array, c: Array) -> Array:
-    """Coefficients that are c_0 in some cells, and 0 else."""
-    found = np.zeros((DEGREE + 1, where.size))
-    found[0] = np.where(where, c[0], 0.0)
-    return found
+    c = np.where(crude, 0.0, w.c)
+    c[0] += np.where(crude, known.c[0], 0.0)
+    return TaylorModel(c, np.where(crude, known.r, w.r))
