@@ -3,9 +3,9 @@
 In: an expanded CasADi Function, and the interval of one variable for each of N cells. Out: for each output and cell a
 polynomial in t ∈ [−1, 1] and a bound r, so that the output is within r of the polynomial everywhere in the cell.
 
-Every operation adds to r what it leaves out and bounds on its own rounding: sums and products of doubles are within one
-unit roundoff of the exact ones (IEEE 754, rounding to nearest), the library's sin, cos and atan2 within `LIBRARY` units
-in the last place. r is infinite where nothing is known, as next to a pole; NumPy's warnings of that are for callers to
+Every operation adds to r what it leaves out and bounds on its own rounding: sums and products are within one unit
+roundoff of the exact ones (IEEE 754, rounding to nearest), the library's sin, cos and atan2 within `LIBRARY` units in
+the last place. Numbers are doubles, or of `PRECISE` where the arguments are: 64 bits where the processor has them. r is infinite where nothing is known, as next to a pole; NumPy's warnings of that are for callers to
 silence. Source: Makino and Berz, "Taylor models and other validated functional inclusion methods", International
 Journal of Pure and Applied Mathematics 4(4), 2003.
 """
@@ -26,7 +26,8 @@ from flexopt.compiled.instructions import Instructions
 
 Array = NDArray[np.float64]
 DEGREE = 6
-UNIT_ROUNDOFF = 2.0**-53
+# Doubles with a longer fraction, where there are any; what some compilers make of two doubles is not rounded this way.
+PRECISE: Any = np.longdouble if np.finfo(np.longdouble).nmant in (63, 112) else np.float64
 # Units in the last place by which sin, cos and atan2 of the mathematical library may be wrong.
 LIBRARY = 4.0
 # More than rounding takes off a sum or product of some hundred non-negative numbers, and more than underflow takes.
@@ -57,7 +58,7 @@ class TaylorModel:
         """The variable itself in the cells [low, high], (N,) each."""
         middle = (low + high) / 2
         radius = np.maximum(high - middle, middle - low) * _SAFE
-        return TaylorModel(np.array([middle, radius]), UNIT_ROUNDOFF * radius + _LEAST)
+        return TaylorModel(np.array([middle, radius]), np.full(radius.shape, _LEAST))
 
     @staticmethod
     def between(low: Array, high: Array) -> TaylorModel:
@@ -65,6 +66,10 @@ class TaylorModel:
         middle = np.where(np.isfinite(low) & np.isfinite(high), (low + high) / 2, 0.0)
         radius = np.maximum(high - middle, middle - low)
         return TaylorModel(middle[None, :], _known(radius * _SAFE + _LEAST))
+
+    def typed(self, kind: Any) -> TaylorModel:
+        """The same in numbers of another precision, at least its own."""
+        return TaylorModel(self.c.astype(kind), self.r)
 
     @cached_property
     def size(self) -> Array:
@@ -80,11 +85,15 @@ class TaylorModel:
     def bounds(self) -> tuple[Array, Array]:
         """Bounds on f from below and above: those of the parabola, widened by all else."""
         c0, c1, c2 = (self.c[k] if k < len(self.c) else np.zeros_like(self.c[0]) for k in range(3))
-        rest = np.abs(self.c[3:]).sum(axis=0) + self.r + 8 * UNIT_ROUNDOFF * self.size + _LEAST
+        rest = np.abs(self.c[3:]).sum(axis=0) + self.r + 8 * _unit(self.c) * self.size + _LEAST
         vertex = np.where(np.abs(c1) < 2 * np.abs(c2), -c1 * c1 / (4 * c2), 0.0)
         ends = np.abs(c1) + c2
         up, down = np.maximum(ends, np.maximum(vertex, 0.0)), np.minimum(c2 - np.abs(c1), np.minimum(vertex, 0.0))
-        return c0 + down - rest * _SAFE, c0 + up + rest * _SAFE
+        low, high = c0 + down - rest * _SAFE, c0 + up + rest * _SAFE
+        if low.dtype == np.float64:
+            return low, high
+        # As doubles, and outward.
+        return np.nextafter(low.astype(float), -np.inf), np.nextafter(high.astype(float), np.inf)
 
     @property
     def changing(self) -> TaylorModel:
@@ -102,13 +111,9 @@ class TaylorModel:
 
     def __add__(self, other: TaylorModel) -> TaylorModel:
         long, short = (self, other) if len(self.c) >= len(other.c) else (other, self)
-        n = len(short.c)
-        if long.c.shape[1] >= short.c.shape[1]:
-            c = long.c.copy()
-            c[:n] += short.c
-        else:
-            c = np.broadcast_to(long.c, (len(long.c), short.c.shape[1])).copy()
-            c[:n] += short.c
+        shape = len(long.c), max(long.c.shape[1], short.c.shape[1])
+        c = np.broadcast_to(long.c, shape).astype(np.result_type(long.c, short.c))
+        c[: len(short.c)] += short.c
         return _rounded(c, self.r + other.r, 1.0)
 
     def __sub__(self, other: TaylorModel) -> TaylorModel:
@@ -123,25 +128,30 @@ class TaylorModel:
             return _rounded(a.c * b.c, r, 1.0)
         n_a, n_b = len(a.c) - 1, len(b.c) - 1
         most = min(DEGREE, n_a + n_b)
-        c = np.zeros((most + 1, max(a.c.shape[1], b.c.shape[1])))
+        c = np.zeros((most + 1, max(a.c.shape[1], b.c.shape[1])), dtype=np.result_type(a.c, b.c))
         for i in range(n_a + 1):
             n = min(n_b, most - i) + 1
             c[i : i + n] += a.c[i] * b.c[:n]
-        r = a.r * b.largest + a.size * b.r + (n_a + 2) * UNIT_ROUNDOFF * a.size * b.size
+        r = a.r * b.largest + a.size * b.r + (n_a + 2) * _unit(c) * a.size * b.size
         if n_a + n_b > DEGREE:
             tails = np.cumsum(np.abs(b.c[::-1]), axis=0)[::-1]
             for i in range(max(0, DEGREE + 1 - n_b), n_a + 1):
                 r = r + np.abs(a.c[i]) * tails[DEGREE + 1 - i]
         return TaylorModel(c, _known(r * _SAFE + _LEAST))
 
-    def scaled(self, factor: Array | float, roundoffs: float = 1.0) -> TaylorModel:
-        """The product with numbers (N,) that are known to so many unit roundoffs."""
-        return _rounded(self.c * factor, np.abs(factor) * self.r, roundoffs + 1.0)
+    def scaled(self, factor: Array | float, roundoffs: float = 0.0) -> TaylorModel:
+        """The product with numbers (N,) that are known to so many of their own unit roundoffs."""
+        c, numbers = self.c * factor, np.asarray(factor)
+        return _rounded(c, np.abs(numbers) * self.r, 1.0 + roundoffs * (_unit(numbers) / _unit(c)))
+
+    def over(self, number: float) -> TaylorModel:
+        """The quotient by a number > 0."""
+        return _rounded(self.c / number, self.r / number, 1.0)
 
     def inverse(self) -> TaylorModel:
         """1 / f: the reciprocal's series, and a bound on its error from what f times it is short of 1."""
         f, n = self.c, len(self.c)
-        q = np.zeros((1 if n == 1 else DEGREE + 1, f.shape[1]))
+        q = np.zeros((1 if n == 1 else DEGREE + 1, f.shape[1]), dtype=f.dtype)
         q[0] = 1.0 / f[0]
         for k in range(1, len(q)):
             q[k] = -q[0] * sum(f[i] * q[k - i] for i in range(1, min(k, n - 1) + 1))
@@ -153,7 +163,7 @@ class TaylorModel:
     def sqrt(self) -> TaylorModel:
         """√f: the root's series s, and |√f − s| = |f − s²| / (√f + s)."""
         f, n = self.c, len(self.c)
-        s = np.zeros((1 if n == 1 else DEGREE + 1, f.shape[1]))
+        s = np.zeros((1 if n == 1 else DEGREE + 1, f.shape[1]), dtype=f.dtype)
         s[0] = np.sqrt(f[0])
         for k in range(1, len(s)):
             inner = sum((s[i] * s[k - i] for i in range(1, k)), start=np.zeros_like(s[0]))
@@ -171,8 +181,8 @@ class TaylorModel:
         terms = DEGREE // 2 + 1
         sine, cosine = _ONE, _ONE
         for j in range(terms - 1, 0, -1):
-            sine = _ONE - (square * sine).scaled(1.0 / (2 * j * (2 * j + 1)))
-            cosine = _ONE - (square * cosine).scaled(1.0 / ((2 * j - 1) * 2 * j))
+            sine = _ONE - (square * sine).over(2.0 * j * (2 * j + 1))
+            cosine = _ONE - (square * cosine).over((2 * j - 1) * 2.0 * j)
         sine = (change * sine).widened(size ** (2 * terms + 1) / math.factorial(2 * terms + 1))
         cosine = cosine.widened(size ** (2 * terms) / math.factorial(2 * terms))
         s, c = np.sin(self.c[0]), np.cos(self.c[0])
@@ -197,27 +207,31 @@ def _known(r: Array) -> Array:
     return np.where(np.isnan(r), np.inf, r)
 
 
+def _unit(c: Any) -> float:
+    """The unit roundoff of numbers of that precision."""
+    return 2.0 ** -(np.finfo(c.dtype).nmant + 1)
+
+
 def _rounded(c: Array, r: Array, roundoffs: float) -> TaylorModel:
     """Coefficients each of which is wrong by so many roundings."""
     size = np.abs(c).sum(axis=0)
-    return TaylorModel(c, _known((r + (roundoffs + 1e-9) * UNIT_ROUNDOFF * size) * _SAFE + _LEAST))
+    return TaylorModel(c, _known((r + (roundoffs + 1e-9) * _unit(c) * size) * _SAFE + _LEAST))
 
 
 def angle(y: TaylorModel, x: TaylorModel) -> TaylorModel:
     """The angle of (x, y), on one turn throughout each cell, wherever atan2 may jump."""
     y0, x0 = y.c[0], x.c[0]
-    along, across = x.scaled(x0, 0.0) + y.scaled(y0, 0.0), y.scaled(x0, 0.0) - x.scaled(y0, 0.0)
+    along, across = x.scaled(x0) + y.scaled(y0), y.scaled(x0) - x.scaled(y0)
     tangent = across * along.inverse()
     square, size = tangent * tangent, tangent.largest
     terms = DEGREE // 2 + 1
     series = _ZERO
     for j in range(terms - 1, -1, -1):
-        # 1 / (2j + 1) is rounded.
-        series = _ONE.scaled(1.0 / (2 * j + 1)) - square * series
+        series = _ONE.typed(square.c.dtype).over(2.0 * j + 1.0) - square * series
     left = np.where((along.bounds[0] > 0) & (size < _TURN), size ** (2 * terms + 1) / (2 * terms + 1), np.inf)
     turned = (tangent * series).widened(left)
     middle = np.arctan2(y0, x0)
-    start = TaylorModel(middle[None, :], 2 * LIBRARY * UNIT_ROUNDOFF * np.abs(middle) + _LEAST)
+    start = TaylorModel(middle[None, :], 2 * LIBRARY * _unit(middle) * np.abs(middle) + _LEAST)
     return turned + start
 
 
@@ -226,7 +240,7 @@ def chosen(low: Array, high: Array, first: TaylorModel, second: TaylorModel) -> 
     length, count = max(len(first.c), len(second.c)), max(first.c.shape[1], second.c.shape[1], low.size)
     found: list[tuple[Array, Array]] = []
     for model in (first, second):
-        c = np.zeros((length, count))
+        c = np.zeros((length, count), dtype=model.c.dtype)
         c[: len(model.c)] = model.c
         found.append((c, np.broadcast_to(model.r, (count,))))
     (a, r_a), (b, r_b) = found
@@ -317,13 +331,15 @@ class TaylorFunction:
     def __call__(self, *inputs: Sequence[TaylorModel]) -> list[list[TaylorModel]]:
         """The entries of each output, column by column, from those of each input."""
         graph, values = self._graph, list[TaylorModel]()
+        kind = np.result_type(*(model.c for given in inputs for model in given))
+        inputs = tuple([model.typed(kind) for model in given] for given in inputs)
         unknown = TaylorModel(np.zeros((1, 1)), np.full(1, np.inf))
         sines: dict[int, tuple[TaylorModel, TaylorModel]] = {}
         for node, (operation, first, second) in enumerate(graph.instructions):
             if operation == ca.OP_INPUT:
                 values.append(inputs[first][second])
             elif operation == ca.OP_CONST:
-                values.append(TaylorModel.constant(graph.constants[node]))
+                values.append(TaylorModel.constant(graph.constants[node]).typed(kind))
             elif operation in (ca.OP_SIN, ca.OP_COS):
                 if first not in sines:
                     sines[first] = values[first].sine_cosine()

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from flexopt.compiled.taylor import Array
 from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
-from flexopt.selection.certificate.curve import Curve
+from flexopt.selection.certificate.curve import Curve, Seen
 from flexopt.selection.problem import beyond_bounds
 
 # Cells that each elbow begins with, parts of one that is split, cells looked at in one go and in all at most.
 FIRST, PARTS, AT_ONCE, MOST = 48, 3, 1024, 60_000
+# A cell's share of what was known of V in the larger one, above which rounding is what is left.
+SHRINKS = 0.5
 # Cells no wider than this share of the whole are not split.
 NARROWEST = 1e-14
 
@@ -70,13 +72,15 @@ def branch_and_bound(curve: Curve, sought: float) -> Cells:
     edges = np.linspace(variable.lower, variable.upper, FIRST + 1 if variable.lower < variable.upper else 2)
     low, high = (np.tile(each, len(ELBOW_SIGN)) for each in (edges[:-1], edges[1:]))
     elbow = np.repeat(list(ELBOW_SIGN.values()), edges.size - 1)
+    # How much is known of V where a cell came from; infinite where nothing is.
+    before = np.full(low.size, np.inf)
     narrowest = NARROWEST * max(abs(variable.lower), abs(variable.upper), variable.upper - variable.lower)
     done: list[tuple[Array, Array, Array, list[str], Array]] = []
     seen, decided = 0, True
     better: Better | None = None
     while low.size and better is None:
         now, later = slice(0, AT_ONCE), slice(AT_ONCE, None)
-        found = curve.see(low[now], high[now], elbow[now])
+        found, known = _seen(curve, low[now], high[now], elbow[now], before[now], sought)
         seen += found.high.size
         left = np.array([bool(word) for word in found.outside])
         bound = np.where(left, -np.inf, found.high)
@@ -88,15 +92,37 @@ def branch_and_bound(curve: Curve, sought: float) -> Cells:
         done.append((elbow[now][stop], low[now][stop], high[now][stop], words, bound[stop]))
         ends = [low[now][~stop] + (high[now][~stop] - low[now][~stop]) * (k / PARTS) for k in range(PARTS)]
         ends.append(high[now][~stop])
-        low, high, elbow = (
-            np.concatenate([*ends[:-1], low[later]]),
-            np.concatenate([*ends[1:], high[later]]),
-            np.concatenate([np.tile(elbow[now][~stop], PARTS), elbow[later]]),
+        low, high = np.concatenate([*ends[:-1], low[later]]), np.concatenate([*ends[1:], high[later]])
+        elbow, before = (
+            np.concatenate([np.tile(each[~stop], PARTS), rest])
+            for each, rest in ((elbow[now], elbow[later]), (known, before[later]))
         )
     words = [word for each in done for word in each[3]]
     sides, lows, highs, bounds = (np.concatenate([each[k] for each in done]) for k in (0, 1, 2, 4))
     order = np.lexsort([lows, sides])
     return Cells(sides[order], lows[order], highs[order], [words[k] for k in order], bounds[order], decided, better)
+
+
+def _seen(curve: Curve, low: Array, high: Array, elbow: Array, before: Array, sought: float) -> tuple[Seen, Array]:
+    """What is known of cells, and to what in V, (N,).
+
+    Where that is hardly less than of the larger cell they are part of, rounding is what is left: more digits are taken.
+    """
+    found = curve.see(low, high, elbow)
+    known = found.high - found.low
+    rounded = ~(found.high <= sought) & ~(known < SHRINKS * before) & np.isfinite(before)
+    rounded &= np.array([not word for word in found.outside])
+    if rounded.any():
+        again = curve.see(low[rounded], high[rounded], elbow[rounded], precise=True)
+        words, places = list(found.outside), np.flatnonzero(rounded).tolist()
+        for k, word in zip(places, again.outside, strict=True):
+            words[k] = word
+        lows, highs, apart = found.low.copy(), found.high.copy(), found.apart.copy()
+        lows[rounded], highs[rounded], apart[rounded] = again.low, again.high, again.apart
+        found, known = Seen(words, lows, highs, apart), highs - lows
+        # Whatever comes of such a cell is looked at with more digits, too.
+        known[rounded] = 0.0
+    return found, known
 
 
 def _better(curve: Curve, cells: NDArray[np.int64], low: Array, high: Array, elbow: Array) -> Better | None:

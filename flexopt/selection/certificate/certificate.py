@@ -196,7 +196,7 @@ def _value(curve: Curve, z: Vector) -> float:
     for sign in elbows:
         posture = branch(plant, problem.target, x[:, None], np.zeros((0, 1)), sign)[0].ravel()
         away.append(float(np.abs((posture - z[1:] + math.pi) % (2 * math.pi) - math.pi).max()))
-    return float(curve.see(x, x, np.array([elbows[int(np.argmin(away))]])).low[0])
+    return float(curve.see(x, x, np.array([elbows[int(np.argmin(away))]]), precise=True).low[0])
 
 
 def _log(problem: SelectionProblem, z: Vector, value: float, upper: float, cells: Cells | None) -> dict[str, Any]:

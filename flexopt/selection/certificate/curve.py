@@ -13,7 +13,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from flexopt.compiled.taylor import Array, TaylorFunction, TaylorModel, matrix, taylor
+from flexopt.compiled.taylor import PRECISE, Array, TaylorFunction, TaylorModel, matrix, taylor
 from flexopt.selection.certificate.modes import enclosed_measures
 from flexopt.selection.problem import SelectionProblem
 
@@ -69,10 +69,11 @@ class Curve:
         return [[TaylorModel.constant(float(value)) for value in each] for each in numbers]
 
     @np.errstate(all="ignore")
-    def see(self, low: Array, high: Array, elbow: Array) -> Seen:
-        """What is known of the cells [low, high] of x, m, with elbows −1 or +1, (N,) each."""
+    def see(self, low: Array, high: Array, elbow: Array, *, precise: bool = False) -> Seen:
+        """What is known of the cells [low, high] of x, m, with elbows −1 or +1, (N,) each; `precise`: in `PRECISE`."""
         problem, n = self.problem, low.size
-        x = TaylorModel.of_cells(low, high)
+        kind = PRECISE if precise else np.float64
+        x = TaylorModel.of_cells(low.astype(kind), high.astype(kind))
         turned = TaylorModel(elbow[None, :], np.zeros(n))
         reach, graph = self._graphs
         (cosine,) = reach([x], [turned], *self._constants)[0]
@@ -107,9 +108,9 @@ class Curve:
             value = TaylorModel.constant(0.0)
             for alpha, each in zip(objective.alpha, w, strict=True):
                 if alpha:
-                    value = value + each.scaled(alpha, 0.0)
+                    value = value + each.scaled(alpha)
             if travel is not None:
-                value = value - travel.scaled(problem.objective_scales[j], 0.0)
+                value = value - travel.scaled(problem.objective_scales[j])
             bounds = tuple(np.broadcast_to(bound, (n,)) for bound in value.bounds)
             if j < len(problem.kept):
                 short = bounds[1] < problem.kept[j] - EDGE * problem.objective_scales[j]
@@ -150,9 +151,9 @@ class Curve:
             away = z - TaylorModel.constant(float(now))
             if k and problem.variables[k].unit == "rad":
                 away = _least_turn(away, *turns[k - 1])
-            share = away.scaled(1.0 / scale)
+            share = away.over(float(scale))
             total = total + share * share
-        return total.scaled(problem.travel.cost, 0.0)
+        return total.scaled(problem.travel.cost)
 
 
 def _least_turn(away: TaylorModel, first: Array, last: Array) -> TaylorModel:

@@ -71,8 +71,8 @@ def _modes_in_the_middle(stiffness: Matrix, mass: Matrix, count: int) -> Array:
     )
     usable = np.all(np.isfinite(k), axis=(1, 2)) & np.all(np.isfinite(m0), axis=(1, 2))
     k, m0 = (np.where(usable[:, None, None], x, np.eye(len(mass))) for x in (k, m0))
-    inverse = np.linalg.inv(np.linalg.cholesky(k))
-    _, vectors = np.linalg.eigh(inverse @ m0 @ inverse.transpose(0, 2, 1))
+    inverse = np.linalg.inv(np.linalg.cholesky(k.astype(float)))
+    _, vectors = np.linalg.eigh(inverse @ m0.astype(float) @ inverse.transpose(0, 2, 1))
     x = inverse.transpose(0, 2, 1) @ vectors[:, :, ::-1]
     for _ in range(_IMPROVED):
         h, g = (x.transpose(0, 2, 1) @ matrix @ x for matrix in (m0, k))
@@ -98,7 +98,7 @@ def _turned(rows: Matrix, axes: Array) -> Matrix:
 
 
 def _combined(numbers: Array, models: list[TaylorModel]) -> TaylorModel:
-    total, *others = (model.scaled(number, 0.0) for number, model in zip(numbers, models, strict=True))
+    total, *others = (model.scaled(number) for number, model in zip(numbers, models, strict=True))
     for other in others:
         total = total + other
     return total
@@ -111,13 +111,14 @@ def _product(rows: Matrix, others: Matrix) -> Matrix:
 def _shapes(h: Matrix, count: int) -> Matrix:
     """Y (m, m), exact polynomials with Y_ii = 1: the modes in the axes X, to rounding and the degree kept."""
     m = len(h)
-    c = np.zeros((DEGREE + 1, m, m, count))
+    kind = h[0][0].c.dtype
+    c = np.zeros((DEGREE + 1, m, m, count), dtype=kind)
     for j in range(m):
         for k in range(m):
             c[: len(h[j][k].c), j, k] = h[j][k].c
     shapes: Matrix = [[_ONE] * m for _ in range(m)]
     for i in range(m):
-        y, mu = np.zeros((DEGREE + 1, m, count)), np.zeros((DEGREE + 1, count))
+        y, mu = np.zeros((DEGREE + 1, m, count), dtype=kind), np.zeros((DEGREE + 1, count), dtype=kind)
         y[0, i], mu[0] = 1.0, c[0, i, i]
         for order in range(1, DEGREE + 1):
             pushed = sum(np.einsum("jkn,kn->jn", c[k], y[order - k]) for k in range(1, order + 1))
