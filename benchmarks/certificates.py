@@ -4,9 +4,9 @@ Run: python -m benchmarks.certificates [--problems N] [--points N] [--seed N] [-
 
 The article's problem, with its three objectives, and random planar machines (up to five passive coordinates), targets,
 weights, controls, joint limits, travel costs and ranges of the base. Each best of `flexopt.select` is certified; then V
-is evaluated at many placements with either elbow, by the compiled measures, and compared with the bound of the cell that
-holds the placement and with that of the certificate; and the log is checked by
-`flexopt.selection.certificate.check`, which shares nothing with what wrote it.
+is evaluated at many placements with either elbow, by the compiled measures, and compared with the bounds of the
+placement's cell and of the certificate; and the log is checked by `flexopt.selection.certificate.check`, which shares
+nothing with what wrote it.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ def random_case(seed: int) -> Case:
         options["base_range"] = sorted(rng.uniform(-2.0, 2.0, 2).tolist())
         options["base_range"] = [min(options["base_range"][0], -0.05), max(options["base_range"][1], 0.05)]
     if rng.uniform() < 0.3:
-        options["constraints"] = {"travel": {"cost": 10 ** rng.uniform(-3, 0), "base": [0.0], "posture": posture.tolist()}}
+        travel = {"cost": 10 ** rng.uniform(-3, 0), "base": [0.0], "posture": posture.tolist()}
+        options["constraints"] = {"travel": travel}
     if rng.uniform() < 0.3:
         options["singularity_margin_deg"] = 10 ** rng.uniform(-1, 1.4)
     if rng.uniform() < 0.5:
@@ -113,8 +114,8 @@ def contradictions(selection: flexopt.Selection, certificate: flexopt.Certificat
             bounds = np.array([-math.inf if cell[2] else math.inf if cell[3] is None else cell[3] for cell in cells])
             number = np.searchsorted(lows, x[allowed], side="right") - 1
             # A point on the edge of two cells, or within rounding of bounds, may count for either.
-            near = [np.clip(np.searchsorted(lows, x[allowed] + shift, side="right") - 1, 0, None) for shift in (1e-9, -1e-9)]
-            limit = np.minimum(limit, np.maximum.reduce([bounds[number], *(bounds[k] for k in near)]))
+            beside = (np.searchsorted(lows, x[allowed] + shift, side="right") - 1 for shift in (1e-9, -1e-9))
+            limit = np.minimum(limit, np.maximum.reduce([bounds[number], *(bounds[np.maximum(k, 0)] for k in beside)]))
         known = np.isfinite(value)
         wrong += int(np.sum(value[known] > limit[known] + rounding))
         best = max(best, float(value[known].max(initial=-math.inf)))
@@ -150,7 +151,9 @@ def examine(case: Case, points: int, checked: bool) -> dict[str, Any] | str:
 
 def main() -> int:
     """Ends with 1 where anything contradicts, or a bar is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.certificates", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.certificates", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("--problems", type=int, default=100, help="random ones")
     parser.add_argument("--points", type=int, default=1_000_000, help="of each scan")
     parser.add_argument("--seed", type=int, default=0, help="of the first random problem")
@@ -184,7 +187,8 @@ def main() -> int:
     print(f"contradictions: {wrong} by the scans, {faults} by the other program ({checking.max():.1f} s at most)")
     print(f"best of a scan beyond the best selected: {max(row['beyond'] for row in found):.2e} of the scale at most")
     print(f"gap: one w_i {max(single, default=0):.1e} (bar {BAR_ONE:g}), sums {max(sums, default=0):.1e} (bar {BAR:g})")
-    print(f"cells: median {np.median(cells):.0f}, most {cells.max()}; seconds: median {np.median(times):.2f}, most {times.max():.2f} (bar {SECONDS:g})")  # fmt: skip
+    print(f"cells: median {np.median(cells):.0f}, most {cells.max()}")
+    print(f"seconds: median {np.median(times):.2f}, most {times.max():.2f} (bar {SECONDS:g})")
     return int(bool(wrong or faults or len(proven) < len(found) or times.max() > SECONDS))
 
 

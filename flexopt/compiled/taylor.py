@@ -5,9 +5,10 @@ polynomial in t ∈ [−1, 1] and a bound r, so that the output is within r of t
 
 Every operation adds to r what it leaves out and bounds on its own rounding: sums and products are within one unit
 roundoff of the exact ones (IEEE 754, rounding to nearest), the library's sin, cos and atan2 within `LIBRARY` units in
-the last place. Numbers are doubles, or of `PRECISE` where the arguments are: 64 bits where the processor has them. r is infinite where nothing is known, as next to a pole; NumPy's warnings of that are for callers to
-silence. Source: Makino and Berz, "Taylor models and other validated functional inclusion methods", International
-Journal of Pure and Applied Mathematics 4(4), 2003.
+the last place. Numbers are doubles, or of `PRECISE` where the arguments are: 64 bits where the processor has them.
+r is infinite where nothing is known, as next to a pole; NumPy's warnings of that are for callers to silence. Source:
+Makino and Berz, "Taylor models and other validated functional inclusion methods", International Journal of Pure and
+Applied Mathematics 4(4), 2003.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from flexopt.compiled.instructions import Instructions
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 DEGREE = 6
 # Doubles with a longer fraction, where there are any; what some compilers make of two doubles is not rounded this way.
 PRECISE: Any = np.longdouble if np.finfo(np.longdouble).nmant in (63, 112) else np.float64
@@ -367,4 +368,4 @@ def matrix(entries: Sequence[TaylorModel], rows: int) -> list[list[TaylorModel]]
 
 def dot(a: Sequence[TaylorModel], b: Sequence[TaylorModel]) -> TaylorModel:
     """Σ a_k b_k."""
-    return cast(TaylorModel, sum((x * y for x, y in zip(a, b, strict=True)), start=_ZERO))
+    return sum((x * y for x, y in zip(a, b, strict=True)), start=_ZERO)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -106,7 +107,7 @@ class Certificate(Result):
         return self.status
 
 
-def _refuse(arguments: Arguments, given: dict[str, Any]) -> None:
+def _refuse(arguments: Arguments, given: Mapping[str, Any]) -> None:
     selection = given["selection"]
     why = None if selection is None or selection.best.unsurpassed else not_provable(selection.problem)
     if why is not None:
@@ -216,7 +217,7 @@ def _log(problem: SelectionProblem, z: Vector, value: float, upper: float, cells
             "end_point": tree.end_point.model_dump(mode="json"),
             "placement": tree.placement,
             "up": "xyz"[tree.up],
-            "payload": machine.payload.mass,
+            "payload": next(each.value for each in machine.parameters if each.name == tree.entries["payload"]),
             "passive": [body.name for body in tree.passive],
             "actuated": [body.name for body in tree.actuated],
             "stiffness": stiffness[:m, :m],

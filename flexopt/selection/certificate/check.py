@@ -2,10 +2,10 @@
 
 Run: python -m flexopt.selection.certificate.check LOG.json (needs python-flint)
 
-A program of its own, which shares no line with what wrote the log: it imports nothing of flexopt, takes the machine's
-numbers from the log, and computes in the ball arithmetic of Arb (python-flint). It needs no start and no solver; it
-checks that the cells cover every placement with either elbow, that cells which are left out hold no allowed
-configuration, and that V stays below the certificate's bound in all others.
+A program of its own, which shares no line with what wrote the log: it imports nothing of flexopt but `balls`, which
+nothing else does, takes the machine's numbers from the log, and computes in the ball arithmetic of Arb (python-flint).
+It needs no start and no solver; it checks that the cells cover every placement with either elbow, that cells which are
+left out hold no allowed configuration, and that V stays below the certificate's bound in all others.
 
 How: joint angles enter by sine and cosine alone, from the triangle of the two arm segments. Positions, Jacobians and
 M = Σ m Jᵀ J + Ωᵀ I Ω are summed body by body; K_p = L Lᵀ and C = L⁻¹ (M_pp − M_pa M_aa⁻¹ M_ap) L⁻ᵀ; its eigenvalues are
@@ -23,200 +23,40 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from flint import arb, arb_mat, arb_poly, arb_series, ctx
+from flint import arb, arb_mat, arb_poly, ctx
 
-# Degree of polynomials; bits of a ball; how often a cell is halved; what rounding in doubles may have done to the
-# numbers in the log, as a share of the scale.
-DEGREE, BITS, DEPTH, ROUNDING = 6, 128, 40, 1e-9
-Number = Any  # an int 0, an arb, or a Cell
-Vector = list[Number]
-Matrix = list[Vector]
+from flexopt.selection.certificate.balls import (
+    DEGREE,
+    Cell,
+    Matrix,
+    Number,
+    Unknown,
+    Vector,
+    added,
+    cross,
+    dot,
+    identity,
+    inverse_of_lower,
+    inverted,
+    minus,
+    number,
+    numbers,
+    plus,
+    product,
+    root,
+    rotation,
+    solved,
+    span,
+    times,
+    total,
+    transposed,
+    zero,
+)  # fmt: skip
+
+# Bits of a ball; how often a cell is halved; what rounding in doubles may have done to the log's numbers, as a share of
+# the scale.
+BITS, DEPTH, ROUNDING = 128, 40, 1e-9
 Terms = tuple[Matrix, Matrix, Matrix]
-
-
-class Unknown(Exception):
-    """A ball is too wide to divide by, or to take the root of."""
-
-
-class Cell:
-    """A function of h in a cell, |h| ≤ radius: Σ_k c_k h^k with c_k in balls that may depend on h."""
-
-    def __init__(self, polynomial: arb_poly, h: arb) -> None:
-        self.h = h
-        if polynomial.degree() > DEGREE:
-            c = polynomial.coeffs()
-            last = reduce(lambda value, each: value * h + each, reversed(c[DEGREE:]))
-            polynomial = arb_poly([*c[:DEGREE], last])
-        self.polynomial = polynomial
-
-    def _of(self, other: Cell | arb | int) -> arb_poly | arb | int:
-        return other.polynomial if isinstance(other, Cell) else other
-
-    def __add__(self, other: Cell | arb | int) -> Cell:
-        return Cell(self.polynomial + self._of(other), self.h)
-
-    def __sub__(self, other: Cell | arb | int) -> Cell:
-        return Cell(self.polynomial - self._of(other), self.h)
-
-    def __rsub__(self, other: arb | int) -> Cell:
-        return Cell(other - self.polynomial, self.h)
-
-    def __mul__(self, other: Cell | arb | int) -> Cell:
-        return Cell(self.polynomial * self._of(other), self.h)
-
-    __radd__, __rmul__ = __add__, __mul__
-
-    @property
-    def range(self) -> arb:
-        """All values: of the parabola at its ends and its vertex, and of the rest."""
-        c = [*self.polynomial.coeffs(), arb(0), arb(0), arb(0)]
-        r, h2 = arb(self.h.rad()), self.h * self.h
-        values = [c[0] + r * (c[1] + r * c[2]), c[0] - r * (c[1] - r * c[2])]
-        vertex = -c[1] / (2 * c[2]) if not c[2].contains(0) else None
-        if vertex is None:
-            values = [c[0] + c[1] * self.h + c[2] * h2]
-        elif vertex.overlaps(self.h):
-            values.append(c[0] + vertex * c[1] / 2)
-        hull = reduce(lambda one, other: one.union(other), values)
-        return hull + reduce(lambda value, each: value * self.h + each, reversed(c[3:]), arb(0)) * h2 * self.h
-
-    def _approximate(self, root: bool) -> Cell:
-        """The exact polynomial of 1/f or √f about the middle."""
-        ctx.cap = DEGREE + 1
-        middle = arb_series([x.mid() for x in self.polynomial.coeffs()] or [0])
-        found = middle.sqrt() if root else 1 / middle
-        return Cell(arb_poly([found[k].mid() for k in range(DEGREE + 1)]), self.h)
-
-    def inverse(self) -> Cell:
-        """1/f = q / (1 − e) with e = 1 − f q."""
-        if self.polynomial[0].contains(0):
-            raise Unknown
-        q = self._approximate(root=False)
-        off = (1 - self * q).range.abs_upper()
-        if not off < 0.5:
-            raise Unknown
-        return q + arb(0, (q.range.abs_upper() * off / (1 - off)).upper())
-
-    def root(self) -> Cell:
-        """√f = s + (f − s²) / (√f + s)."""
-        if not self.polynomial[0] > 0:
-            raise Unknown
-        s = self._approximate(root=True)
-        off, least = (self - s * s).range.abs_upper(), s.range.lower()
-        if not (least > 0 and off < least * least / 2):
-            raise Unknown
-        return s + arb(0, (off / least).upper())
-
-
-def span(x: Number) -> arb:
-    """All values of a number."""
-    return x.range if isinstance(x, Cell) else arb(x)
-
-
-def zero(x: Number) -> bool:
-    return isinstance(x, int) and x == 0
-
-
-def times(x: Number, y: Number) -> Number:
-    return 0 if zero(x) or zero(y) else x * y
-
-
-def plus(x: Number, y: Number) -> Number:
-    return y if zero(x) else x if zero(y) else x + y
-
-
-def minus(x: Number, y: Number) -> Number:
-    return plus(x, times(-1, y))
-
-
-def inverted(x: Number) -> Number:
-    if isinstance(x, Cell):
-        return x.inverse()
-    if arb(x).contains(0):
-        raise Unknown
-    return 1 / x
-
-
-def root(x: Number) -> Number:
-    if isinstance(x, Cell):
-        return x.root()
-    if not x > 0:
-        raise Unknown
-    return x.sqrt()
-
-
-def total(terms: Any) -> Number:
-    return reduce(plus, terms, 0)
-
-
-def dot(x: Vector, y: Vector) -> Number:
-    return total(times(a, b) for a, b in zip(x, y, strict=True))
-
-
-def product(x: Matrix, y: Matrix) -> Matrix:
-    columns = list(zip(*y, strict=True))
-    return [[dot(row, list(column)) for column in columns] for row in x]
-
-
-def added(x: Matrix, y: Matrix) -> Matrix:
-    return [[plus(a, b) for a, b in zip(*rows, strict=True)] for rows in zip(x, y, strict=True)]
-
-
-def transposed(x: Matrix) -> Matrix:
-    return [list(column) for column in zip(*x, strict=True)]
-
-
-def identity(n: int) -> Matrix:
-    return [[arb(1) if i == j else 0 for j in range(n)] for i in range(n)]
-
-
-def cross(x: Vector, y: Vector) -> Vector:
-    return [minus(times(x[i], y[j]), times(x[j], y[i])) for i, j in ((1, 2), (2, 0), (0, 1))]
-
-
-def number(x: float) -> Number:
-    return arb(x) if x else 0
-
-
-def numbers(x: list[float]) -> Vector:
-    return [number(each) for each in x]
-
-
-def solved(a: Matrix, b: Matrix) -> Matrix:
-    """A⁻¹ B by elimination, A symmetric and positive definite."""
-    a, b = [list(row) for row in a], [list(row) for row in b]
-    for k in range(len(a)):
-        pivot = inverted(a[k][k])
-        a[k], b[k] = [times(x, pivot) for x in a[k]], [times(x, pivot) for x in b[k]]
-        for i in range(len(a)):
-            share = a[i][k]
-            if i != k and not zero(share):
-                a[i] = [minus(x, times(share, y)) for x, y in zip(a[i], a[k], strict=True)]
-                b[i] = [minus(x, times(share, y)) for x, y in zip(b[i], b[k], strict=True)]
-    return b
-
-
-def inverse_of_lower(k: Matrix) -> Matrix:
-    """L⁻¹ of K = L Lᵀ."""
-    n = len(k)
-    lower = [[arb(0)] * n for _ in range(n)]
-    for i in range(n):
-        for j in range(i + 1):
-            left = k[i][j] - sum((lower[i][q] * lower[j][q] for q in range(j)), arb(0))
-            lower[i][j] = left.sqrt() if i == j else left / lower[j][j]
-    inverse = arb_mat(lower).inv()
-    return [[inverse[i, j] if j <= i else arb(0) for j in range(n)] for i in range(n)]
-
-
-def rotation(axis: list[float], cosine: Number, sine: Number) -> Matrix:
-    """About a unit axis: c I + s [a]× + (1 − c) a aᵀ."""
-    a = x, y, z = numbers(axis)
-    skew = [[0, times(-1, z), y], [z, 0, times(-1, x)], [times(-1, y), x, 0]]
-    rest = minus(arb(1), cosine)
-    return [
-        [total((cosine if i == j else 0, times(sine, skew[i][j]), times(rest, times(a[i], a[j])))) for j in range(3)]
-        for i in range(3)
-    ]
 
 
 class Machine:
@@ -299,7 +139,7 @@ class Machine:
         order = [*self.passive, *self.actuated]
         ways: list[set[int]] = []
         for k, parent in enumerate(self.parent):
-            ways.append((set() if parent is None else ways[parent]) | {k})
+            ways.append({k} if parent is None else ways[parent] | {k})
 
         def moved(body: int, point: Vector) -> tuple[Matrix, Matrix]:
             """What each coordinate does to a point of a body, and to its direction."""
@@ -434,7 +274,9 @@ def within(low: float, high: float) -> tuple[arb, arb]:
     return middle, arb(0, max((arb(high) - middle).abs_upper(), (arb(low) - middle).abs_upper()))
 
 
-def upper_bound(machine: Machine, log: dict[str, Any], low: float, high: float, elbow: int, weights: list[float]) -> float:  # fmt: skip
+def upper_bound(
+    machine: Machine, log: dict[str, Any], low: float, high: float, elbow: int, weights: list[float]
+) -> float:
     """An upper bound on V in a cell, less the cost of travel."""
     middle, h = within(low, high)
     x = Cell(arb_poly([middle, 1]), h)
@@ -524,7 +366,8 @@ def uncovered(log: dict[str, Any]) -> list[str]:
     for elbow in (-1, 1):
         spans = sorted((low, high) for side, low, high, *_ in log["cells"] if side == elbow)
         ends = [lower, *(high for _, high in spans)]
-        faults += [f"elbow {elbow}: nothing covers {end} to {low} m" for end, (low, _) in zip(ends, spans, strict=False) if low > end]  # fmt: skip
+        gaps = [(end, low) for end, (low, _) in zip(ends, spans, strict=False) if low > end]
+        faults += [f"elbow {elbow}: nothing covers {end} to {low} m" for end, low in gaps]
         if ends[-1] < upper or not spans:
             faults.append(f"elbow {elbow}: nothing covers {ends[-1]} to {upper} m")
     return faults
@@ -559,7 +402,8 @@ def main(arguments: list[str]) -> int:
         print(fault)
     share = (log["upper"] - log["value"]) / log["scale"]
     if not faults:
-        print(f"{len(log['cells'])} cells: no allowed configuration has more than {log['upper']:.9g}, {100 * share:.2g} % of the scale above {log['value']:.9g}")  # fmt: skip
+        most = f"no allowed configuration has more than {log['upper']:.9g}"
+        print(f"{len(log['cells'])} cells: {most}, {100 * share:.2g} % of the scale above {log['value']:.9g}")
         if trusted:
             print(f"{trusted} cells are left out for constraints that the log does not tell: not checked")
     return 3 if faults else 0

@@ -158,7 +158,7 @@ class Curve:
 
 def _least_turn(away: TaylorModel, first: Array, last: Array) -> TaylorModel:
     """What an angle is away, on the whole turn between `first` and `last` where that is nearest to 0."""
-    nearest = np.clip(-np.round(away.c[0] / TURN), first, last)
+    nearest = np.minimum(np.maximum(-np.rint(away.c[0] / TURN), first), last)
     shift = TaylorModel((TURN * nearest)[None, :], 4e-16 * TURN * np.abs(nearest))
     turned = away + shift
     low, high = turned.bounds

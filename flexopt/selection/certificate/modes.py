@@ -121,7 +121,7 @@ def _shapes(h: Matrix, count: int) -> Matrix:
         y, mu = np.zeros((DEGREE + 1, m, count), dtype=kind), np.zeros((DEGREE + 1, count), dtype=kind)
         y[0, i], mu[0] = 1.0, c[0, i, i]
         for order in range(1, DEGREE + 1):
-            pushed = sum(np.einsum("jkn,kn->jn", c[k], y[order - k]) for k in range(1, order + 1))
+            pushed = np.einsum("ojkn,okn->jn", c[1 : order + 1], y[order - 1 :: -1][:order])
             mu[order] = pushed[i]
             rest = pushed - sum((mu[k] * y[order - k] for k in range(1, order)), start=np.zeros((m, count)))
             for j in range(m):
@@ -137,10 +137,12 @@ def _shapes(h: Matrix, count: int) -> Matrix:
 def _nearly_diagonal(h: Matrix, g: Matrix, shapes: Matrix, count: int) -> _Nearly:
     """Ĥ and Ĝ."""
     turned = _transposed(shapes)
-    hats = [_product(turned, _product(x, shapes)) for x in (h, g)]
-    sizes = [np.array([[np.broadcast_to(x.largest, (count,)) for x in row] for row in hat]) for hat in hats]
-    mu = [hats[0][i][i] * hats[1][i][i].inverse() for i in range(len(h))]
-    return _Nearly(*hats, *sizes, mu)
+    h, g = (_product(turned, _product(x, shapes)) for x in (h, g))
+    sizes_h, sizes_g = (
+        np.array([[np.broadcast_to(x.largest, (count,)) for x in row] for row in each]) for each in (h, g)
+    )
+    mu = [h[i][i] * g[i][i].inverse() for i in range(len(h))]
+    return _Nearly(h, g, sizes_h, sizes_g, mu)
 
 
 def _box(nearly: _Nearly, i: int) -> tuple[Array, Array]:
