@@ -177,18 +177,20 @@ def numbers(x: list[float]) -> Vector:
     return [number(each) for each in x]
 
 
-def solved(a: Matrix, b: Matrix) -> Matrix:
-    """A⁻¹ B by elimination, A symmetric and positive definite."""
+def solved(a: Matrix, b: Matrix) -> tuple[Matrix, Vector]:
+    """A⁻¹ B by elimination along the diagonal, and the pivots, whose product is det A."""
     a, b = [list(row) for row in a], [list(row) for row in b]
+    pivots: Vector = []
     for k in range(len(a)):
-        pivot = inverted(a[k][k])
-        a[k], b[k] = [times(x, pivot) for x in a[k]], [times(x, pivot) for x in b[k]]
+        pivots.append(a[k][k])
+        over = inverted(a[k][k])
+        a[k], b[k] = [times(x, over) for x in a[k]], [times(x, over) for x in b[k]]
         for i in range(len(a)):
             share = a[i][k]
             if i != k and not zero(share):
                 a[i] = [minus(x, times(share, y)) for x, y in zip(a[i], a[k], strict=True)]
                 b[i] = [minus(x, times(share, y)) for x, y in zip(b[i], b[k], strict=True)]
-    return b
+    return b, pivots
 
 
 def inverse_of_lower(k: Matrix) -> Matrix:

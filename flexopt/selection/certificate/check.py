@@ -9,9 +9,9 @@ left out hold no allowed configuration, and that V stays below the certificate's
 
 How: joint angles enter by sine and cosine alone, from the triangle of the two arm segments. Positions, Jacobians and
 M = Σ m Jᵀ J + Ωᵀ I Ω are summed body by body; K_p = L Lᵀ and C = L⁻¹ (M_pp − M_pa M_aa⁻¹ M_ap) L⁻ᵀ; its eigenvalues are
-roots of the characteristic polynomial, and w_i = (tr A P_i Bᵀ − sqrt(tr A P_i Aᵀ · tr B P_i Bᵀ)) / μ_i with P_i =
-Π_j≠i (C − μ_j) / (μ_i − μ_j), so that no eigenvector is needed. All are polynomials in the placement, whose
-coefficients are balls.
+roots of its characteristic polynomial, found and enclosed by Weierstrass' corrections, and with the eigenprojectors P_i
+w_i = (tr A P_i Bᵀ − sqrt(tr A P_i Aᵀ · tr B P_i Bᵀ)) / μ_i. All are polynomials in the placement, whose coefficients
+are balls.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from __future__ import annotations
 import json
 import math
 import sys
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +52,9 @@ from flexopt.selection.certificate.balls import (
     zero,
 )  # fmt: skip
 
-# Bits of a ball; how often a cell is halved; what rounding in doubles may have done to the log's numbers, as a share of
-# the scale.
-BITS, DEPTH, ROUNDING = 128, 40, 1e-9
+# Bits of a ball; into how many parts a cell is halved at most; what rounding in doubles may have done to the log's
+# numbers, as a share of the scale.
+BITS, PARTS, ROUNDING = 128, 400, 1e-9
 Terms = tuple[Matrix, Matrix, Matrix]
 
 
@@ -169,7 +168,7 @@ class Machine:
         of_tip = moved(self.index[self.tip["body"]], tip)[0]
         mass = added(mass, product([[times(self.payload, a) for a in row] for row in of_tip], transposed(of_tip)))
         inner, coupling = [row[m:] for row in mass[m:]], [row[:m] for row in mass[m:]]
-        follow = [[times(-1, a) for a in row] for row in solved(inner, coupling)]
+        follow = [[times(-1, a) for a in row] for row in solved(inner, coupling)[0]]
         reduced = added([row[:m] for row in mass[:m]], product(transposed(coupling), follow))
         jacobian = transposed([[column[row] for row in self.rows] for column in of_tip])
         jv = [row[m:] for row in jacobian]
@@ -186,44 +185,47 @@ def task_map(jv: Matrix, control: str) -> Matrix:
     if control.startswith("damped"):
         square = arb(float(control.partition(":")[2])) ** 2
         gram = added(product(jv, transposed(jv)), [[times(square, x) for x in row] for row in identity(len(jv))])
-        return solved(gram, jv)
+        return solved(gram, jv)[0]
     (p, q), (r, s) = jv
     over = inverted(minus(times(p, s), times(q, r)))
     return [[times(s, over), times(times(-1, r), over)], [times(times(-1, q), over), times(p, over)]]
 
 
-def characteristic(c: Matrix) -> Vector:
-    """Coefficients of det(λ I − C), of λⁿ first (Faddeev and LeVerrier)."""
-    n = len(c)
-    found: Vector = [arb(1)]
-    work: Matrix = [[0] * n for _ in range(n)]
-    for k in range(1, n + 1):
-        work = added(product(c, work), [[times(found[-1], x) for x in row] for row in identity(n)])
-        moved = product(c, work)
-        found.append(times(arb(-1) / k, total(moved[i][i] for i in range(n))))
-    return found
+def eliminated(c: Matrix, z: Number, i: int) -> tuple[Number, Vector, Vector, Vector]:
+    """Of z I − C what is left of its i-th diagonal entry, the other pivots, and v and u with v_i = u_i = 1.
+
+    The product of the former is p(z) = det (z I − C); where it is 0, C v = z v and Cᵀ u = z u.
+    """
+    others = [j for j in range(len(c)) if j != i]
+    block = [[minus(z if j == k else 0, c[j][k]) for k in others] for j in others]
+    column, row = [[c[j][i]] for j in others], [[c[i][j]] for j in others]
+    right, pivots = solved(block, column)
+    left = solved(transposed(block), row)[0]
+    v, u = ([x for (x,) in each] for each in (right, left))
+    rest = minus(minus(z, c[i][i]), dot([x for (x,) in row], v))
+    return rest, pivots, [*v[:i], arb(1), *v[i:]], [*u[:i], arb(1), *u[i:]]
 
 
 def eigenvalues(c: Matrix, h: arb) -> Vector:
-    """All eigenvalues of C, largest first: polynomials, and how far off they are at most.
+    """All eigenvalues of C, whose diagonal is near them: polynomials, and how far off they are at most.
 
     With z_i the polynomials and W_i = p(z_i) / Π (z_i − z_j), a root of p lies within n |W_i| of z_i, one in each of
     these discs where they are apart (Smith, Journal of the ACM 17(1), 1970).
     """
-    p, n = characteristic(c), len(c)
-    middle = arb_mat([[(x.polynomial[0] if isinstance(x, Cell) else arb(x)).mid() for x in row] for row in c])
-    starts = sorted((value.real.mid() for value in middle.eig(algorithm="approx")), key=lambda x: -float(x))
-    found: Vector = [Cell(arb_poly([value]), h) for value in starts]
+    n = len(c)
+    found: Vector = [Cell(arb_poly([middle_of(c[i][i])]), h) for i in range(n)]
 
     def corrections() -> Vector:
         steps: Vector = []
         for i, value in enumerate(found):
-            left = reduce(lambda total, coefficient: plus(times(total, value), coefficient), p, 0)
-            others = (inverted(value - other) for j, other in enumerate(found) if j != i)
-            steps.append(reduce(times, others, left))
+            rest, pivots, *_ = eliminated(c, value, i)
+            others = (value - other for j, other in enumerate(found) if j != i)
+            for pivot, away in zip(pivots, others, strict=True):
+                rest = times(rest, times(pivot, inverted(away)))
+            steps.append(rest)
         return steps
 
-    for _ in range(DEGREE.bit_length() + 1):
+    for _ in range(DEGREE.bit_length()):
         better = [value - step for value, step in zip(found, corrections(), strict=True)]
         found = [Cell(arb_poly([x.mid() for x in value.polynomial.coeffs()]), h) for value in better]
     off = [arb(0, (n * span(step).abs_upper()).upper()) for step in corrections()]
@@ -234,37 +236,39 @@ def eigenvalues(c: Matrix, h: arb) -> Vector:
     return [value + wrong for value, wrong in zip(found, off, strict=True)]
 
 
+def middle_of(x: Number) -> arb:
+    """What a number is in the middle of the cell, a double and more."""
+    return (x.polynomial[0] if isinstance(x, Cell) else arb(x)).mid()
+
+
 def objective(terms: Terms, h: arb, weights: list[float]) -> Number:
     """Σ α_i w_i."""
     (c, a, b), n = terms, len(terms[0])
-    # In axes in which C is nearly diagonal, balls stay smaller.
-    whole = arb_mat([[(x.polynomial[0] if isinstance(x, Cell) else arb(x)).mid() for x in row] for row in c])
-    _, vectors = whole.eig(right=True, algorithm="approx")
-    axes = arb_mat([[vectors[i, j].real.mid() for j in range(n)] for i in range(n)])
+    # In axes in which C is nearly diagonal, its eigenvalues are nearly its entries; largest first.
+    values, vectors = arb_mat([[middle_of(x) for x in row] for row in c]).eig(right=True, algorithm="approx")
+    order = sorted(range(n), key=lambda j: -float(values[j].real.mid()))
+    axes = arb_mat([[vectors[i, j].real.mid() for j in order] for i in range(n)])
     x, back = ([[each[i, j] for j in range(n)] for i in range(n)] for each in (axes, axes.inv()))
     c = product(product(back, c), x)
-    left = [product(each, x) for each in (a, b)]
-    right = [transposed(product(back, transposed(each))) for each in (a, b)]
-    mu, value = eigenvalues(c, h), arb(0)
-    for i, alpha in enumerate(weights[:n]):
-        if not alpha:
+    (a_right, b_right), (a_left, b_left) = (
+        [product(each, axes_of) for each in (a, b)] for axes_of in (x, transposed(back))
+    )
+    value: Number = arb(0)
+    for i, mu in enumerate(eigenvalues(c, h)):
+        if not weights[i]:
             continue
-        projector = identity(n)
-        for j in range(n):
-            if j != i:
-                over = inverted(mu[i] - mu[j])
-                shifted = added(c, [[times(times(-1, mu[j]), y) for y in row] for row in identity(n)])
-                projector = [[times(y, over) for y in row] for row in product(projector, shifted)]
+        _, _, v, u = eliminated(c, mu, i)
         aa, bb, ab = (
-            total(dot(row, other) for row, other in zip(product(left[p], projector), right[q], strict=True))
-            for p, q in ((0, 0), (1, 1), (0, 1))
+            total(times(dot(p, v), dot(q, u)) for p, q in zip(right, left, strict=True))
+            for right, left in ((a_right, a_left), (b_right, b_left), (a_right, b_left))
         )
+        share = inverted(dot(u, v) * mu)
         try:
-            value = value + arb(alpha) * (ab - root(aa * bb)) * inverted(mu[i])
+            value = value + arb(weights[i]) * (ab - root(aa * bb)) * share
         except Unknown:
             # At a kink, |a| or |b| = 0: w_i lies between −2|a||b| and 0.
-            sizes = span(aa).abs_upper() * span(bb).abs_upper()
-            value = value + arb(alpha) * (arb(-1) + arb(0, 1)) * sizes.sqrt() / span(mu[i])
+            size = (span(aa).abs_upper() * span(bb).abs_upper()).sqrt() * span(share).abs_upper()
+            value = value + arb(weights[i]) * (arb(-1) + arb(0, 1)) * size
     return value
 
 
@@ -345,18 +349,23 @@ def left_out(machine: Machine, log: dict[str, Any], low: float, high: float, elb
     return False
 
 
-def holds(machine: Machine, log: dict[str, Any], cell: tuple[float, float, int, str], bound: float, depth: int) -> bool:
+def holds(machine: Machine, log: dict[str, Any], cell: tuple[float, float, int, str], bound: float) -> bool:
     """Whether a cell is what the log says, halved where that does not show at once."""
     low, high, elbow, why = cell
-    if left_out(machine, log, low, high, elbow, why or "margin"):
-        return True
-    if not why and upper_bound(machine, log, low, high, elbow, log["weights"][-1]) <= bound:
-        return True
-    middle = (low + high) / 2
-    if depth == 0 or not low < middle < high:
-        return False
-    halves = (low, middle, elbow, why), (middle, high, elbow, why)
-    return all(holds(machine, log, half, bound, depth - 1) for half in halves)
+    left = [(low, high)]
+    for _ in range(PARTS):
+        if not left:
+            return True
+        low, high = left.pop()
+        if left_out(machine, log, low, high, elbow, why or "margin"):
+            continue
+        if not why and upper_bound(machine, log, low, high, elbow, log["weights"][-1]) <= bound:
+            continue
+        middle = (low + high) / 2
+        if not low < middle < high:
+            return False
+        left += [(low, middle), (middle, high)]
+    return not left
 
 
 def uncovered(log: dict[str, Any]) -> list[str]:
@@ -389,7 +398,7 @@ def check(log: dict[str, Any]) -> tuple[list[str], int]:
         least = log["upper"] if not why else math.inf
         if not why and (bound is None or bound > least):
             faults.append(f"[{low}, {high}], elbow {elbow:g}: its bound is above that of the certificate")
-        elif not holds(machine, log, (low, high, int(elbow), why), least + tolerance, DEPTH):
+        elif not holds(machine, log, (low, high, int(elbow), why), least + tolerance):
             faults.append(f"[{low}, {high}], elbow {elbow:g}: not shown to be {why or 'below the bound'}")
     return faults, trusted
 
