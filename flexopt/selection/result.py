@@ -53,6 +53,12 @@ class Candidate:
         continuum: further placements (n_b,) found at which the same posture is the same optimum, as those of a machine
             in space that may be turned about its target: nothing changes on the way to them; see
             `flexopt.selection.continua`.
+        dimension: of the set of optima as good that the candidate belongs to: 0 where it stands alone, 1 of a machine
+            that may be turned about its target; None where that is not known, see `flexopt.selection.check.Proof`.
+        extent: of a connected set that several points were found of, the least and the greatest of every variable among
+            them.
+        representatives: some of these points, (n_z,) each, far apart. The candidate is the one of the set where the
+            worst of the w_i that V leaves out is largest, or ε_max where V leaves none out.
     """
 
     z: Vector
@@ -67,6 +73,9 @@ class Candidate:
     unsurpassed: bool
     evaluate: Callable[[], Evaluation] = field(repr=False, compare=False)
     continuum: tuple[tuple[float, ...], ...] = ()
+    dimension: int | None = None
+    extent: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    representatives: tuple[tuple[float, ...], ...] = ()
 
     @property
     def evaluation(self) -> Evaluation:
@@ -91,6 +100,9 @@ class Candidate:
             "kinks": self.kinks,
             "unsurpassed": self.unsurpassed,
             "continuum": self.continuum,
+            "dimension": self.dimension,
+            "extent": self.extent,
+            "representatives": self.representatives,
         }
         return self.evaluation.to_dict() | json_ready(own)
 

@@ -8,6 +8,7 @@ the constraints by damped Newton steps, the best of them climb at random, and th
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import zip_longest
 
@@ -39,7 +40,7 @@ SYMMETRIC, ASIDE, EVEN = 8, 0.3, 1e-9
 INSIDE = 4
 # Points for each start that climb at random; steps, and the first one and the bounds of all, in scaled variables; by
 # how much a step grows after one that helped, and shrinks after others.
-CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 3, 60, 0.3, 1e-4, 0.5, 1.6, 0.8
+CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 6, 60, 0.3, 1e-4, 0.5, 1.6, 0.8
 # Largest violation, in units of the rows' scales, of a point that counts as feasible.
 FEASIBLE = 1e-7
 # Starts that differ by less, in scaled variables, are one.
@@ -183,27 +184,49 @@ def _into(plane: SelectionProblem, z: Vector) -> Vector:
     return there[:, off <= FEASIBLE]
 
 
-def _climbing(problem: SelectionProblem, z: Vector) -> Vector:
+def worst_starts(problem: SelectionProblem, count: int) -> list[Vector]:
+    """Points where the worst of all w_i is large, apart from each other, the best first; random steps lead there."""
+    scan = problem.scan
+    z = np.vstack([scan.base, scan.posture])[:, scan.violation <= FEASIBLE]
+    if not z.size:
+        return []
+    order = np.argsort(-_worst(problem, z), kind="stable")[: CLIMBING * count]
+    found = _climbing(problem, z[:, order], _worst)
+    return _apart(found, problem.scale, count, problem.measures.plant.n_base)
+
+
+def _worst(problem: SelectionProblem, z: Vector) -> Vector:
+    """The smallest w_i (N,) of points (n_z, N)."""
+    plant = problem.measures.plant
+    w = problem.measures.w.call([z[: plant.n_base], z[plant.n_base :], plant.parameter_values])[0].full()
+    least: Vector = w.min(axis=0)
+    return least
+
+
+def _climbing(
+    problem: SelectionProblem, z: Vector, values_at: Callable[[SelectionProblem, Vector], Vector] = values_of
+) -> Vector:
     """The points (n_z, N) after random steps along the target, taken where they keep all constraints and V grows.
 
-    The best first. No slope is asked for, so that kinks and narrow valleys stop it less than a solver.
+    The best first. No slope is asked for, so that kinks and narrow valleys stop it less than a solver. `values_at`: of
+    the problem and points, what grows in place of V.
     """
     rng, count = np.random.default_rng(problem.seed), z.shape[1]
     lower, upper, free, scale = (x[:, None] for x in _bounds(problem))
-    values, step = _feasible_values(problem, z), np.full(count, STEP)
+    values, step = _feasible(problem, z, values_at), np.full(count, STEP)
     for _ in range(STEPS):
         there = np.clip(z + step * rng.standard_normal(z.shape) * scale * free, lower, upper)
         there, off = onto_target(problem, there)
-        found = np.where(off <= FEASIBLE, _feasible_values(problem, there), -np.inf)
+        found = np.where(off <= FEASIBLE, _feasible(problem, there, values_at), -np.inf)
         better = found > values
         z, values = np.where(better, there, z), np.where(better, found, values)
         step = np.clip(step * np.where(better, LONGER, SHORTER), STEP_LEAST, STEP_MOST)
     return z[:, np.argsort(-values, kind="stable")]
 
 
-def _feasible_values(problem: SelectionProblem, z: Vector) -> Vector:
-    """V (N,) at points that reach the target; −∞ where they break a constraint."""
-    values = values_of(problem, z)
+def _feasible(problem: SelectionProblem, z: Vector, values_at: Callable[[SelectionProblem, Vector], Vector]) -> Vector:
+    """Values (N,) at points that reach the target; −∞ where they break a constraint."""
+    values = values_at(problem, z)
     return np.where((violated(problem, z) <= FEASIBLE) & np.isfinite(values), values, -np.inf)
 
 
