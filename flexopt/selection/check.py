@@ -92,7 +92,12 @@ def prove_program(program: Program, x: Vector) -> Proof:
     unsurpassed = bounded and -local.value <= BEST_TOLERANCE
     curvature, dimension = 0.0, _dimension(program, x, local) if unsurpassed else None
     if not unsurpassed:
-        _note(violations, FIRST_ORDER, stationarity, STATIONARITY_TOLERANCE)
+        _note(
+            violations,
+            FIRST_ORDER,
+            stationarity,
+            STATIONARITY_TOLERANCE * _pull_of_kept(program, local, multipliers, kept),
+        )
         # Far from stationary points curvatures say nothing.
         near = stationarity <= STATIONARY_NEARLY
         curvature, dimension = _curvature(program, x, local, multipliers, kept) if near else (0.0, None)
@@ -229,6 +234,26 @@ def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[
                 scaled = Cone(size * cone.value, size * cone.slopes, np.ones(1), cone.unit)
                 alpha = float(alphas[j, number // 2])
                 yield j, f"kink of w{number // 2 + 1}: {name_of(number)}", scaled, number, alpha
+
+
+def _pull_of_kept(program: Program, local: FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
+    """The largest slope, of V / size, with which an objective that is kept, or its kink, holds V's; at least 1.
+
+    What may be given up is little, so that these are thousands that cancel: what is left is told relative to them.
+    """
+    first = len(program.first.constraints) * program.coupling.count + len(program.coupling.pairs)
+    pulls = local.pulls(multipliers, kept)
+    sizes = [
+        abs(float(pull)) * float(np.linalg.norm(row))
+        for (number, _), pull, row in zip(local.active, pulls, local.inequalities, strict=False)
+        if number >= first
+    ]
+    sizes += [
+        float(np.linalg.norm(multipliers[kink.rows] @ local.equalities[kink.rows]))
+        for kink in local.kinks
+        if kink.first is not None
+    ]
+    return max(1.0, *sizes) if sizes else 1.0
 
 
 def surface_at(problem: SelectionProblem, z: Vector) -> Parallel | None:
