@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 SHOWN = 12
 # Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
 ROUNDING = 1e-13
+# Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
+# about the square of its step tolerance, far below.
+TIE_TOLERANCE = 1e-9
 # What is no gain, as a share of the objective's scale.
 NOTHING = 1e-4
 
@@ -191,7 +194,7 @@ class Selection(Result):
         configuration, or from zeros.
         """
         best = self.best
-        level = best.objective - ROUNDING * self.problem.objective_scale
+        level = best.objective - TIE_TOLERANCE * self.problem.objective_scale
         if best.dimension == 0 and not any(other.objective >= level for other in self.candidates[1:]):
             return ""
         used = np.any([np.array(objective.alpha) > 0 for objective in self.problem.objectives], axis=0)
@@ -230,13 +233,14 @@ class Selection(Result):
             + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size))
             + f"{'ε_max':>10}",
         ]
+        equal = TIE_TOLERANCE * problem.objective_scales[0] if not problem.objectives[0].has_kinks else 0.0
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
             e = candidate.evaluation
             numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
             alike = f"   and {len(candidate.continuum)} placements alike" if candidate.continuum else ""
             wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
-            lines.append(f"  {rank:4d} {numbers}{_measures(e)}{active}{wide}{alike}")
+            lines.append(f"  {rank:4d} {numbers}{_measures(e, equal)}{active}{wide}{alike}")
         lines += [f"  {kept}" for kept in self.kept]
         if self.best.unsurpassed and not self.kept:
             lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
@@ -245,11 +249,12 @@ class Selection(Result):
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
-            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + _measures(e))
+            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + _measures(e, equal))
         return "\n".join(lines)
 
 
-def _measures(evaluation: Evaluation) -> str:
+def _measures(evaluation: Evaluation, equal: float) -> str:
+    """The w_i, 0 where they are rounding or count as `equal` to it, and ε_max."""
     margin = "         –" if evaluation.epsilon_max is None else f"{evaluation.epsilon_max:10.6f}"
     sizes = zip(evaluation.w.tolist(), evaluation.scale.tolist(), strict=True)
-    return "".join(f"{w if abs(w) > ROUNDING * size else 0.0:13.4e}" for w, size in sizes) + margin
+    return "".join(f"{w if abs(w) > max(ROUNDING * size, equal) else 0.0:13.4e}" for w, size in sizes) + margin

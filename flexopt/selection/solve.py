@@ -26,14 +26,11 @@ from flexopt.selection.continua import between, grouped, nearest, travel
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, Progress, first_optima, later_optima, next_stage
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Candidate, ConstraintValue, Kept, Selection
+from flexopt.selection.result import TIE_TOLERANCE, Candidate, ConstraintValue, Kept, Selection
 from flexopt.selection.starts import starting_points
 from flexopt.selection.surfaces import Best, along_surfaces
 
-# Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
-# about the square of its step tolerance, far below.
-TIE_TOLERANCE = 1e-9
-# The same of what decides between equals, which is told less exactly; decimals of z by which the last ties are broken.
+# Up to where values that decide between equals are equal themselves, and decimals of z that break the last ties.
 EQUAL, DIGITS = 1e-6, 5
 Extent = dict[str, tuple[float, float]]
 # Optima named of a set, besides the candidate that stands for it.
@@ -84,7 +81,7 @@ def solve_selection(
     """
     warn_implausible(problem.machine)
     count = workers or available_cores()
-    found, attempts = first_optima(problem, starting_points(problem), count, progress)
+    found, attempts = first_optima(problem, starting_points(problem, count), count, progress)
     kept: list[Kept] = []
     while len(problem.kept) + 1 < len(problem.objectives):
         problem, now = next_stage(problem, found)

@@ -52,7 +52,7 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
     rest = [Best(item) for item in found if not any(item is other for other in wide)]
     stage, sought = _next(problem)
     wide = sorted(wide, key=lambda item: -_value(stage, sought, item[0]))[:OPTIMA]
-    starts = [z for z, _, _ in wide] + worst_starts(problem, STARTS)
+    starts = [z for z, _, _ in wide] + worst_starts(problem, STARTS, workers)
     climb = partial(_climbed, problem, stage, sought, starts)
     ends = in_parallel(climb, len(starts), workers, lost=lambda number, _: (starts[number], 0))
     proved = [(z, prove(problem, z), steps) for z, steps in ends]
