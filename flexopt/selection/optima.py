@@ -101,7 +101,7 @@ def _not_below_seen(
             raise _below(problem, best, point, len(attempts)) if found else _no_solution(problem, attempts, failures)
         more, others, failed = _attempted(problem, [point], 1, None, partial(_climbed, WITHIN[tried]))
         found += [item for item in more if _is_new(problem, item[0], found)]
-        attempts, failures = attempts + others, failures + failed
+        attempts, failures = attempts + [replace(other, value=None) for other in others], failures + failed
         better = max((value_at(problem, z) for z, _, _ in more), default=-np.inf)
         tried, best = (0, better) if better > best else (tried + 1, best)
     if not found:
@@ -161,17 +161,17 @@ def _attempted(
     ):
         solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
-        outcome = f"solver: {status}"
+        outcome, value = f"solver: {status}", None
         if proof is not None:
             if not proof.holds:
                 failures.append((z, proof))
                 outcome = f"{outcome}; fails {', '.join(proof.violations)}"
             elif _accepted(problem, proof, status):
-                new = _is_new(problem, z, found)
+                new, value = _is_new(problem, z, found), None if problem.kept else value_at(problem, z)
                 outcome = "a new local optimum" if new else "a local optimum found before"
                 if new:
                     found.append((z, proof, iterations))
-        attempts.append(Attempt(tuple(start.tolist()), outcome))
+        attempts.append(Attempt(tuple(start.tolist()), outcome, value))
     return found, attempts, failures
 
 

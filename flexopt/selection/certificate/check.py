@@ -327,7 +327,7 @@ def travel_cost(machine: Machine, log: dict[str, Any], x: Number, elbow: int) ->
 def left_out(machine: Machine, log: dict[str, Any], low: float, high: float, elbow: int, why: str) -> bool:
     """Whether no placement of the cell allows the target to be reached inside margin and limits."""
     middle, h = within(low, high)
-    if why in ("reach", "margin"):
+    if why == "margin":
         return bool(abs(span(machine.elbow_cosine(middle + h)[0])) > arb(log["margin"]).cos())
     if why == "limit":
         try:
@@ -357,7 +357,7 @@ def holds(machine: Machine, log: dict[str, Any], cell: tuple[float, float, int, 
         if not left:
             return True
         low, high = left.pop()
-        if left_out(machine, log, low, high, elbow, why or "margin"):
+        if any(left_out(machine, log, low, high, elbow, each) for each in ("margin", why)):
             continue
         if not why and upper_bound(machine, log, low, high, elbow, log["weights"][-1]) <= bound:
             continue
