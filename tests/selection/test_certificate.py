@@ -19,10 +19,13 @@ import pytest
 from flint import arb, arb_poly
 
 import flexopt
+from flexopt.model import machine_from_dict
 from flexopt.selection.certificate import check as checking
 from flexopt.selection.certificate.balls import Cell
 from flexopt.selection.certificate.curve import Curve
 from tests.oracles.certificates import contradictions, random_case
+from tests.oracles.machines import Structure, arm_at_rest, random_machine
+from tests.oracles.one_machine import in_every_format
 
 TARGET = (0.0, 1.6)
 SUM: dict[str, Any] = {"objective": "V", "weights": (1.0, 1.0, 1.0)}
@@ -83,6 +86,20 @@ def test_random_machines(number: int) -> None:
     selection = flexopt.select(case.machine, case.target, **case.options, workers=1)
     single = case.options["objective"] != "V"
     holds(flexopt.certify(selection), selection, 1e-8 if single else 1e-5)
+
+
+def test_the_file_a_machine_comes_from_proves_nothing_else(tmp_path: Path) -> None:
+    """TOML, URDF and MJCF: in the latter the plane is that of x and z, and the hinges turn about −y."""
+    rng = np.random.default_rng(7)
+    data, _ = random_machine(rng, Structure(3, ("x", "rotation"), (1,)))
+    target = arm_at_rest(machine_from_dict(data), np.array([0.7, -1.1]))[1]
+    told: dict[str, list[float]] = {}
+    for name, machine in in_every_format(data, tmp_path).items():
+        selection = flexopt.select(machine, target, objective="V", weights=[1.0] * 3, workers=1)
+        certificate = flexopt.certify(selection)
+        holds(certificate, selection, 1e-5)
+        told[name] = [certificate.value / certificate.scale, certificate.upper / certificate.scale]
+    assert np.ptp(list(told.values()), axis=0).max() < 1e-5
 
 
 def test_a_gap_of_any_size() -> None:
