@@ -44,11 +44,12 @@ def examine(case: Case, points: int, checked: bool) -> dict[str, Any] | str:
         selection = flexopt.select(case.machine, case.target, **case.options, workers=1)
     except FlexoptError as error:
         return str(error)
-    start = time.perf_counter()
+    # Of the processor: all happens in one thread, and other work on the machine takes none of it.
+    start = time.process_time()
     certificate = flexopt.certify(selection)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     wrong, best = contradictions(selection, certificate, points) if points else (0, -math.inf)
-    begin = time.perf_counter()
+    begin = time.process_time()
     faults, trusted = check(json.loads(json.dumps(certificate.log))) if checked and certificate.proven else ([], 0)
     return {
         "verdict": certificate.verdict,
@@ -60,7 +61,7 @@ def examine(case: Case, points: int, checked: bool) -> dict[str, Any] | str:
         "beyond": (best - certificate.value) / certificate.scale,
         "faults": faults,
         "trusted": trusted,
-        "checking": time.perf_counter() - begin,
+        "checking": time.process_time() - begin,
         "status": certificate.status,
     }
 
@@ -104,7 +105,7 @@ def main() -> int:
     print(f"best of a scan beyond the best selected: {max(row['beyond'] for row in found):.2e} of the scale at most")
     print(f"gap: one w_i {max(single, default=0):.1e} (bar {BAR_ONE:g}), sums {max(sums, default=0):.1e} (bar {BAR:g})")
     print(f"cells: median {np.median(cells):.0f}, most {cells.max()}")
-    print(f"seconds: median {np.median(times):.2f}, most {times.max():.2f} (bar {SECONDS:g})")
+    print(f"seconds of one core: median {np.median(times):.2f}, most {times.max():.2f} (bar {SECONDS:g})")
     return int(bool(wrong or faults or len(proven) < len(found) or times.max() > SECONDS))
 
 

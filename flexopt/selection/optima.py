@@ -43,6 +43,9 @@ AROUND_STARTS = 8
 WITHIN = (np.inf, 1e-1, 1e-2, 1e-3)
 ONWARD = 12
 
+# IPOPT's word for a point from which only rounding is left to be stepped.
+NO_STEP = "Search_Direction_Becomes_Too_Small"
+
 Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
 Found = tuple[Vector, Proof, int]
@@ -183,10 +186,10 @@ def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
     """Whether a point counts as an optimum.
 
     At a kink the solver's own stopping test may fail where the proof, which knows of both branches, holds; so it may
-    where derivatives change without bound, as they do next to a_i = 0.
+    where derivatives change without bound, as they do next to a_i = 0, and where no step is left that is not rounding.
     """
     climbed = any(form.kinks for form in problem.forms)
-    return proof.holds and (status in SOLVED or climbed or bool(proof.kinks) or proof.unsurpassed)
+    return proof.holds and (status in (*SOLVED, NO_STEP) or climbed or bool(proof.kinks) or proof.unsurpassed)
 
 
 def _hurried(problem: SelectionProblem) -> bool:

@@ -31,8 +31,8 @@ TARGET = (0.0, 1.6)
 SUM: dict[str, Any] = {"objective": "V", "weights": (1.0, 1.0, 1.0)}
 POINTS = 20_000
 # Random problems by what is special about them: stiffnesses that differ by 1e4 and five modes; a limit that the best
-# rests on; rounding that takes 64 bits; next to a singular posture; a travel cost.
-RANDOM = (2, 3, 17, 51, 80, 5)
+# rests on; rounding that takes 64 bits; next to a singular posture; a best from which the solver finds no way to step.
+RANDOM = (2, 3, 17, 51, 80, 156)
 
 
 @cache
@@ -127,7 +127,8 @@ def test_constraints_leave_cells_out() -> None:
 def test_w_over_cells(number: int) -> None:
     """V of random places in random cells, by balls of 128 bits and other formulas, lies between the bounds."""
     case = random_case(number)
-    problem = flexopt.build_selection(case.machine, case.target, **(case.options | {"constraints": None}))
+    options: dict[str, Any] = case.options | {"constraints": None}
+    problem = flexopt.build_selection(case.machine, case.target, **options)
     selection = flexopt.solve_selection(problem, workers=1)
     log = json.loads(json.dumps(flexopt.certify(selection).log))
     machine, rng, (lower, upper) = checking.Machine(log), np.random.default_rng(number), log["bounds"][0]
@@ -251,6 +252,11 @@ def test_the_command_and_the_other_program(tmp_path: Path) -> None:
     text["cells"].pop()
     log.write_text(json.dumps(text), encoding="utf-8")
     assert subprocess.run(program, capture_output=True, check=False).returncode == 3
+    log.write_text('{"format": "another"}', encoding="utf-8")
+    for path in (log, tmp_path / "none.json", ""):
+        wrong = subprocess.run([*program[:3], str(path)], capture_output=True, check=False, text=True, encoding="utf-8")
+        assert wrong.returncode == 2
+        assert "Traceback" not in wrong.stderr
     by_margin = ["--objective", "epsilon_max", "--starts", "1", "--certify", "--json"]
     refused = subprocess.run([*command, *by_margin], capture_output=True, check=False)
     assert refused.returncode == 3

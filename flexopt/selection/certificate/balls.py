@@ -5,7 +5,10 @@ from __future__ import annotations
 from functools import reduce
 from typing import Any
 
-from flint import arb, arb_mat, arb_poly, arb_series, ctx
+try:
+    from flint import arb, arb_mat, arb_poly, arb_series, ctx
+except ModuleNotFoundError:
+    raise SystemExit("to check a certificate's log needs python-flint: pip install python-flint") from None
 
 # Of polynomials.
 DEGREE = 6

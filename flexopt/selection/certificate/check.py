@@ -22,8 +22,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from flint import arb, arb_mat, arb_poly, ctx
-
 from flexopt.selection.certificate.balls import (
     DEGREE,
     Cell,
@@ -50,10 +48,14 @@ from flexopt.selection.certificate.balls import (
     total,
     transposed,
     zero,
-)  # fmt: skip
+)
+
+# After `balls`, which says so where it is missing.
+from flint import arb, arb_mat, arb_poly, ctx  # isort: skip
 
 # Bits of a ball; into how many parts a cell is halved at most; what rounding in doubles may have done to the log's
 # numbers, as a share of the scale.
+FORMAT = "flexopt certificate 1"
 BITS, PARTS, ROUNDING = 128, 400, 1e-9
 Terms = tuple[Matrix, Matrix, Matrix]
 
@@ -404,17 +406,26 @@ def check(log: dict[str, Any]) -> tuple[list[str], int]:
 
 
 def main(arguments: list[str]) -> int:
-    """Exit code 0 if all is as the log says, else 3."""
-    log = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
-    faults, trusted = check(log)
+    """Exit code 0 if all is as the log says, 3 if not, 2 if there is no log."""
+    if len(arguments) != 1:
+        print("usage: python -m flexopt.selection.certificate.check LOG.json", file=sys.stderr)
+        return 2
+    try:
+        log = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
+        if log["format"] != FORMAT:
+            raise ValueError(f"its format is {log['format']!r}, not {FORMAT!r}")
+        faults, trusted = check(log)
+        share = 100 * (log["upper"] - log["value"]) / log["scale"]
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        print(f"{arguments[0]}: no log of a certificate: {type(error).__name__}: {error}", file=sys.stderr)
+        return 2
     for fault in faults:
         print(fault)
-    share = (log["upper"] - log["value"]) / log["scale"]
     if not faults:
         most = f"no allowed configuration has more than {log['upper']:.9g}"
-        print(f"{len(log['cells'])} cells: {most}, {100 * share:.2g} % of the scale above {log['value']:.9g}")
-        if trusted:
-            print(f"{trusted} cells are left out for constraints that the log does not tell: not checked")
+        print(f"{len(log['cells'])} cells: {most}, {share:.2g} % of the scale above {log['value']:.9g}")
+    if trusted:
+        print(f"{trusted} cells are left out for constraints that the log does not tell: not checked")
     return 3 if faults else 0
 
 
