@@ -27,6 +27,9 @@ DIFFERENCE, APART = 3e-4, 4.0
 FLAT = 1e-7
 # Gains below this share of V / size are rounding.
 ROUNDING = 1e-13
+# A force that is shorter than this share of the longest one is of a tip that the step ends on; tips that are nearer than
+# this share of a step it goes along.
+INSIDE, BESIDE = 1 - 1e-6, 0.03
 # Singular values of a C below this share of its largest are rounding.
 DEPENDENT = 1e-9
 # A solution this far beyond its box is none.
@@ -262,11 +265,34 @@ class SecondOrder:
     def bend(self, *, coupled: bool) -> Vector:
         """Those of the Lagrangian, sign changed, made positive, (n, n); without what coupled branches bend."""
         inner = self.smooth - self._of_margin(coupled=coupled)
-        values, vectors = np.linalg.eigh((inner + inner.T) / 2)
+        inner = (inner + inner.T) / 2
+        values, vectors = np.linalg.eigh(inner)
         size = max(float(np.abs(values).max(initial=0.0)), FLAT)
+        if values.size and values[0] < 0:
+            # Only what bends along the tips and rows that the step keeps to says how far it leads: what is made
+            # positive across them would bend it, too.
+            held, along = self._held_and_along
+            values, vectors = np.linalg.eigh(along @ inner @ along.T)
+            values = np.append(values, np.full(len(held), size))
+            vectors = np.column_stack([along.T @ vectors, held.T])
         values = np.maximum(values, FLAT * size)
         across = np.eye(self.free.shape[1]) - self.free.T @ self.free
         return self.free.T @ (vectors * values) @ vectors.T @ self.free + size * across
+
+    @cached_property
+    def _held_and_along(self) -> tuple[Vector, Vector]:
+        """Orthonormal bases, along `free`, of what the step keeps to and of all else: (k, d) and (d − k, d)."""
+        here, step = self.here, self.step
+        rows = [here.row_slopes[np.abs(step.row_pulls) > 0]]
+        for number, pull in step.cone_pulls.items():
+            cone = here.cones[number]
+            inside = float(np.linalg.norm(pull)) < INSIDE * float(step.pulls @ cone.sizes)
+            if inside or cone.distance <= BESIDE * step.length:
+                rows.append(cone.axes @ self.mixed.cones[number].slopes)
+        rows.append(np.eye(here.x.size)[step.d == 0])
+        _, singular, directions = np.linalg.svd(np.vstack(rows) @ self.free.T)
+        rank = int(np.sum(singular > DEPENDENT * singular[0])) if singular.size else 0
+        return directions[:rank], directions[rank:]
 
     @cached_property
     def mixed(self) -> Point:
