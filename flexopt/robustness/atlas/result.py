@@ -192,11 +192,13 @@ class Atlas(Result):
         `curve_closed`, `curve_ends`. `posture` (joint, vertex), `end_point` (row, vertex), `frequency_hz` and `scale`
         (vertex). Along `point` doubly robust postures and then vanishing ones: `point_posture` (joint, point),
         `point_modes` and `point_kind`, `point_w` and `point_scale` (mode, point), `point_end_point` (row, point). Edges
-        likewise: `edge_posture` (joint, edge_vertex), `edge_end_point`, `edge`, `edge_kind`.
+        likewise: `edge_posture` (joint, edge_vertex), `edge_end_point`, `edge`, `edge_kind`. What there is none of is
+        left out.
         """
         import xarray as xr  # noqa: PLC0415  (slow to import)
 
-        return xr.Dataset(self._variables(), self._coordinates(), self._attributes())
+        filled = {name: each for name, each in self._variables().items() if each[1].size}
+        return xr.Dataset(filled, self._coordinates(), self._attributes())
 
     def _variables(self) -> dict[str, Any]:
         unit, points = residue_unit(self.control, self.joint_units), (*self.doubly_robust, *self.vanishing)

@@ -20,7 +20,7 @@ from flexopt.robustness.atlas.fields import Slice
 from flexopt.robustness.atlas.rectangle import Mask, Rectangle, Whole
 from flexopt.robustness.atlas.result import Atlas, EdgeCurve, RobustCurve, RobustPoint
 from flexopt.robustness.atlas.tracing import ZeroCurve
-from flexopt.robustness.atlas.zero_curves import Nodes, common_zeros, zero_curves
+from flexopt.robustness.atlas.zero_curves import Nodes, common_zeros, on_curve, zero_curves
 
 # Points on which it is seen that a mode's a and b are parallel everywhere, and how nearly, relative to their lengths.
 SAMPLES, PARALLEL = 256, 1e-12
@@ -30,6 +30,8 @@ FAR, SAME = 3.0, 1e-5
 ZERO = 1e-14
 # Relative gap of two ω² at which a curve that is lost is lost by them; condition of Jv at which by that.
 MEETING, NEARLY_SINGULAR = 1e-3, 1e4
+# Between how many parts of a step a·b is looked at where it comes near to zero, and how often these are divided again.
+PARTS, ROUNDS = 8, 3
 # Evaluations of the fields for each node, with those that curves take.
 PER_NODE = 4
 
@@ -120,7 +122,7 @@ class _Survey:
             singular=self._singular(),
             everywhere=tuple(k + 1 for k in over.left_out),
             w_largest=largest,
-            unmapped=float(np.mean(~np.all(np.isfinite(self.nodes.values[:modes]), axis=0))),
+            unmapped=1.0 - float(np.isfinite(self.nodes.values[:modes]).all(axis=0).mean()),
             provenance=provenance(machine, **options),
         )
 
@@ -134,7 +136,7 @@ class _Survey:
 
     def _arcs(self, curve: ZeroCurve) -> list[_Arc]:
         """The parts of a curve a × b = 0 on which a·b > 0."""
-        mode, points = curve.function, curve.points
+        mode, points = curve.function, self._denser(curve)
         dot, edge = self._signs(mode, points)
         cuts = self._cuts(mode, points, dot, edge)
         size, robust = points.shape[1], np.sign(dot * edge) > 0
@@ -164,6 +166,25 @@ class _Survey:
                 turning = [cut for cut in (start, stop) if cut.kind in ("a = 0", "b = 0")]
                 self.vanishing += [(mode, cut.kind[0], cut.point) for cut in turning]
         return arcs
+
+    def _denser(self, curve: ZeroCurve) -> Vector:
+        """The points of a curve, with more where a·b comes near to zero between them and may pass it and return."""
+        points = curve.points
+        for _ in range(ROUNDS):
+            dot = self._signs(curve.function, points)[0]
+            size, sign = np.abs(dot), np.sign(dot)
+            least, beside = size[1:-1], np.maximum(size[:-2], size[2:])
+            near = (least <= np.minimum(size[:-2], size[2:])) & (least < 2 * (beside - least))
+            middle: Whole = np.flatnonzero(near & (sign[:-2] == sign[1:-1]) & (sign[2:] == sign[1:-1]))
+            if not middle.size:
+                break
+            at: Whole = np.unique(np.concatenate([middle, middle + 1]))
+            shares = np.tile(np.arange(1, PARTS) / PARTS, at.size)
+            first = np.repeat(at, PARTS - 1)
+            step = self.rectangle.nearest(points[:, first + 1] - points[:, first])
+            between = on_curve(self.over, self.rectangle, self.cells, curve.function, points[:, first] + shares * step)
+            points = np.insert(points, first + 1, between, axis=1)
+        return points
 
     def _signs(self, mode: int, points: Vector) -> tuple[Vector, Vector]:
         """a·b as it is among the fields, and what to multiply it with for its sign."""

@@ -236,7 +236,7 @@ class Tracing:
         side = np.where(np.sum(tangent * into, axis=0) < 0, -1.0, 1.0)
         tangent *= side
         step, active = np.full(function.size, STEP), np.arange(function.size, dtype=np.int64)
-        paths: list[list[Vector]] = [[start] for start in x.T]
+        paths: list[list[Vector]] = [[x[:, n]] for n in range(function.size)]
         left: list[int | None] = [None] * function.size
         for _ in range(STEPS_MAX):
             if not active.size:
@@ -251,10 +251,11 @@ class Tracing:
             axis[(axis >= 0) & (np.abs(end - x[:, active]).max(axis=0) < SAME)] = -1
             sound &= ~outside | (axis >= 0)
             going, gone = np.flatnonzero(sound & ~outside), np.flatnonzero(axis >= 0)
-            for n in [*going, *gone]:
-                paths[active[n]].append(new[:, n] if axis[n] < 0 else end[:, n])
-            for n in gone:
-                left[active[n]] = int(axis[n])
+            for n in going.tolist():
+                paths[int(active[n])].append(new[:, n])
+            for n in gone.tolist():
+                paths[int(active[n])].append(end[:, n])
+                left[int(active[n])] = int(axis[n])
             here[:, active[going]], tangent[:, active[going]] = new[:, going], ahead[:, going]
             side[active[going]] = same[going]
             step[active] = np.where(sound, np.minimum(STEP, 1.5 * step[active]), step[active] / 2)

@@ -17,7 +17,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.robustness.atlas.rectangle import INSET, Fields, Mask, Pair, Rectangle, Scaled, Whole
-from flexopt.robustness.atlas.tracing import CONVERGED, ROUNDING, STEP, Tracing, ZeroCurve
+from flexopt.robustness.atlas.tracing import CONVERGED, CORRECTIONS, ROUNDING, STEP, Tracing, ZeroCurve
 
 NEWTON_MAX = 40
 # Rounds of added lines.
@@ -73,6 +73,17 @@ def common_zeros(
     found = rectangle.wrapped(scaled.outwards(x))
     inside = (found >= rectangle.low[:, None]) & (found <= rectangle.high[:, None])
     return found, (change < CONVERGED) & np.all(inside, axis=0)
+
+
+def on_curve(fields: Fields, rectangle: Rectangle, cells: tuple[int, int], function: int, points: Vector) -> Vector:
+    """Points (2, N) beside a curve on which one of the fields vanishes, moved across it onto it."""
+    scaled, which = Scaled(fields, rectangle, cells), np.full(points.shape[1], function, dtype=np.int64)
+    x = scaled.inwards(points)
+    for _ in range(CORRECTIONS):
+        value, slope = scaled.one(x, which)
+        with np.errstate(all="ignore"):
+            x = x - value * slope / np.sum(slope**2, axis=0)
+    return rectangle.wrapped(scaled.outwards(x))
 
 
 def _solved(slope: Vector, value: Vector) -> Vector:

@@ -1,0 +1,304 @@
+"""The atlas holds every robust posture and no other: against the article's machine written anew, and fine grids."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.optimize
+import xarray as xr
+
+import flexopt
+from flexopt.errors import InputError
+from tests.oracles.machines import NumpySource, Structure, draw_machine
+from tests.oracles.spatial import in_space
+from tests.study.machines import limited
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
+CONTROLS = ("inverse", "transpose")
+# What the article's machine is known to have, ± each.
+PAIRS = {"inverse": [(0.782, 1.683), (0.992, -1.406), (2.189, -1.403)], "transpose": [(0.468, -1.614)]}
+
+
+@cache
+def excavator() -> Any:
+    return flexopt.load("excavator")
+
+
+@cache
+def whole(control: str) -> flexopt.Atlas:
+    return flexopt.atlas(excavator(), control=control)
+
+
+def article(boom: Any, stick: Any, control: str) -> tuple[Any, Any]:
+    """a_i and b_i, (N, 2, 3), of the article's Table 1 in plain NumPy: all coordinates, no reduction, no closed form.
+
+    Under inverse control b_i times det Jv = l_1 l_2 sin θ3.
+    """
+    lb, lgb, l1, lg1, l2, lg2 = 0.541, 0.563, 1.918, 1.067, 1.097, 0.613
+    t1 = np.full(np.shape(boom), 1.2451)
+    t12, t123 = t1 + boom, t1 + boom + stick
+    zero, one = np.zeros_like(t1), np.ones_like(t1)
+
+    def turned(angle: Any, length: float) -> Any:
+        """How a bar's end moves when it turns."""
+        return length * np.stack([-np.sin(angle), np.cos(angle)])
+
+    def jacobian(*bars: tuple[Any, float, int]) -> Any:
+        """Of a point at the end of bars that turn with θ1 to θ_k, by q, (N, 2, 5)."""
+        columns = [np.stack([one, zero]), np.stack([zero, one])]
+        columns += [sum((turned(a, x) for a, x, k in bars if k >= j), start=np.zeros((2, *t1.shape))) for j in range(3)]
+        return np.moveaxis(np.array(columns), (0, 1), (-1, -2))
+
+    base, boom_, tip = (t1, lb, 0), (t12, l1, 1), (t123, l2, 2)
+    bodies = [
+        (5291.5, 1020.7, jacobian((t1, lgb, 0)), [0, 0, 1, 0, 0]),
+        (766.6, 214.9, jacobian(base, (t12, lg1, 1)), [0, 0, 1, 1, 0]),
+        (458.2, 93.6, jacobian(base, boom_, (t123, lg2, 2)), [0, 0, 1, 1, 1]),
+    ]
+    mass = sum(m * np.swapaxes(j, -1, -2) @ j + i * np.outer(r, r) for m, i, j, r in bodies)
+    root = np.linalg.inv(np.linalg.cholesky(mass))
+    stiffness = root @ np.diag([4e7, 4e7, 1.112e6, 0, 0]) @ np.swapaxes(root, -1, -2)
+    modes = (np.swapaxes(root, -1, -2) @ np.linalg.eigh(stiffness)[1])[..., 2:]
+    j = jacobian(base, boom_, tip)
+    jv = j[..., 3:]
+    cofactors = np.stack([[jv[..., 1, 1], -jv[..., 1, 0]], [-jv[..., 0, 1], jv[..., 0, 0]]])
+    on_joints = jv if control == "transpose" else np.moveaxis(cofactors, (0, 1), (-2, -1))
+    return j @ modes, on_joints @ modes[..., 3:, :]
+
+
+def products(boom: Any, stick: Any, control: str) -> tuple[Any, Any]:
+    """a × b, with b as `article` has it, and a·b with its own sign, (N, 3)."""
+    a, b = article(boom, stick, control)
+    sign = np.sign(np.sin(stick))[..., None] if control == "inverse" else 1.0
+    cross = a[..., 0, :] * b[..., 1, :] - a[..., 1, :] * b[..., 0, :]
+    return cross, np.sum(a * b, axis=-2) * sign
+
+
+def brute_force(control: str, i: int, j: int) -> Any:
+    """All postures with w_i = w_j = 0: cells of a 400 × 400 grid where both cross products change sign, then a solver."""
+    line = -np.pi + 2 * np.pi * (np.arange(401) + 0.37) / 400
+    cross = products(*np.meshgrid(line, line, indexing="ij"), control)[0][..., [i, j]]
+    positive = cross > 0
+    corners = [positive[:-1, :-1], positive[1:, :-1], positive[:-1, 1:], positive[1:, 1:]]
+    changes = np.all(np.any(corners, axis=0) & ~np.all(corners, axis=0), axis=-1)
+    found: list[Any] = []
+    for row, column in np.argwhere(changes):
+        start = np.array([line[row], line[column]]) + np.pi / 400
+        scale = np.abs(cross[row : row + 2, column : column + 2]).max(axis=(0, 1))
+
+        def both(z: Any, scale: Any = scale) -> Any:
+            return products(z[:1], z[1:], control)[0][0, [i, j]] / scale
+
+        z, _, status, _ = scipy.optimize.fsolve(both, start, full_output=True, xtol=1e-13)
+        robust = products(z[:1], z[1:], control)[1][0, [i, j]] > 0
+        if status == 1 and np.abs(z - start).max() < 0.1 and robust.all() and abs(np.sin(z[1])) > 1e-3:
+            z = np.mod(z + np.pi, 2 * np.pi) - np.pi
+            if all(np.abs(z - known).max() > 1e-6 for known in found):
+                found.append(z)
+    return np.array(sorted(map(tuple, found)))
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_doubly_robust_postures_of_the_article(control: str) -> None:
+    """Without hints: six and two with w_1 = w_2 = 0, the known ones, and no others; likewise every other pair."""
+    atlas = whole(control)
+    first = np.array([point.posture for point in atlas.doubly_robust if point.modes == (1, 2)])
+    known = np.array(sorted([*PAIRS[control], *(tuple(-np.array(pair)) for pair in PAIRS[control])]))
+    assert first.shape == known.shape
+    np.testing.assert_allclose(first, known, atol=6e-4)  # three digits are known
+    for i, j in ((1, 2), (1, 3), (2, 3)):
+        ours = np.array([point.posture for point in atlas.doubly_robust if point.modes == (i, j)]).reshape(-1, 2)
+        theirs = brute_force(control, i - 1, j - 1).reshape(-1, 2)
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)  # what the solver's own tolerance leaves
+    for point in atlas.doubly_robust:
+        e = flexopt.evaluate(excavator(), point.posture, control=control)
+        for mode in point.modes:
+            assert abs(e.w[mode - 1]) <= 1e-14 * atlas.w_largest.max()
+            # And of its own size, so that no large measure elsewhere makes it easy.
+            assert abs(e.w[mode - 1]) <= 1e-20 * e.scale[mode - 1]
+        np.testing.assert_allclose(point.frequencies_hz, e.frequencies_hz, rtol=1e-12)
+        np.testing.assert_allclose(point.end_point, e.end_point, atol=1e-12)
+        np.testing.assert_allclose(point.scale, e.scale, rtol=1e-10)
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_curves_are_all_there(control: str) -> None:
+    """On lines between those of the atlas's own grid: where a × b changes sign with a·b > 0 there is a curve."""
+    atlas, count = whole(control), 0
+    fixed = np.linspace(-3.0, 3.0, 41)
+    along = np.linspace(-np.pi, np.pi, 4001) + 1e-4
+    for axis in range(2):
+        for value in fixed:
+            boom, stick = (along, np.full(4001, value)) if axis else (np.full(4001, value), along)
+            cross, dot = products(boom, stick, control)
+            turns = (cross[:-1] * cross[1:] < 0) & (np.minimum(dot[:-1], dot[1:]) > 0)
+            for k, mode in np.argwhere(turns):
+                here = np.array([(boom[k] + boom[k + 1]) / 2, (stick[k] + stick[k + 1]) / 2])
+                points = np.concatenate([c.points for c in atlas.curves if c.mode == mode + 1], axis=1)
+                apart = np.abs(np.mod(points - here[:, None] + np.pi, 2 * np.pi) - np.pi).max(axis=0)
+                assert apart.min() < atlas.resolution.max() / 2
+                count += 1
+    assert count > 300
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_on_curves_the_measure_is_zero(control: str) -> None:
+    atlas = whole(control)
+    measures = flexopt.build_measures(excavator(), control)
+    for curve in atlas.curves:
+        regular = np.abs(np.sin(curve.points[1])) > 1e-3
+        w = flexopt.evaluate_w(measures, [0.0], curve.points[:, regular]).w[curve.mode - 1]
+        # |w_i| ≤ |a_i||b_i| φ², φ some rounding errors between a_i and b_i, which straight arms amplify.
+        assert np.all(np.abs(w) <= 1e-20 * curve.scale[regular])
+        dot = products(*curve.points[:, regular], control)[1][:, curve.mode - 1]
+        assert np.all(dot > 0)
+    for curve in atlas.curves:
+        for end, at in zip(curve.ends, (curve.first, curve.last), strict=not curve.closed):
+            assert end == "singular"
+            assert abs(np.sin(at[1])) < 1e-9
+    assert {edge.kind for edge in atlas.edges} == {"singular"}
+    assert all(np.abs(np.sin(edge.points[1])).max() < 1e-12 for edge in atlas.edges)
+
+
+def test_a_finer_grid_finds_the_same() -> None:
+    """The default cells are small enough for the shipped machines in the plane; half as many would be, too."""
+    digger = flexopt.load("boom-stick-bucket")
+    cases: list[tuple[Any, dict[str, Any]]] = [
+        (excavator(), {"control": "inverse"}),
+        (excavator(), {"control": "damped:0.5", "gravity": True}),
+        (digger, {"posture": [-0.5]}),
+        (digger, {"joints": ["stick", "bucket"], "posture": [-1.5], "control": "transpose", "gravity": True}),
+    ]
+    for machine, options in cases:
+        coarse, fine = (flexopt.atlas(machine, cells=(n, n), **options) for n in (64, 256))
+        assert shape(coarse) == shape(fine)
+        for one, other in ((coarse.doubly_robust, fine.doubly_robust), (coarse.vanishing, fine.vanishing)):
+            assert len(one) == len(other)
+            for p, q in zip(one, other, strict=True):
+                np.testing.assert_allclose(p.posture, q.posture, atol=1e-9)
+
+
+def shape(atlas: flexopt.Atlas) -> list[Any]:
+    return sorted((c.mode, c.closed, tuple(sorted(c.ends)), round(c.length, 1)) for c in atlas.curves)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_machines(seed: int) -> None:
+    """Machines of any structure: the atlas agrees with a scan of w_i by `evaluate_w` over lines of its own."""
+    rng = np.random.default_rng(seed)
+    structure = [
+        (2, ("x", "rotation"), ()),
+        (3, ("y", "rotation"), (0,)),
+        (3, ("x", "y", "rotation"), ()),
+        (2, ("y",), ()),
+    ]
+    machine = flexopt.machine_from_dict(draw_machine(NumpySource(rng), Structure(*structure[seed])))
+    control = ("inverse", "transpose", "damped:0.3")[seed % 3]
+    others = rng.uniform(-1.0, 1.0, len(machine.joints) - 2)
+    atlas = flexopt.atlas(machine, control=control, posture=others.tolist() or None, cells=(96, 96))
+    measures = flexopt.build_measures(machine, control)
+    count = 0
+    for axis in range(2):
+        for value in rng.uniform(-3.0, 3.0, 12):
+            along = np.linspace(-np.pi, np.pi, 2001)
+            plane = np.full((2, 2001), value)
+            plane[axis] = along
+            batch = flexopt.evaluate_w(measures, [0.0], np.vstack([plane, np.repeat(others[:, None], 2001, axis=1)]))
+            for mode, w in enumerate(batch.w):
+                # A maximum that comes to zero within what the step of the scan can tell, by the fall to its neighbours.
+                peak = 1 + np.flatnonzero((w[1:-1] > w[:-2]) & (w[1:-1] > w[2:]))
+                peak = peak[np.abs(w[peak]) < 0.2 * np.minimum(w[peak] - w[peak - 1], w[peak] - w[peak + 1])]
+                for k in peak:
+                    points = [c.points for c in atlas.curves if c.mode == mode + 1]
+                    apart = np.mod(np.concatenate(points, axis=1) - plane[:, [k]] + np.pi, 2 * np.pi) - np.pi
+                    assert np.abs(apart).max(axis=0).min() < atlas.resolution.max()
+                    count += 1
+    assert count > 0
+
+
+def test_limits_ranges_and_slides() -> None:
+    machine = limited()
+    atlas = flexopt.atlas(machine, cells=(48, 48))
+    low, high = np.array(machine.limits).T
+    assert (np.array(atlas.x_range), np.array(atlas.y_range)) == pytest.approx(np.array([low, high]).T)
+    assert atlas.periodic == (False, False)
+    for curve in atlas.curves:
+        assert np.all(curve.points >= low[:, None] - 1e-12)
+        assert np.all(curve.points <= high[:, None] + 1e-12)
+        for end, at in zip(curve.ends, (curve.first, curve.last), strict=not curve.closed):
+            on_limit = min(np.abs(at - low).min(), np.abs(at - high).min()) < 1e-9
+            assert (end == "limit") == on_limit
+    assert any("limit" in curve.ends for curve in atlas.curves)
+    part = flexopt.atlas(excavator(), x_range=(0.5, 1.5), y_range=(-2.0, -1.0), cells=(32, 32))
+    assert [p.modes for p in part.doubly_robust] == [(1, 2)]
+    swapped = flexopt.atlas(
+        excavator(), joints=["stick", "boom"], x_range=(-2.0, -1.0), y_range=(0.5, 1.5), cells=(32, 32)
+    )
+    np.testing.assert_allclose(swapped.doubly_robust[0].posture, part.doubly_robust[0].posture, atol=1e-12)
+
+
+def test_where_curves_turn_a_factor_vanishes() -> None:
+    digger = flexopt.load("boom-stick-bucket")
+    atlas = flexopt.atlas(digger, posture=[-0.5])
+    (point,) = atlas.vanishing
+    assert (point.modes, point.vanishing) == ((1,), "b")
+    values = flexopt.build_measures(digger).values
+    at = values.call([0.0, point.posture, flexopt.build_plant(digger).parameter_values])
+    a, b = (at[values.name_out().index(name)].full()[:, 0] for name in "ab")
+    assert np.linalg.norm(b) < 1e-12 * np.linalg.norm(a)
+    (curve,) = (c for c in atlas.curves if c.mode == 1)
+    assert set(curve.ends) == {"b = 0", "limit"}
+
+
+def test_modes_that_are_parallel_everywhere() -> None:
+    """A crane on rails that give along x: to move the trolley along x takes the end-point nowhere in the one mode."""
+    carriage = {"name": "rail", "kind": "slide", "axis": [1.0, 0.0, 0.0], "passive": True, "stiffness": 1e5}
+    bodies: list[Any] = [{"name": "rail", "parent": None, "joint": carriage, "mass": 500.0}]
+    for name, parent, axis in (("trolley", "rail", [1.0, 0.0, 0.0]), ("hoist", "trolley", [0.0, 0.0, 1.0])):
+        bodies.append({"name": name, "parent": parent, "joint": {"name": name, "kind": "slide", "axis": axis}})
+        bodies[-1] |= {"mass": 100.0}
+    data = {"name": "gantry", "bodies": bodies, "end_point": {"body": "hoist", "rows": ["x", "z"]}, "gravity": 9.81}
+    atlas = flexopt.atlas(flexopt.tree_from_dict(data), cells=(8, 8))
+    assert atlas.everywhere == (1,)
+    assert atlas.curves == ()
+    assert "parallel in every posture" in repr(atlas)
+
+
+def test_the_same_machine_as_a_tree_in_space() -> None:
+    atlas = flexopt.atlas(flexopt.tree_from_dict(in_space({**excavator().to_dict(), "gravity": 9.81})))
+    for one, other in zip(atlas.doubly_robust, whole("inverse").doubly_robust, strict=True):
+        np.testing.assert_allclose(one.posture, other.posture, atol=1e-10)
+    assert shape(atlas) == shape(whole("inverse"))
+
+
+def test_document_dataset_and_file(tmp_path: Any) -> None:
+    atlas = whole("inverse")
+    document = atlas.to_dict()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert [curve["mode"] for curve in document["curves"]] == [1, 1, 1, 2, 2, 3, 3, 3]
+    assert len(document["doubly_robust"]) == 12
+    dataset = atlas.dataset
+    for number, curve in enumerate(atlas.curves):
+        own = dataset["curve"].values == number
+        np.testing.assert_array_equal(dataset["posture"].values[:, own], curve.points)
+        np.testing.assert_array_equal(dataset["scale"].values[own], curve.scale)
+        assert dataset["curve_mode"].values[number] == curve.mode
+    atlas.to_netcdf(tmp_path / "atlas.nc")
+    read = xr.load_dataset(tmp_path / "atlas.nc", engine="scipy")
+    np.testing.assert_array_equal(read["point_posture"], dataset["point_posture"])
+    assert "smaller loops may be missed" in read.attrs["note"]
+
+
+def test_what_cannot_be_mapped_is_said() -> None:
+    with pytest.raises(InputError, match=r"task of 3 rows \(x, y, z\)"):
+        flexopt.atlas(flexopt.load("truck-crane"), posture=[0.0, 1.0])
+    with pytest.raises(InputError, match="4 faults") as error:
+        flexopt.atlas(excavator(), joints=["boom", "boom"], cells=(3, 3), x_range=(0.0, 9.0), control="both")
+    assert {fault.field for fault in error.value.faults} == {"joints", "cells", "x_range", "control"}
+    with pytest.raises(InputError, match="outside the limits of boom"):
+        flexopt.atlas(flexopt.load("boom-stick-bucket"), posture=[-0.5], x_range=(0.0, 1.0))
