@@ -31,7 +31,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.model import load
 
 
-@click.command("atlas", short_help="All robust postures over two joints: curves w_i = 0.")
+@click.command("atlas", short_help="All robust postures over two joints: where w_i = 0.")
 @click.argument("machine")
 @CONTROL
 @GRAVITY
@@ -45,10 +45,10 @@ from flexopt.model import load
 @value("--plot", "FILE.png", "Draw the atlas: .png, .svg or .pdf.")
 @JSON
 def atlas_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
-    """All robust postures of MACHINE (a name or a file) over two of its joints, for a task of two rows.
+    """All robust postures of MACHINE (a name or a file) over two of its joints.
 
-    Curves w_i = 0, the points where two of them meet (w_i = w_j = 0), those where they end, singular postures, limits
-    and the edge of the workspace.
+    With two task rows curves w_i = 0, the points where two of them meet (w_i = w_j = 0), those where they end, singular
+    postures, limits and the edge of the workspace; with three the points w_i = 0.
     """
     from flexopt.study import atlas  # noqa: PLC0415  (only this command needs it)
 

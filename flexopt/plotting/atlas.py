@@ -50,12 +50,13 @@ def plot_atlas(atlas: Atlas, path: str | os.PathLike[str] | None = None, *, widt
     varied = [atlas.joints.index(name) for name in atlas.varied]
     _draw(joints, atlas, lambda curve: _broken(atlas, curve.points), lambda posture: posture[varied])
     _frame(joints, atlas)
-    _draw(task, atlas, lambda curve: curve.end_point, None)
+    seen = [0, len(atlas.rows) - 1]
+    _draw(task, atlas, lambda curve: curve.end_point[seen], None)
     task.set_aspect("equal")
     place = ", ".join(f"{value:g}" for value in atlas.base)
     task.set_title("the end-point there" + (f", base at {place}" if place else ""), fontsize=9.5)
     task.set_xlabel(f"{atlas.rows[0]}, m (inertial frame)", fontsize=9)
-    task.set_ylabel(f"{atlas.rows[1]}, m (inertial frame)", fontsize=9)
+    task.set_ylabel(f"{atlas.rows[-1]}, m (inertial frame)", fontsize=9)
     for axes in (joints, task):
         axes.tick_params(labelsize=8)
         axes.grid(color="#ececec", linewidth=0.5)
@@ -86,7 +87,7 @@ def _draw(axes: Axes, atlas: Atlas, at: Callable[[Any], Vector], plane: Callable
     def placed(points: Iterable[RobustPoint]) -> Vector:
         listed = list(points)
         if plane is None:
-            return np.array([point.end_point for point in listed]).T
+            return np.array([point.end_point[[0, -1]] for point in listed]).T
         return plane(np.array([point.posture for point in listed]).T)
 
     for vanishing, face in (("a", "white"), ("b", "#777777")):
@@ -94,6 +95,13 @@ def _draw(axes: Axes, atlas: Atlas, at: Callable[[Any], Vector], plane: Callable
         if found:
             label = f"${vanishing}_i = 0$, beyond it opposed"
             axes.plot(*placed(found), "o", color=face, markeredgecolor="#222222", markersize=4.5, label=label, zorder=4)
+    for mode in sorted({point.modes[0] for point in atlas.isolated}):
+        found = [point for point in atlas.isolated if point.modes == (mode,)]
+        marker, label = MARKERS[(mode + 1) % len(MARKERS)], f"$w_{{{mode}}} = 0$"
+        axes.plot(
+            *placed(found), marker, color=mode_line(mode)[0], markeredgecolor="black", markeredgewidth=0.6,
+            markersize=7, label=label, zorder=5,
+        )  # fmt: skip
     pairs = sorted({point.modes for point in atlas.doubly_robust})
     for number, pair in enumerate(pairs):
         found = [point for point in atlas.doubly_robust if point.modes == pair]

@@ -19,7 +19,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import entries
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.robustness.atlas import Atlas, Rectangle, Slice, survey
+from flexopt.robustness.atlas import ROWS, Atlas, Rectangle, Slice, survey
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.study.planes import Plane, read_plane
 
@@ -43,9 +43,9 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
 def _read(arguments: Arguments, machine: AnyMachine, given: Mapping[str, Any]) -> tuple[Plane, Rectangle]:
     """What varies and where, with all faults noted."""
     rows = machine.task_rows
-    if len(rows) != 2:
+    if len(rows) not in ROWS:
         has = f"has a task of {len(rows)} row{'s' * (len(rows) > 1)} ({', '.join(rows)})"
-        sentence = f"{has}; w_i = 0 is a curve over two joints where the task has two"
+        sentence = f"{has}; over two joints w_i = 0 is curves where it has two, points where it has three"
         arguments.note("machine", sentence, machine.name)
     names = ("joints", "posture", "base", "x_range", "y_range")
     passed = dict.fromkeys(("rows", "coordinates", "end_point")) | {name: given[name] for name in names}
@@ -103,8 +103,11 @@ def atlas(
     lines of the grid is found where a_i × b_i has an extremum near a node that is small; else it may be missed:
     `Atlas.resolution` says how small loops can be told.
 
+    With three task rows a_i × b_i = 0 is two equations: robust postures over two joints are points, found where two
+    components of a_i × b_i are zero together; in a plane of symmetry of the machine they are curves again, or regions.
+
     Args:
-        machine: from `flexopt.load`, with a task of two rows.
+        machine: from `flexopt.load`, with a task of two or three rows.
         control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`.
         gravity: measures under static deflection.
         joints: names of the two that vary, along x and y; the first two by default.
@@ -116,7 +119,7 @@ def atlas(
         threads: how many to compute with; all processors by default. The numbers do not depend on it.
 
     Raises:
-        InputError: every unusable argument, in one message; a task of other than two rows.
+        InputError: every unusable argument, in one message; a task of other than two or three rows.
 
     Source:
         Article, eqs. (3)–(7); continuation after Allgower and Georg, Introduction to Numerical Continuation Methods

@@ -276,6 +276,73 @@ def test_the_same_machine_as_a_tree_in_space() -> None:
     assert shape(atlas) == shape(whole("inverse"))
 
 
+@pytest.mark.parametrize(
+    ("name", "joints", "others"),
+    [("slewing-excavator", ["slew", "boom"], [-1.2, -0.5]), ("truck-crane", ["slew", "lift"], [-0.8, 1.5])],
+)
+def test_points_of_machines_in_space(name: str, joints: list[str], others: list[float]) -> None:
+    """With three task rows a ∥ b in postures by themselves: those that a scan and SciPy find, and no others."""
+    machine = flexopt.load(name)
+    span = {"x_range": (0.4, 2.8), "y_range": (-0.25, 1.0)}
+    atlas = flexopt.atlas(machine, joints=joints, posture=others, cells=(64, 64), **span)
+    for point in atlas.isolated:
+        e = flexopt.evaluate(machine, point.posture)
+        assert abs(e.w[point.modes[0] - 1]) <= 1e-20 * e.scale[point.modes[0] - 1]
+    found = sorted((p.modes[0], *p.posture[:2]) for p in atlas.isolated)
+    expected = scanned(machine, others, **span)
+    assert len(expected) > 1
+    assert len(found) == len(expected)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def scanned(machine: Any, others: list[float], x_range: Any, y_range: Any) -> list[tuple[float, ...]]:
+    """(mode, two joints) with a ∥ b: cells in which both x and z of a × b change sign, then SciPy's least squares."""
+    values, p = flexopt.build_measures(machine).values, flexopt.build_plant(machine).parameter_values
+    names, count = values.name_out(), 81
+    grid = np.array(np.meshgrid(np.linspace(*x_range, count), np.linspace(*y_range, count), indexing="ij"))
+    postures = np.vstack([grid.reshape(2, -1), np.repeat(np.array(others)[:, None], count**2, axis=1)])
+    given = [np.zeros((3, count**2)), postures, np.repeat(p.full(), count**2, axis=1)]
+    every = values.map(count**2).call(given)
+    a, b = (every[names.index(name)].full().reshape(3, count, count, -1) for name in "ab")
+    positive = np.cross(a, b, axis=0)[[0, 2]] > 0
+    corners = [positive[:, i : i + count - 1, j : j + count - 1] for i in (0, 1) for j in (0, 1)]
+    changes = np.all(np.any(corners, axis=0) & ~np.all(corners, axis=0), axis=0)
+    found: list[tuple[float, ...]] = []
+    for i, j, mode in np.argwhere(changes):
+
+        def angle(z: Any, mode: int = mode) -> Any:
+            """Sines, and the cosine, of the angle between a and b."""
+            out = values.call([np.zeros(3), np.array([*z, *others]), p])
+            a, b = (
+                out[names.index(name)].full()[:, mode] / np.linalg.norm(out[names.index(name)].full()[:, mode])
+                for name in "ab"
+            )
+            return np.cross(a, b), a @ b
+
+        start = (grid[:, i, j] + grid[:, i + 1, j + 1]) / 2
+        solved = scipy.optimize.least_squares(lambda z, f=angle: f(z)[0], start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        inside = all(low < z < high for z, (low, high) in zip(solved.x, (x_range, y_range), strict=True))
+        if inside and solved.cost < 1e-18 and np.abs(solved.x - start).max() < 0.1 and angle(solved.x)[1] > 0:
+            new = (mode + 1.0, *solved.x)
+            if all(np.abs(np.subtract(new, known)).max() > 1e-4 for known in found):
+                found.append(new)
+    return sorted(found)
+
+
+def test_in_a_plane_of_symmetry_machines_in_space_have_curves() -> None:
+    """Without slew the modes in the arm's plane have a × b across it, those out of it none at all."""
+    machine = flexopt.load("slewing-excavator")
+    atlas = flexopt.atlas(machine, joints=["boom", "stick"], posture=[0.0, -0.5], cells=(32, 32))
+    assert atlas.everywhere == (6,)
+    assert {curve.mode for curve in atlas.curves} == {1, 3, 4}
+    for curve in atlas.curves:
+        for k in (0, curve.size // 2, -1):
+            posture = [0.0, *curve.points[:, k], -0.5]
+            e = flexopt.evaluate(machine, posture)
+            assert abs(e.w[curve.mode - 1]) <= 1e-16 * e.scale.max()
+    assert np.flatnonzero(atlas.robust_share > 0.3).tolist() == [1, 4]
+
+
 def test_document_dataset_and_file(tmp_path: Any) -> None:
     atlas = whole("inverse")
     document = atlas.to_dict()
@@ -295,8 +362,12 @@ def test_document_dataset_and_file(tmp_path: Any) -> None:
 
 
 def test_what_cannot_be_mapped_is_said() -> None:
-    with pytest.raises(InputError, match=r"task of 3 rows \(x, y, z\)"):
-        flexopt.atlas(flexopt.load("truck-crane"), posture=[0.0, 1.0])
+    data: Any = flexopt.load("truck-crane").to_dict()
+    data["end_point"] |= {"rows": ["z"]}
+    with pytest.raises(
+        InputError, match=r"has a task of 1 row \(z\); over two joints w_i = 0 is curves where it has two"
+    ):
+        flexopt.atlas(flexopt.tree_from_dict(data), posture=[-0.8, 1.5])
     with pytest.raises(InputError, match="4 faults") as error:
         flexopt.atlas(excavator(), joints=["boom", "boom"], cells=(3, 3), x_range=(0.0, 9.0), control="both")
     assert {fault.field for fault in error.value.faults} == {"joints", "cells", "x_range", "control"}

@@ -71,8 +71,11 @@ def test_bad_options(command: Command, options: tuple[str, ...], words: str) -> 
     assert outcome.stdout == ""
 
 
-@pytest.mark.parametrize("machine", ["slewing-excavator", "truck-crane", "mobile-manipulator"])
-def test_machines_in_space_are_refused_in_a_sentence(command: Command, machine: str) -> None:
-    outcome = command("atlas", machine)
-    assert outcome.code == 2
-    assert "task of 3 rows (x, y, z); w_i = 0 is a curve over two joints where the task has two" in outcome.stderr
+def test_machines_in_space_have_points(command: Command) -> None:
+    slew = ("atlas", "slewing-excavator", "--x-range", "1.2,2", "--y-range", "-0.2,0.3", "--cells", "16,16")
+    outcome = command(*slew, "--posture=-1.2,-0.5", "--plot", "atlas.png")
+    assert outcome.code == 0, outcome.stderr
+    assert "mode 1: w1 = 0 at 1 posture: (1.6486, 0.0573, -1.2000, -0.5000)" in outcome.stdout
+    missing = command(*slew)
+    assert missing.code == 2
+    assert "needs 2 angles in rad, for the joints that do not vary (stick, bucket)" in missing.stderr

@@ -5,6 +5,8 @@ In: a machine under a controller, with the joints that vary. Out: the functions 
 With two task rows w_i = a_i·b_i − |a_i||b_i| is 0 where a_i × b_i = 0 and a_i·b_i > 0. There w_i has a maximum, but the
 cross product changes its sign; neither depends on the sign of the mode's eigenvector. Under inverse control b_i is
 infinite at singular postures; what is traced has b_i times det Jv, of a redundant arm det Jv Jvᵀ, and is smooth there.
+With three task rows a_i × b_i is a vector of two degrees of freedom: two of its components, in directions that no
+machine has a reason to know, are zero together where it is, and else where it is at right angles to both.
 """
 
 from __future__ import annotations
@@ -26,6 +28,10 @@ from flexopt.robustness.measures import NAMES as INPUTS
 from flexopt.robustness.measures import SOLVE_TOLERANCE
 from flexopt.robustness.modes import modes_function
 
+# Task rows with which robust postures over two joints are curves, and points.
+ROWS = 2, 3
+# Directions (2, 3) of the two components.
+DIRECTIONS = np.array([[0.5393, 0.3214, 0.7784], [-0.6477, 0.7429, 0.1694]])
 # Modes whose frequency fewer have stand alone.
 SHARED = 1.5
 
@@ -62,11 +68,19 @@ class Slice:
         """Whether b_i is multiplied by `edge`, which may be negative."""
         return self.control == "inverse" and len(self.machine.joints) == len(self.machine.task_rows)
 
+    @property
+    def spatial(self) -> bool:
+        """Whether the task has three rows."""
+        return len(self.machine.task_rows) == ROWS[1]
+
     # Where what stands among the fields.
 
     @property
     def edge(self) -> int:
-        """The determinant of the two varying columns of Jv, in the order of the joints."""
+        """The determinant of the two varying columns of Jv, in the order of the joints; of three task rows det Jv.
+
+        1 where three task rows have more joints.
+        """
         return self.modes
 
     def dot(self, mode: int) -> int:
@@ -74,8 +88,12 @@ class Slice:
         return self.modes + 1 + mode
 
     def minor(self, k: int) -> int:
-        """The determinant of the first varying column of Jv and the k-th that does not vary."""
+        """The determinant of the first varying column of Jv and the k-th that does not vary, of two task rows."""
         return 2 * self.modes + 1 + k
+
+    def second(self, mode: int) -> int:
+        """Of three task rows the second component of a_i × b_i."""
+        return 2 * self.modes + 1 + mode
 
     def postures(self, points: Vector) -> Vector:
         """Postures (n, N) of points (2, N)."""
@@ -110,23 +128,34 @@ class Slice:
         return SliceValues(factors, slopes, divisor[0], columns, column_slopes, frequency, end_point, condition)
 
     def __call__(self, points: Vector) -> tuple[Vector, Vector]:
-        """a_i × b_i (m), `edge`, a_i·b_i (m), minors (n − 2), and their slopes; see `zero_curves`.
+        """a_i × b_i (m), `edge`, a_i·b_i (m), minors or second components, and their slopes; see `zero_curves`.
 
         Under inverse control b_i is multiplied as said above.
         """
         at = self.values(points)
         (a, b), (a_z, b_z) = at.factors.swapaxes(0, 1), at.slopes.swapaxes(0, 1)
-        i, j = self.varies
-        others = [k for k in range(len(at.columns)) if k not in self.varies]
-        pairs = [(min(i, j), max(i, j)), *((i, k) for k in others)]
-        columns, slopes = at.columns, at.column_slopes
-        edge, *minors = (_crossed(columns[k], columns[n], slopes[k], slopes[n]) for k, n in pairs)
-        cross = _crossed(*(each.swapaxes(0, 1) for each in (a, b, a_z, b_z)))
+        cross, *second = _components(*(each.swapaxes(0, 1) for each in (a, b, a_z, b_z)))
         dot = np.sum(a * b, axis=1), np.einsum("mrzn,mrn->mzn", a_z, b) + np.einsum("mrn,mrzn->mzn", a, b_z)
         for each, constant in zip(cross, (1.0, 0.0), strict=True):
             each[list(self.left_out)] = constant
-        both = [cross, (edge[0][None], edge[1][None]), dot, *((v[None], s[None]) for v, s in minors)]
+        edge, *minors = self._determinants(at)
+        both = [cross, edge, dot, *minors, *second]
         return np.concatenate([value for value, _ in both]), np.concatenate([slope for _, slope in both])
+
+    def _determinants(self, at: SliceValues) -> list[tuple[Vector, Vector]]:
+        """`edge`, and of two task rows the minors."""
+        columns, slopes = at.columns, at.column_slopes
+        if self.spatial:
+            if len(columns) > ROWS[1]:
+                return [(np.ones((1, columns.shape[-1])), np.zeros((1, 2, columns.shape[-1])))]
+            beyond = [np.cross(columns[k - 2], columns[k - 1], axis=0) for k in range(3)]
+            slope = sum(np.einsum("rn,rzn->zn", beyond[k], slopes[k]) for k in range(3))
+            return [(np.sum(columns[0] * beyond[0], axis=0)[None], np.asarray(slope)[None])]
+        i, j = self.varies
+        others = [k for k in range(len(columns)) if k not in self.varies]
+        pairs = [(min(i, j), max(i, j)), *((i, k) for k in others)]
+        found = (_crossed(columns[k], columns[n], slopes[k], slopes[n]) for k, n in pairs)
+        return [(value[None], slope[None]) for value, slope in found]
 
 
 @dataclass(frozen=True)
@@ -162,10 +191,11 @@ class SliceValues:
 
     @property
     def crossed(self) -> Vector:
-        """a_i × b_i, (m, N)."""
+        """|a_i × b_i|, (m, N)."""
         a, b = self.factors.swapaxes(0, 1)
+        pairs = [(0, 1), (1, 2), (2, 0)] if a.shape[1] == ROWS[1] else [(0, 1)]
         with np.errstate(all="ignore"):
-            return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / self.divisor
+            return np.linalg.norm([(a[:, k] * b[:, n] - a[:, n] * b[:, k]) / self.divisor for k, n in pairs], axis=0)
 
     @property
     def w(self) -> Vector:
@@ -184,22 +214,36 @@ def _crossed(a: Vector, b: Vector, a_z: Vector, b_z: Vector) -> tuple[Vector, Ve
     return a[0] * b[1] - a[1] * b[0], a_z[0] * by + ax * b_z[1] - a_z[1] * bx - ay * b_z[0]
 
 
+def _components(a: Vector, b: Vector, a_z: Vector, b_z: Vector) -> list[tuple[Vector, Vector]]:
+    """The product a × b of vectors (r, …, N) and its slope; of three rows its components in `DIRECTIONS`."""
+    if len(a) < ROWS[1]:
+        return [_crossed(a, b, a_z, b_z)]
+    parts = [_crossed(*(np.stack([x[k - 2], x[k - 1]]) for x in (a, b, a_z, b_z))) for k in range(3)]
+    values, slopes = (np.stack(each) for each in zip(*parts, strict=True))
+    return [(np.tensordot(e, values, 1), np.tensordot(e, slopes, 1)) for e in DIRECTIONS]
+
+
 class _Smooth(Expansion):
     """As `Expansion` under inverse control, but with b_i times det Jv, of a redundant arm det Jv Jvᵀ."""
 
     @cached_property
     def multiplied(self) -> tuple[ca.SX, ca.SX]:
-        """The matrix S with b_i = S⁻ᵀ x_i and the x_i (2, m) of all modes' unit amplitudes: Jv and φ_a, or Jv Jvᵀ."""
+        """The matrix S with b_i = S⁻ᵀ x_i and the x_i (r, m) of all modes' unit amplitudes: Jv and φ_a, or Jv Jvᵀ."""
         jv, follow = self.point.rigid_jacobian, self.pencil.follow
         return (jv, follow) if jv.is_square() else (jv @ jv.T, jv @ follow)
 
     @cached_property
     def graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """K_p, M̄ (m, m) and F (4, m)."""
+        """K_p, M̄ (m, m) and F (2r, m)."""
         stiffness, mass, factors = super().graphs
         matrix, x = self.multiplied
-        cofactors = ca.blockcat([[matrix[1, 1], -matrix[1, 0]], [-matrix[0, 1], matrix[0, 0]]])
-        return stiffness, mass, ca.vertcat(factors[:2, :], cofactors @ x)
+        r = matrix.shape[0]
+        cofactors = ca.SX(r, r)
+        for i in range(r):
+            for j in range(r):
+                rest = matrix[[k for k in range(r) if k != i], [k for k in range(r) if k != j]]
+                cofactors[i, j] = (-1) ** (i + j) * ca.det(rest)
+        return stiffness, mass, ca.vertcat(factors[:r, :], cofactors @ x)
 
 
 @lru_cache(maxsize=16)

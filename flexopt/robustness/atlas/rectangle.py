@@ -20,6 +20,8 @@ Fields = Callable[[Vector], Pair]
 SHIFT = 0.381966
 # Off the edge of a rectangle, in cells, where functions have no value there.
 INSET = 1e-8
+# Values that are nothing, relative to the largest of their function.
+NOISE = 1e-14
 
 
 @dataclass(frozen=True)
@@ -94,4 +96,7 @@ class Scaled:
         ]
         u, v = np.meshgrid(*used, indexing="ij")
         values = self(np.stack([u.ravel(), v.ravel()]))[0]
-        return values.reshape(-1, *u.shape)
+        size = np.where(np.isfinite(values), np.abs(values), 0.0)
+        # Of a function that is zero over a whole region signs are rounding.
+        nothing = size <= NOISE * size.max(axis=1, keepdims=True)
+        return np.where(nothing, np.nan, values).reshape(-1, *u.shape)

@@ -71,7 +71,7 @@ class RobustCurve(Result):
 
 @dataclass(frozen=True)
 class RobustPoint(Result):
-    """A posture by itself: doubly robust, or where one mode's curve turns from robust to opposed.
+    """A posture by itself: robust, doubly robust, or where one mode's curve turns from robust to opposed.
 
     Attributes:
         modes: of those i with w_i = 0, counted from 1.
@@ -138,12 +138,15 @@ class Atlas(Result):
         limits: (2, 2), low and high of the two, infinite where there is none.
         cells: of the grid, along x and y.
         resolution: size of a cell, (2,), rad or m; loops that are smaller may be missed.
-        curves: w_i = 0, by mode.
+        curves: w_i = 0, by mode; with three task rows only in planes of symmetry.
+        isolated: postures with w_i = 0 by themselves, by mode; with three task rows.
         doubly_robust: postures with w_i = w_j = 0, by modes.
         vanishing: postures with a_i = 0 or b_i = 0, at which curves end.
-        edges: of the workspace, and folds inside it.
-        singular: (n, K), singular postures by themselves, of a redundant arm.
+        edges: of the workspace, and folds inside it; with three task rows singular postures alone, if not redundant.
+        singular: (n, K), singular postures by themselves, of a redundant arm with two task rows.
         everywhere: modes whose a_i and b_i are parallel in every posture: they have no curves.
+        robust_share: share of the grid on which w_i is zero, (m,): more than none where a_i and b_i are parallel over
+            whole regions, as in a plane of symmetry.
         w_largest: the largest |w_i| on the grid, (m,).
         unmapped: share of the grid without measures: frequencies that are shared, or nothing that holds the machine.
         provenance: machine, versions and options.
@@ -151,7 +154,8 @@ class Atlas(Result):
 
     DOCUMENT: ClassVar[str] = (
         "machine control gravity base joints joint_units rows varied fixed x_range y_range periodic limits cells "
-        "resolution curves doubly_robust vanishing edges singular everywhere w_largest unmapped provenance"
+        "resolution curves isolated doubly_robust vanishing edges singular everywhere w_largest robust_share "
+        "unmapped provenance"
     )
 
     machine: str
@@ -170,12 +174,14 @@ class Atlas(Result):
     cells: tuple[int, int]
     resolution: Vector
     curves: tuple[RobustCurve, ...] = field(repr=False)
+    isolated: tuple[RobustPoint, ...] = field(repr=False)
     doubly_robust: tuple[RobustPoint, ...] = field(repr=False)
     vanishing: tuple[RobustPoint, ...] = field(repr=False)
     edges: tuple[EdgeCurve, ...] = field(repr=False)
     singular: Vector = field(repr=False)
     everywhere: tuple[int, ...]
     w_largest: Vector
+    robust_share: Vector
     unmapped: float
     provenance: dict[str, Any] = field(repr=False)
 
@@ -190,7 +196,7 @@ class Atlas(Result):
 
         Curves stand one behind the other along `vertex`: `curve` says which, from 0; of it `curve_mode`,
         `curve_closed`, `curve_ends`. `posture` (joint, vertex), `end_point` (row, vertex), `frequency_hz` and `scale`
-        (vertex). Along `point` doubly robust postures and then vanishing ones: `point_posture` (joint, point),
+        (vertex). Along `point` isolated, doubly robust, vanishing postures: `point_posture` (joint, point),
         `point_modes` and `point_kind`, `point_w` and `point_scale` (mode, point), `point_end_point` (row, point). Edges
         likewise: `edge_posture` (joint, edge_vertex), `edge_end_point`, `edge`, `edge_kind`. What there is none of is
         left out.
@@ -201,7 +207,10 @@ class Atlas(Result):
         return xr.Dataset(filled, self._coordinates(), self._attributes())
 
     def _variables(self) -> dict[str, Any]:
-        unit, points = residue_unit(self.control, self.joint_units), (*self.doubly_robust, *self.vanishing)
+        unit, points = (
+            residue_unit(self.control, self.joint_units),
+            (*self.isolated, *self.doubly_robust, *self.vanishing),
+        )
         n, r, m = len(self.joints), len(self.rows), self.modes
 
         def beside(parts: list[Vector], rows: int | None = None) -> Vector:
@@ -276,7 +285,8 @@ class Atlas(Result):
     def said(self) -> str:
         """What is found, and what is not."""
         sizes = " × ".join(f"{size:.3g} {unit}" for size, unit in zip(self.resolution, self.units, strict=True))
-        return f"every curve wider than one cell of {sizes}; smaller loops may be missed"
+        what = "curve wider" if len(self.rows) < 3 else "point on curves of one component of a × b wider"
+        return f"every {what} than one cell of {sizes}; smaller loops may be missed"
 
     @public(path=path(".nc"))
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
@@ -314,28 +324,30 @@ class Atlas(Result):
         lines += [f"  mode {mode}: {self._curves_of(mode)}" for mode in range(1, self.modes + 1)]
         if self.doubly_robust:
             lines.append(f"  doubly robust, two measures are zero ({', '.join(self.joints)}):")
-            lines += [
-                f"    w{p.modes[0]} = w{p.modes[1]} = 0 at ({', '.join(f'{x:.{DIGITS}f}' for x in p.posture)})"
-                for p in self.doubly_robust
-            ]
-        else:
+            lines += [f"    w{p.modes[0]} = w{p.modes[1]} = 0 at {_posture(p)}" for p in self.doubly_robust]
+        elif len(self.rows) < 3:
             lines.append("  no posture in which two measures are zero")
         if self.unmapped:
             lines.append(f"  {100 * self.unmapped:.1f} % of the grid has no measures (equal frequencies, or unheld)")
         return "\n".join([*lines, f"  resolution: {self.said}"])
 
     def _curves_of(self, mode: int) -> str:
+        share = f"w{mode} = 0 in {100 * self.robust_share[mode - 1]:.3g} % of all postures"
         if mode in self.everywhere:
-            return "a and b are parallel in every posture: no curves"
-        own = [curve for curve in self.curves if curve.mode == mode]
+            return f"a and b are parallel in every posture: no curves; {share}"
+        own, points = [c for c in self.curves if c.mode == mode], [p for p in self.isolated if p.modes == (mode,)]
+        if points and not own:
+            listed = ", ".join(_posture(point) for point in points)
+            return f"w{mode} = 0 at {len(points)} posture{'s' * (len(points) > 1)}: {listed}"
         if not own:
-            return f"w{mode} = 0 nowhere"
+            return share if self.robust_share[mode - 1] > 0 else f"w{mode} = 0 nowhere"
         closed = sum(curve.closed for curve in own)
         ends = [end for curve in own for end in curve.ends]
         listed = ", ".join(f"{ends.count(end)} at {_WHERE[end]}" for end in _WHERE if end in ends)
         loops = f", {closed} closed" if closed else ""
         told = f"{len(own)} curve{'s' * (len(own) > 1)} w{mode} = 0{loops}"
-        return told + (f"; ends: {listed}" if listed else "")
+        told += f"; ends: {listed}" if listed else ""
+        return told + (f"; {share}" if self.robust_share[mode - 1] > 0 else "")
 
 
 _WHERE = {
@@ -352,5 +364,9 @@ def _postures(atlas: Atlas, points: Vector) -> Vector:
     return whole
 
 
+def _posture(point: RobustPoint) -> str:
+    return f"({', '.join(f'{x:.{DIGITS}f}' for x in point.posture)})"
+
+
 def _kind(point: RobustPoint) -> str:
-    return f"{point.vanishing} = 0" if point.vanishing else "doubly robust"
+    return f"{point.vanishing} = 0" if point.vanishing else "robust" if len(point.modes) == 1 else "doubly robust"

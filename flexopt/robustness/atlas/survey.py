@@ -24,6 +24,8 @@ from flexopt.robustness.atlas.zero_curves import Nodes, common_zeros, on_curve, 
 
 # Points on which it is seen that a mode's a and b are parallel everywhere, and how nearly, relative to their lengths.
 SAMPLES, PARALLEL = 256, 1e-12
+# The sine of the angle between a and b on curves on which they are parallel.
+NEARLY = 1e-7
 # In cells: how far Newton's method may go from where two curves seem to meet, and what counts as one point.
 FAR, SAME = 3.0, 1e-5
 # |w_i| of what counts as zero, relative to the largest on the grid.
@@ -49,9 +51,8 @@ def _everywhere(over: Slice, rectangle: Rectangle) -> tuple[int, ...]:
     span = (rectangle.high - rectangle.low)[:, None]
     at = over.values(rectangle.low[:, None] + span * low_discrepancy(2, SAMPLES, 0))
     usual = np.nanmedian(at.scale, axis=1).max(initial=0.0) if np.any(np.isfinite(at.scale)) else 0.0
-    crossed = np.abs(at.crossed)
-    known = np.isfinite(crossed)
-    parallel = np.all(~known | (crossed <= PARALLEL * np.maximum(at.scale, usual)), axis=1) & known.any(axis=1)
+    known = np.isfinite(at.crossed)
+    parallel = np.all(~known | (at.crossed <= PARALLEL * np.maximum(at.scale, usual)), axis=1) & known.any(axis=1)
     return tuple(int(k) for k in np.flatnonzero(parallel))
 
 
@@ -84,14 +85,18 @@ class _Survey:
         self.cell = (rectangle.high - rectangle.low) / cells
         self.edges = [curve for curve in curves if curve.function == over.edge]
         self.vanishing: list[tuple[int, str, Vector]] = []
-        self.arcs = [arc for curve in curves if curve.function < over.modes for arc in self._arcs(curve)]
+        crossed = [curve for curve in curves if curve.function < over.modes]
+        # Of three task rows curves on which one component is zero; in planes of symmetry all of a × b is.
+        self.partly = [curve for curve in crossed if over.spatial and not self._parallel(curve)]
+        whole = [curve for curve in crossed if all(curve is not other for other in self.partly)]
+        self.arcs = [arc for curve in whole for arc in self._arcs(curve)]
 
     def atlas(self) -> Atlas:
         """Everything, with the end-points."""
-        over, machine, modes = self.over, self.over.machine, self.over.modes
+        over, machine = self.over, self.over.machine
         i, j = over.varies
         varied = machine.joints[i], machine.joints[j]
-        largest = self._largest()
+        largest, share, unmapped = self._grid()
         low, high = self.rectangle.low.tolist(), self.rectangle.high.tolist()
         x_range, y_range = ((a, b) for a, b in zip(low, high, strict=True))
         options: dict[str, Any] = {"control": over.control, "gravity": over.gravity, "joints": list(varied)}
@@ -116,21 +121,27 @@ class _Survey:
             cells=self.cells,
             resolution=self.cell,
             curves=tuple(curves),
+            isolated=tuple(self._isolated(largest)),
             doubly_robust=tuple(self._doubly_robust(largest)),
             vanishing=tuple(sorted(vanishing, key=lambda p: (p.modes, *p.posture))),
             edges=tuple(self._all_edges()),
             singular=self._singular(),
             everywhere=tuple(k + 1 for k in over.left_out),
             w_largest=largest,
-            unmapped=1.0 - float(np.isfinite(self.nodes.values[:modes]).all(axis=0).mean()),
+            robust_share=share,
+            unmapped=unmapped,
             provenance=provenance(machine, **options),
         )
 
-    def _largest(self) -> Vector:
-        """The largest |w_i| on the grid, (m,)."""
+    def _grid(self) -> tuple[Vector, Vector, float]:
+        """On the grid: the largest |w_i|, (m,); the share where it is zero, (m,); the share without measures."""
         u, v = np.meshgrid(*self.nodes.lines, indexing="ij")
-        w = np.abs(self.over.values(np.stack([u.ravel(), v.ravel()])).w)
-        return np.max(np.where(np.isfinite(w), w, 0.0), axis=1)
+        at = self.over.values(np.stack([u.ravel(), v.ravel()]))
+        w = np.abs(at.w)
+        with np.errstate(invalid="ignore"):
+            zero = np.mean(w <= ZERO * at.scale, axis=1)
+        unmapped = np.mean(~np.isfinite(at.factors).all(axis=(0, 1, 2)))
+        return np.max(np.where(np.isfinite(w), w, 0.0), axis=1), zero, float(unmapped)
 
     # Curves.
 
@@ -235,7 +246,8 @@ class _Survey:
 
     def _between(self, points: Vector, values: Vector, at: Whole) -> Vector:
         """Where values along a curve pass through zero after the points of these numbers, (2, N)."""
-        share = values[at] / (values[at] - values[at + 1])
+        with np.errstate(all="ignore"):
+            share: Vector = values[at] / (values[at] - values[at + 1])
         step = self.rectangle.nearest(points[:, at + 1] - points[:, at])
         return self.rectangle.wrapped(points[:, at] + share * step)
 
@@ -269,7 +281,7 @@ class _Survey:
         kind = "singular" if len(machine.joints) == len(machine.task_rows) else "fold"
         found = [EdgeCurve(kind, c.closed, c.points, values(c.points).end_point) for c in self.edges]
         ends = self.rectangle.low, self.rectangle.high
-        for axis in (k for k in range(2) if not self.rectangle.periodic[k]):
+        for axis in (k for k in range(2) if not self.over.spatial and not self.rectangle.periodic[k]):
             for end in ends:
                 side = np.empty((2, self.cells[1 - axis] + 1))
                 side[axis] = end[axis]
@@ -303,6 +315,29 @@ class _Survey:
         points = [self._point(pair, "", zero) for pair, zero in robust]
         return sorted(points, key=lambda p: (p.modes, *p.posture))
 
+    def _parallel(self, curve: ZeroCurve) -> bool:
+        """Whether all of a × b is zero along a curve."""
+        at = self.over.values(curve.points)
+        with np.errstate(invalid="ignore"):
+            return bool(np.all((at.crossed <= NEARLY * at.scale)[curve.function]))
+
+    def _isolated(self, largest: Vector) -> list[RobustPoint]:
+        """Where the second component of a × b is zero, too, along curves on which the first one is."""
+        points: list[RobustPoint] = []
+        for curve in self.partly:
+            mode = curve.function
+            pair = mode, self.over.second(mode)
+            starts = self._near_zeros(curve.points, self.over(curve.points)[0][pair[1]])
+            zeros, converged = common_zeros(self.over, self.rectangle, self.cells, pair, starts)
+            near = converged & (self._apart(zeros, starts) < FAR)
+            known: list[Vector] = []
+            for zero in zeros[:, near].T:
+                new = all(self._apart(zero[:, None], other[:, None])[0] > SAME for other in known)
+                if new and self._robust((mode,), zero, largest):
+                    known.append(zero)
+                    points.append(self._point((mode,), "", zero))
+        return sorted(points, key=lambda p: (p.modes, *p.posture))
+
     def _near_zeros(self, points: Vector, values: Vector) -> Vector:
         """Where values along a curve change sign, and where they are least in size."""
         crossing = np.flatnonzero(values[:-1] * values[1:] <= 0)
@@ -310,18 +345,18 @@ class _Survey:
         least = 1 + np.flatnonzero((size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:]))
         return np.concatenate([self._between(points, values, crossing), points[:, least]], axis=1)
 
-    def _robust(self, pair: tuple[int, int], zero: Vector, largest: Vector) -> bool:
-        """Whether both measures are zero there, and neither because a or b is."""
+    def _robust(self, modes: tuple[int, ...], zero: Vector, largest: Vector) -> bool:
+        """Whether these measures are zero there, and none because a or b is."""
         at = self.over.values(zero[:, None])
         if not at.condition[0] <= CONDITION_MAX:
             return False
         w, scale = at.w[:, 0], at.scale[:, 0]
-        return all(abs(w[k]) <= min(ZERO * largest.max(), ZERO * scale[k]) for k in pair)
+        return all(abs(w[k]) <= min(ZERO * largest.max(), ZERO * scale[k]) for k in modes)
 
     def _singular(self) -> Vector:
         """Singular postures of a redundant arm, (n, K): on the edges all other minors of Jv vanish, too."""
         over, found = self.over, list[Vector]()
-        if over.rest.size:
+        if over.rest.size and not over.spatial:
             for curve in self.edges:
                 starts = self._near_zeros(curve.points, over(curve.points)[0][over.minor(0)])
                 pair = over.edge, over.minor(0)

@@ -337,7 +337,10 @@ class Tracing:
             start, end = end, self._extended(chain, start, -1, at, left)
         whole = np.concatenate([chain[0], *(points[:, 1:] for points in chain[1:])], axis=1)
         ends = () if closed else tuple("edge" if e >= 0 and self._at_edge(e) else "lost" for e in (start, end))
-        placed = self.scaled.rectangle.wrapped(self.scaled.outwards(whole))
+        rectangle = self.scaled.rectangle
+        # A limit is met to the last bit.
+        placed = rectangle.wrapped(self.scaled.outwards(whole))
+        placed = np.clip(placed, rectangle.low[:, None], rectangle.high[:, None])
         placed[:, -1] = placed[:, 0] if closed else placed[:, -1]
         return ZeroCurve(self.crossings.function[piece.start], placed, closed, ends)
 
