@@ -82,7 +82,9 @@ def _draw(axes: Axes, atlas: Atlas, at: Callable[[Any], Vector], plane: Callable
     for curve in atlas.curves:
         color, style = mode_line(curve.mode)
         label = once(f"$w_{{{curve.mode}}} = 0$")
-        axes.plot(*at(curve), linestyle=style, color=color, linewidth=1.7, label=label, zorder=2.5)
+        # Where curves lie on each other all are seen.
+        width = 1.5 + 0.3 * (atlas.modes - curve.mode)
+        axes.plot(*at(curve), linestyle=style, color=color, linewidth=width, label=label, zorder=2.5)
 
     def placed(points: Iterable[RobustPoint]) -> Vector:
         listed = list(points)

@@ -34,6 +34,8 @@ ZERO = 1e-14
 MEETING, NEARLY_SINGULAR = 1e-3, 1e4
 # Between how many parts of a step a·b is looked at where it comes near to zero, and how often these are divided again.
 PARTS, ROUNDS = 8, 3
+# How often a step is halved in which it changes sign before Newton's method takes over.
+HALVINGS = 12
 # Evaluations of the fields for each node, with those that curves take.
 PER_NODE = 4
 
@@ -207,8 +209,8 @@ class _Survey:
         """In order along the curve."""
         cuts: list[_Cut] = []
         for function, values in ((self.over.dot(mode), dot), (self.over.edge, edge)):
-            at = np.flatnonzero(values[:-1] * values[1:] < 0)
-            starts = self._between(points, values, at)
+            at: Whole = np.flatnonzero(values[:-1] * values[1:] < 0)
+            starts = self._halved(mode, function, points[:, at], points[:, at + 1], values[at])
             found, sound = self._turns(mode, function, starts)
             lengths = np.linalg.norm(self.over.values(points[:, at]).factors[mode], axis=1)
             vanished = np.linalg.norm(self.over.values(found).factors[mode], axis=1)
@@ -232,6 +234,19 @@ class _Survey:
                 kept.append(cut)
         return kept
 
+    def _halved(self, curve: int, function: int, first: Vector, last: Vector, value: Vector) -> Vector:
+        """Points (2, N) on a curve beside those where another function changes sign between two of its points.
+
+        The curve is where a first function is zero. Two such points may be closer to each other than the curve's own.
+        """
+        middle = first
+        for _ in range(HALVINGS):
+            middle = first + self.rectangle.nearest(last - first) / 2
+            middle = on_curve(self.over, self.rectangle, self.cells, curve, self.rectangle.wrapped(middle))
+            same = self.over(middle)[0][function] * value > 0
+            first, last = np.where(same, middle, first), np.where(same, last, middle)
+        return middle
+
     def _turns(self, mode: int, function: int, starts: Vector) -> tuple[Vector, Mask]:
         """Where a × b and another function are zero, by Newton's method from points (2, N), and if it was found."""
         found, converged = common_zeros(self.over, self.rectangle, self.cells, (mode, function), starts)
@@ -243,13 +258,6 @@ class _Survey:
             there = ~sound & converged & (self._apart(crossing, starts) < 1.0)
             found, sound = np.where(there, crossing, found), sound | there
         return found, sound
-
-    def _between(self, points: Vector, values: Vector, at: Whole) -> Vector:
-        """Where values along a curve pass through zero after the points of these numbers, (2, N)."""
-        with np.errstate(all="ignore"):
-            share: Vector = values[at] / (values[at] - values[at + 1])
-        step = self.rectangle.nearest(points[:, at + 1] - points[:, at])
-        return self.rectangle.wrapped(points[:, at] + share * step)
 
     def _apart(self, one: Vector, other: Vector) -> Vector:
         """Distances (N,), in cells."""
@@ -304,7 +312,7 @@ class _Survey:
         for arc in self.arcs:
             values = self.over(arc.points)[0]
             for other in {each.mode for each in self.arcs} - {arc.mode}:
-                starts = self._near_zeros(arc.points, values[other])
+                starts = self._near_zeros(arc.mode, other, arc.points, values[other])
                 pair = min(arc.mode, other), max(arc.mode, other)
                 zeros, converged = common_zeros(self.over, self.rectangle, self.cells, pair, starts)
                 for zero in zeros[:, converged & (self._apart(zeros, starts) < FAR)].T:
@@ -327,7 +335,7 @@ class _Survey:
         for curve in self.partly:
             mode = curve.function
             pair = mode, self.over.second(mode)
-            starts = self._near_zeros(curve.points, self.over(curve.points)[0][pair[1]])
+            starts = self._near_zeros(*pair, curve.points, self.over(curve.points)[0][pair[1]])
             zeros, converged = common_zeros(self.over, self.rectangle, self.cells, pair, starts)
             near = converged & (self._apart(zeros, starts) < FAR)
             known: list[Vector] = []
@@ -338,12 +346,13 @@ class _Survey:
                     points.append(self._point((mode,), "", zero))
         return sorted(points, key=lambda p: (p.modes, *p.posture))
 
-    def _near_zeros(self, points: Vector, values: Vector) -> Vector:
-        """Where values along a curve change sign, and where they are least in size."""
-        crossing = np.flatnonzero(values[:-1] * values[1:] <= 0)
+    def _near_zeros(self, curve: int, function: int, points: Vector, values: Vector) -> Vector:
+        """Where values along a curve, on which the first function is zero, change sign, and where they are least."""
+        at: Whole = np.flatnonzero(values[:-1] * values[1:] <= 0)
+        crossing = self._halved(curve, function, points[:, at], points[:, at + 1], values[at])
         size = np.abs(values)
         least = 1 + np.flatnonzero((size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:]))
-        return np.concatenate([self._between(points, values, crossing), points[:, least]], axis=1)
+        return np.concatenate([crossing, points[:, least]], axis=1)
 
     def _robust(self, modes: tuple[int, ...], zero: Vector, largest: Vector) -> bool:
         """Whether these measures are zero there, and none because a or b is."""
@@ -358,8 +367,8 @@ class _Survey:
         over, found = self.over, list[Vector]()
         if over.rest.size and not over.spatial:
             for curve in self.edges:
-                starts = self._near_zeros(curve.points, over(curve.points)[0][over.minor(0)])
                 pair = over.edge, over.minor(0)
+                starts = self._near_zeros(*pair, curve.points, over(curve.points)[0][pair[1]])
                 zeros, converged = common_zeros(over, self.rectangle, self.cells, pair, starts)
                 for zero in zeros[:, converged & (self._apart(zeros, starts) < FAR)].T:
                     new = all(self._apart(zero[:, None], known[:, None])[0] > SAME for known in found)

@@ -82,7 +82,9 @@ def on_curve(fields: Fields, rectangle: Rectangle, cells: tuple[int, int], funct
     for _ in range(CORRECTIONS):
         value, slope = scaled.one(x, which)
         with np.errstate(all="ignore"):
-            x = x - value * slope / np.sum(slope**2, axis=0)
+            back = value * slope / np.sum(slope**2, axis=0)
+        # Where there is no slope it stays.
+        x = x - np.where(np.isfinite(back), back, 0.0)
     return rectangle.wrapped(scaled.outwards(x))
 
 
