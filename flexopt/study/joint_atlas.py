@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import anything, by, public
 from flexopt.foundation.control import Control
+from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import entries
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
@@ -50,6 +52,10 @@ def _read(arguments: Arguments, machine: AnyMachine, given: Mapping[str, Any]) -
     names = ("joints", "posture", "base", "x_range", "y_range")
     passed = dict.fromkeys(("rows", "coordinates", "end_point")) | {name: given[name] for name in names}
     plane = read_plane(arguments, machine, "posture", passed)
+    # What varies is no argument here.
+    machine_name = shown(machine.name)
+    faults = [Fault("machine", f.sentence, machine_name) if f.field == "over" else f for f in arguments.faults]
+    arguments.faults = faults
     low, high = np.array(plane.ranges).T
     rectangle = Rectangle(low, high, (False, False))
     if max(plane.varies) >= len(machine.joints):

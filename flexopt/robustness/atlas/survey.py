@@ -30,6 +30,8 @@ NEARLY = 1e-7
 FAR, SAME = 3.0, 1e-5
 # |w_i| of what counts as zero, relative to the largest on the grid.
 ZERO = 1e-14
+# Of |a| and |b|, relative to beside it, what counts as zero where curves turn.
+GONE = 1e-6
 # Relative gap of two ω² at which a curve that is lost is lost by them; condition of Jv at which by that.
 MEETING, NEARLY_SINGULAR = 1e-3, 1e4
 # Between how many parts of a step a·b is looked at where it comes near to zero, and how often these are divided again.
@@ -215,14 +217,16 @@ class _Survey:
             lengths = np.linalg.norm(self.over.values(points[:, at]).factors[mode], axis=1)
             vanished = np.linalg.norm(self.over.values(found).factors[mode], axis=1)
             for n, k in enumerate(at):
-                point = found[:, n] if sound[n] else starts[:, n]
-                kind = "singular"
+                point, kind = (found[:, n], "singular") if sound[n] else (starts[:, n], "undefined")
                 if function != self.over.edge:
-                    kind = "a = 0" if vanished[0, n] * lengths[1, n] < vanished[1, n] * lengths[0, n] else "b = 0"
+                    with np.errstate(all="ignore"):
+                        left = vanished[:, n] / lengths[:, n]
+                    kind = ("a = 0", "b = 0")[int(np.argmin(left))] if sound[n] and left.min() < GONE else "undefined"
+                kind = self._reason(mode, point) if kind == "undefined" else kind
                 step = self.rectangle.nearest(points[:, [k + 1]] - points[:, [k]])[:, 0] / self.cell
                 along = self.rectangle.nearest((point - points[:, k])[:, None])[:, 0] / self.cell
                 share = min(max(float(along @ step) / float(step @ step), 1e-9), 1 - 1e-9)
-                cuts.append(_Cut(int(k) + share, point, kind if sound[n] else "undefined"))
+                cuts.append(_Cut(int(k) + share, point, kind))
         cuts.sort(key=lambda cut: cut.place)
         kept: list[_Cut] = []
         for cut in cuts:
@@ -267,11 +271,13 @@ class _Survey:
         """Why a curve ends."""
         if curve.closed:
             return ""
-        if curve.ends[which] == "edge":
-            return "limit"
-        at = self.over.values(curve.points[:, [which]])
+        return "limit" if curve.ends[which] == "edge" else self._reason(curve.function, curve.points[:, which])
+
+    def _reason(self, mode: int, point: Vector) -> str:
+        """Why a curve cannot be followed beyond a point."""
+        at = self.over.values(point[:, None])
         squares = at.frequency_hz[:, 0] ** 2
-        beside = [k for k in (curve.function - 1, curve.function) if 0 <= k < squares.size - 1]
+        beside = [k for k in (mode - 1, mode) if 0 <= k < squares.size - 1]
         if any(squares[k + 1] - squares[k] < MEETING * squares[k] for k in beside):
             return "equal frequencies"
         return "singular" if at.condition[0] > NEARLY_SINGULAR else "undefined"
