@@ -37,7 +37,7 @@ MEETING, NEARLY_SINGULAR = 1e-3, 1e4
 # Between how many parts of a step a·b is looked at where it comes near to zero, and how often these are divided again.
 PARTS, ROUNDS = 8, 3
 # How often a step is halved in which it changes sign before Newton's method takes over.
-HALVINGS = 12
+HALVINGS = 24
 # Evaluations of the fields for each node, with those that curves take.
 PER_NODE = 4
 
@@ -245,8 +245,10 @@ class _Survey:
         """
         middle = first
         for _ in range(HALVINGS):
-            middle = first + self.rectangle.nearest(last - first) / 2
-            middle = on_curve(self.over, self.rectangle, self.cells, curve, self.rectangle.wrapped(middle))
+            chord = self.rectangle.wrapped(first + self.rectangle.nearest(last - first) / 2)
+            middle = on_curve(self.over, self.rectangle, self.cells, curve, chord)
+            # Where two frequencies meet curves have no direction.
+            middle = np.where(self._apart(middle, chord) <= self._apart(last, first), middle, chord)
             same = self.over(middle)[0][function] * value > 0
             first, last = np.where(same, middle, first), np.where(same, last, middle)
         return middle
