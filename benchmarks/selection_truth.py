@@ -156,9 +156,9 @@ def scipy_margin(machine: Machine, control: Any, z: np.ndarray) -> float:
     unit = np.eye(b.shape[1])
     try:
         x, y = solve_continuous_are(a, b, c.T @ c, unit), solve_continuous_are(a.T, c.T, b @ b.T, unit)
-    except np.linalg.LinAlgError:
-        # Its pencil has eigenvalues too near the axis for it.
-        return float(doubled_margins(machine, control, z[:, None])[0])
+    except (np.linalg.LinAlgError, ValueError):
+        # Its pencil has eigenvalues too near the axis for it, or is too ill-conditioned to be put in order.
+        return exact_margin(machine, control, z)
     return float(1 / np.sqrt(1 + np.linalg.eigvals(x @ y).real.max()))
 
 

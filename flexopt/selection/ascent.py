@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.ascent_model import DIFFERENCE, ROUNDING, Cone, Point, SecondOrder, Step, best_step
-from flexopt.selection.cones import SHARED, TINY, mode_cones, smooth_slope, split_factors
+from flexopt.selection.cones import SHARED, TINY, Parallel, mode_cones, smooth_slope, split_factors
 from flexopt.selection.nlp import Branched
 from flexopt.selection.programs import Bounds
 
@@ -49,13 +49,15 @@ class Ascent:
 
     Attributes:
         functions: from `build_branched`;  parameters: those of the solver.
-        alphas: of each objective, the one that is sought last, α / size, (j, m).
+        alphas: of each objective, those that are sought last, α / size, (j, m).
         kinks: of each objective β / size, 0 where ε_max takes no part.
-        least: V / size that is kept, of each objective but the last.
+        least: V / size that is kept, of each objective before those that are sought.
         bounds: of x and of the rows.
         margin: x -> slopes of ε_max's branches, and of their coupling, by x, (3, n).
         without: α of every mode of which cones are looked at -> the parameters with these modes left out.
         noise: rounding error of V / size of the objectives that are kept: what is short by less is not short.
+        sought: how many objectives are sought: the smallest of them is climbed.
+        parallel: further rows, which stay 0, after those of the functions.
     """
 
     functions: Branched
@@ -67,6 +69,8 @@ class Ascent:
     margin: Callable[[Vector], Vector]
     without: Callable[[list[int]], Vector]
     noise: float = 0.0
+    sought: int = 1
+    parallel: Parallel | None = None
 
     def climbed(self, start: Vector, iterations: int) -> tuple[Vector, int, str] | None:
         """Where steps from a start lead, how many, and why they ended; None where the start leads onto no rows."""
@@ -87,7 +91,7 @@ class Ascent:
     def at(self, x: Vector) -> Point:
         """The program at x."""
         last, g, last_x, g_x, epsilon_x = (out.full() for out in self.functions.model.call([x, self.parameters]))
-        n_rows, gap = self.bounds.g_lower.size, 0.0
+        n_rows, gap = self._n_rows, 0.0
         values, slopes = np.concatenate([g, last]).ravel(), np.vstack([g_x, last_x])
         lowest, first = list[int](), n_rows
         for kink in self.kinks:
@@ -95,20 +99,38 @@ class Ascent:
             gap = float(values[first + 1] - values[first]) / kink if kink else gap
             first += 2 if kink else 1
         modes, alone = list[Cone](), np.zeros(0, dtype=np.bool_)
-        if self.alphas.any():
+        rows, row_slopes = values[:n_rows], slopes[:n_rows]
+        if self.alphas.any() or self.parallel is not None:
             f, f_x, same = self._factors(x)
             modes = mode_cones(f, f_x, self.alphas)
             alone = same[: len(modes) // 2] < SHARED
+            if self.parallel is not None:
+                rows = np.append(rows, self.parallel.values(f))
+                row_slopes = np.vstack([row_slopes, self.parallel.slopes(f, f_x)])
         return Point(
             x=x,
-            rows=values[:n_rows],
-            row_slopes=slopes[:n_rows],
+            rows=rows,
+            row_slopes=row_slopes,
             values=values[lowest],
             slopes=slopes[lowest],
             cones=(*modes, *self._margin_cone(gap, epsilon_x)),
             alone=alone,
             epsilon_slopes=epsilon_x,
+            sought=self.sought,
         )
+
+    @property
+    def _n_rows(self) -> int:
+        """How many rows the functions have."""
+        return self.bounds.g_lower.size - (0 if self.parallel is None else self.parallel.size)
+
+    def _rows(self, x: Vector) -> tuple[Vector, Vector]:
+        """All rows at x, and their slopes."""
+        rows, slopes = (out.full() for out in self.functions.rows.call([x, self.parameters]))
+        if self.parallel is None:
+            return rows.ravel(), slopes
+        f, f_x, _ = self._factors(x)
+        return np.append(rows, self.parallel.values(f)), np.vstack([slopes, self.parallel.slopes(f, f_x)])
 
     def _factors(self, x: Vector) -> tuple[Vector, Vector, Vector]:
         """As `split_factors`, and of every mode how many have its frequency."""
@@ -129,8 +151,8 @@ class Ascent:
         """
         for _ in range(CORRECTIONS):
             x = np.clip(x, self.bounds.x_lower, self.bounds.x_upper)
-            rows, slopes = (out.full() for out in self.functions.rows.call([x, self.parameters]))
-            wrong = self._beyond(rows.ravel())
+            rows, slopes = self._rows(x)
+            wrong = self._beyond(rows)
             if not (np.isfinite(wrong).all() and np.isfinite(slopes).all()):
                 return None
             if np.abs(wrong).max(initial=0.0) <= ON_ROWS:
@@ -158,7 +180,7 @@ class Ascent:
         Near a kink c is held: to lift one of two branches alone may lower the other.
         """
         wrong, slopes, shortest = [self._beyond(at.rows)], [at.row_slopes], 0.0
-        for j, short in enumerate(self.least - at.values[:-1]):
+        for j, short in enumerate(self.least - at.values[: self.least.size]):
             if short <= 0:
                 continue
             shortest = max(shortest, float(short))
@@ -218,7 +240,8 @@ class Ascent:
     def _next(self, second: SecondOrder, distance: float) -> tuple[Point | None, Step | None, float]:
         """The next point, the step that led to it, and how far the model is to be trusted; no point at the end."""
         here = second.here
-        rounding = ROUNDING * (1 + abs(here.value)) + self.noise * float(second.step.pulls[:-1].sum())
+        kept = float(second.step.pulls[: self.least.size].sum())
+        rounding = ROUNDING * (1 + abs(here.value)) + self.noise * kept
         while distance > LEAST:
             step = self._model(second, distance)
             if step is None:
@@ -281,8 +304,11 @@ class Ascent:
         """
         free, cones = self._free(here), here.near(REACH * min(distance, AHEAD * step.length))
         modes = [number // 2 for number in cones if number < 2 * here.n_modes]
-        given = [here.x, self.without(modes) if modes else self.parameters, -step.pulls, step.row_pulls]
+        of_rows = step.row_pulls[: self._n_rows]
+        given = [here.x, self.without(modes) if modes else self.parameters, -step.pulls, of_rows]
         smooth = free @ self.functions.curvature.call(given)[0].full() @ free.T
+        if self.parallel is not None:
+            smooth = smooth + self._bend_of_parallel(here, step.row_pulls[self._n_rows :], free)
         if modes:
             smooth = smooth - self._left_of_modes(here, step, cones, free)
         margins = np.zeros((2, len(free), len(free)))
@@ -297,6 +323,18 @@ class Ascent:
         if not (np.isfinite(smooth).all() and np.isfinite(margins).all()):
             return None
         return SecondOrder(here, free, smooth, margins, step, cones)
+
+    def _bend_of_parallel(self, here: Point, pulls: Vector, free: Vector) -> Vector:
+        """Σ pulls_i ∂²row_i of the rows of `parallel` along `free`, (d, d)."""
+        assert self.parallel is not None
+
+        def slope(x: Vector) -> Vector:
+            assert self.parallel is not None
+            return pulls @ self.parallel.slopes(*self._factors(x)[:2])
+
+        beside = [slope(here.x + BESIDE * way) - slope(here.x - BESIDE * way) for way in free]
+        change = np.array(beside).reshape(len(free), here.x.size) @ free.T / (2 * BESIDE)
+        return (change + change.T) / 2
 
     def _left_of_modes(self, here: Point, step: Step, cones: tuple[int, ...], free: Vector) -> Vector:
         """Second derivatives (d, d) of what is smooth in w_i whose cones are looked at, ν as a step pulls it."""

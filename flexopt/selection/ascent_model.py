@@ -67,7 +67,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Point:
-    """A program at x (n,): rows (k,) with slopes (k, n), and its objectives, the one that is sought last.
+    """A program at x (n,): rows (k,) with slopes (k, n), and its objectives, those that are sought last.
 
     Attributes:
         x, rows, row_slopes: see above.
@@ -75,6 +75,7 @@ class Point:
         cones: where they may have kinks; of modes two each, then that of ε_max where it takes part.
         alone: of each mode, whether its frequency is simple: cones of others are not looked at.
         epsilon_slopes: of ε_max's branches, and of their coupling, (3, n); else (0, n).
+        sought: how many objectives are: what is climbed is the smallest of them.
     """
 
     x: Vector
@@ -85,11 +86,12 @@ class Point:
     cones: tuple[Cone, ...]
     alone: NDArray[np.bool_]
     epsilon_slopes: Vector
+    sought: int = 1
 
     @property
     def value(self) -> float:
-        """V / size of the objective that is sought."""
-        return float(self.values[-1])
+        """V / size of what is sought."""
+        return float(self.values[-self.sought :].min())
 
     @property
     def is_finite(self) -> bool:
@@ -127,7 +129,7 @@ class Step:
 
     Attributes:
         gain: what the model predicts.
-        pulls: multipliers of the objectives, that of the last 1;  row_pulls: those of the rows.
+        pulls: multipliers of the objectives, of those that are sought 1 together;  row_pulls: those of the rows.
         cone_pulls: of the cones by number, their p, |p| ≤ Σ pulls sizes: −pᵀ C is their part in the slope.
         bend: the model's second derivatives, sign changed, (n, n);  coupled: whether it mixes the branches of ε_max.
     """
@@ -176,7 +178,7 @@ def best_step(
         here: where it begins.
         bend: positive definite, (n, n).
         bounds: of x and of the rows.
-        least: V / size that is kept, of each objective but the last.
+        least: V / size that is kept, of each objective before those that are sought.
         distance: of any entry.
         cones: numbers of those that are looked at; of all others the slopes are.
         before: a step whose multipliers are tried first.
@@ -198,10 +200,11 @@ def best_step(
     # What the slopes that are told have of the cones, the cones have themselves.
     trunks = here.slopes + sizes.T @ (units[:, None, :] @ slopes)[:, 0]
     # What is short by less than counts is not made up for by the model.
-    wanted = np.minimum(np.append(least, here.value) - here.values, 0.0) - sizes.T @ (units * values).sum(1)
+    wanted = np.append(least, np.full(here.sought, here.value)) - here.values
+    wanted = np.minimum(wanted, 0.0) - sizes.T @ (units * values).sum(1)
     n_rows = here.rows.size
     rows = np.zeros((n_rows + wanted.size, n + 1))
-    rows[:n_rows, :n], rows[n_rows:, :n], rows[-1, n] = here.row_slopes, trunks, -1.0
+    rows[:n_rows, :n], rows[n_rows:, :n], rows[-here.sought :, n] = here.row_slopes, trunks, -1.0
     weights = np.zeros((len(rows), len(chosen)))
     weights[n_rows:] = sizes.T
     limits = Bounds(
@@ -214,7 +217,8 @@ def best_step(
     found = best_gain(bend, rows, limits, Cones(values, slopes, weights), guess)
     if found is None:
         return None
-    d, pulls = found.d, np.append(np.maximum(-found.multipliers[n_rows:-1], 0.0), 1.0)
+    d, pulls = found.d, np.maximum(-found.multipliers[n_rows:], 0.0)
+    pulls[-here.sought :] /= pulls[-here.sought :].sum() or 1.0
     gain = found.rise - float(d @ bend @ d) / 2
     if gain < -ROUNDING * (1 + abs(here.value)) or np.abs(d).max() > BEYOND * distance:
         return None

@@ -13,7 +13,7 @@ import numpy as np
 from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.ascent_model import Cone
-from flexopt.selection.cones import SHARED, mode_cones, name_of, smooth_slope
+from flexopt.selection.cones import SHARED, Parallel, mode_cones, name_of, smooth_slope
 from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, Held, Kink, certified
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import SelectionProblem
@@ -36,6 +36,8 @@ PROBES = (1e-2, 1e-3, 1e-4)
 CORRECTIONS, ON_ROWS = 8, 1e-14
 # How many times as much as ε_max's rounding may be missing of one that is kept.
 NOISY = 4.0
+# Singular values of rows below this share of the largest are rounding.
+DEPENDENT = 1e-9
 # A gain below this share of V's and the multipliers' size is rounding.
 NOISE = 1e-12
 KINK_NAME = "kink of ε_max"
@@ -56,6 +58,8 @@ class Proof:
             where the point is no maximum.
         kinks: of every kink that the point stands on its multiplier, as a share of the largest one that an optimum has.
         unsurpassed: whether V is a value that no configuration exceeds.
+        dimension: of the set of optima about the point: how many directions lead along optima as good; None where that
+            is not known: on kinks of ε_max, where a_i or b_i vanishes, and of several configurations together.
     """
 
     violations: dict[str, float]
@@ -65,6 +69,7 @@ class Proof:
     curvature: float
     kinks: dict[str, float]
     unsurpassed: bool
+    dimension: int | None
 
     @property
     def holds(self) -> bool:
@@ -85,19 +90,26 @@ def prove_program(program: Program, x: Vector) -> Proof:
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
     bounded = program.first.bounded_by_zero and program.goal != "motion"
     unsurpassed = bounded and -local.value <= BEST_TOLERANCE
-    curvature = 0.0
+    curvature, dimension = 0.0, _dimension(program, x, local) if unsurpassed else None
     if not unsurpassed:
-        _note(violations, FIRST_ORDER, stationarity, STATIONARITY_TOLERANCE)
+        _note(
+            violations,
+            FIRST_ORDER,
+            stationarity,
+            STATIONARITY_TOLERANCE * _pull_of_kept(program, local, multipliers, kept),
+        )
         # Far from stationary points curvatures say nothing.
         near = stationarity <= STATIONARY_NEARLY
-        curvature = _curvature(program, x, local, multipliers, kept) if near else 0.0
+        curvature, dimension = _curvature(program, x, local, multipliers, kept) if near else (0.0, None)
         _note(violations, "second-order optimality", curvature, CURVATURE_TOLERANCE)
     rows, n_task = program.first.constraints, program.first.target.size
     lengths = np.array([row.scale for row in rows[:n_task]])
     of_targets = local.g[: len(rows) * program.coupling.count].reshape(-1, len(rows))[:, :n_task] * lengths
     off = float(np.sqrt(np.sum(of_targets**2, axis=1)).max())
     kinks = dict(zip((kink.name for kink in local.kinks), local.shares(multipliers, kept), strict=True))
-    return Proof(violations, (*local.names, *kinks), off, stationarity, curvature, kinks, unsurpassed)
+    if program.coupling.count > 1:
+        dimension = None
+    return Proof(violations, (*local.names, *kinks), off, stationarity, curvature, kinks, unsurpassed, dimension)
 
 
 def _note(violations: dict[str, float], name: str, size: float, tolerance: float) -> None:
@@ -224,23 +236,78 @@ def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[
                 yield j, f"kink of w{number // 2 + 1}: {name_of(number)}", scaled, number, alpha
 
 
-def _curvature(program: Program, x: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
+def _pull_of_kept(program: Program, local: FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
+    """The largest slope, of V / size, with which an objective that is kept, or its kink, holds V's; at least 1.
+
+    What may be given up is little, so that these are thousands that cancel: what is left is told relative to them.
+    """
+    first = len(program.first.constraints) * program.coupling.count + len(program.coupling.pairs)
+    pulls = local.pulls(multipliers, kept)
+    sizes = [
+        abs(float(pull)) * float(np.linalg.norm(row))
+        for (number, _), pull, row in zip(local.active, pulls, local.inequalities, strict=False)
+        if number >= first
+    ]
+    sizes += [
+        float(np.linalg.norm(multipliers[kink.rows] @ local.equalities[kink.rows]))
+        for kink in local.kinks
+        if kink.first is not None
+    ]
+    return max(1.0, *sizes) if sizes else 1.0
+
+
+def surface_at(problem: SelectionProblem, z: Vector) -> Parallel | None:
+    """The equations, about z, of what makes V = 0 there: a_i ∥ b_i; None where one of them vanishes."""
+    modes = tuple(i for i, alpha in enumerate(problem.objective.alpha) if alpha > 0)
+    f, _, same = problem.factors(z)
+    lengths = np.linalg.norm(f, axis=2)
+    alone = all(same[i] < SHARED for i in modes)
+    if not alone or any(lengths[i].prod() * problem.objective.alpha[i] <= TIP * problem.objective_scale for i in modes):
+        return None
+    return Parallel.at(f, modes)
+
+
+def _dimension(program: Program, x: Vector, local: FirstOrderModel) -> int | None:
+    """Of the set V = 0 about x, which inequalities may bound: V's own slope and curvature vanish along it."""
+    if program.first.kept or program.coupling.count > 1:
+        return None
+    surface = surface_at(program.first, x)
+    if surface is None:
+        return None
+    f, f_z, _ = program.first.factors(x)
+    equations = np.ones(len(local.equalities), dtype=bool)
+    for kink in local.kinks:
+        equations[kink.rows] = False
+    return x.size - _rank(np.vstack([local.equalities[equations], surface.slopes(f, f_z * program.first.scale)]))
+
+
+def _rank(rows: Vector) -> int:
+    singular = np.linalg.svd(rows, compute_uv=False)
+    return int(np.sum(singular > DEPENDENT * singular[0])) if singular.size else 0
+
+
+def _curvature(
+    program: Program, x: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int]
+) -> tuple[float, int | None]:
     """Largest curvature of V − λᵀ c on the null space of the active rows, by central differences of exact gradients.
 
     0 where nothing is free, at a kink, where the branches change places within the step, and where no point nearby
-    along that direction is better: differences mislead where second derivatives change within the step.
+    along that direction is better: differences mislead where second derivatives change within the step. And along how
+    many directions there is none; None at a kink of ε_max.
     """
     rows = local.rows(list(range(len(local.inequalities))))
     _, singular, directions = np.linalg.svd(rows)
-    free = directions[int(np.sum(singular > 1e-9 * singular[0])) :] if len(rows) else np.eye(local.gradient.size)
-    if not free.size or any(kink.number is None for kink in local.kinks):
-        return 0.0
+    free = directions[int(np.sum(singular > DEPENDENT * singular[0])) :] if len(rows) else np.eye(local.gradient.size)
+    if any(kink.number is None for kink in local.kinks):
+        return 0.0, None
+    if not free.size:
+        return 0.0, 0
     weights, held = local.weights(multipliers, kept), local.held(multipliers, kept)
     values, vectors = np.linalg.eigh(lagrangian_hessian(program, x, free, weights, held))
-    largest = float(values[-1])
+    largest, flat = float(values[-1]), int(np.sum(values >= -CURVATURE_TOLERANCE))
     if largest > CURVATURE_TOLERANCE and not _rises(program, x, local, free.T @ vectors[:, -1], weights, largest):
-        return 0.0
-    return largest
+        return 0.0, flat
+    return largest, flat
 
 
 def lagrangian_hessian(program: Program, x: Vector, free: Vector, weights: Vector, held: Held) -> Vector:

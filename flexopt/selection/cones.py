@@ -1,11 +1,13 @@
-"""Where w_i = a_i·b_i − |a_i||b_i| has kinks: −|a_i||b_i| is a cone about a_i = 0 and about b_i = 0.
+"""Where w_i = a_i·b_i − |a_i||b_i| has kinks, and where it is 0: from a_i and b_i with their slopes.
 
-In: a_i and b_i with their slopes. Out: cones of objectives; and what is left of w_i that is smooth at a tip.
+−|a_i||b_i| is a cone about a_i = 0 and about b_i = 0. Out: cones of objectives; what is left of w_i that is smooth at a
+tip; and the equations of a_i ∥ b_i, which make w_i = 0 a surface.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -64,3 +66,62 @@ def smooth_slope(f: Vector, slopes: Vector, held: Mapping[int, tuple[float, Vect
         total = total + (alpha * other - length * pull) @ slopes[i, side]
         total = total + (alpha * tip - (float(pull @ tip) / max(length, TINY)) * other) @ slopes[i, 1 - side]
     return total
+
+
+@dataclass(frozen=True)
+class Parallel:
+    """The equations a_i ∥ b_i of some modes: ((â·a)(e_k·b) − (e_k·a)(â·b)) / (|a₀||b₀|) = 0.
+
+    w_i is a maximum there, so that its own slope tells nothing of the surface w_i = 0; the slopes of these do. â is the
+    direction of a_i at the point x₀ that the chart is made at, e_k (r − 1,) are unit vectors across it: all r would
+    depend on each other.
+
+    Attributes:
+        modes: numbers i.
+        axes: [â; e_1; …] of each, (r, r).
+        sizes: |a₀||b₀| of each.
+    """
+
+    modes: tuple[int, ...]
+    axes: tuple[Vector, ...]
+    sizes: tuple[float, ...]
+
+    @staticmethod
+    def at(f: Vector, modes: tuple[int, ...]) -> Parallel:
+        """The chart at a point; f is from `split_factors`."""
+        axes, sizes = list[Vector](), list[float]()
+        for i in modes:
+            a, b = f[i]
+            _, _, across = np.linalg.svd(a[None, :])
+            axes.append(np.vstack([a / np.linalg.norm(a), across[1:]]))
+            sizes.append(float(np.linalg.norm(a) * np.linalg.norm(b)))
+        return Parallel(modes, tuple(axes), tuple(sizes))
+
+    @property
+    def size(self) -> int:
+        """How many equations there are."""
+        return sum(len(axes) - 1 for axes in self.axes)
+
+    def values(self, f: Vector) -> Vector:
+        """The left sides; f is from `split_factors`."""
+        found = list[Vector]()
+        for i, axes, size in zip(self.modes, self.axes, self.sizes, strict=True):
+            a, b = axes @ f[i, 0], axes @ f[i, 1]
+            found.append((a[0] * b[1:] - a[1:] * b[0]) / size)
+        return np.concatenate(found)
+
+    def slopes(self, f: Vector, slopes: Vector) -> Vector:
+        """Their slopes by x, (size, n)."""
+        found = list[Vector]()
+        for i, axes, size in zip(self.modes, self.axes, self.sizes, strict=True):
+            (a, b), (a_x, b_x) = (axes @ f[i, side] for side in range(2)), (axes @ slopes[i, side] for side in range(2))
+            rows = np.outer(b[1:], a_x[0]) + a[0] * b_x[1:] - b[0] * a_x[1:] - np.outer(a[1:], b_x[0])
+            found.append(rows / size)
+        return np.vstack(found)
+
+    def fits(self, f: Vector, least: float) -> bool:
+        """Whether the chart is still good: a_i has kept its direction, to a cosine `least`, and a_i·b_i > 0."""
+        return all(
+            abs(float(axes[0] @ f[i, 0])) > least * float(np.linalg.norm(f[i, 0])) and float(f[i, 0] @ f[i, 1]) > 0
+            for i, axes in zip(self.modes, self.axes, strict=True)
+        )

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
@@ -19,6 +20,12 @@ from flexopt.selection.problem import SelectionProblem, beyond_bounds
 SAME_POSTURE = 1e-4
 # What may change along the way from one to the other: of the target, constraints and w_i, relative to their scales.
 ALIKE = 1e-6
+# What turns a machine about a target; angles looked at, and how exactly the best of them is told, rad.
+TURNING, TURNS, TURN_ACCURACY = ("x", "y", "yaw"), 180, 1e-9
+# Turns of a joint by which it is told whether anything depends on it, rad.
+FREE = np.array([0.0, 0.4, -1.1, 2.0])
+# How near to its rows a turned configuration is, in their scales, and how far away what breaks them counts.
+ON_ROWS, NOWHERE = 1e-9, 1e12
 # Places looked at on the way: a few, and for what the yard allows one every so many metres.
 BETWEEN, EVERY = 7, 0.1
 
@@ -51,6 +58,117 @@ def grouped(problem: SelectionProblem, points: list[Vector]) -> list[list[int]]:
         return groups
     away = [float(np.linalg.norm(z[: now.size] - now)) for z in points]
     return [sorted(group, key=away.__getitem__) for group in groups]
+
+
+def turns(problem: SelectionProblem) -> bool:
+    """Whether the machine may be turned about its target: where it stands on flat ground no measure sees that."""
+    names, rows = problem.machine.base_coordinates, problem.machine.task_rows
+    at = [names.index(name) for name in TURNING if name in names]
+    free = len(at) == len(TURNING) and bool(np.all(problem.lower[at] < problem.upper[at]))
+    return free and "x" in rows and "y" in rows
+
+
+def travel(problem: SelectionProblem, z: Vector) -> float:
+    """How far z is from the present configuration, or from zeros, Σ ((z − now) / scale)²."""
+    return float(np.sum(between(problem, _now(problem), z) ** 2))
+
+
+def between(problem: SelectionProblem, z: Vector, other: Vector) -> Vector:
+    """From z to the other, (n_z,) in scaled variables, the short way round for angles without limits."""
+    away, turning = other - z, problem.turning
+    away[turning] = (away[turning] + math.pi) % math.tau - math.pi
+    scaled: Vector = away / problem.scale
+    return scaled
+
+
+def _now(problem: SelectionProblem) -> Vector:
+    now, n_base = np.zeros(problem.scale.size), len(problem.machine.base_coordinates)
+    if problem.present_base is not None:
+        now[:n_base] = problem.present_base
+    if problem.present_posture is not None:
+        now[n_base:] = problem.present_posture
+    return now
+
+
+def nearest(problem: SelectionProblem, z: Vector) -> Vector:
+    """Of configurations that no measure tells from z the one nearest to the present one, see `travel`.
+
+    These are z after whole turns of joints, with joints at other angles that nothing depends on, such as the roll of a
+    tool about its own axis, and turned about the target. What breaks a constraint is left out, and so is all where
+    travel costs.
+    """
+    if problem.travel is not None:
+        return z
+    here, now = z, _now(problem)
+    for k in range(len(problem.machine.base_coordinates), z.size):
+        if problem.variables[k].unit == "rad" and not problem.turning[k]:
+            turned = here.copy()
+            turned[k] = _whole_turns(z[k], now[k], problem.lower[k], problem.upper[k])
+            here = turned if _as_good(problem, z, turned) else here
+    for k in _free(problem, here):
+        moved = here.copy()
+        moved[k] = np.clip(now[k], problem.lower[k], problem.upper[k])
+        here = moved if _as_good(problem, z, moved) else here
+    return _turned(problem, here)
+
+
+def _whole_turns(angle: float, now: float, lower: float, upper: float) -> float:
+    """The angle within its limits, whole turns away, that is nearest to the present one; of two the greater."""
+    first, last = math.ceil((lower - angle) / math.tau), math.floor((upper - angle) / math.tau)
+    others = [angle + math.tau * k for k in range(first, last + 1)]
+    return min(others, key=lambda other: (round(abs(other - now), 5), -other), default=angle)
+
+
+def _as_good(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
+    """Whether the other is nearer, keeps everything, and has the same measures."""
+    return (
+        travel(problem, other) < travel(problem, z) + ALIKE
+        and bool(np.abs(beyond_bounds(problem, other)).max() <= ON_ROWS)
+        and _alike(problem, z, other)
+    )
+
+
+def _free(problem: SelectionProblem, z: Vector) -> list[int]:
+    """Joints that neither the end-point nor a measure depends on."""
+    plant, p = problem.measures.plant, problem.measures.plant.parameter_values
+    found = list[int]()
+    for k in range(plant.n_base, z.size):
+        at = np.repeat(z[:, None], FREE.size, axis=1)
+        at[k] += FREE
+        w, size, r = (x.full() for x in problem.measures.w.call([at[: plant.n_base], at[plant.n_base :], p])[:3])
+        if np.all(np.abs(w - w[:, :1]) <= ON_ROWS * size) and np.all(np.abs(r - r[:, :1]) <= ON_ROWS):
+            found.append(k)
+    return found
+
+
+def _turned(problem: SelectionProblem, z: Vector) -> Vector:
+    """The configuration turned about its target to where it is nearest."""
+    if not turns(problem):
+        return z
+    home = _pose(problem, z)
+    rows = problem.machine.task_rows
+    x, y = (float(problem.target[rows.index(name)]) for name in "xy")
+
+    def turned(angle: float) -> Vector | None:
+        way = complex(math.cos(angle), math.sin(angle)) * complex(home.x - x, home.y - y)
+        place = _configuration(problem, z, AnchorPose(x + way.real, y + way.imag, home.yaw + angle))
+        return place if place is None or np.abs(beyond_bounds(problem, place)).max() <= ON_ROWS else None
+
+    def distance(angle: float) -> float:
+        place = turned(angle)
+        return NOWHERE if place is None else travel(problem, place)
+
+    angles = np.linspace(-math.pi, math.pi, TURNS + 1)
+    far = [distance(angle) for angle in angles.tolist()]
+    least = int(np.argmin(far))
+    low, high = angles[least] - math.tau / TURNS, angles[least] + math.tau / TURNS
+    # Where the way ends at a wall or a bound golden sections stop short of it, inside.
+    found = minimize_scalar(distance, bounds=(low, high), method="bounded", options={"xatol": TURN_ACCURACY})
+    angle = float(found.x) if found.fun < far[least] else float(angles[least])
+    place = turned(angle)
+    if place is None or not distance(angle) < distance(0.0) - ALIKE or not _alike(problem, z, place):
+        return z
+    return place
 
 
 def _joined(problem: SelectionProblem, z: Vector, other: Vector) -> bool:

@@ -16,7 +16,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent import CUT_SHORT
-from flexopt.selection.check import Proof, prove
+from flexopt.selection.check import FIRST_ORDER, Proof, prove
 from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, single
@@ -31,6 +31,9 @@ NEARLY = 1e-3
 CLIMBED = 8
 # How many of those that were cut short below the best optimum are taken up again, too.
 BEHIND = 4
+# How often an ascent that rounding stopped short of an optimum is begun anew from where it came to: multipliers of what
+# is kept are large, and the step's predicted gain is less than rounding before the slope is gone.
+AGAIN = 3
 # Where no optimum of a later objective is found from those of the one before: how far away, in scaled variables, it is
 # tried again, and from how many points each time.
 AROUND = (0.0, 1e-3, 1e-2, 1e-1)
@@ -231,6 +234,14 @@ def _proved(problem: SelectionProblem, z: Vector, iterations: int, status: str) 
     if proof.holds or status == CUT_SHORT:
         return z, proof, iterations, status
     z, better = polished(single(problem), z, proof)
+    for _ in range(AGAIN if any(form.kinks for form in problem.forms) else 0):
+        found = None if list(better.violations) != [FIRST_ORDER] else single(problem).climbed(z, ASCENT_QUICK)
+        if found is None:
+            break
+        there = prove(problem, found[0])
+        if not (there.holds or there.stationarity <= better.stationarity / 2):
+            break
+        z, better, iterations = found[0], there, iterations + found[1]
     return z, better, iterations, SOLVED[0] if better.holds else status
 
 

@@ -17,6 +17,7 @@ from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.selection.ascent import Ascent
+from flexopt.selection.cones import Parallel
 from flexopt.selection.configuration import ConstraintRows
 from flexopt.selection.nlp import Coupling, Goal, alone, build_branched, build_solver, parameters_of, told_branches
 from flexopt.selection.objective import Objective
@@ -188,15 +189,48 @@ class Program:
             x = self.packed(list(first.wrapped(np.array([self.of(x, k) for k in range(self.coupling.count)]))))
         return np.clip(x, *self.bounds()), reached.iterations, reached.status
 
-    def climbed(self, start: Vector, steps: int, within: float = np.inf) -> tuple[Vector, int, str] | None:
-        """`solve` by an ascent of so many steps, of one configuration; None where no constraints are near the start."""
+    def climbed(
+        self,
+        start: Vector,
+        steps: int,
+        within: float = np.inf,
+        *,
+        sought: int = 1,
+        parallel: Parallel | None = None,
+    ) -> tuple[Vector, int, str] | None:
+        """`solve` by an ascent of so many steps, of one configuration; None where no constraints are near the start.
+
+        `sought`: of how many objectives, up to the one being solved, the smallest is climbed, each in its own scale;
+        `parallel`: equations that are kept, too.
+        """
+        ascent, x0 = self.ascent(start, within, sought=sought, parallel=parallel)
+        found = ascent.climbed(x0, steps)
+        if found is None:
+            return None
+        x, iterations, status = found
+        return self.told(x), iterations, status
+
+    def told(self, x: Vector) -> Vector:
+        """The z of an ascent's x, within the bounds."""
+        return np.clip(self.first.wrapped(x * self.scale + self.shift[0]), *self.bounds())
+
+    def ascent(
+        self, start: Vector, within: float = np.inf, *, sought: int = 1, parallel: Parallel | None = None
+    ) -> tuple[Ascent, Vector]:
+        """What `climbed` climbs by, and the start in its variables."""
         first, (shift, _), parameters = self.first, self.shift, self.parameters()
         functions = build_branched(first.configuration, first.forms, compiled=self._compiles)
         x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
         x0 = np.clip(x0, lower, upper)
         lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
         rows, count = self.constraints()[: len(first.constraints)], len(first.kept) + 1
-        bounds = Bounds(lower, upper, np.array([row.lower for row in rows]), np.array([row.upper for row in rows]))
+        zeros = np.zeros(0 if parallel is None else parallel.size)
+        bounds = Bounds(
+            lower,
+            upper,
+            np.append([row.lower for row in rows], zeros),
+            np.append([row.upper for row in rows], zeros),
+        )
         objectives, sizes = first.objectives[:count], np.array(first.objective_scales[:count])
         n_base, p = first.measures.plant.n_base, first.measures.plant.parameter_values
 
@@ -222,16 +256,11 @@ class Program:
 
         alphas = np.array([objective.alpha for objective in objectives]) / sizes[:, None]
         kinks = np.array([objective.beta for objective in objectives]) / sizes
-        least = np.array(first.kept) / sizes[:-1]
+        least = np.array(first.kept[: count - sought]) / sizes[: count - sought]
         noise = 0.0
-        if kinks[:-1].any() and functions.margin is not None:
-            noise = float(kinks[:-1].max()) * margin_noise(first, functions.margin, x0 * self.scale)
-        ascent = Ascent(functions, parameters, alphas, kinks, least, bounds, margin, without, noise)
-        found = ascent.climbed(x0, steps)
-        if found is None:
-            return None
-        x, iterations, status = found
-        return np.clip(first.wrapped(x * self.scale + shift), *self.bounds()), iterations, status
+        if kinks[:-sought].any() and functions.margin is not None:
+            noise = float(kinks[:-sought].max()) * margin_noise(first, functions.margin, x0 * self.scale)
+        return Ascent(functions, parameters, alphas, kinks, least, bounds, margin, without, noise, sought, parallel), x0
 
     @cached_property
     def _compiles(self) -> bool:

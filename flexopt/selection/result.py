@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.documents import json_ready
@@ -15,12 +17,20 @@ from flexopt.foundation.pictures import drawn
 from flexopt.foundation.results import Result
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.continua import travel
+from flexopt.selection.problem import SelectionProblem, beyond_bounds
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = 12
+# Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
+ROUNDING = 1e-13
+# Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
+# about the square of its step tolerance, far below.
+TIE_TOLERANCE = 1e-9
+# What is no gain, as a share of the objective's scale.
+NOTHING = 1e-4
 
 
 @dataclass(frozen=True)
@@ -53,6 +63,12 @@ class Candidate:
         continuum: further placements (n_b,) found at which the same posture is the same optimum, as those of a machine
             in space that may be turned about its target: nothing changes on the way to them; see
             `flexopt.selection.continua`.
+        dimension: of the set of optima as good that the candidate belongs to: 0 where it stands alone, 1 of a machine
+            that may be turned about its target; None where that is not known, see `flexopt.selection.check.Proof`.
+        extent: of a connected set that several points were found of, the least and the greatest of every variable among
+            them.
+        representatives: some of these points, (n_z,) each, far apart. The candidate is the one of the set where the
+            worst of the w_i that V leaves out is largest, or ε_max where V leaves none out.
     """
 
     z: Vector
@@ -67,6 +83,9 @@ class Candidate:
     unsurpassed: bool
     evaluate: Callable[[], Evaluation] = field(repr=False, compare=False)
     continuum: tuple[tuple[float, ...], ...] = ()
+    dimension: int | None = None
+    extent: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    representatives: tuple[tuple[float, ...], ...] = ()
 
     @property
     def evaluation(self) -> Evaluation:
@@ -91,6 +110,9 @@ class Candidate:
             "kinks": self.kinks,
             "unsurpassed": self.unsurpassed,
             "continuum": self.continuum,
+            "dimension": self.dimension,
+            "extent": self.extent,
+            "representatives": self.representatives,
         }
         return self.evaluation.to_dict() | json_ready(own)
 
@@ -130,7 +152,7 @@ class Selection(Result):
         problem: what was solved.
     """
 
-    DOCUMENT = "status converged best candidates initial attempts kept problem provenance"
+    DOCUMENT = "status converged best decided_by nothing_to_gain candidates initial attempts kept problem provenance"
 
     best: Candidate
     candidates: tuple[Candidate, ...]
@@ -164,6 +186,41 @@ class Selection(Result):
         """
         return drawn(self, path)
 
+    @property
+    def decided_by(self) -> str:
+        """A sentence on what chose the best among those whose objective is as good; empty where it stands alone.
+
+        In order: the worst of the w_i that the objectives leave out, ε_max, the way there from the present
+        configuration, or from zeros.
+        """
+        best = self.best
+        level = best.objective - TIE_TOLERANCE * self.problem.objective_scale
+        if best.dimension == 0 and not any(other.objective >= level for other in self.candidates[1:]):
+            return ""
+        used = np.any([np.array(objective.alpha) > 0 for objective in self.problem.objectives], axis=0)
+        told = list[str]()
+        if not used.all():
+            told.append(f"worst of the other w_i {best.w[~used].min():.6g}")
+        if best.evaluation.epsilon_max is not None and not any(o.has_kinks for o in self.problem.objectives):
+            told.append(f"ε_max {best.evaluation.epsilon_max:.6g}")
+        told.append(f"way there {np.sqrt(travel(self.problem, best.z)):.4g} in scaled variables")
+        return f"among those as good, in this order: {', '.join(told)}"
+
+    @property
+    def nothing_to_gain(self) -> str:
+        """A sentence where the present configuration is as good as the best, to 1e-4 of the scale; else empty."""
+        problem, now = self.problem, self.initial
+        if now is None or len(problem.objectives) > 1:
+            return ""
+        z = np.concatenate([now.base, now.posture])
+        inside = bool(np.all((z >= problem.lower) & (z <= problem.upper)))
+        if not inside or np.abs(beyond_bounds(problem, z)).max() > NOTHING:
+            return ""
+        short = self.best.objective - float(problem.branches(problem.objective, z)[0][0])
+        if short > NOTHING * problem.objective_scale:
+            return ""
+        return f"nothing to gain: the present configuration has as much {problem.name}, to {NOTHING:g} of |a||b|"
+
     def __repr__(self) -> str:
         best = self.best.evaluation
         names = (*best.base_coordinates, *best.joints)
@@ -176,23 +233,28 @@ class Selection(Result):
             + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size))
             + f"{'ε_max':>10}",
         ]
+        equal = TIE_TOLERANCE * problem.objective_scales[0] if not problem.objectives[0].has_kinks else 0.0
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
             e = candidate.evaluation
             numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
             alike = f"   and {len(candidate.continuum)} placements alike" if candidate.continuum else ""
-            lines.append(f"  {rank:4d} {numbers}{_measures(e)}{active}{alike}")
+            wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
+            lines.append(f"  {rank:4d} {numbers}{_measures(e, equal)}{active}{wide}{alike}")
         lines += [f"  {kept}" for kept in self.kept]
         if self.best.unsurpassed and not self.kept:
             lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
+        lines += [f"  {sentence}" for sentence in (self.decided_by, self.nothing_to_gain) if sentence]
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
-            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + _measures(e))
+            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + _measures(e, equal))
         return "\n".join(lines)
 
 
-def _measures(evaluation: Evaluation) -> str:
+def _measures(evaluation: Evaluation, equal: float) -> str:
+    """The w_i, 0 where they are rounding or count as `equal` to it, and ε_max."""
     margin = "         –" if evaluation.epsilon_max is None else f"{evaluation.epsilon_max:10.6f}"
-    return "".join(f"{w:13.4e}" for w in evaluation.w) + margin
+    sizes = zip(evaluation.w.tolist(), evaluation.scale.tolist(), strict=True)
+    return "".join(f"{w if abs(w) > max(ROUNDING * size, equal) else 0.0:13.4e}" for w, size in sizes) + margin

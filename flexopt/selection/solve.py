@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
@@ -20,15 +21,20 @@ from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import build_selection, only_notes
-from flexopt.selection.continua import grouped
-from flexopt.selection.optima import Found, Progress, first_optima, later_optima, next_stage
+from flexopt.selection.check import prove
+from flexopt.selection.continua import between, grouped, nearest, travel
+from flexopt.selection.objective import Objective
+from flexopt.selection.optima import SAME_POINT, Progress, first_optima, later_optima, next_stage
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Candidate, ConstraintValue, Kept, Selection
+from flexopt.selection.result import TIE_TOLERANCE, Candidate, ConstraintValue, Kept, Selection
 from flexopt.selection.starts import starting_points
+from flexopt.selection.surfaces import Best, along_surfaces
 
-# Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
-# about the square of its step tolerance, far below.
-TIE_TOLERANCE = 1e-9
+# Up to where values that decide between equals are equal themselves, and decimals of z that break the last ties.
+EQUAL, DIGITS = 1e-6, 5
+Extent = dict[str, tuple[float, float]]
+# Optima named of a set, besides the candidate that stands for it.
+REPRESENTATIVES = 5
 
 
 @public(together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords))
@@ -75,15 +81,18 @@ def solve_selection(
     """
     warn_implausible(problem.machine)
     count = workers or available_cores()
-    found, attempts = first_optima(problem, starting_points(problem), count, progress)
+    found, attempts = first_optima(problem, starting_points(problem, count), count, progress)
     kept: list[Kept] = []
     while len(problem.kept) + 1 < len(problem.objectives):
         problem, now = next_stage(problem, found)
         kept.append(now)
         found, more = later_optima(problem, [z for z, _, _ in found], count)
         attempts += more
-    groups = grouped(problem, [z for z, _, _ in found])
-    candidates = _ranked(problem, [_candidate(problem, [found[k] for k in group]) for group in groups])
+    bests = along_surfaces(problem, found, count)
+    groups = grouped(problem, [best.found[0] for best in bests])
+    candidates = _ranked(
+        problem, _merged(problem, [_candidate(problem, [bests[k] for k in group]) for group in groups])
+    )
     # What may still be wrong with it shows here, not when it is first asked for.
     assert candidates[0].evaluation is not None
     options = {"target": problem.target.tolist(), "objective": problem.name, "control": problem.control}
@@ -100,10 +109,17 @@ def solve_selection(
     )
 
 
-def _candidate(problem: SelectionProblem, group: list[Found]) -> Candidate:
-    """The first of a continuum, and where the base stands in the others."""
-    (z, proof, iterations), *others = group
-    n_base, p = problem.measures.plant.n_base, problem.measures.plant.parameter_values
+def _candidate(problem: SelectionProblem, group: list[Best]) -> Candidate:
+    """The first of a continuum, its base as near as it may stand, and where it stands in the others."""
+    z, proof, iterations = group[0].found
+    places = [best.found[0] for best in group]
+    near = nearest(problem, z)
+    if near is not z and (turned := prove(problem, near)).holds:
+        z, proof = near, turned
+    n_base = problem.measures.plant.n_base
+    places = [place for place in places if np.abs((place - z) / problem.scale)[:n_base].max(initial=0.0) > SAME_POINT]
+    others = [other for best in group for other in best.others]
+    p = problem.measures.plant.parameter_values
     return Candidate(
         z=z,
         w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
@@ -116,8 +132,53 @@ def _candidate(problem: SelectionProblem, group: list[Found]) -> Candidate:
         kinks=proof.kinks,
         unsurpassed=proof.unsurpassed,
         evaluate=partial(problem.quantities.evaluated, z),
-        continuum=tuple(tuple(other[:n_base].tolist()) for other, _, _ in others),
+        continuum=tuple(tuple(other[:n_base].tolist()) for other in places),
+        dimension=proof.dimension,
+        extent=_extent(problem, [z, *others]),
+        representatives=tuple(tuple(other.tolist()) for other in _spread(problem, z, others)),
     )
+
+
+def _merged(problem: SelectionProblem, candidates: list[Candidate]) -> list[Candidate]:
+    """The candidates, those that turned out to be one only once, with all placements and points found of each."""
+    merged: list[Candidate] = []
+    for candidate in candidates:
+        for k, other in enumerate(merged):
+            if np.abs(between(problem, candidate.z, other.z)).max() <= SAME_POINT:
+                merged[k] = replace(
+                    other,
+                    continuum=(*other.continuum, *candidate.continuum),
+                    extent=_joint_extent(other.extent, candidate.extent),
+                    representatives=(*other.representatives, *candidate.representatives)[:REPRESENTATIVES],
+                )
+                break
+        else:
+            merged.append(candidate)
+    return merged
+
+
+def _joint_extent(one: Extent, other: Extent) -> Extent:
+    return {
+        name: (min(low, one.get(name, (low, high))[0]), max(high, one.get(name, (low, high))[1]))
+        for name, (low, high) in (one | other).items()
+    }
+
+
+def _extent(problem: SelectionProblem, points: list[Vector]) -> Extent:
+    """The least and the greatest of every variable among the points that were found of a set; nothing of a point."""
+    if len(points) == 1:
+        return {}
+    low, high = np.min(points, axis=0).tolist(), np.max(points, axis=0).tolist()
+    return dict(zip((variable.name for variable in problem.variables), zip(low, high, strict=True), strict=True))
+
+
+def _spread(problem: SelectionProblem, z: Vector, others: list[Vector]) -> list[Vector]:
+    """A few of the others, each as far as can be from z and from those before."""
+    chosen, left = [z], list(others)
+    while left and len(chosen) <= REPRESENTATIVES:
+        away = [min(float(np.abs((other - each) / problem.scale).max()) for each in chosen) for other in left]
+        chosen.append(left.pop(int(np.argmax(away))))
+    return chosen[1:]
 
 
 def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
@@ -137,31 +198,41 @@ def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, Constra
 def _ranked(problem: SelectionProblem, candidates: list[Candidate]) -> list[Candidate]:
     """Best first: the last objective, those before, the worst of the w_i in none of them, ε_max, distance.
 
-    ε_max is asked for where it decides only: it costs more than all else about a candidate.
+    Each is asked for only among those that all before leave equal: ε_max costs more than all else about a candidate.
+    What still ties, mirrored configurations, goes by its numbers, so that chance decides nothing.
     """
-    keys = [_rank(problem, candidate) for candidate in candidates]
-    decided = {key for key in keys if keys.count(key) == 1}
-    last = [(0.0, 0.0) if key in decided else _tie(problem, c) for key, c in zip(keys, candidates, strict=True)]
-    order = sorted(range(len(candidates)), key=lambda k: (keys[k], last[k]))
-    return [candidates[k] for k in order]
+    left, ranked = list(candidates), list[Candidate]()
+    while left:
+        among = left
+        for value, tolerance in _criteria(problem):
+            if len(among) == 1:
+                break
+            values = [value(candidate) for candidate in among]
+            least = max(values) - tolerance
+            among = [candidate for candidate, each in zip(among, values, strict=True) if each >= least]
+        first = max(among, key=lambda candidate: tuple(np.round(candidate.z / problem.scale, DIGITS)))
+        ranked.append(first)
+        left = [candidate for candidate in left if candidate is not first]
+    return ranked
 
 
-def _rank(problem: SelectionProblem, candidate: Candidate) -> tuple[float, ...]:
-    """Sorting key, smallest first: the last objective, those that all keep, the worst of the w_i in none of them."""
-    key: list[float] = []
-    for objective, size in zip(reversed(problem.objectives), reversed(problem.objective_scales), strict=True):
-        key.append(-round(float(problem.branches(objective, candidate.z)[0][0]) / (TIE_TOLERANCE * size)))
+def _criteria(problem: SelectionProblem) -> Iterator[tuple[Callable[[Candidate], float], float]]:
+    """What candidates are ranked by, in order, the larger the better, and up to what they count as equal."""
     used = np.any([np.array(objective.alpha) > 0 for objective in problem.objectives], axis=0)
-    others = [w for w, taken in zip(candidate.w, used, strict=True) if not taken] or [0.0]
-    return (*key, -round(min(others) / (TIE_TOLERANCE * problem.objective_scales[0])))
+    for objective, size in zip(reversed(problem.objectives), reversed(problem.objective_scales), strict=True):
+        yield partial(_objective, problem, objective), TIE_TOLERANCE * size
+    if not used.all():
+        yield lambda candidate: float(candidate.w[~used].min()), EQUAL * problem.objective_scales[0]
+    yield lambda candidate: candidate.evaluation.epsilon_max or 0.0, EQUAL
+    yield partial(_nearness, problem), EQUAL
 
 
-def _tie(problem: SelectionProblem, candidate: Candidate) -> tuple[float, float]:
-    """What decides between equals: ε_max, then the distance from the present base."""
-    e = candidate.evaluation
-    epsilon = 0.0 if e.epsilon_max is None else e.epsilon_max
-    distance = 0.0 if problem.present_base is None else float(np.linalg.norm(e.base - problem.present_base))
-    return -round(epsilon / TIE_TOLERANCE), distance
+def _objective(problem: SelectionProblem, objective: Objective, candidate: Candidate) -> float:
+    return float(problem.branches(objective, candidate.z)[0][0])
+
+
+def _nearness(problem: SelectionProblem, candidate: Candidate) -> float:
+    return -travel(problem, candidate.z)
 
 
 def _initial(problem: SelectionProblem) -> Evaluation | None:

@@ -8,7 +8,9 @@ the constraints by damped Newton steps, the best of them climb at random, and th
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import zip_longest
 
 import numpy as np
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from flexopt.algebra.feasible import repeated
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.processes import in_parallel
 from flexopt.plant.inverse_kinematics import low_discrepancy, reach_steps
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import values_of
@@ -39,11 +42,16 @@ SYMMETRIC, ASIDE, EVEN = 8, 0.3, 1e-9
 INSIDE = 4
 # Points for each start that climb at random; steps, and the first one and the bounds of all, in scaled variables; by
 # how much a step grows after one that helped, and shrinks after others.
-CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 3, 60, 0.3, 1e-4, 0.5, 1.6, 0.8
+CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 6, 60, 0.3, 1e-4, 0.5, 1.6, 0.8
+# Points that one process climbs with.
+BLOCK = 32
 # Largest violation, in units of the rows' scales, of a point that counts as feasible.
 FEASIBLE = 1e-7
 # Starts that differ by less, in scaled variables, are one.
 SAME_START = 1e-3
+
+Values = Callable[[SelectionProblem, Vector], Vector]
+Seed = tuple[int, ...]
 
 
 def _bounds(problem: SelectionProblem) -> tuple[Vector, Vector, Vector, Vector]:
@@ -119,8 +127,8 @@ def violated(problem: SelectionProblem, z: Vector) -> Vector:
     return np.where(np.isfinite(worst), worst, np.inf)
 
 
-def starting_points(problem: SelectionProblem) -> list[Vector]:
-    """Starts z for a problem, the most promising first."""
+def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]:
+    """Starts z for a problem, the most promising first; the same for any number of `workers`."""
     scan = problem.scan
     z = np.vstack([scan.base, scan.posture])
     if problem.measures.plant.closed_form:
@@ -139,12 +147,11 @@ def starting_points(problem: SelectionProblem) -> list[Vector]:
     if not good.any() or problem.objectives[0].has_kinks or problem.redundancy < 2:
         return _apart(best, problem.scale, count, n_base)
     climbing = best[:, : CLIMBING * count]
-    free = _apart(_climbing(problem, climbing), problem.scale, count, n_base)
-    inside = list[Vector]()
-    for plane in _planes(problem):
-        points = _into(plane, climbing[:, ::2])
-        if points.size:
-            inside += _apart(_climbing(plane, points), problem.scale, INSIDE, n_base)
+    planes = _planes(problem)
+    sets = [(problem, climbing), *((plane, _into(plane, climbing[:, ::2])) for plane in planes)]
+    first, *others = _climbed(sets, values_of, workers)
+    free = _apart(first, problem.scale, count, n_base)
+    inside = [z for points in others for z in _apart(points, problem.scale, INSIDE, n_base)]
     # In turn, the best first.
     pairs = zip_longest(free[: len(inside)], inside)
     return [*(start for pair in pairs for start in pair if start is not None), *free[len(inside) :]][:count]
@@ -183,27 +190,73 @@ def _into(plane: SelectionProblem, z: Vector) -> Vector:
     return there[:, off <= FEASIBLE]
 
 
-def _climbing(problem: SelectionProblem, z: Vector) -> Vector:
+def worst_starts(problem: SelectionProblem, count: int, workers: int = 1) -> list[Vector]:
+    """Points where the worst of all w_i is large, apart from each other, the best first; random steps lead there."""
+    scan = problem.scan
+    z = np.vstack([scan.base, scan.posture])[:, scan.violation <= FEASIBLE]
+    if not z.size:
+        return []
+    order = np.argsort(-_worst(problem, z), kind="stable")[: CLIMBING * count]
+    (found,) = _climbed([(problem, z[:, order])], _worst, workers)
+    return _apart(found, problem.scale, count, problem.measures.plant.n_base)
+
+
+def _worst(problem: SelectionProblem, z: Vector) -> Vector:
+    """The smallest w_i (N,) of points (n_z, N)."""
+    plant = problem.measures.plant
+    w = problem.measures.w.call([z[: plant.n_base], z[plant.n_base :], plant.parameter_values])[0].full()
+    least: Vector = w.min(axis=0)
+    return least
+
+
+def _climbed(sets: list[tuple[SelectionProblem, Vector]], values_at: Values, workers: int) -> list[Vector]:
+    """Of every problem its points (n_z, N) after random steps, the best first; in blocks, over processes."""
+    blocks = [
+        (k, z[:, first : first + BLOCK], (problem.seed, k, first))
+        for k, (problem, z) in enumerate(sets)
+        for first in range(0, z.shape[1], BLOCK)
+    ]
+    climbed = in_parallel(partial(_block, [problem for problem, _ in sets], blocks, values_at), len(blocks), workers)
+    found: list[Vector] = []
+    for k, (_, z) in enumerate(sets):
+        ours = [out for (number, _, _), out in zip(blocks, climbed, strict=True) if number == k]
+        points, values = (np.concatenate(each, axis=-1) for each in zip((z[:, :0], np.zeros(0)), *ours, strict=True))
+        found.append(points[:, np.argsort(-values, kind="stable")])
+    return found
+
+
+def _block(
+    problems: list[SelectionProblem], blocks: list[tuple[int, Vector, Seed]], values_at: Values, number: int
+) -> tuple[Vector, Vector]:
+    k, z, seed = blocks[number]
+    return _climbing(problems[k], z, values_at, seed)
+
+
+def _climbing(problem: SelectionProblem, z: Vector, values_at: Values, seed: Seed) -> tuple[Vector, Vector]:
     """The points (n_z, N) after random steps along the target, taken where they keep all constraints and V grows.
 
-    The best first. No slope is asked for, so that kinks and narrow valleys stop it less than a solver.
+    No slope is asked for, so that kinks and narrow valleys stop it less than a solver. `values_at`: of the problem and
+    points, what grows.
+
+    Returns:
+        The points, and what grew there (N,).
     """
-    rng, count = np.random.default_rng(problem.seed), z.shape[1]
+    rng, count = np.random.default_rng(seed), z.shape[1]
     lower, upper, free, scale = (x[:, None] for x in _bounds(problem))
-    values, step = _feasible_values(problem, z), np.full(count, STEP)
+    values, step = _feasible(problem, z, values_at), np.full(count, STEP)
     for _ in range(STEPS):
         there = np.clip(z + step * rng.standard_normal(z.shape) * scale * free, lower, upper)
         there, off = onto_target(problem, there)
-        found = np.where(off <= FEASIBLE, _feasible_values(problem, there), -np.inf)
+        found = np.where(off <= FEASIBLE, _feasible(problem, there, values_at), -np.inf)
         better = found > values
         z, values = np.where(better, there, z), np.where(better, found, values)
         step = np.clip(step * np.where(better, LONGER, SHORTER), STEP_LEAST, STEP_MOST)
-    return z[:, np.argsort(-values, kind="stable")]
+    return z, values
 
 
-def _feasible_values(problem: SelectionProblem, z: Vector) -> Vector:
-    """V (N,) at points that reach the target; −∞ where they break a constraint."""
-    values = values_of(problem, z)
+def _feasible(problem: SelectionProblem, z: Vector, values_at: Values) -> Vector:
+    """Values (N,) at points that reach the target; −∞ where they break a constraint."""
+    values = values_at(problem, z)
     return np.where((violated(problem, z) <= FEASIBLE) & np.isfinite(values), values, -np.inf)
 
 

@@ -1,0 +1,148 @@
+"""Optima that are surfaces: where V = 0 no configuration has more, and of those that have as much the best is sought.
+
+In: verified optima of a problem. Out: the same, where V = 0 moved along their surfaces a_i ∥ b_i to where the worst of
+the other w_i is largest, or ε_max where there are no others, with the optima that each one stands for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.processes import in_parallel
+from flexopt.selection.ascent import DONE
+from flexopt.selection.check import DEPENDENT, prove, surface_at
+from flexopt.selection.cones import TINY
+from flexopt.selection.continua import between, turns
+from flexopt.selection.objective import Objective
+from flexopt.selection.optima import SAME_POINT, Found
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import ASCENT_LONG, single
+from flexopt.selection.starts import worst_starts
+
+# Points that climb along surfaces: optima, those where what is sought is largest, and others.
+OPTIMA, STARTS = 12, 16
+# Charts of a surface that a climb may need, and the cosine to which a_i may turn in one.
+CHARTS, TURNED = 6, 0.3
+# A gain below this share of the scale is none.
+STILL = 1e-9
+# Steps of a walk from one optimum to another, the longest of them in scaled variables, and what is left after each.
+WALK, STRIDE, NEARER = 100, 0.1, 0.99
+
+
+@dataclass(frozen=True)
+class Best:
+    """An optimum, and others (k, n_z) of the same connected set that were found."""
+
+    found: Found
+    others: tuple[Vector, ...] = ()
+
+
+def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) -> list[Best]:
+    """The optima; of each connected surface V = 0 that was found its best, after all that are no surface.
+
+    Where objectives are kept in order, or travel costs, the next objective or the cost says what is best.
+    """
+    wide = [item for item in found if (item[1].dimension or 0) > int(turns(problem)) and item[1].unsurpassed]
+    if not wide or len(problem.objectives) > 1 or problem.travel is not None:
+        return [Best(item) for item in found]
+    rest = [Best(item) for item in found if not any(item is other for other in wide)]
+    stage, sought = _next(problem)
+    wide = sorted(wide, key=lambda item: -_value(stage, sought, item[0]))[:OPTIMA]
+    starts = [z for z, _, _ in wide] + worst_starts(problem, STARTS, workers)
+    climb = partial(_climbed, problem, stage, sought, starts)
+    ends = in_parallel(climb, len(starts), workers, lost=lambda number, _: (starts[number], 0))
+    proved = [(z, prove(problem, z), steps) for z, steps in ends]
+    good = [(number, item) for number, item in enumerate(proved) if item[1].holds and item[1].unsurpassed]
+    values = {number: _value(stage, sought, item[0]) for number, item in good}
+    # One that was lost on its way stays where it was.
+    good += [(k, item) for k, item in enumerate(wide) if k not in values]
+    values |= {k: _value(stage, sought, item[0]) for k, item in good if k not in values}
+    sets: list[tuple[Found, list[Vector]]] = []
+    for number, item in sorted(good, key=lambda each: -values[each[0]]):
+        home = next((others for best, others in sets if _connected(problem, item[0], best[0])), None)
+        if home is None:
+            sets.append((item, home := []))
+        else:
+            home.append(item[0])
+        if number < len(wide):
+            home.append(wide[number][0])
+    return [*rest, *(Best(item, tuple(_distinct(problem, item[0], others))) for item, others in sets)]
+
+
+def _next(problem: SelectionProblem) -> tuple[SelectionProblem, int]:
+    """The problem of what is sought along the surface, and of how many objectives the smallest is."""
+    alpha, size = problem.objective.alpha, problem.objective_scale
+    m = len(alpha)
+    others = [Objective(f"w{i + 1}", tuple(np.eye(m)[i].tolist()), 0.0) for i in range(m) if alpha[i] == 0]
+    if not others:
+        margin = Objective("epsilon_max", (0.0,) * m, 1.0)
+        return replace(problem, objectives=(margin,), objective_scales=(1.0,)), 1
+    count = len(others)
+    kept = (-np.inf,) * (count - 1)
+    return replace(problem, objectives=tuple(others), objective_scales=(size,) * count, kept=kept), count
+
+
+def _value(stage: SelectionProblem, sought: int, z: Vector) -> float:
+    return min(float(stage.branches(objective, z)[0][0]) for objective in stage.objectives[-sought:])
+
+
+def _climbed(
+    problem: SelectionProblem, stage: SelectionProblem, sought: int, starts: list[Vector], number: int
+) -> tuple[Vector, int]:
+    """Where an ascent along the surface leads, chart after chart, and its steps; the start where it is on none."""
+    z, steps, before = starts[number], 0, -np.inf
+    for _ in range(CHARTS):
+        surface = surface_at(problem, z)
+        if surface is None:
+            break
+        found = single(stage).climbed(z, ASCENT_LONG, sought=sought, parallel=surface)
+        if found is None:
+            break
+        z, steps, value = found[0], steps + found[1], _value(stage, sought, found[0])
+        # Steps that got stuck at a kink may go on from there in long ones again.
+        ended = found[2] == DONE or value <= before + STILL * stage.objective_scale
+        if ended and surface.fits(problem.factors(z)[0], TURNED):
+            break
+        before = value
+    return z, steps
+
+
+def _connected(problem: SelectionProblem, start: Vector, goal: Vector) -> bool:
+    """Whether steps along the surface lead from one point to the other's posture, always nearer to it.
+
+    Where they do not, the two may be connected all the same.
+    """
+    n_base, x, goal_x = problem.measures.plant.n_base, start, goal
+    program = single(problem)
+    for _ in range(WALK):
+        away = between(problem, x, goal_x)
+        if np.abs(away[n_base:]).max() <= SAME_POINT:
+            return True
+        surface = surface_at(problem, x)
+        if surface is None:
+            return False
+        away[:n_base] = 0.0
+        ascent, here = program.ascent(x, parallel=surface)
+        point = ascent.at(here)
+        rows = point.row_slopes[ascent.bounds.g_lower == ascent.bounds.g_upper]
+        along = away - np.linalg.pinv(rows, rcond=DEPENDENT) @ (rows @ away)
+        there = ascent.restored(here + along * min(1.0, STRIDE / max(float(np.abs(along).max()), TINY)))
+        if there is None:
+            return False
+        after = program.told(there.x)
+        if np.linalg.norm(between(problem, after, goal_x)[n_base:]) > NEARER * np.linalg.norm(away):
+            return False
+        x = after
+    return False
+
+
+def _distinct(problem: SelectionProblem, z: Vector, others: list[Vector]) -> list[Vector]:
+    found = [z]
+    for other in others:
+        if all(np.abs(between(problem, other, each)).max() > SAME_POINT for each in found):
+            found.append(other)
+    return found[1:]

@@ -1,0 +1,170 @@
+"""Optima that are surfaces: equations of a ∥ b, dimensions, the best along a surface, the nearest of what is alike."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+import flexopt
+from benchmarks.choice import chosen
+from benchmarks.dimensions import cases, examined
+from flexopt.selection.cones import Parallel, split_factors
+from flexopt.selection.continua import nearest, travel
+from tests.oracles.machines import random_machine
+
+
+@pytest.mark.parametrize("task_rows", [2, 3, 4])
+def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slopes(task_rows: int) -> None:
+    """Beside differences; r − 1 of them, of full rank where a ∥ b."""
+    rng = np.random.default_rng(task_rows)
+    n, m = 5, 2
+    tangent = rng.normal(size=(2 * task_rows * m, n))
+
+    def factors(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        f = (np.sin(tangent) @ x + 0.3 * np.cos(tangent @ x)).reshape(m, 2 * task_rows).T
+        slopes = np.sin(tangent) - 0.3 * np.sin(tangent @ x)[:, None] * tangent
+        return split_factors(f, slopes)
+
+    start = rng.normal(size=n)
+    chart = Parallel.at(factors(start)[0], (0, 1))
+    assert chart.size == m * (task_rows - 1)
+    x = start + 0.05 * rng.normal(size=n)
+    step = 1e-6 * np.eye(n)
+    told = chart.slopes(*factors(x))
+    beside = [(chart.values(factors(x + d)[0]) - chart.values(factors(x - d)[0])) / 2e-6 for d in step]
+    # Rounding of the differences: 1e-16 / 1e-6.
+    assert np.abs(told - np.array(beside).T).max() <= 1e-8 * np.abs(told).max()
+
+    f = factors(start)[0]
+    f[:, 1] = f[:, 0] * [[2.0], [0.7]]
+    assert np.abs(Parallel.at(f, (0, 1)).values(f)).max() <= 1e-15
+    aside = f.copy()
+    aside[0, 1] += 1e-3 * np.linalg.norm(f[0, 1]) * np.linalg.svd(f[0, :1])[2][-1]
+    assert np.abs(Parallel.at(f, (0, 1)).values(aside)).max() >= 1e-4
+
+
+@pytest.mark.parametrize("case", list(cases(12))[::2][:3] + list(cases(16))[7::8], ids=lambda case: case[0])
+def test_dimensions_are_those_of_a_walk(case) -> None:
+    """By least squares of SciPy's with its own differences; V = 0 at each of these."""
+    _, _, told, walked, why = examined(case)
+    assert not why or why == "V is not 0"
+    assert told == walked or why
+
+
+@functools.cache
+def slewing(seed: int) -> flexopt.Selection:
+    """w_1 of the slewing excavator, a surface of dimension 2."""
+    return flexopt.select(flexopt.load("slewing-excavator"), (6, 2, 1), objective="w1", seed=seed, starts=12, workers=1)
+
+
+def test_chance_does_not_decide_what_is_recommended() -> None:
+    """Nor how many surfaces there are."""
+    first, second = slewing(0), slewing(3)
+    away = (first.best.z - second.best.z + np.pi) % (2 * np.pi) - np.pi
+    assert np.abs(away / first.problem.scale).max() <= 1e-3
+    for found in (first, second):
+        assert found.best.unsurpassed
+        assert found.best.dimension == 2
+        assert sum(candidate.unsurpassed for candidate in found.candidates) == 2
+        assert "worst of the other w_i" in repr(found)
+
+
+def test_no_point_of_the_surface_nearby_has_better_other_modes() -> None:
+    """Points that least squares, with differences of SciPy's, move onto the surface from around the best."""
+    found = slewing(0)
+    problem, best = found.problem, found.best
+    n_base, p = problem.measures.plant.n_base, problem.measures.plant.parameter_values
+    rng = np.random.default_rng(1)
+
+    def residual(z: np.ndarray) -> np.ndarray:
+        out = problem.measures.w.call([z[:n_base], z[n_base:], p])
+        a, b = problem.factors(z)[0][0]
+        return np.append(out[2].full().ravel() - problem.target, np.cross(a, b) / np.linalg.norm(a) / np.linalg.norm(b))
+
+    tried = 0
+    for _ in range(30):
+        z = least_squares(residual, best.z + 0.03 * rng.normal(size=best.z.size), xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+        if np.abs(residual(z)).max() > 1e-9 or np.any(z < problem.lower) or np.any(z > problem.upper):
+            continue
+        tried += 1
+        w = problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel()
+        assert w[1:].min() <= best.w[1:].min() + 1e-9 * problem.objective_scale
+    assert tried >= 8
+
+
+def test_extents_hold_the_representatives() -> None:
+    """And the candidate itself; a point alone has none."""
+    for candidate in slewing(0).candidates:
+        points = [candidate.z, *candidate.representatives] if candidate.extent else []
+        for z in points[1:]:
+            for value, (low, high) in zip(z, candidate.extent.values(), strict=True):
+                assert low <= value <= high
+    assert slewing(0).best.to_dict()["dimension"] == 2
+    assert len(slewing(0).best.to_dict()["representatives"]) >= 1
+
+
+@pytest.mark.parametrize("name", ["slewing-excavator", "mobile-manipulator"])
+def test_nothing_that_is_alike_is_nearer(name: str) -> None:
+    """Than what `nearest` gives: among random turns about the target, whole turns of joints, and rolls of a tool."""
+    machine, target, options = chosen(name, 0)
+    problem = flexopt.build_selection(machine, target, objective="w1", control=options["control"])
+    plant, rng = problem.measures.plant, np.random.default_rng(3)
+    n_base, p = plant.n_base, plant.parameter_values
+    z = np.concatenate([problem.scan.base[:, 0], problem.scan.posture[:, 0]])
+    near = nearest(problem, z)
+    w, _, r = (x.full().ravel() for x in problem.measures.w.call([near[:n_base], near[n_base:], p])[:3])
+    before, size = (x.full().ravel() for x in problem.measures.w.call([z[:n_base], z[n_base:], p])[:2])
+    assert np.abs(w - before).max() <= 1e-9 * size.max()
+    assert np.abs(r - target).max() <= 1e-8
+    x, y = target[:2]
+    for _ in range(200):
+        angle, other = rng.uniform(-np.pi, np.pi), near.copy()
+        turn = np.exp(1j * angle) * complex(near[0] - x, near[1] - y)
+        other[:3] = x + turn.real, y + turn.imag, near[2] + angle
+        for k in range(n_base, z.size):
+            if not problem.turning[k]:
+                whole = other[k] + 2 * np.pi * rng.integers(-2, 3)
+                other[k] = whole if problem.lower[k] <= whole <= problem.upper[k] else other[k]
+        assert travel(problem, near) <= travel(problem, other) + 1e-9
+
+
+def test_nothing_to_gain_is_said_where_the_machine_stands_well() -> None:
+    """And not where it does not."""
+    best = slewing(0).best.z
+    again = flexopt.select(
+        flexopt.load("slewing-excavator"),
+        (6, 2, 1),
+        objective="w1",
+        base=best[:3],
+        posture=best[3:],
+        starts=8,
+        workers=1,
+    )
+    assert again.nothing_to_gain.startswith("nothing to gain")
+    assert again.nothing_to_gain in repr(again)
+    elsewhere = flexopt.select(
+        flexopt.load("excavator"), (0, 1.6), objective="w1", base=[-2.9738], posture=[-0.9382, 0.1745]
+    )
+    assert elsewhere.nothing_to_gain == ""
+
+
+def test_a_planar_arm_of_more_joints_has_curves_of_optima() -> None:
+    """Dimension n + 1 − 2 − 1, and the second mode decides."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        _, machine = random_machine(rng)
+        if len(machine.joints) == 3 and flexopt.build_plant(machine).n_passive > 1:
+            break
+    plant = flexopt.build_plant(machine)
+    base, posture = np.zeros(1), np.array([0.9, -1.1, 0.8])
+    target = plant.end_point(plant.rest(base, posture, plant.parameter_values), base, plant.parameter_values)
+    found = [
+        flexopt.select(machine, target.full().ravel(), objective="w1", seed=seed, starts=12, workers=1)
+        for seed in (0, 1)
+    ]
+    assert all(each.best.dimension == 1 for each in found)
+    worst = [each.best.w[1:].min() for each in found]
+    assert abs(worst[0] - worst[1]) <= 1e-6 * found[0].problem.objective_scale
