@@ -37,7 +37,7 @@ from flexopt.model import load
 @GRAVITY
 @value("--joints", "A,B", "The two that vary, along x and y (the first two by default).", names)
 @value("--posture", "A,…", "The joints that do not vary, rad (slides: m).", numbers)
-@value("--base", "X[,Y,YAW]", "Placement, m and rad (0 by default; in the plane no measure depends on it).", placement)
+@value("--base", "X[,Y,YAW]", "Placement, m and rad (0 by default): it moves the end-points.", placement)
 @value("--x-range", "LO,HI", "Of the first that varies, rad or m; its limits or a whole turn by default.", numbers)
 @value("--y-range", "LO,HI", "Of the second that varies, rad or m; its limits or a whole turn by default.", numbers)
 @value("--cells", "N,M", "Of the grid on which curves are found (128,128): smaller loops may be missed.", wholes)

@@ -108,15 +108,21 @@ def test_a_finer_grid_finds_the_same() -> None:
     ]
     for machine, options in cases:
         coarse, fine = (flexopt.atlas(machine, cells=(n, n), **options) for n in (64, 256))
-        assert shape(coarse) == shape(fine)
+        check_alike(coarse, fine)
         for one, other in ((coarse.doubly_robust, fine.doubly_robust), (coarse.vanishing, fine.vanishing)):
             assert len(one) == len(other)
             for p, q in zip(one, other, strict=True):
                 np.testing.assert_allclose(p.posture, q.posture, atol=1e-9)
 
 
-def shape(atlas: flexopt.Atlas) -> list[Any]:
-    return sorted((c.mode, c.closed, tuple(sorted(c.ends)), round(c.length, 1)) for c in atlas.curves)
+def check_alike(one: flexopt.Atlas, other: flexopt.Atlas) -> None:
+    """As many curves of each kind, of the same lengths but for what chords cut off."""
+
+    def kinds(atlas: flexopt.Atlas) -> list[Any]:
+        return sorted((c.mode, c.closed, sorted(c.ends), c.length) for c in atlas.curves)
+
+    assert [kind[:3] for kind in kinds(one)] == [kind[:3] for kind in kinds(other)]
+    np.testing.assert_allclose([kind[3] for kind in kinds(one)], [kind[3] for kind in kinds(other)], rtol=5e-3)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -205,7 +211,7 @@ def test_the_same_machine_as_a_tree_in_space() -> None:
     atlas = flexopt.atlas(flexopt.tree_from_dict(in_space({**excavator().to_dict(), "gravity": 9.81})))
     for one, other in zip(atlas.doubly_robust, whole("inverse").doubly_robust, strict=True):
         np.testing.assert_allclose(one.posture, other.posture, atol=1e-10)
-    assert shape(atlas) == shape(whole("inverse"))
+    check_alike(atlas, whole("inverse"))
 
 
 @pytest.mark.parametrize(
