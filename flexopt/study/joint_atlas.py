@@ -118,7 +118,7 @@ def atlas(
         gravity: measures under static deflection.
         joints: names of the two that vary, along x and y; the first two by default.
         posture: the joints that do not vary, in order, rad or m.
-        base: placement (n_b,), m or rad; 0 by default. It moves the end-points; measures of positions do not depend on it.
+        base: placement (n_b,), m or rad; 0 by default. It moves the end-points; no measure of positions depends on it.
         x_range, y_range: (low, high) of the two, rad or m; their limits, or without a whole turn or the arm's length
             either way. Hinges without limits turn all round: curves go on across the ends of the turn.
         cells: of the grid, along x and y.
