@@ -20,6 +20,8 @@ from flexopt.robustness.atlas.rectangle import INSET, Fields, Mask, Pair, Rectan
 from flexopt.robustness.atlas.tracing import CONVERGED, CORRECTIONS, ROUNDING, STEP, Tracing, ZeroCurve
 
 NEWTON_MAX = 40
+# In cells: how far chords of a curve may be from it. Points of pieces that may repeat a part of another curve.
+CHORD, REPEATED = 0.03, 40
 # Rounds of added lines.
 ROUNDS = 3
 
@@ -50,9 +52,28 @@ def zero_curves(
             break
         lines = np.unique(np.concatenate([lines[0], hidden[0]])), np.unique(np.concatenate([lines[1], hidden[1]]))
         values = scaled.at_nodes(lines)
-    curves = Tracing(scaled, lines, values, functions).curves()
+    curves = _without_repeats(Tracing(scaled, lines, values, functions).curves(), rectangle, scaled.size)
     u, v = (low + line * size for low, line, size in zip(rectangle.low, lines, scaled.size, strict=True))
     return curves, Nodes((u, v), values)
+
+
+def _without_repeats(curves: list[ZeroCurve], rectangle: Rectangle, cell: Vector) -> list[ZeroCurve]:
+    """Without pieces that begin and end on another curve: where one touches a line, a step may pass over it or not."""
+
+    def repeats(piece: ZeroCurve, other: ZeroCurve) -> bool:
+        if other is piece or other.function != piece.function or other.points.shape[1] <= piece.points.shape[1]:
+            return False
+        way = rectangle.steps(other.points) / cell[:, None]
+        for point in piece.points.T:
+            gone = rectangle.nearest(point[:, None] - other.points[:, :-1]) / cell[:, None]
+            share = np.clip(np.sum(gone * way, axis=0) / np.maximum(np.sum(way**2, axis=0), 1e-300), 0.0, 1.0)
+            if np.linalg.norm(gone - share * way, axis=0).min() > CHORD:
+                return False
+        return True
+
+    lost = [curve for curve in curves if curve.ends == ("lost", "lost") and curve.points.shape[1] <= REPEATED]
+    again = [id(piece) for piece in lost if any(repeats(piece, other) for other in curves)]
+    return [curve for curve in curves if id(curve) not in again]
 
 
 def common_zeros(
