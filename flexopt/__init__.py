@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from flexopt.robustness import build_measures as build_measures
     from flexopt.robustness import evaluate as evaluate
     from flexopt.robustness import evaluate_w as evaluate_w
+    from flexopt.robustness.atlas import Atlas as Atlas
     from flexopt.robustness.checking import Check as Check
     from flexopt.robustness.checking import check as check
     from flexopt.selection import BasePlan as BasePlan
@@ -83,11 +84,13 @@ if TYPE_CHECKING:
     from flexopt.simulation import stability_border as stability_border
     from flexopt.study import Report as Report
     from flexopt.study import WorkspaceMap as WorkspaceMap
+    from flexopt.study import atlas as atlas
     from flexopt.study import map_workspace as map_workspace
     from flexopt.study import report as report
 
 __all__ = [
     "Actuator",
+    "Atlas",
     "BasePlan",
     "BaseTrajectory",
     "Candidate",
@@ -130,6 +133,7 @@ __all__ = [
     "WorkspaceMap",
     "WriteError",
     "WrongSlope",
+    "atlas",
     "build_hydraulics",
     "build_measures",
     "build_plant",
@@ -180,6 +184,7 @@ _LATER = {
     "model.simulation": "Experiment SimulationOptions",
     "plant": "Hydraulics Plant build_hydraulics build_plant inverse_kinematics",
     "robustness": "Evaluation Measures build_measures evaluate evaluate_w",
+    "robustness.atlas": "Atlas",
     "robustness.checking": "Check check",
     "selection": (
         "BasePlan BaseTrajectory Candidate Certificate Selection SelectionProblem Stand build_selection "
@@ -189,7 +194,7 @@ _LATER = {
         "Actuator Ensemble Path Sensor Trajectory run_experiment sampled_loop simulate simulate_ensemble "
         "stability_border"
     ),
-    "study": "Report WorkspaceMap map_workspace report",
+    "study": "Report WorkspaceMap atlas map_workspace report",
 }
 _ROOMS = {module.partition(".")[0] for module in _LATER}
 _named = _later(__name__, **_LATER)

@@ -11,6 +11,9 @@ from flexopt.plant.control import task_to_joints, task_to_joints_transposed
 from flexopt.plant.plant import OperatingPoint
 from flexopt.robustness.modes import ReducedPencil
 
+# 1/kg where the force acts on the end-point; with the inverse Jacobian, torque stands for velocity.
+RESIDUE_UNITS = {"transpose": "1/kg", "inverse": "1/(kg m2)"}
+
 
 def residue_factors(at: OperatingPoint, pencil: ReducedPencil, control: Control) -> ca.SX:
     """F = [A; B] (2 n_task, m) of the columns a_i = A φ_i = J φ_i and b_i = B φ_i of R_i = a_i b_iᵀ.
@@ -68,3 +71,16 @@ def _smallest_eigenvalue(symmetric: ca.SX, vectors: ca.SX) -> ca.SX:
         gap = turned[0, 0] - turned[k, k]
         smallest += turned[0, k] ** 2 * gap / (gap**2 + TINY)
     return smallest
+
+
+def posture_unit(joint_units: tuple[str, ...]) -> str:
+    """The unit of postures; of each joint where they differ."""
+    return joint_units[0] if len(set(joint_units)) == 1 else ", ".join(joint_units)
+
+
+def residue_unit(control: str, joint_units: tuple[str, ...]) -> str:
+    """The unit of R_i and w_i."""
+    if control != "transpose" and "m" in joint_units:
+        # What a force on a slide and a torque on a hinge become is not one unit.
+        return "1/kg" if len(set(joint_units)) == 1 else "mixed"
+    return RESIDUE_UNITS.get(control, RESIDUE_UNITS["inverse"])

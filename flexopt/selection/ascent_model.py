@@ -27,8 +27,8 @@ DIFFERENCE, APART = 3e-4, 4.0
 FLAT = 1e-7
 # Gains below this share of V / size are rounding.
 ROUNDING = 1e-13
-# A force that is shorter than this share of the longest one is of a tip that the step ends on; tips that are nearer than
-# this share of a step it goes along.
+# A force that is shorter than this share of the longest one is of a tip that the step ends on; a step goes along tips
+# that are nearer than this share of it.
 INSIDE, BESIDE = 1 - 1e-6, 0.03
 # Singular values of a C below this share of its largest are rounding.
 DEPENDENT = 1e-9

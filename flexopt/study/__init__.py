@@ -3,6 +3,7 @@
 In: machines and problems. Out: result objects, and pages of them.
 """
 
+from flexopt.study.joint_atlas import atlas as atlas
 from flexopt.study.problem_report import Report as Report
 from flexopt.study.problem_report import report as report
 from flexopt.study.workspace import map_workspace as map_workspace

@@ -21,6 +21,7 @@ from flexopt.foundation.documents import json_ready, write_netcdf
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import whole_number
 from flexopt.model import AnyMachine
+from flexopt.robustness.residues import posture_unit, residue_unit
 from flexopt.study.grid import Grid
 from flexopt.study.points import PointValues
 
@@ -240,8 +241,6 @@ DESCRIPTIONS = {
     "reachable": ("1", "reachable", "whether a posture within the joint limits belongs to the point"),
     "condition": ("1", "condition of Jv", "ratio of the singular values of the rigid-body Jacobian"),
 }
-# 1/kg where the force acts on the end-point; with the inverse Jacobian, torque stands for velocity.
-RESIDUE_UNITS = {"transpose": "1/kg", "inverse": "1/(kg m2)"}
 
 
 def workspace_dataset(
@@ -285,14 +284,9 @@ def workspace_dataset(
 
 def _attributes(name: str, control: str, joint_units: tuple[str, ...]) -> dict[str, str]:
     units, long_name, description = DESCRIPTIONS[name]
-    alike = len(set(joint_units)) == 1
-    residue = RESIDUE_UNITS.get(control, RESIDUE_UNITS["inverse"])
-    if control != "transpose" and "m" in joint_units:
-        # What a force on a slide and a torque on a hinge become is not one unit.
-        residue = "1/kg" if alike else "mixed"
-    of_posture = joint_units[0] if alike else ", ".join(joint_units)
+    residue = residue_unit(control, joint_units)
     return {
-        "units": of_posture if name == "posture" else units.replace("{residue}", residue),
+        "units": posture_unit(joint_units) if name == "posture" else units.replace("{residue}", residue),
         "long_name": long_name,
         "description": description,
     }

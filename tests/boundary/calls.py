@@ -68,6 +68,11 @@ def workspace() -> flexopt.WorkspaceMap:
 
 
 @cache
+def atlas() -> flexopt.Atlas:
+    return flexopt.atlas(excavator(), x_range=(0.5, 1.5), y_range=(-2.0, -1.0), cells=(8, 8), threads=1)
+
+
+@cache
 def state_space() -> flexopt.StateSpace:
     return flexopt.StateSpace(**STATE_SPACE)
 
@@ -129,6 +134,17 @@ SIMULATE = {
 
 # Name -> arguments; None stands for an argument that is left out, of which another takes the place.
 FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
+    "atlas": lambda: _machine(
+        control="inverse",
+        gravity=False,
+        joints=["boom", "stick"],
+        posture=None,
+        base=0.0,
+        x_range=(0.5, 1.5),
+        y_range=(-2.0, -1.0),
+        cells=(8, 8),
+        threads=1,
+    ),
     "build_hydraulics": _machine,
     "build_measures": lambda: _machine(control="inverse", gravity=False),
     "build_plant": _machine,
@@ -333,6 +349,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
 
 # An object of each class that has methods.
 OBJECTS: dict[str, Callable[[], Any]] = {
+    "Atlas": atlas,
     "BasePlan": lambda: flexopt.plan_base(excavator(), [[0.0, 1.6], [0.1, 1.6]], starts=1, workers=1),
     "BaseTrajectory": lambda: flexopt.nullspace_trajectory(excavator(), POSTURE, duration=0.05),
     "Candidate": lambda: selection().best,
@@ -380,6 +397,8 @@ def _pin() -> Cylinder:
 
 
 METHODS: dict[str, Callable[[], dict[str, Any]]] = {
+    "Atlas.plot": lambda: {"path": "atlas.png", "width": 5.0},
+    "Atlas.to_netcdf": lambda: {"path": "atlas.nc"},
     "BasePlan.plot": lambda: {"path": "plan.png"},
     "BaseTrajectory.plot": lambda: {"path": "base.png"},
     "Ensemble.share": lambda: {"verdict": "converges"},

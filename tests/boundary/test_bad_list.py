@@ -37,6 +37,7 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     *(("*", flag, ("True",), "a flag is True or False") for flag in FLAGS),
     ("map_workspace", "measures", ("True",), "a flag"),
     ("map_workspace", "epsilon_max", ("True",), "a flag"),
+    ("atlas", "posture", ("empty list", "empty array"), "over both joints of two there are no others"),
     ("map_workspace", "posture", ("empty list", "empty array"), "over both joints of two there are no others"),
     ("WorkspaceMap.plot", "marks", ("empty dict",), "no marks"),
     ("*", "overrides.*", ("None",), "None leaves the file's"),
@@ -83,8 +84,9 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
 
 # Classes whose objects come from functions alone, as the results of computing: nobody passes them numbers.
 RESULTS = {
-    "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Ensemble", "Evaluation", "ExportReport", "FmuReport", "Report",
-    "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory", "Verification", "WorkspaceMap",
+    "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Ensemble", "Evaluation",
+    "ExportReport", "FmuReport", "Report", "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory",
+    "Verification", "WorkspaceMap",
 }  # fmt: skip
 NAMES = [call.name for call in calls()]
 

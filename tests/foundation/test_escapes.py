@@ -144,9 +144,10 @@ def test_every_other_picture(tmp_path: Path, case: str) -> None:
     )
     stand = flexopt.select_stand(loaded, [(0.0, 1.6), (0.2, 1.6)], starts=1, workers=1)
     field = flexopt.map_workspace(loaded, points=(4, 4), over="posture", epsilon_max=False)
+    atlas = flexopt.atlas(loaded, cells=(8, 8))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for k, result in enumerate((chosen, stand, field)):
+        for k, result in enumerate((chosen, stand, field, atlas)):
             result.plot(tmp_path / f"{k}.png")
         chosen.plot(tmp_path / "a.pdf")
 

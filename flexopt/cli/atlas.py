@@ -1,0 +1,70 @@
+"""`flexopt atlas`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from flexopt.cli.common import (
+    CONTROL,
+    GRAVITY,
+    JSON,
+    PICTURES,
+    check_output,
+    given,
+    names,
+    numbers,
+    option_names,
+    placement,
+    print_json,
+    read,
+    say,
+    value,
+    warnings_to_stderr,
+    wholes,
+    write_output,
+)
+from flexopt.foundation.writing import write_file
+from flexopt.model import load
+
+
+@click.command("atlas", short_help="All robust postures over two joints: where w_i = 0.")
+@click.argument("machine")
+@CONTROL
+@GRAVITY
+@value("--joints", "A,B", "The two that vary, along x and y (the first two by default).", names)
+@value("--posture", "A,…", "The joints that do not vary, rad (slides: m).", numbers)
+@value("--base", "X[,Y,YAW]", "Placement, m and rad (0 by default): it moves the end-points.", placement)
+@value("--x-range", "LO,HI", "Of the first that varies, rad or m; its limits or a whole turn by default.", numbers)
+@value("--y-range", "LO,HI", "Of the second that varies, rad or m; its limits or a whole turn by default.", numbers)
+@value("--cells", "N,M", "Of the grid on which curves are found (128,128): smaller loops may be missed.", wholes)
+@value("--out", "FILE.nc|FILE.json", "Write all curves and points to a netCDF file, or the document as JSON.")
+@value("--plot", "FILE.png", "Draw the atlas: .png, .svg or .pdf.")
+@JSON
+def atlas_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
+    """All robust postures of MACHINE (a name or a file) over two of its joints.
+
+    With two task rows curves w_i = 0, the points where two of them meet (w_i = w_j = 0), those where they end, singular
+    postures, limits and the edge of the workspace; with three the points w_i = 0.
+    """
+    from flexopt.study import atlas  # noqa: PLC0415  (only this command needs it)
+
+    check_output("--plot", plot, PICTURES)
+    check_output("--out", out, (".nc", ".json"))
+    loaded = read(load, machine)
+    with option_names(options), warnings_to_stderr(as_json):
+        result = atlas(loaded, **given(options))
+    if out is not None and Path(out).suffix.lower() == ".nc":
+        write_output("--out", out, lambda: result.to_netcdf(out))
+    elif out is not None:
+        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
+        write_output("--out", out, lambda: write_file(out, text))
+    if plot is not None:
+        write_output("--plot", plot, lambda: result.plot(plot))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        say(repr(result))

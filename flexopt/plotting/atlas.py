@@ -1,0 +1,166 @@
+"""The picture of an atlas: curves and points of robust postures over two joints, and where the end-point then is."""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.escapes import TITLE_MAX, mathtext
+from flexopt.foundation.pictures import draws
+from flexopt.plotting.files import write
+from flexopt.robustness.atlas import Atlas, RobustPoint
+
+# Colours that colour-blind people tell apart (Okabe and Ito, 2008), and lines that need no colour.
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+STYLES = ("-", (0, (6, 1.6)), (0, (7, 1.6, 1.4, 1.6)), (0, (1.6, 1.2)), (0, (3, 1, 1, 1, 1, 1)), (0, (9, 2)))
+MARKERS = ("*", "D", "s", "^", "v", "P")
+EDGES = {
+    "singular": ("#222222", "-", 1.8, "singular postures: edge of the workspace"),
+    "fold": ("#222222", "-", 1.3, "edge of what the two joints reach, or a fold"),
+    "limit": ("#8a8f94", "-", 1.0, "limits"),
+}
+# Share of an axis that is shown beyond a limit; below this width, inches, the two parts stand one below the other.
+MARGIN, NARROW = 0.04, 8.0
+
+
+@draws(Atlas)
+def plot_atlas(atlas: Atlas, path: str | os.PathLike[str] | None = None, *, width: float = 11.0) -> Figure:
+    """Draw an atlas.
+
+    Args:
+        atlas: from `flexopt.atlas`.
+        path: file to write (`.png`, `.svg`, `.pdf`), or None.
+        width: inches.
+
+    Raises:
+        WriteError: the file cannot be written.
+    """
+    wide = width >= NARROW
+    size = (width, 0.5 * width + 0.9) if wide else (width, 2.0 * width + 1.6)
+    figure = Figure(figsize=size, layout="constrained")
+    joints, task = figure.subplots(1, 2) if wide else figure.subplots(2, 1)
+    varied = [atlas.joints.index(name) for name in atlas.varied]
+    _draw(joints, atlas, lambda curve: _broken(atlas, curve.points), lambda posture: posture[varied])
+    _frame(joints, atlas)
+    seen = [0, len(atlas.rows) - 1]
+    _draw(task, atlas, lambda curve: curve.end_point[seen], None)
+    task.set_aspect("equal")
+    place = ", ".join(f"{value:g}" for value in atlas.base)
+    task.set_title("the end-point there" + (f", base at {place}" if place else ""), fontsize=9.5)
+    task.set_xlabel(f"{atlas.rows[0]}, m (inertial frame)", fontsize=9)
+    task.set_ylabel(f"{atlas.rows[-1]}, m (inertial frame)", fontsize=9)
+    for axes in (joints, task):
+        axes.tick_params(labelsize=8)
+        axes.grid(color="#ececec", linewidth=0.5)
+        axes.set_axisbelow(True)
+    handles, labels = joints.get_legend_handles_labels()
+    columns = max(1, min(len(labels), int(width / 2.7)))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8.5, frameon=False)
+    figure.suptitle(mathtext(atlas.title, TITLE_MAX), fontsize=11 if wide else 9.5)
+    write(figure, path)
+    return figure
+
+
+def _draw(axes: Axes, atlas: Atlas, at: Callable[[Any], Vector], plane: Callable[[Vector], Vector] | None) -> None:
+    """Edges, curves and points; `at` places a curve, `plane` postures (n, K), else they stand at the end-points."""
+    named: set[str] = set()
+
+    def once(label: str) -> str:
+        return "_" if label in named or named.add(label) else label
+
+    for edge in atlas.edges:
+        color, style, line, label = EDGES[edge.kind]
+        axes.plot(*at(edge), linestyle=style, color=color, linewidth=line, label=once(label), zorder=1.5)
+    for curve in atlas.curves:
+        color, style = mode_line(curve.mode)
+        label = once(f"$w_{{{curve.mode}}} = 0$")
+        # Where curves lie on each other all are seen.
+        width = 1.5 + 0.3 * (atlas.modes - curve.mode)
+        axes.plot(*at(curve), linestyle=style, color=color, linewidth=width, label=label, zorder=2.5)
+
+    def placed(points: Iterable[RobustPoint]) -> Vector:
+        listed = list(points)
+        if plane is None:
+            return np.array([point.end_point[[0, -1]] for point in listed]).T
+        return plane(np.array([point.posture for point in listed]).T)
+
+    for vanishing, face in (("a", "white"), ("b", "#777777")):
+        found = [point for point in atlas.vanishing if point.vanishing == vanishing]
+        if found:
+            label = f"${vanishing}_i = 0$, beyond it opposed"
+            axes.plot(*placed(found), "o", color=face, markeredgecolor="#222222", markersize=4.5, label=label, zorder=4)
+    for mode in sorted({point.modes[0] for point in atlas.isolated}):
+        found = [point for point in atlas.isolated if point.modes == (mode,)]
+        marker, label = MARKERS[(mode + 1) % len(MARKERS)], f"$w_{{{mode}}} = 0$"
+        axes.plot(
+            *placed(found), marker, color=mode_line(mode)[0], markeredgecolor="black", markeredgewidth=0.6,
+            markersize=7, label=label, zorder=5,
+        )  # fmt: skip
+    pairs = sorted({point.modes for point in atlas.doubly_robust})
+    for number, pair in enumerate(pairs):
+        found = [point for point in atlas.doubly_robust if point.modes == pair]
+        marker = MARKERS[number % len(MARKERS)]
+        label = f"$w_{{{pair[0]}}} = w_{{{pair[1]}}} = 0$"
+        axes.plot(
+            *placed(found), marker, color="#f0e442", markeredgecolor="black", markeredgewidth=0.9,
+            markersize=11 if marker == "*" else 6.5, label=label, zorder=5,
+        )  # fmt: skip
+    if plane is not None and atlas.singular.size:
+        axes.plot(*plane(atlas.singular), "x", color="#222222", markersize=6, label="singular posture", zorder=4)
+
+
+def mode_line(mode: int) -> tuple[str, Any]:
+    """Colour and style of the curves of a mode, counted from 1."""
+    return COLORS[(mode - 1) % len(COLORS)], STYLES[(mode - 1) % len(STYLES)]
+
+
+def _frame(axes: Axes, atlas: Atlas) -> None:
+    """The plane of the two joints: ranges, and what lies beyond limits hatched."""
+    ranges = np.array([atlas.x_range, atlas.y_range])
+    spans = np.ptp(ranges, axis=1)
+    shown = ranges + MARGIN * spans[:, None] * ([-1, 1] * ~np.array(atlas.periodic)[:, None])
+    style: dict[str, Any] = {
+        "label": "beyond the joints' limits",
+        "facecolor": "#e3e5e8",
+        "edgecolor": "#9aa0a6",
+        "hatch": "////",
+        "linewidth": 0.0,
+    }
+    for axis, side in np.argwhere(np.isclose(atlas.limits, ranges)):
+        low, high = sorted((float(ranges[axis, side]), float(shown[axis, side])))
+        (axes.axhspan if axis else axes.axvspan)(low, high, **style)
+        style["label"] = "_"
+    axes.set_xlim(*shown[0])
+    axes.set_ylim(*shown[1])
+    alike = atlas.units[0] == atlas.units[1] and 0.4 <= spans[1] / spans[0] <= 2.5
+    axes.set_aspect("equal" if alike else "auto")
+    x, y = (f"{mathtext(name)}, {unit}" for name, unit in zip(atlas.varied, atlas.units, strict=True))
+    axes.set_xlabel(x, fontsize=9)
+    axes.set_ylabel(y, fontsize=9)
+    held = [name for name in atlas.joints if name not in atlas.varied]
+    listed = ", ".join(f"{mathtext(name)} = {value:g}" for name, value in zip(held, atlas.fixed, strict=True))
+    axes.set_title("robust postures" + (f", {mathtext(listed, TITLE_MAX)}" if listed else ""), fontsize=9.5)
+
+
+def _broken(atlas: Atlas, points: Vector) -> Vector:
+    """A curve (2, K) with a gap where it leaves the plane on one side and comes in on the other."""
+    low, high = np.array([atlas.x_range, atlas.y_range]).T[:, :, None]
+    size = high - low
+    jumps = np.array(atlas.periodic)[:, None] & (np.abs(np.diff(points, axis=1)) > size / 2)
+    parts: list[Vector] = []
+    start = 0
+    for k in np.flatnonzero(jumps.any(axis=0)):
+        # Where it leaves it is drawn on beyond the edge, and comes in from beyond it.
+        shift = np.where(jumps[:, k], np.sign(points[:, k] - points[:, k + 1]), 0.0)[:, None] * size
+        parts += [points[:, start : k + 1], points[:, k + 1 : k + 2] + shift, np.full((2, 1), np.nan)]
+        parts.append(points[:, k : k + 1] - shift)
+        start = k + 1
+    return np.concatenate([*parts, points[:, start:]], axis=1)

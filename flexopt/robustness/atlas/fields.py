@@ -1,0 +1,272 @@
+"""What the atlas of a machine traces, as smooth functions of two of its joints, the others held.
+
+In: a machine under a controller, with the joints that vary. Out: the functions with exact slopes, at many postures.
+
+With two task rows w_i = a_i·b_i − |a_i||b_i| is 0 where a_i × b_i = 0 and a_i·b_i > 0. There w_i has a maximum, but the
+cross product changes its sign; neither depends on the sign of the mode's eigenvector. Under inverse control b_i is
+infinite at singular postures; what is traced has b_i times det Jv, of a redundant arm det Jv Jvᵀ, and is smooth there.
+With three task rows a_i × b_i is a vector of two degrees of freedom: two of its components, in directions that no
+machine has a reason to know, are zero together where it is, and else where it is at right angles to both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+
+from flexopt.compiled import Economical
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
+from flexopt.model import AnyMachine
+from flexopt.plant import build_plant
+from flexopt.plant.singularity import conditions
+from flexopt.robustness.expansion import Expansion
+from flexopt.robustness.measures import NAMES as INPUTS
+from flexopt.robustness.measures import SOLVE_TOLERANCE
+from flexopt.robustness.modes import modes_function
+
+# Task rows with which robust postures over two joints are curves, and points.
+ROWS = 2, 3
+# Directions (2, 3) of the two components.
+DIRECTIONS = np.array([[0.5393, 0.3214, 0.7784], [-0.6477, 0.7429, 0.1694]])
+# Modes whose frequency fewer have stand alone.
+SHARED = 1.5
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A plane of postures: two joints vary.
+
+    Attributes:
+        machine, control, gravity: as in `flexopt.evaluate`.
+        varies: indices of the two joints.
+        rest: (n − 2,), the others, in order, rad or m.
+        base: placement (n_b,).
+        threads: how many to compute with.
+        left_out: modes, from 0, that are not traced: in place of their a_i × b_i stands 1.
+    """
+
+    machine: AnyMachine
+    control: Control
+    gravity: bool
+    varies: tuple[int, int]
+    rest: Vector
+    base: Vector
+    threads: int = 1
+    left_out: tuple[int, ...] = ()
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return build_plant(self.machine).n_passive
+
+    @property
+    def turning(self) -> bool:
+        """Whether b_i is multiplied by `edge`, which may be negative."""
+        return self.control == "inverse" and len(self.machine.joints) == len(self.machine.task_rows)
+
+    @property
+    def spatial(self) -> bool:
+        """Whether the task has three rows."""
+        return len(self.machine.task_rows) == ROWS[1]
+
+    # Where what stands among the fields.
+
+    @property
+    def edge(self) -> int:
+        """The determinant of the two varying columns of Jv, in the order of the joints; of three task rows det Jv.
+
+        1 where three task rows have more joints.
+        """
+        return self.modes
+
+    def dot(self, mode: int) -> int:
+        """a_i·b_i."""
+        return self.modes + 1 + mode
+
+    def minor(self, k: int) -> int:
+        """The determinant of the first varying column of Jv and the k-th that does not vary, of two task rows."""
+        return 2 * self.modes + 1 + k
+
+    def second(self, mode: int) -> int:
+        """Of three task rows the second component of a_i × b_i."""
+        return 2 * self.modes + 1 + mode
+
+    def postures(self, points: Vector) -> Vector:
+        """Postures (n, N) of points (2, N)."""
+        posture = np.empty((len(self.machine.joints), points.shape[1]))
+        posture[[k for k in range(len(posture)) if k not in self.varies]] = self.rest[:, None]
+        posture[list(self.varies)] = points
+        return posture
+
+    def expect(self, points: int) -> None:
+        """Have the code compiled where so many points are worth it."""
+        _function(self.machine, self.control, self.gravity).expect(points)
+
+    def values(self, points: Vector) -> SliceValues:
+        """Everything at points (2, N)."""
+        plant, r = build_plant(self.machine), len(self.machine.task_rows)
+        p = plant.parameter_values.full().ravel()
+        postures = np.array(self.postures(points), order="C")
+        found = _function(self.machine, self.control, self.gravity)(
+            np.repeat(self.base[:, None], points.shape[1], axis=1), postures, p, threads=self.threads
+        )
+        f, f_z, omega_squared, same, divisor, jv, jv_z, end_point, left_over = found
+        m, n, count = self.modes, plant.n_actuated, points.shape[1]
+        moving = [plant.n_base + k for k in self.varies]
+        slopes = f_z.reshape(plant.n_base + n, m, 2, r, count)[moving].transpose(1, 2, 3, 0, 4)
+        factors = f.reshape(m, 2, r, count)
+        unsound = (left_over[0] > SOLVE_TOLERANCE) | (same.reshape(m, m, count).sum(axis=0) > SHARED)
+        factors = np.where(unsound[:, None, None, :], np.nan, factors)
+        columns = jv.reshape(n, r, count)
+        column_slopes = jv_z.reshape(n, n, r, count)[list(self.varies)].transpose(1, 2, 0, 3)
+        frequency = np.sqrt(np.maximum(omega_squared, 0.0)) / (2 * np.pi)
+        condition, _ = conditions(jv, n)
+        return SliceValues(factors, slopes, divisor[0], columns, column_slopes, frequency, end_point, condition)
+
+    def __call__(self, points: Vector) -> tuple[Vector, Vector]:
+        """a_i × b_i (m), `edge`, a_i·b_i (m), minors or second components, and their slopes; see `zero_curves`.
+
+        Under inverse control b_i is multiplied as said above.
+        """
+        at = self.values(points)
+        (a, b), (a_z, b_z) = at.factors.swapaxes(0, 1), at.slopes.swapaxes(0, 1)
+        cross, *second = _components(*(each.swapaxes(0, 1) for each in (a, b, a_z, b_z)))
+        dot = np.sum(a * b, axis=1), np.einsum("mrzn,mrn->mzn", a_z, b) + np.einsum("mrn,mrzn->mzn", a, b_z)
+        for each, constant in zip(cross, (1.0, 0.0), strict=True):
+            each[list(self.left_out)] = constant
+        edge, *minors = self._determinants(at)
+        both = [cross, edge, dot, *minors, *second]
+        return np.concatenate([value for value, _ in both]), np.concatenate([slope for _, slope in both])
+
+    def _determinants(self, at: SliceValues) -> list[tuple[Vector, Vector]]:
+        """`edge`, and of two task rows the minors."""
+        columns, slopes = at.columns, at.column_slopes
+        if self.spatial:
+            if len(columns) > ROWS[1]:
+                return [(np.ones((1, columns.shape[-1])), np.zeros((1, 2, columns.shape[-1])))]
+            beyond = [np.cross(columns[k - 2], columns[k - 1], axis=0) for k in range(3)]
+            slope = sum(np.einsum("rn,rzn->zn", beyond[k], slopes[k]) for k in range(3))
+            return [(np.sum(columns[0] * beyond[0], axis=0)[None], np.asarray(slope)[None])]
+        i, j = self.varies
+        others = [k for k in range(len(columns)) if k not in self.varies]
+        pairs = [(min(i, j), max(i, j)), *((i, k) for k in others)]
+        found = (_crossed(columns[k], columns[n], slopes[k], slopes[n]) for k, n in pairs)
+        return [(value[None], slope[None]) for value, slope in found]
+
+
+@dataclass(frozen=True)
+class SliceValues:
+    """N postures; r task rows, m modes, n joints.
+
+    Attributes:
+        factors: a_i, and b_i times `divisor`, (m, 2, r, N); NaN where a mode shares its frequency, or nothing holds
+            the machine.
+        slopes: by the two joints that vary, (m, 2, r, 2, N).
+        divisor: (N,).
+        columns: of Jv, (n, r, N).
+        column_slopes: (n, r, 2, N).
+        frequency_hz: (m, N).
+        end_point: (r, N), m.
+        condition: cond Jv, (N,).
+    """
+
+    factors: Vector
+    slopes: Vector
+    divisor: Vector
+    columns: Vector
+    column_slopes: Vector
+    frequency_hz: Vector
+    end_point: Vector
+    condition: Vector
+
+    @property
+    def scale(self) -> Vector:
+        """|a_i||b_i|, (m, N)."""
+        with np.errstate(all="ignore"):
+            return np.prod(np.linalg.norm(self.factors, axis=2), axis=1) / np.abs(self.divisor)
+
+    @property
+    def crossed(self) -> Vector:
+        """|a_i × b_i|, (m, N)."""
+        a, b = self.factors.swapaxes(0, 1)
+        pairs = [(0, 1), (1, 2), (2, 0)] if a.shape[1] == ROWS[1] else [(0, 1)]
+        with np.errstate(all="ignore"):
+            return np.linalg.norm([(a[:, k] * b[:, n] - a[:, n] * b[:, k]) / self.divisor for k, n in pairs], axis=0)
+
+    @property
+    def w(self) -> Vector:
+        """w_i = a·b − |a||b|, (m, N), without cancellation near 0."""
+        a, b = self.factors.swapaxes(0, 1)
+        crossed, scale = self.crossed, self.scale
+        with np.errstate(all="ignore"):
+            dot: Vector = np.sum(a * b, axis=1) / self.divisor
+            found: Vector = np.where(dot > 0, -crossed / (scale + dot) * crossed, dot - scale)
+        return found
+
+
+def _crossed(a: Vector, b: Vector, a_z: Vector, b_z: Vector) -> tuple[Vector, Vector]:
+    """The product a × b (…, N) of vectors (2, …, N), and its slope (…, 2, N)."""
+    (ax, ay), (bx, by) = (each[..., None, :] for each in (a, b))
+    return a[0] * b[1] - a[1] * b[0], a_z[0] * by + ax * b_z[1] - a_z[1] * bx - ay * b_z[0]
+
+
+def _components(a: Vector, b: Vector, a_z: Vector, b_z: Vector) -> list[tuple[Vector, Vector]]:
+    """The product a × b of vectors (r, …, N) and its slope; of three rows its components in `DIRECTIONS`."""
+    if len(a) < ROWS[1]:
+        return [_crossed(a, b, a_z, b_z)]
+    parts = [_crossed(*(np.stack([x[k - 2], x[k - 1]]) for x in (a, b, a_z, b_z))) for k in range(3)]
+    values, slopes = (np.stack(each) for each in zip(*parts, strict=True))
+    return [(np.tensordot(e, values, 1), np.tensordot(e, slopes, 1)) for e in DIRECTIONS]
+
+
+class _Smooth(Expansion):
+    """As `Expansion` under inverse control, but with b_i times det Jv, of a redundant arm det Jv Jvᵀ."""
+
+    @cached_property
+    def multiplied(self) -> tuple[ca.SX, ca.SX]:
+        """The matrix S with b_i = S⁻ᵀ x_i and the x_i (r, m) of all modes' unit amplitudes: Jv and φ_a, or Jv Jvᵀ."""
+        jv, follow = self.point.rigid_jacobian, self.pencil.follow
+        return (jv, follow) if jv.is_square() else (jv @ jv.T, jv @ follow)
+
+    @cached_property
+    def graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """K_p, M̄ (m, m) and F (2r, m)."""
+        stiffness, mass, factors = super().graphs
+        matrix, x = self.multiplied
+        r = matrix.shape[0]
+        cofactors = ca.SX(r, r)
+        for i in range(r):
+            for j in range(r):
+                rest = matrix[[k for k in range(r) if k != i], [k for k in range(r) if k != j]]
+                cofactors[i, j] = (-1) ** (i + j) * ca.det(rest)
+        return stiffness, mass, ca.vertcat(factors[:r, :], cofactors @ x)
+
+
+@lru_cache(maxsize=16)
+def _function(machine: AnyMachine, control: Control, gravity: bool) -> Economical:
+    """(base, posture, p) -> what `SliceValues` is made of, by name; matrices are stacked by columns.
+
+    `f` and `f_z` are as of `Measures.factors`; `left_over`, by the static deflection, is relative to the weight.
+    """
+    plant = build_plant(machine)
+    expansion = (_Smooth if control == "inverse" else Expansion)(plant, control, gravity)
+    sizes, m = (plant.n_base, plant.n_actuated, len(plant.parameter_names)), plant.n_passive
+    at = [ca.MX.sym(*name_and_size) for name_and_size in zip(INPUTS, sizes, strict=True)]
+    held, _ = expansion.hold(at, modes_function(m))
+    point = expansion.point
+    divisor = ca.det(expansion.multiplied[0]) if isinstance(expansion, _Smooth) else ca.SX(1)
+    jv, left_over = ca.vec(ca.densify(point.rigid_jacobian)), ca.SX(0)
+    if gravity:
+        weight = ca.norm_inf(plant.gravity(point.q, plant.graph.base, plant.graph.p)[:m])
+        left_over = ca.norm_inf(point.static_residual) / (1 + weight)
+    outputs = [divisor, jv, ca.jacobian(jv, plant.graph.posture), point.end_point, left_over]
+    geometry = expansion.of_machine("atlas_geometry", [], outputs)
+    found = geometry.call([*at, held["deflection"]] if gravity else at)
+    factors = [held["f"], expansion.factor_slopes(at, held), held["omega_squared"], held["same"]]
+    dense = [ca.densify(each) for each in (*factors, *found)]
+    names = ["f", "f_z", "omega_squared", "same", "divisor", "jv", "jv_z", "end_point", "left_over"]
+    return Economical(ca.Function("atlas_fields", at, dense, INPUTS, names))
