@@ -60,10 +60,12 @@ if TYPE_CHECKING:
     from flexopt.selection import BasePlan as BasePlan
     from flexopt.selection import BaseTrajectory as BaseTrajectory
     from flexopt.selection import Candidate as Candidate
+    from flexopt.selection import Certificate as Certificate
     from flexopt.selection import Selection as Selection
     from flexopt.selection import SelectionProblem as SelectionProblem
     from flexopt.selection import Stand as Stand
     from flexopt.selection import build_selection as build_selection
+    from flexopt.selection import certify as certify
     from flexopt.selection import nullspace_trajectory as nullspace_trajectory
     from flexopt.selection import plan_base as plan_base
     from flexopt.selection import select as select
@@ -92,6 +94,7 @@ __all__ = [
     "BasePlan",
     "BaseTrajectory",
     "Candidate",
+    "Certificate",
     "Check",
     "Ensemble",
     "Evaluation",
@@ -135,6 +138,7 @@ __all__ = [
     "build_measures",
     "build_plant",
     "build_selection",
+    "certify",
     "check",
     "evaluate",
     "evaluate_w",
@@ -183,8 +187,8 @@ _LATER = {
     "robustness.atlas": "Atlas",
     "robustness.checking": "Check check",
     "selection": (
-        "BasePlan BaseTrajectory Candidate Selection SelectionProblem Stand build_selection "
-        "nullspace_trajectory plan_base select select_stand solve_problem solve_selection"
+        "BasePlan BaseTrajectory Candidate Certificate Selection SelectionProblem Stand build_selection "
+        "certify nullspace_trajectory plan_base select select_stand solve_problem solve_selection"
     ),
     "simulation": (
         "Actuator Ensemble Path Sensor Trajectory run_experiment sampled_loop simulate simulate_ensemble "

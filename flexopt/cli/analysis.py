@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from flexopt.cli.common import (
     CONTROL,
     ELBOW,
     END_POINT,
+    FAILED,
     GAIN,
     GRAVITY,
     JSON,
@@ -125,30 +127,62 @@ def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
 @value("--workers", "N", "Processes at most (one for each core by default); the result is the same.", whole)
 @GAIN
 @GRAVITY
+@option("--certify", is_flag=True, help="Prove that no configuration is better; where the redundancy is one.")
+@value("--log", "PATH", "Write what the proof stands on, for another program to check: .json, with --certify.")
 @value("--plot", "PATH", "Draw the choice: .png, .svg or .pdf.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
-def select_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
+def select_command(
+    as_json: bool, machine: str, plot: str | None, out: str | None, certify: bool, log: str | None, **options: Any
+) -> None:
     """Best placement and posture for a target, of MACHINE: a machine with --end-point, or a problem (name or file).
 
     A problem may ask for one placement for several targets, or for a way of the base along a path of them.
     """
     check_output("--plot", plot, PICTURES)
     check_output("--out", out, (".json",))
+    check_output("--log", log, (".json",))
     settings = _selection_settings(machine, options)
+    if log is not None and not certify:
+        raise InputError("select: --log goes with --certify", [Fault("--log", "goes with --certify", log)])
+    if certify and "target" not in settings:
+        sentence = "goes with a single target: of several no bound over all ways and placements is known"
+        raise InputError(f"select: --certify {sentence}", [Fault("--certify", sentence)])
     with option_names(options), warnings_to_stderr(as_json), progress_bar() as progress:
         result = _solver(settings)(**settings, progress=progress)
+    certificate = _certificate(result, log) if certify else None
+
+    def document() -> dict[str, Any]:
+        return result.to_dict() | ({} if certificate is None else {"certificate": certificate})
+
     if plot is not None:
         write_output("--plot", plot, lambda: result.plot(plot))
     if out is not None:
-        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
+        text = json.dumps(document(), indent=2, allow_nan=False) + "\n"
         write_output("--out", out, lambda: write_file(out, text))
     if as_json:
-        print_json(result.to_dict())
+        print_json(document())
     else:
         from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
 
         say(_selection_text(result) if isinstance(result, Selection) else repr(result))
+        if certificate is not None:
+            say(f"\n{certificate['status']}")
+    if certificate is not None and certificate["verdict"] != "proven":
+        sys.exit(FAILED)
+
+
+def _certificate(result: Any, log: str | None) -> dict[str, Any]:
+    """The certificate's document; of a selection that cannot have one, the verdict "none" and why."""
+    from flexopt.selection import certify  # noqa: PLC0415  (`evaluate` does not need it)
+
+    try:
+        certificate = certify(result)
+    except InputError as error:
+        return {"verdict": "none", "status": f"not certified: {error.faults[0]}"}
+    if log is not None:
+        write_output("--log", log, lambda: certificate.write_log(log))
+    return certificate.to_dict()
 
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:

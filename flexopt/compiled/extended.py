@@ -21,6 +21,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flexopt.compiled.instructions import Instructions
+
 Exact = NDArray[np.object_]
 DIGITS = 50
 UNIT_ROUNDOFF = 2.0**-53
@@ -292,33 +294,15 @@ class ExtendedFunction:
     """An expanded (SX) Function as a list of operations on earlier results."""
 
     def __init__(self, function: ca.Function) -> None:
-        self.rows_in = [function.numel_in(k) for k in range(function.n_in())]
-        self.shapes_out = [function.size_out(k) for k in range(function.n_out())]
-        self.instructions: list[tuple[int, int, int]] = []
-        self.constants: dict[int, Decimal] = {}
-        self.results: list[tuple[int, int, int]] = []
+        graph = Instructions(function)
+        self.rows_in, self.shapes_out, self.instructions = graph.rows_in, graph.shapes_out, graph.instructions
+        self.constants = {node: Decimal(value) for node, value in graph.constants.items()}
+        self.results = graph.results
+        known = {*OPERATIONS, ca.OP_INPUT, ca.OP_CONST}
+        strange = next((operation for operation, _, _ in self.instructions if operation not in known), None)
         self.unknown = ""
-        where: dict[int, int] = {}
-        for k in range(function.n_instructions()):
-            operation = function.instruction_id(k)
-            if operation == ca.OP_OUTPUT:
-                output, element = function.instruction_output(k)
-                self.results.append((where[function.instruction_input(k)[0]], output, element))
-                continue
-            target, node = function.instruction_output(k)[0], len(self.instructions)
-            if operation == ca.OP_CONST:
-                self.constants[node] = Decimal(function.instruction_constant(k))
-                self.instructions.append((operation, 0, 0))
-            elif operation == ca.OP_INPUT:
-                source, element = function.instruction_input(k)
-                self.instructions.append((operation, source, element))
-            elif operation in OPERATIONS:
-                operands = [where[index] for index in function.instruction_input(k)]
-                self.instructions.append((operation, operands[0], operands[-1]))
-            else:
-                self.unknown = f"CasADi's operation {operation} in {function.name()} is not known in extended precision"
-                return
-            where[target] = node
+        if strange is not None:
+            self.unknown = f"CasADi's operation {strange} in {function.name()} is not known in extended precision"
 
     @cached_property
     def tables(self) -> _Tables:

@@ -6,6 +6,8 @@ what stands in the way; or a `BaseTrajectory` from where the machine stands. Sev
 
 from flexopt.selection.base_trajectory import BaseTrajectory as BaseTrajectory
 from flexopt.selection.build import build_selection as build_selection
+from flexopt.selection.certificate import Certificate as Certificate
+from flexopt.selection.certificate import certify as certify
 from flexopt.selection.nullspace import nullspace_trajectory as nullspace_trajectory
 from flexopt.selection.problem import SelectionProblem as SelectionProblem
 from flexopt.selection.problem_file import solve_problem as solve_problem

@@ -43,6 +43,9 @@ AROUND_STARTS = 8
 WITHIN = (np.inf, 1e-1, 1e-2, 1e-3)
 ONWARD = 12
 
+# IPOPT's word for a point from which only rounding is left to be stepped.
+NO_STEP = "Search_Direction_Becomes_Too_Small"
+
 Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
 Found = tuple[Vector, Proof, int]
@@ -101,7 +104,7 @@ def _not_below_seen(
             raise _below(problem, best, point, len(attempts)) if found else _no_solution(problem, attempts, failures)
         more, others, failed = _attempted(problem, [point], 1, None, partial(_climbed, WITHIN[tried]))
         found += [item for item in more if _is_new(problem, item[0], found)]
-        attempts, failures = attempts + others, failures + failed
+        attempts, failures = attempts + [replace(other, value=None) for other in others], failures + failed
         better = max((value_at(problem, z) for z, _, _ in more), default=-np.inf)
         tried, best = (0, better) if better > best else (tried + 1, best)
     if not found:
@@ -161,17 +164,17 @@ def _attempted(
     ):
         solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
-        outcome = f"solver: {status}"
+        outcome, value = f"solver: {status}", None
         if proof is not None:
             if not proof.holds:
                 failures.append((z, proof))
                 outcome = f"{outcome}; fails {', '.join(proof.violations)}"
             elif _accepted(problem, proof, status):
-                new = _is_new(problem, z, found)
+                new, value = _is_new(problem, z, found), None if problem.kept else value_at(problem, z)
                 outcome = "a new local optimum" if new else "a local optimum found before"
                 if new:
                     found.append((z, proof, iterations))
-        attempts.append(Attempt(tuple(start.tolist()), outcome))
+        attempts.append(Attempt(tuple(start.tolist()), outcome, value))
     return found, attempts, failures
 
 
@@ -183,10 +186,10 @@ def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
     """Whether a point counts as an optimum.
 
     At a kink the solver's own stopping test may fail where the proof, which knows of both branches, holds; so it may
-    where derivatives change without bound, as they do next to a_i = 0.
+    where derivatives change without bound, as they do next to a_i = 0, and where no step is left that is not rounding.
     """
     climbed = any(form.kinks for form in problem.forms)
-    return proof.holds and (status in SOLVED or climbed or bool(proof.kinks) or proof.unsurpassed)
+    return proof.holds and (status in (*SOLVED, NO_STEP) or climbed or bool(proof.kinks) or proof.unsurpassed)
 
 
 def _hurried(problem: SelectionProblem) -> bool:

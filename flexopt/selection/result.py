@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = 12
+# Optima whose V differs by less, as a share of the scale, are of one value.
+SAME_VALUE = 1e-6
 # Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
 ROUNDING = 1e-13
 # Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
@@ -119,10 +121,11 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One start of IPOPT and what became of it, a sentence."""
+    """One start of IPOPT and what became of it, a sentence; V of the first objective where it ended at an optimum."""
 
     start: tuple[float, ...]
     outcome: str
+    value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,10 @@ class Selection(Result):
         problem: what was solved.
     """
 
-    DOCUMENT = "status converged best decided_by nothing_to_gain candidates initial attempts kept problem provenance"
+    DOCUMENT = (
+        "status converged best decided_by nothing_to_gain candidates initial attempts missed_chance kept problem "
+        "provenance"
+    )
 
     best: Candidate
     candidates: tuple[Candidate, ...]
@@ -173,6 +179,24 @@ class Selection(Result):
         wide = sum(bool(candidate.continuum) for candidate in self.candidates)
         continua = f" ({wide} of them at several placements alike)" if wide else ""
         return f"{len(self.candidates)} distinct local optima{continua} verified from {len(self.attempts)} starts"
+
+    @property
+    def missed_chance(self) -> float | None:
+        """Estimated chance that one more start would end at an optimum of a value that none has ended at.
+
+        Of n starts that ended at an optimum, as many values as were found once, divided by n (Good and Turing; I. J.
+        Good, Biometrika 40, 1953): what another draw would show that those before did not. Starts are spread, not drawn
+        independently, and what is missed may be worse, so that it tells whether more starts are worth their time, and
+        no more. None where no start ended at an optimum, and of one degree of redundancy that was seen whole: there
+        `flexopt.certify` proves what is best.
+        """
+        problem = self.problem
+        values = np.sort([attempt.value for attempt in self.attempts if attempt.value is not None])
+        if not values.size or (problem.redundancy < 2 and problem.measures.plant.closed_form):
+            return None
+        apart = np.diff(values) > SAME_VALUE * problem.objective_scales[0]
+        alone = np.concatenate([[True], apart]) & np.concatenate([apart, [True]])
+        return float(alone.sum() / values.size)
 
     @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -244,6 +268,12 @@ class Selection(Result):
         lines += [f"  {kept}" for kept in self.kept]
         if self.best.unsurpassed and not self.kept:
             lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
+        if self.missed_chance is not None and not self.best.unsurpassed:
+            ended = sum(attempt.value is not None for attempt in self.attempts)
+            lines.append(
+                f"  best found in {len(self.attempts)} starts, {ended} of which ended at an optimum: "
+                f"about {100 * self.missed_chance:.0f} % of further ones would end at a value not found yet"
+            )
         lines += [f"  {sentence}" for sentence in (self.decided_by, self.nothing_to_gain) if sentence]
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")

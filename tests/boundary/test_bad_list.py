@@ -84,8 +84,9 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
 
 # Classes whose objects come from functions alone, as the results of computing: nobody passes them numbers.
 RESULTS = {
-    "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Check", "Ensemble", "Evaluation", "ExportReport", "FmuReport",
-    "Report", "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory", "Verification", "WorkspaceMap",
+    "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Ensemble", "Evaluation",
+    "ExportReport", "FmuReport", "Report", "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory",
+    "Verification", "WorkspaceMap",
 }  # fmt: skip
 NAMES = [call.name for call in calls()]
 

@@ -1,0 +1,219 @@
+"""Polynomials over a cell whose coefficients are balls of Arb, and small matrices of them, for `check` alone."""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any
+
+try:
+    from flint import arb, arb_mat, arb_poly, arb_series, ctx
+except ModuleNotFoundError:
+    raise SystemExit("to check a certificate's log needs python-flint: pip install python-flint") from None
+
+# Of polynomials.
+DEGREE = 6
+Number = Any  # an int 0, an arb, or a Cell
+Vector = list[Number]
+Matrix = list[Vector]
+
+
+class Unknown(Exception):
+    """A ball is too wide to divide by, or to take the root of."""
+
+
+class Cell:
+    """A function of h in a cell, |h| ≤ radius: Σ_k c_k h^k with c_k in balls that may depend on h."""
+
+    def __init__(self, polynomial: arb_poly, h: arb) -> None:
+        self.h = h
+        if polynomial.degree() > DEGREE:
+            c = polynomial.coeffs()
+            last = reduce(lambda value, each: value * h + each, reversed(c[DEGREE:]))
+            polynomial = arb_poly([*c[:DEGREE], last])
+        self.polynomial = polynomial
+
+    def _of(self, other: Cell | arb | int) -> arb_poly | arb | int:
+        return other.polynomial if isinstance(other, Cell) else other
+
+    def __add__(self, other: Cell | arb | int) -> Cell:
+        return Cell(self.polynomial + self._of(other), self.h)
+
+    def __sub__(self, other: Cell | arb | int) -> Cell:
+        return Cell(self.polynomial - self._of(other), self.h)
+
+    def __rsub__(self, other: arb | int) -> Cell:
+        return Cell(other - self.polynomial, self.h)
+
+    def __mul__(self, other: Cell | arb | int) -> Cell:
+        return Cell(self.polynomial * self._of(other), self.h)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    @property
+    def range(self) -> arb:
+        """All values: of the parabola at its ends and its vertex, and of the rest."""
+        c = [*self.polynomial.coeffs(), arb(0), arb(0), arb(0)]
+        r, h2 = arb(self.h.rad()), self.h * self.h
+        values = [c[0] + r * (c[1] + r * c[2]), c[0] - r * (c[1] - r * c[2])]
+        vertex = -c[1] / (2 * c[2]) if not c[2].contains(0) else None
+        if vertex is None:
+            values = [c[0] + c[1] * self.h + c[2] * h2]
+        elif vertex.overlaps(self.h):
+            values.append(c[0] + vertex * c[1] / 2)
+        hull = reduce(lambda one, other: one.union(other), values)
+        return hull + reduce(lambda value, each: value * self.h + each, reversed(c[3:]), arb(0)) * h2 * self.h
+
+    def _approximate(self, root: bool) -> Cell:
+        """The exact polynomial of 1/f or √f about the middle."""
+        ctx.cap = DEGREE + 1
+        middle = arb_series([x.mid() for x in self.polynomial.coeffs()] or [0])
+        found = middle.sqrt() if root else 1 / middle
+        return Cell(arb_poly([found[k].mid() for k in range(DEGREE + 1)]), self.h)
+
+    def inverse(self) -> Cell:
+        """1/f = q / (1 − e) with e = 1 − f q."""
+        if self.polynomial[0].contains(0):
+            raise Unknown
+        q = self._approximate(root=False)
+        off = (1 - self * q).range.abs_upper()
+        if not off < 0.5:
+            raise Unknown
+        return q + arb(0, (q.range.abs_upper() * off / (1 - off)).upper())
+
+    def root(self) -> Cell:
+        """√f = s + (f − s²) / (√f + s)."""
+        if not self.polynomial[0] > 0:
+            raise Unknown
+        s = self._approximate(root=True)
+        off, least = (self - s * s).range.abs_upper(), s.range.lower()
+        if not (least > 0 and off < least * least / 2):
+            raise Unknown
+        return s + arb(0, (off / least).upper())
+
+
+def span(x: Number) -> arb:
+    """All values of a number."""
+    return x.range if isinstance(x, Cell) else arb(x)
+
+
+def zero(x: Number) -> bool:
+    """Whether a number is the int 0, which takes no part in anything."""
+    return isinstance(x, int) and x == 0
+
+
+def times(x: Number, y: Number) -> Number:
+    """X y."""
+    return 0 if zero(x) or zero(y) else x * y
+
+
+def plus(x: Number, y: Number) -> Number:
+    """X + y."""
+    return y if zero(x) else x if zero(y) else x + y
+
+
+def minus(x: Number, y: Number) -> Number:
+    """X − y."""
+    return plus(x, times(-1, y))
+
+
+def inverted(x: Number) -> Number:
+    """1 / x; `Unknown` where x may be 0."""
+    if isinstance(x, Cell):
+        return x.inverse()
+    if arb(x).contains(0):
+        raise Unknown
+    return 1 / x
+
+
+def root(x: Number) -> Number:
+    """√x; `Unknown` where x may be 0."""
+    if isinstance(x, Cell):
+        return x.root()
+    if not x > 0:
+        raise Unknown
+    return x.sqrt()
+
+
+def total(terms: Any) -> Number:
+    """Σ x_i."""
+    return reduce(plus, terms, 0)
+
+
+def dot(x: Vector, y: Vector) -> Number:
+    """Σ x_i y_i."""
+    return total(times(a, b) for a, b in zip(x, y, strict=True))
+
+
+def product(x: Matrix, y: Matrix) -> Matrix:
+    """X Y."""
+    columns = list(zip(*y, strict=True))
+    return [[dot(row, list(column)) for column in columns] for row in x]
+
+
+def added(x: Matrix, y: Matrix) -> Matrix:
+    """X + Y."""
+    return [[plus(a, b) for a, b in zip(*rows, strict=True)] for rows in zip(x, y, strict=True)]
+
+
+def transposed(x: Matrix) -> Matrix:
+    """Xᵀ."""
+    return [list(column) for column in zip(*x, strict=True)]
+
+
+def identity(n: int) -> Matrix:
+    """The unit matrix."""
+    return [[arb(1) if i == j else 0 for j in range(n)] for i in range(n)]
+
+
+def cross(x: Vector, y: Vector) -> Vector:
+    """X × y."""
+    return [minus(times(x[i], y[j]), times(x[j], y[i])) for i, j in ((1, 2), (2, 0), (0, 1))]
+
+
+def number(x: float) -> Number:
+    """A double."""
+    return arb(x) if x else 0
+
+
+def numbers(x: list[float]) -> Vector:
+    """Doubles."""
+    return [number(each) for each in x]
+
+
+def solved(a: Matrix, b: Matrix) -> tuple[Matrix, Vector]:
+    """A⁻¹ B by elimination along the diagonal, and the pivots, whose product is det A."""
+    a, b = [list(row) for row in a], [list(row) for row in b]
+    pivots: Vector = []
+    for k in range(len(a)):
+        pivots.append(a[k][k])
+        over = inverted(a[k][k])
+        a[k], b[k] = [times(x, over) for x in a[k]], [times(x, over) for x in b[k]]
+        for i in range(len(a)):
+            share = a[i][k]
+            if i != k and not zero(share):
+                a[i] = [minus(x, times(share, y)) for x, y in zip(a[i], a[k], strict=True)]
+                b[i] = [minus(x, times(share, y)) for x, y in zip(b[i], b[k], strict=True)]
+    return b, pivots
+
+
+def inverse_of_lower(k: Matrix) -> Matrix:
+    """L⁻¹ of K = L Lᵀ."""
+    n = len(k)
+    lower = [[arb(0)] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            left = k[i][j] - sum((lower[i][q] * lower[j][q] for q in range(j)), arb(0))
+            lower[i][j] = left.sqrt() if i == j else left / lower[j][j]
+    inverse = arb_mat(lower).inv()
+    return [[inverse[i, j] if j <= i else arb(0) for j in range(n)] for i in range(n)]
+
+
+def rotation(axis: list[float], cosine: Number, sine: Number) -> Matrix:
+    """About a unit axis: c I + s [a]× + (1 − c) a aᵀ."""
+    a = x, y, z = numbers(axis)
+    skew = [[0, times(-1, z), y], [z, 0, times(-1, x)], [times(-1, y), x, 0]]
+    rest = minus(arb(1), cosine)
+    return [
+        [total((cosine if i == j else 0, times(sine, skew[i][j]), times(rest, times(a[i], a[j])))) for j in range(3)]
+        for i in range(3)
+    ]

@@ -1,0 +1,238 @@
+"""The best of a selection, proven: no allowed configuration of one degree of redundancy is better by more than a gap.
+
+In: a selection. Out: a `Certificate`: the verdict, the bound, and a log of cells that another program can check
+(`flexopt.selection.certificate.check`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from flexopt.errors import Fault
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import instance, number, path, public
+from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.results import Result
+from flexopt.foundation.writing import write_file
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
+from flexopt.selection.certificate.bound import Cells, branch_and_bound
+from flexopt.selection.certificate.curve import Curve
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.result import Selection
+
+FORMAT = "flexopt certificate 1"
+# The gap that is asked for, as a share of the objective's scale: of a single mode, and of sums.
+GAP_OF_ONE, GAP = 1e-8, 1e-5
+Verdict = Literal["proven", "undecided", "refuted"]
+
+
+@dataclass(frozen=True)
+class Certificate(Result):
+    """How much better than a selection's best any allowed configuration may be.
+
+    Attributes:
+        verdict: `"proven"`: none is better by more than `gap`, at most the gap asked for. `"undecided"`: some cells
+            could not be bounded so far; the gap is what was reached. `"refuted"`: `better` is.
+        objective: what was maximised.
+        value: V of the selection's best, a lower bound.
+        upper: what V is at most anywhere; infinite where some cell could not be bounded.
+        gap: upper − value, at least 0;  gap_asked: the largest that counts as proven;  scale: of the objective.
+        cells: how many the redundancy was covered by; 0 where V = 0, the most there is, is reached.
+        better: a better configuration z = [base, posture], (n_z,), or None.
+        where: the middles of a few cells that could not be decided, placement and elbow (−1 up, +1 down).
+        log: what an independent program needs to check it: machine, target, bounds, and every cell with its bound.
+    """
+
+    DOCUMENT = "verdict status objective value upper gap gap_asked scale cells better where"
+
+    verdict: Verdict
+    objective: str
+    value: float
+    upper: float
+    gap: float
+    gap_asked: float
+    scale: float
+    cells: int
+    better: Vector | None
+    where: tuple[tuple[float, float], ...]
+    _log: Any = field(repr=False, compare=False)
+
+    @property
+    def proven(self) -> bool:
+        """Whether no allowed configuration is better by more than the gap asked for."""
+        return self.verdict == "proven"
+
+    @property
+    def status(self) -> str:
+        """A sentence."""
+        share = f"{100 * self.gap / self.scale:.2g} % of its scale"
+        if self.verdict == "proven" and not self.cells:
+            return f"proven: no configuration has a larger {self.objective}: 0 is the most there is, and is reached"
+        if self.verdict == "proven":
+            return (
+                f"proven: no configuration that keeps what was asked has a larger {self.objective} by more than "
+                f"{self.gap:.2g} ({share}), by {self.cells} cells over the whole redundancy"
+            )
+        if self.better is not None:
+            at = ", ".join(f"{x:.6g}" for x in self.better)
+            return f"refuted: {self.objective} is larger by more than {self.gap_asked:.2g} at [{at}]; try more starts"
+        near = ", ".join(f"x = {x:.6g} m" for x, _ in self.where)
+        known = f"within {self.gap:.2g} ({share}) of the best" if math.isfinite(self.gap) else "nothing is known there"
+        return f"undecided: near {near} the largest {self.objective} could not be bounded; {known}"
+
+    @cached_property
+    def log(self) -> dict[str, Any]:
+        """The log as plain data."""
+        return json_ready(self._log())
+
+    @public(path=path(".json", parent=True))
+    def write_log(self, path: str | os.PathLike[str]) -> None:
+        """Write the log as JSON: `python -m flexopt.selection.certificate.check PATH` checks it.
+
+        Raises:
+            WriteError: the file cannot be written.
+        """
+        write_file(path, json.dumps(self.log, allow_nan=False) + "\n")
+
+    def __repr__(self) -> str:
+        return self.status
+
+
+def _refuse(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    selection = given["selection"]
+    why = None if selection is None or selection.best.unsurpassed else not_provable(selection.problem)
+    if why is not None:
+        arguments.faults.append(Fault("selection", why))
+
+
+def not_provable(problem: SelectionProblem) -> str | None:
+    """Why the best of a problem cannot be certified, a sentence; None where it can."""
+    plant = problem.measures.plant
+    if any(objective.has_kinks for objective in problem.objectives):
+        return "maximises ε_max, of which no bound over whole cells is known; w_i and their sums can be certified"
+    if not plant.closed_form or plant.n_actuated != 2 or problem.redundancy > 1:
+        return (
+            "has more than the one degree of redundancy that can be covered: two actuated joints in a plane, a target "
+            "and the placement x; elsewhere the best of all starts is the best that was found"
+        )
+    if problem.gravity:
+        return "asks for the static deflection under gravity, which postures in closed form leave out"
+    return None
+
+
+@public(
+    together=_refuse,
+    selection=instance(Selection, "a Selection, from flexopt.select"),
+    gap=number("", low=1e-12, high=1.0),
+)
+def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
+    """Prove that no allowed configuration is better than a selection's best by more than a gap.
+
+    The placement x is covered by cells, for either elbow. In each the objective V = Σ αi wi, less the cost of travel,
+    is enclosed by Taylor models with rounding directed outward (`flexopt.compiled.taylor`,
+    `flexopt.selection.certificate.modes`), and cells are split until V ≤ best + gap in all that may hold a
+    configuration within limits, margin and constraints. V = 0 where it is the most there is needs no cells.
+
+    Args:
+        selection: from `flexopt.select`.
+        gap: asked for, as a share of the objective's scale; by default 1e-8 for one w_i, 1e-5 for sums.
+
+    Raises:
+        InputError: the problem has more redundancy, ε_max in its objectives, or gravity.
+
+    Example:
+        >>> certificate = flexopt.certify(flexopt.select(machine, (0.0, 1.6), objective="w3"))
+        >>> certificate.proven, certificate.gap
+    """
+    problem = selection.problem
+    scale, best = problem.objective_scale, selection.best
+    single = sum(alpha > 0 for alpha in problem.objective.alpha) == 1 and problem.travel is None
+    asked = (gap or (GAP_OF_ONE if single else GAP)) * scale
+    name = problem.objective.name
+    if best.unsurpassed:
+        value = float(problem.branches(problem.objective, best.z)[0][0])
+        short = max(-value, 0.0)
+        return Certificate(
+            "proven",
+            name,
+            value,
+            0.0,
+            short,
+            asked,
+            scale,
+            0,
+            None,
+            (),
+            lambda: _log(problem, best.z, value, 0.0, None),
+        )
+    curve = Curve(problem)
+    value = _value(curve, best.z)
+    cells = branch_and_bound(curve, value + asked)
+    upper = max(cells.upper, value)
+    verdict: Verdict = "refuted" if cells.better is not None else "proven" if cells.decided else "undecided"
+    loose = np.flatnonzero(~(cells.bound <= value + asked))[:3]
+    where = tuple((float((cells.low[k] + cells.high[k]) / 2), float(cells.elbow[k])) for k in loose)
+    better = None if cells.better is None else cells.better.z
+    return Certificate(
+        verdict, name, value, upper, upper - value, asked, scale, cells.low.size, better, where,
+        lambda: _log(problem, best.z, value, upper, cells),
+    )  # fmt: skip
+
+
+def _value(curve: Curve, z: Vector) -> float:
+    """A lower bound on V at the placement and with the elbow of z, exactly on the target."""
+    problem, x = curve.problem, z[:1]
+    plant = problem.measures.plant
+    elbows = list(ELBOW_SIGN.values())
+    away: list[float] = []
+    for sign in elbows:
+        posture = branch(plant, problem.target, x[:, None], np.zeros((0, 1)), sign)[0].ravel()
+        away.append(float(np.abs((posture - z[1:] + math.pi) % (2 * math.pi) - math.pi).max()))
+    return float(curve.see(x, x, np.array([elbows[int(np.argmin(away))]]), precise=True).low[0])
+
+
+def _log(problem: SelectionProblem, z: Vector, value: float, upper: float, cells: Cells | None) -> dict[str, Any]:
+    """All that the proof stands on."""
+    machine, tree = problem.machine, problem.machine.kinematic_tree
+    bodies = [body.model_dump(mode="json") | {"held": i in tree.held} for i, body in enumerate(tree.bodies)]
+    stiffness = problem.measures.plant.stiffness.call([problem.measures.plant.parameter_values])[0].full()
+    m = problem.measures.plant.n_passive
+    travel = problem.travel
+    return {
+        "format": FORMAT,
+        "flexopt": package_version("flexopt"),
+        "machine": {
+            "name": machine.name,
+            "sha256": machine.content_hash,
+            "bodies": bodies,
+            "end_point": tree.end_point.model_dump(mode="json"),
+            "placement": tree.placement,
+            "up": "xyz"[tree.up],
+            "payload": next(each.value for each in machine.parameters if each.name == tree.entries["payload"]),
+            "passive": [body.name for body in tree.passive],
+            "actuated": [body.name for body in tree.actuated],
+            "stiffness": stiffness[:m, :m],
+        },
+        "target": problem.target,
+        "control": problem.control,
+        "weights": [objective.weights for objective in problem.objectives[: len(problem.kept) + 1]],
+        "kept": problem.kept,
+        "scale": problem.objective_scale,
+        "margin": problem.singularity_margin,
+        "bounds": [(variable.lower, variable.upper) for variable in problem.variables],
+        "travel": travel and {"cost": travel.cost * problem.objective_scale, "now": travel.now, "scale": problem.scale},
+        "constraints": 0 if problem.constraint_set is None else len(problem.constraint_set),
+        "configuration": z,
+        "value": value,
+        "upper": upper,
+        "cells": [] if cells is None else cells.rows(),
+    }
