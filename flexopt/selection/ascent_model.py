@@ -290,8 +290,9 @@ class SecondOrder:
             if inside or cone.distance <= BESIDE * step.length:
                 rows.append(cone.axes @ self.mixed.cones[number].slopes)
         rows.append(np.eye(here.x.size)[step.d == 0])
-        _, singular, directions = np.linalg.svd(np.vstack(rows) @ self.free.T)
-        rank = int(np.sum(singular > DEPENDENT * singular[0])) if singular.size else 0
+        stacked = np.vstack(rows)
+        _, singular, directions = np.linalg.svd(stacked @ self.free.T)
+        rank = int(np.sum(singular > DEPENDENT * np.linalg.norm(stacked)))
         return directions[:rank], directions[rank:]
 
     @cached_property

@@ -257,8 +257,10 @@ def _pull_of_kept(program: Program, local: FirstOrderModel, multipliers: Vector,
 
 
 def surface_at(problem: SelectionProblem, z: Vector) -> Parallel | None:
-    """The equations, about z, of what makes V = 0 there: a_i ∥ b_i; None where one of them vanishes."""
+    """The equations, about z, of what makes V = 0 there: a_i parallel to b_i; None where one of them vanishes."""
     modes = tuple(i for i, alpha in enumerate(problem.objective.alpha) if alpha > 0)
+    if not modes:
+        return None
     f, _, same = problem.factors(z)
     lengths = np.linalg.norm(f, axis=2)
     alone = all(same[i] < SHARED for i in modes)

@@ -1,7 +1,7 @@
 """Where w_i = a_i·b_i − |a_i||b_i| has kinks, and where it is 0: from a_i and b_i with their slopes.
 
 −|a_i||b_i| is a cone about a_i = 0 and about b_i = 0. Out: cones of objectives; what is left of w_i that is smooth at a
-tip; and the equations of a_i ∥ b_i, which make w_i = 0 a surface.
+tip; and the equations of a_i parallel to b_i, which make w_i = 0 a surface.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def smooth_slope(f: Vector, slopes: Vector, held: Mapping[int, tuple[float, Vect
 
 @dataclass(frozen=True)
 class Parallel:
-    """The equations a_i ∥ b_i of some modes: ((â·a)(e_k·b) − (e_k·a)(â·b)) / (|a₀||b₀|) = 0.
+    """The equations of a_i parallel to b_i, for some modes: ((â·a)(e_k·b) − (e_k·a)(â·b)) / (|a₀||b₀|) = 0.
 
     w_i is a maximum there, so that its own slope tells nothing of the surface w_i = 0; the slopes of these do. â is the
     direction of a_i at the point x₀ that the chart is made at, e_k (r − 1,) are unit vectors across it: all r would

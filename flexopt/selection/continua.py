@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
@@ -20,8 +19,8 @@ from flexopt.selection.problem import SelectionProblem, beyond_bounds
 SAME_POSTURE = 1e-4
 # What may change along the way from one to the other: of the target, constraints and w_i, relative to their scales.
 ALIKE = 1e-6
-# What turns a machine about a target; angles looked at, and how exactly the best of them is told, rad.
-TURNING, TURNS, TURN_ACCURACY = ("x", "y", "yaw"), 180, 1e-9
+# What turns a machine about a target; angles looked at, and how many how often between the best one's neighbours.
+TURNING, TURNS, ZOOMED, ZOOMS = ("x", "y", "yaw"), 180, 20, 8
 # Turns of a joint by which it is told whether anything depends on it, rad.
 FREE = np.array([0.0, 0.4, -1.1, 2.0])
 # How near to its rows a turned configuration is, in their scales, and how far away what breaks them counts.
@@ -158,13 +157,12 @@ def _turned(problem: SelectionProblem, z: Vector) -> Vector:
         place = turned(angle)
         return NOWHERE if place is None else travel(problem, place)
 
-    angles = np.linspace(-math.pi, math.pi, TURNS + 1)
-    far = [distance(angle) for angle in angles.tolist()]
-    least = int(np.argmin(far))
-    low, high = angles[least] - math.tau / TURNS, angles[least] + math.tau / TURNS
-    # Where the way ends at a wall or a bound golden sections stop short of it, inside.
-    found = minimize_scalar(distance, bounds=(low, high), method="bounded", options={"xatol": TURN_ACCURACY})
-    angle = float(found.x) if found.fun < far[least] else float(angles[least])
+    angle, span = 0.0, math.pi
+    # A grid, and grids between the neighbours of the best again: the way may end at walls and bounds.
+    for count in (TURNS, *(ZOOMED,) * ZOOMS):
+        angles = angle + np.linspace(-span, span, count + 1)
+        far = [distance(each) for each in angles.tolist()]
+        angle, span = float(angles[int(np.argmin(far))]), 2 * span / count
     place = turned(angle)
     if place is None or not distance(angle) < distance(0.0) - ALIKE or not _alike(problem, z, place):
         return z

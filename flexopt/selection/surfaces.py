@@ -1,7 +1,7 @@
 """Optima that are surfaces: where V = 0 no configuration has more, and of those that have as much the best is sought.
 
-In: verified optima of a problem. Out: the same, where V = 0 moved along their surfaces a_i ∥ b_i to where the worst of
-the other w_i is largest, or ε_max where there are no others, with the optima that each one stands for.
+In: verified optima of a problem. Out: the same, where V = 0 moved along their surfaces, a_i parallel to b_i, to where
+the worst of the other w_i is largest, or ε_max where there are no others, with the optima that each one stands for.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from flexopt.export.context import build_context
 from flexopt.export.optimiser_kernels import build_optimiser_kernels
 from flexopt.model.constraints import Constraints
 from flexopt.plant.inverse_kinematics import reach_steps
+from flexopt.robustness.atlas import fields as atlas_fields
 from flexopt.selection import nullspace_law, optima, programs
 from flexopt.selection import program as program_module
 from flexopt.selection.nlp import IPOPT_OPTIONS
@@ -44,6 +45,7 @@ ASKED = {("selection/nlp.py", "build_solver")}
 # Where derivatives are taken of what a solver or a climb is given: the test that walks them.
 TAKEN = {
     ("algebra/feasible.py", "feasible_steps"): "test_steps_onto_rows",
+    ("robustness/atlas/fields.py", "_function"): "test_the_atlas",
     ("robustness/expansion.py", "_machine_slope"): "test_single",
     ("robustness/expansion.py", "_machine_curvature"): "test_single",
     ("robustness/expansion.py", "_machine_jacobian"): "test_single",
@@ -335,6 +337,40 @@ def test_the_nullspace_law(spatial):
         lambda z: margin.call([z[: base.size], z[base.size :], p, 5e5])[0].full().ravel(), np.concatenate(given[:2])
     )
     assert np.abs(found[1].full()[:2] - expected).max() < FIRST
+
+
+@pytest.mark.parametrize("control", ["inverse", "transpose"])
+@pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket", "slewing-excavator"])
+def test_the_atlas(name, control):
+    """Slopes of a_i, b_i (times det Jv) and Jv, which its curves are followed by, beside differences."""
+    machine = flexopt.load(name)
+    fields = atlas_fields._function(machine, control, False).function
+    plant = flexopt.build_plant(machine)
+    p, n_base = plant.parameter_values, plant.n_base
+    names = fields.name_out()
+
+    def at(z, which):
+        return fields.call([z[:n_base], z[n_base:], p])[names.index(which)].full()
+
+    def check(z):
+        sizes = np.repeat(np.abs(at(z, "f")).max(axis=0), at(z, "f").shape[0])
+        posture = np.arange(z.size)[n_base:]
+        size = np.abs(at(z, "jv")).max()
+
+        def jv(q):
+            there = z.copy()
+            there[posture] = q
+            return at(there, "jv").ravel() / size
+
+        return {
+            "first": away(at(z, "f_z") / sizes[:, None], lambda there: at(there, "f").T.ravel() / sizes, z),
+            "jv": away(at(z, "jv_z") / size, jv, z[posture]),
+        }
+
+    rng = np.random.default_rng(2)
+    found = best_of(check, [np.r_[np.zeros(n_base), rng.uniform(-1.2, 1.2, plant.n_actuated)] for _ in range(POINTS)])
+    assert found["first"] < FIRST
+    assert found["jv"] < FIRST
 
 
 @pytest.mark.parametrize("spatial", [False, True])
