@@ -146,13 +146,16 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     n_base = problem.measures.plant.n_base
     if not good.any() or problem.objectives[0].has_kinks or problem.redundancy < 2:
         return _apart(best, problem.scale, count, n_base)
-    climbing = best[:, : CLIMBING * count]
-    planes = _planes(problem)
-    sets = [(problem, climbing), *((plane, _into(plane, climbing[:, ::2])) for plane in planes)]
-    first, *others = _climbed(sets, values_of, workers)
+    return _in_turn(problem, best[:, : CLIMBING * count], count, values_of, workers)
+
+
+def _in_turn(problem: SelectionProblem, z: Vector, count: int, values_at: Values, workers: int) -> list[Vector]:
+    """Where the points lead that climb at random, freely and in the planes of symmetry, in turn, the best first."""
+    n_base = problem.measures.plant.n_base
+    sets = [(problem, z), *((plane, _into(plane, z[:, ::2])) for plane in _planes(problem))]
+    first, *others = _climbed(sets, values_at, workers)
     free = _apart(first, problem.scale, count, n_base)
-    inside = [z for points in others for z in _apart(points, problem.scale, INSIDE, n_base)]
-    # In turn, the best first.
+    inside = [point for points in others for point in _apart(points, problem.scale, INSIDE, n_base)]
     pairs = zip_longest(free[: len(inside)], inside)
     return [*(start for pair in pairs for start in pair if start is not None), *free[len(inside) :]][:count]
 
@@ -197,8 +200,7 @@ def worst_starts(problem: SelectionProblem, count: int, workers: int = 1) -> lis
     if not z.size:
         return []
     order = np.argsort(-_worst(problem, z), kind="stable")[: CLIMBING * count]
-    (found,) = _climbed([(problem, z[:, order])], _worst, workers)
-    return _apart(found, problem.scale, count, problem.measures.plant.n_base)
+    return _in_turn(problem, z[:, order], count, _worst, workers)
 
 
 def _worst(problem: SelectionProblem, z: Vector) -> Vector:

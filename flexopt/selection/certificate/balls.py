@@ -8,7 +8,7 @@ from typing import Any
 try:
     from flint import arb, arb_mat, arb_poly, arb_series, ctx
 except ModuleNotFoundError:
-    raise SystemExit("to check a certificate's log needs python-flint: pip install python-flint") from None
+    raise SystemExit("to check a certificate's log needs python-flint: pip install 'flexopt[certificates]'") from None
 
 # Of polynomials.
 DEGREE = 6

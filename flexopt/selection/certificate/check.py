@@ -1,6 +1,6 @@
 """Check the log of a certificate.
 
-Run: python -m flexopt.selection.certificate.check LOG.json (needs python-flint)
+Run: python -m flexopt.selection.certificate.check LOG.json (needs the extra `certificates`)
 
 A program of its own, which shares no line with what wrote the log: it imports nothing of flexopt but `balls`, which
 nothing else does, takes the machine's numbers from the log, and computes in the ball arithmetic of Arb (python-flint).
