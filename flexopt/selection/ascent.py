@@ -23,6 +23,8 @@ from flexopt.selection.programs import Bounds
 
 # Distances, in scaled variables: of the first step, the greatest, and the one below which nothing is found.
 FIRST, GREATEST, LEAST = 0.1, 0.5, 1e-10
+# Of the first one where its program has no solution that is told to enough digits.
+SHORTEST = 1e-4
 # Shares of the predicted gain: below the first a step is not taken, below the second the next is shorter, above the
 # third it may be longer.
 POOR, FAIR, FINE = 0.1, 0.25, 0.75
@@ -77,7 +79,10 @@ class Ascent:
         here, distance = self.restored(start, LIFTS), FIRST
         if here is None:
             return None
-        step = self._step(here, np.eye(here.x.size), distance, here.near(REACH * distance), None, coupled=False)
+        step = None
+        while step is None and distance > SHORTEST:
+            step = self._step(here, np.eye(here.x.size), distance, here.near(REACH * distance), None, coupled=False)
+            distance = distance if step is not None else distance / 4
         for number in range(iterations):
             second = None if step is None else self._second(here, step, distance)
             if second is None:

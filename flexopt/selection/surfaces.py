@@ -13,7 +13,6 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
-from flexopt.selection.ascent import DONE
 from flexopt.selection.check import DEPENDENT, prove, surface_at
 from flexopt.selection.cones import TINY
 from flexopt.selection.continua import between, turns
@@ -103,9 +102,8 @@ def _climbed(
         if found is None:
             break
         z, steps, value = found[0], steps + found[1], _value(stage, sought, found[0])
-        # Steps that got stuck at a kink may go on from there in long ones again.
-        ended = found[2] == DONE or value <= before + STILL * stage.objective_scale
-        if ended and surface.fits(problem.factors(z)[0], TURNED):
+        # Steps that end at a kink may go on from there in long ones again.
+        if value <= before + STILL * stage.objective_scale and surface.fits(problem.factors(z)[0], TURNED):
             break
         before = value
     return z, steps
