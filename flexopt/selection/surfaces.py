@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -15,15 +16,18 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.check import DEPENDENT, prove, surface_at
 from flexopt.selection.cones import TINY
-from flexopt.selection.continua import between, turns
+from flexopt.selection.continua import between, nearest, turns
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, Found
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import ASCENT_LONG, single
 from flexopt.selection.starts import worst_starts
 
-# Points that climb along surfaces: optima, those where what is sought is largest, and others.
-OPTIMA, STARTS = 12, 16
+# Points that climb along surfaces: optima, those where what is sought is largest, and others, for each dimension up to
+# a number of dimensions.
+OPTIMA, STARTS, MOST = 12, 16, 2
+# The best sets, to which walks are tried from others.
+WALKED = 4
 # Charts of a surface that a climb may need, and the cosine to which a_i may turn in one.
 CHARTS, TURNED = 6, 0.3
 # A gain below this share of the scale is none.
@@ -51,7 +55,8 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
     rest = [Best(item) for item in found if not any(item is other for other in wide)]
     stage, sought = _next(problem)
     wide = sorted(wide, key=lambda item: -_value(stage, sought, item[0]))[:OPTIMA]
-    starts = [z for z, _, _ in wide] + worst_starts(problem, STARTS, workers)
+    beyond = max(item[1].dimension or 0 for item in wide) - int(turns(problem))
+    starts = [z for z, _, _ in wide] + worst_starts(problem, STARTS * min(beyond, MOST), workers)
     climb = partial(_climbed, problem, stage, sought, starts)
     ends = in_parallel(climb, len(starts), workers, lost=lambda number, _: (starts[number], 0))
     proved = [(z, prove(problem, z), steps) for z, steps in ends]
@@ -61,10 +66,15 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
     good += [(k, item) for k, item in enumerate(wide) if k not in values]
     values |= {k: _value(stage, sought, item[0]) for k, item in good if k not in values}
     sets: list[tuple[Found, list[Vector]]] = []
+    ats: list[Vector] = []
     for number, item in sorted(good, key=lambda each: -values[each[0]]):
-        home = next((others for best, others in sets if _connected(problem, item[0], best[0])), None)
+        near = nearest(problem, item[0])
+        same = (others for (_, others), at in zip(sets, ats, strict=True) if _same(problem, near, at))
+        walked = (others for best, others in sets[:WALKED] if _connected(problem, item[0], best[0]))
+        home = next(chain(same, walked), None)
         if home is None:
             sets.append((item, home := []))
+            ats.append(near)
         else:
             home.append(item[0])
         if number < len(wide):
@@ -138,9 +148,13 @@ def _connected(problem: SelectionProblem, start: Vector, goal: Vector) -> bool:
     return False
 
 
+def _same(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
+    return float(np.abs(between(problem, z, other)).max()) <= SAME_POINT
+
+
 def _distinct(problem: SelectionProblem, z: Vector, others: list[Vector]) -> list[Vector]:
     found = [z]
     for other in others:
-        if all(np.abs(between(problem, other, each)).max() > SAME_POINT for each in found):
+        if not any(_same(problem, other, each) for each in found):
             found.append(other)
     return found[1:]
