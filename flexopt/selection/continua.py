@@ -14,6 +14,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
+from flexopt.selection.starts import violated
 
 # Joints that differ by less, in scaled variables, are the same posture.
 SAME_POSTURE = 1e-4
@@ -23,8 +24,8 @@ ALIKE = 1e-6
 TURNING, TURNS, ZOOMED, ZOOMS = ("x", "y", "yaw"), 180, 20, 8
 # Turns of a joint by which it is told whether anything depends on it, rad.
 FREE = np.array([0.0, 0.4, -1.1, 2.0])
-# How near to its rows a turned configuration is, in their scales, and how far away what breaks them counts.
-ON_ROWS, NOWHERE = 1e-9, 1e12
+# How near to its rows a turned configuration is, in their scales.
+ON_ROWS = 1e-9
 # Places looked at on the way: a few, and for what the yard allows one every so many metres.
 BETWEEN, EVERY = 7, 0.1
 
@@ -144,29 +145,34 @@ def _turned(problem: SelectionProblem, z: Vector) -> Vector:
     """The configuration turned about its target to where it is nearest."""
     if not turns(problem):
         return z
-    home = _pose(problem, z)
-    rows = problem.machine.task_rows
-    x, y = (float(problem.target[rows.index(name)]) for name in "xy")
+    names, rows = problem.machine.base_coordinates, problem.machine.task_rows
+    at = [names.index(name) for name in TURNING]
+    target = np.array([problem.target[rows.index(name)] for name in "xy"])
+    away = complex(*(z[at[:2]] - target))
 
-    def turned(angle: float) -> Vector | None:
-        way = complex(math.cos(angle), math.sin(angle)) * complex(home.x - x, home.y - y)
-        place = _configuration(problem, z, AnchorPose(x + way.real, y + way.imag, home.yaw + angle))
-        return place if place is None or np.abs(beyond_bounds(problem, place)).max() <= ON_ROWS else None
-
-    def distance(angle: float) -> float:
-        place = turned(angle)
-        return NOWHERE if place is None else travel(problem, place)
+    def turned(angles: Vector) -> Vector:
+        places = np.repeat(z[:, None], angles.size, axis=1)
+        way = np.exp(1j * angles) * away
+        places[at] = np.array([target[0] + way.real, target[1] + way.imag, z[at[2]] + angles])
+        # A bounded yaw may be within its bounds after a whole turn.
+        over = np.ceil((problem.lower[at[2]] - places[at[2]]) / math.tau)
+        under = np.floor((problem.upper[at[2]] - places[at[2]]) / math.tau)
+        bounded = np.isfinite(over) & np.isfinite(under) & (over <= under)
+        places[at[2]] += math.tau * np.where(bounded, np.clip(0.0, over, under), 0.0)
+        return problem.wrapped(places.T).T
 
     angle, span = 0.0, math.pi
     # A grid, and grids between the neighbours of the best again: the way may end at walls and bounds.
     for count in (TURNS, *(ZOOMED,) * ZOOMS):
         angles = angle + np.linspace(-span, span, count + 1)
-        far = [distance(each) for each in angles.tolist()]
-        angle, span = float(angles[int(np.argmin(far))]), 2 * span / count
-    place = turned(angle)
-    if place is None or not distance(angle) < distance(0.0) - ALIKE or not _alike(problem, z, place):
-        return z
-    return place
+        places = turned(angles)
+        inside = np.all((places >= problem.lower[:, None]) & (places <= problem.upper[:, None]), axis=0)
+        far = [travel(problem, place) for place in places.T]
+        kept = inside & (violated(problem, places) <= ON_ROWS)
+        angle, span = float(angles[int(np.argmin(np.where(kept, far, np.inf)))]), 2 * span / count
+    place = turned(np.array([angle]))[:, 0]
+    nearer = travel(problem, place) < travel(problem, z) - ALIKE
+    return place if nearer and _as_good(problem, z, place) else z
 
 
 def _joined(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
