@@ -331,13 +331,16 @@ class Ascent:
 
     def _bend_of_parallel(self, here: Point, pulls: Vector, free: Vector) -> Vector:
         """Σ pulls_i ∂²row_i of the rows of `parallel` along `free`, (d, d)."""
-        assert self.parallel is not None
+        parallel = self.parallel
+        assert parallel is not None
+        return self._bend_of(lambda f, f_x: pulls @ parallel.slopes(f, f_x), here, free)
 
-        def slope(x: Vector) -> Vector:
-            assert self.parallel is not None
-            return pulls @ self.parallel.slopes(*self._factors(x)[:2])
-
-        beside = [slope(here.x + BESIDE * way) - slope(here.x - BESIDE * way) for way in free]
+    def _bend_of(self, slope: Callable[[Vector, Vector], Vector], here: Point, free: Vector) -> Vector:
+        """Second derivatives along `free`, (d, d), of what has a slope (n,) that a_i and b_i and theirs tell."""
+        beside = [
+            slope(*self._factors(here.x + BESIDE * way)[:2]) - slope(*self._factors(here.x - BESIDE * way)[:2])
+            for way in free
+        ]
         change = np.array(beside).reshape(len(free), here.x.size) @ free.T / (2 * BESIDE)
         return (change + change.T) / 2
 
@@ -349,10 +352,4 @@ class Ascent:
                 cone, size = here.cones[number], float(np.linalg.norm(here.cones[number ^ 1].value))
                 pull = step.cone_pulls.get(number, float(step.pulls @ cone.sizes) * cone.unit)
                 held[number] = float(step.pulls @ self.alphas[:, number // 2]), pull / max(size, TINY)
-        beside = [
-            smooth_slope(*self._factors(here.x + BESIDE * way)[:2], held)
-            - smooth_slope(*self._factors(here.x - BESIDE * way)[:2], held)
-            for way in free
-        ]
-        change = np.array(beside).reshape(len(free), here.x.size) @ free.T / (2 * BESIDE)
-        return (change + change.T) / 2
+        return self._bend_of(lambda f, f_x: smooth_slope(f, f_x, held), here, free)

@@ -90,6 +90,11 @@ def _now(problem: SelectionProblem) -> Vector:
     return now
 
 
+def same(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
+    """Whether the two are one configuration."""
+    return float(np.abs(between(problem, z, other)).max()) <= SAME_POSTURE
+
+
 def nearest(problem: SelectionProblem, z: Vector) -> Vector:
     """Of configurations that no measure tells from z the one nearest to the present one, see `travel`.
 

@@ -22,7 +22,7 @@ from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.check import prove
-from flexopt.selection.continua import between, grouped, nearest, travel
+from flexopt.selection.continua import grouped, nearest, same, travel
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, Progress, first_optima, later_optima, next_stage
 from flexopt.selection.problem import SelectionProblem
@@ -144,7 +144,7 @@ def _merged(problem: SelectionProblem, candidates: list[Candidate]) -> list[Cand
     merged: list[Candidate] = []
     for candidate in candidates:
         for k, other in enumerate(merged):
-            if np.abs(between(problem, candidate.z, other.z)).max() <= SAME_POINT:
+            if same(problem, candidate.z, other.z):
                 merged[k] = replace(
                     other,
                     continuum=(*other.continuum, *candidate.continuum),

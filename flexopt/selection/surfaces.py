@@ -16,7 +16,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.check import DEPENDENT, prove, surface_at
 from flexopt.selection.cones import TINY
-from flexopt.selection.continua import between, nearest, turns
+from flexopt.selection.continua import between, nearest, same, turns
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, Found
 from flexopt.selection.problem import SelectionProblem
@@ -69,9 +69,9 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
     ats: list[Vector] = []
     for number, item in sorted(good, key=lambda each: -values[each[0]]):
         near = nearest(problem, item[0])
-        same = (others for (_, others), at in zip(sets, ats, strict=True) if _same(problem, near, at))
+        alike = (others for (_, others), at in zip(sets, ats, strict=True) if same(problem, near, at))
         walked = (others for best, others in sets[:WALKED] if _connected(problem, item[0], best[0]))
-        home = next(chain(same, walked), None)
+        home = next(chain(alike, walked), None)
         if home is None:
             sets.append((item, home := []))
             ats.append(near)
@@ -148,13 +148,9 @@ def _connected(problem: SelectionProblem, start: Vector, goal: Vector) -> bool:
     return False
 
 
-def _same(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
-    return float(np.abs(between(problem, z, other)).max()) <= SAME_POINT
-
-
 def _distinct(problem: SelectionProblem, z: Vector, others: list[Vector]) -> list[Vector]:
     found = [z]
     for other in others:
-        if not any(_same(problem, other, each) for each in found):
+        if not any(same(problem, other, each) for each in found):
             found.append(other)
     return found[1:]
