@@ -170,7 +170,10 @@ def _attempted(
                 failures.append((z, proof))
                 outcome = f"{outcome}; fails {', '.join(proof.violations)}"
             elif _accepted(problem, proof, status):
-                new, value = _is_new(problem, z, found), None if problem.kept else value_at(problem, z)
+                new, value = (
+                    _is_new(problem, z, found),
+                    None if len(problem.kept) > problem.bounding else value_at(problem, z),
+                )
                 outcome = "a new local optimum" if new else "a local optimum found before"
                 if new:
                     found.append((z, proof, iterations))

@@ -47,6 +47,8 @@ CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 6, 60, 0.3, 1e-4
 BLOCK = 32
 # Largest violation, in units of the rows' scales, of a point that counts as feasible.
 FEASIBLE = 1e-7
+# The violation of an own constraint that is no number.
+NO_NUMBER = 1e100
 # Starts that differ by less, in scaled variables, are one.
 SAME_START = 1e-3
 
@@ -103,13 +105,13 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
         nearest = order[left[order] > FEASIBLE][: 2 * ENOUGH * starts]
         there, still = moved(problem, z[:, nearest], missing)
         better = still <= FEASIBLE
-        z[:, nearest[better]], left[nearest[better]] = there[:, better], still[better]
+        z[:, nearest[better]], left[nearest[better]] = there[:, better], violated(problem, there[:, better])
     if np.sum(left <= FEASIBLE) >= starts:
         z, unit, left = z[:, left <= FEASIBLE], unit[:, left <= FEASIBLE], left[left <= FEASIBLE]
     count = left.size
     violation, number = np.where(left <= FEASIBLE, 0.0, left), np.arange(count, dtype=np.int64)
     return scanned(
-        problem.quantities, problem.objectives[0], unit, np.zeros(count), z[:n_b], z[n_b:], number, violation
+        problem.quantities, problem.sought[0], unit, np.zeros(count), z[:n_b], z[n_b:], number, violation
     ), 0.0
 
 
@@ -123,8 +125,31 @@ def violated(problem: SelectionProblem, z: Vector) -> Vector:
     at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values, problem.constants]
     rows = problem.configuration.rows_at_rest.call(at)[0].full().T
     beyond = np.maximum(lower - rows, rows - upper) / scale
-    worst = np.maximum(beyond, 0.0).max(axis=1)
+    worst = np.maximum(np.maximum(beyond, 0.0).max(axis=1), _short(problem, z))
     return np.where(np.isfinite(worst), worst, np.inf)
+
+
+def _short(problem: SelectionProblem, z: Vector) -> Vector:
+    """The largest violation of an own constraint at points z (n_z, N), in units of the scales."""
+    plant, worst = problem.measures.plant, np.zeros(z.shape[1])
+    if not problem.bounding or not worst.size:
+        return worst
+    base, posture = z[: plant.n_base], z[plant.n_base :]
+    w = np.zeros((plant.n_passive, worst.size))
+    for objective, least, size in zip(
+        problem.objectives[: problem.bounding], problem.kept, problem.objective_scales, strict=False
+    ):
+        values = problem.quantities.smooth(objective, base, posture, w)
+        worst = np.maximum(worst, np.where(np.isfinite(values), (least - values) / size, NO_NUMBER))
+    return worst
+
+
+def with_kept(problem: SelectionProblem, scan: Scan) -> Scan:
+    """A scan that knows of own constraints, too."""
+    if not problem.bounding or not scan.size:
+        return scan
+    short = _short(problem, np.vstack([scan.base, scan.posture]))
+    return replace(scan, violation=np.maximum(scan.violation, np.where(short <= FEASIBLE, 0.0, short)))
 
 
 def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]:
@@ -144,7 +169,7 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     order = order[good[order]] if good.any() else order
     best = z[:, order[: max(count, round(BEST_SHARE * order.size))]]
     n_base = problem.measures.plant.n_base
-    if not good.any() or problem.objectives[0].has_kinks or problem.redundancy < 2:
+    if not good.any() or problem.sought[0].has_kinks or problem.redundancy < 2:
         return _apart(best, problem.scale, count, n_base)
     return _in_turn(problem, best[:, : CLIMBING * count], count, values_of, workers)
 
