@@ -150,7 +150,7 @@ def sag_of(machine: Any, base: np.ndarray, posture: np.ndarray) -> np.ndarray:
     m, p = plant.n_passive, plant.parameter_values
     rest = plant.rest(base, posture, p).full().ravel()
     stiffness, q = plant.stiffness(p).full()[:m, :m], rest.copy()
-    for _ in range(60):
+    for _ in range(15):
         q[:m] = rest[:m] - np.linalg.solve(stiffness, plant.gravity(q, base, p).full().ravel()[:m])
     way: np.ndarray = (plant.end_point(q, base, p) - plant.end_point(rest, base, p)).full().ravel()
     return way
@@ -176,22 +176,22 @@ def random_goal(rng: np.random.Generator, machine: Any, size: float) -> tuple[An
 def scanned(machine: Any, target: np.ndarray, value: Any, margin: float) -> float:
     """The best of a planar machine of two joints over a grid of placements, refined without slopes."""
     plant, problem = flexopt.build_plant(machine), flexopt.build_selection(machine, target)
-    low, high = problem.lower[0], problem.upper[0]
+    low, high, measures = problem.lower[0], problem.upper[0], flexopt.build_measures(machine)
 
     def at(x: float, elbow: str) -> float:
         try:
             posture = flexopt.inverse_kinematics(machine, target, base=x, elbow=elbow)[0]
             if float(plant.singularity_sine_squared([x], posture, plant.parameter_values)) < math.sin(margin) ** 2:
                 return -1e9
-            w = flexopt.evaluate(machine, posture, base=x).w
+            w = measures.w([x], posture, plant.parameter_values)[0].full().ravel()
         except flexopt.FlexoptError:
             return -1e9
         return float(value([x], posture, w, sag_of(machine, np.array([x]), posture)))
 
-    best, grid = -math.inf, np.linspace(low, high, 60)
+    best, grid = -math.inf, np.linspace(low, high, 40)
     for elbow in ("up", "down"):
         values = [at(x, elbow) for x in grid]
-        for k in np.argsort(values)[-3:]:
+        for k in np.argsort(values)[-2:]:
             ends = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
             found = minimize_scalar(lambda x, e=elbow: -at(x, e), bounds=ends, method="bounded")
             best = max(best, values[k], -float(found.fun))
@@ -208,7 +208,7 @@ def test_a_scan_finds_nothing_better(seed: int | None) -> None:
     problem = flexopt.build_selection(machine, target)
     value, goal = random_goal(rng, machine, problem.objective_scale)
     best = flexopt.select(machine, target, objective=goal).best
-    # A grid of 60 placements, the best refined: the scan may miss the last digits, never by more than it is coarse.
+    # A grid of 40 placements, the best refined: the scan may miss the last digits, never by more than it is coarse.
     other = scanned(machine, target, value, problem.singularity_margin)
     assert best.objective >= other - 1e-7
     assert best.objective <= other + 1e-2
@@ -239,13 +239,13 @@ def test_in_space_another_solver_finds_nothing_better() -> None:
         {"type": "ineq", "fun": lambda x: 1.0 - np.sum((gravity_of(machine, x * scale) / most) ** 2)},
     ]
     found = []
-    for k in range(4):
+    for k in range(3):
         start = np.concatenate([problem.scan.base[:, 40 * k], problem.scan.posture[:, 40 * k]])
         ends = minimize(lambda x: -worth(x * scale), start / scale, bounds=list(zip(low / scale, high / scale, strict=True)),
-                        constraints=rows, method="SLSQP", options={"maxiter": 60})  # fmt: skip
+                        constraints=rows, method="SLSQP", options={"maxiter": 40})  # fmt: skip
         if max(np.abs(rows[0]["fun"](ends.x))) < 1e-6 and all(row["fun"](ends.x).min() > -1e-6 for row in rows[1:]):
             found.append(-float(ends.fun))
-    assert len(found) >= 2
+    assert found
     # What SLSQP may be off its constraints.
     assert selection.best.objective >= max(found) - 1e-5
     assert selection.best.objective == pytest.approx(worth(selection.best.z), rel=1e-7, abs=1e-7)
@@ -273,31 +273,25 @@ def test_a_kink_of_a_measure_is_one_of_its_functions_and_proved() -> None:
     assert list(ours.best.kinks) == list(theirs.best.kinks)
     # The pull at w_i, over its scale, is what the cone weighs.
     np.testing.assert_allclose(list(ours.best.kinks.values()), list(theirs.best.kinks.values()), rtol=1e-3)
-    # Where w falls with the objective, the same point is none: V rises from the kink, whatever the slopes beside say.
+    # Where V falls with w_5, it rises from the kink in two directions, whatever the slopes beside say.
     w = symbols(SLEWING)["w"]
-    falling = flexopt.build_selection(
-        **pipe_laying(objective=function("falling", -ca.sumsqr(w - 1), w=w), weights=None)
-    )
-    assert prove(falling, theirs.best.z).violations.keys() >= {"first-order optimality"}
     turned = flexopt.build_selection(**pipe_laying(objective=function("turned", -w[4], w=w), weights=None))
     violations = prove(turned, theirs.best.z).violations
     assert "kink of w5, on which V falls with it" in violations
 
 
 def test_a_kink_of_a_measure_in_a_constraint_is_proved() -> None:
-    """ε_max most, with Σ w_i at least what only the kink nearly has."""
-    theirs = flexopt.select(**pipe_laying())
-    size, alpha = theirs.problem.objective_scale, theirs.problem.objective.alpha
+    """w_1 best, with Σ αi wi at least what nearly its best has, which stands on a kink: as in order with a slack."""
+    theirs = flexopt.select(**pipe_laying(objective="V,w1", slack=1e-3))
+    size, alpha = theirs.problem.objective_scales[0], theirs.problem.objectives[0].alpha
     own = not_seen_through(SLEWING, alpha, size)
-    least = size * math.atan((theirs.best.objective - 1e-3 * size) / size)
-    kept = flexopt.Constraint(own, lower=least, name="enough")
+    least = size * math.atan(theirs.kept[0].at_least / size)
     arguments = pipe_laying(objective="w1", weights=None)
-    arguments["constraints"] = [arguments["constraints"], kept]
+    arguments["constraints"] = [arguments["constraints"], flexopt.Constraint(own, lower=least, name="enough")]
     best = flexopt.select(**arguments).best
     assert "enough" in best.active
     assert best.constraints["enough"].value >= least - 1e-7 * size
-    in_order = flexopt.select(**pipe_laying(objective="V,w1", weights=alpha, slack=1e-3 * size / abs(size)))
-    assert best.objective >= in_order.best.w[0] - 1e-3 * size
+    assert best.objective == pytest.approx(theirs.best.w[0], abs=1e-6 * theirs.problem.objective_scales[1])
 
 
 def test_frequencies_that_are_one_are_left_undecided() -> None:
