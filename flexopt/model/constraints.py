@@ -15,6 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.foundation.nearest import hint
+from flexopt.foundation.plain import Unreadable, plain_table
 from flexopt.foundation.quantities import (
     ANGLE,
     COORDINATE,
@@ -241,7 +242,9 @@ def read_constraints(value: Any, *, origin: str = "constraints") -> Constraints:
     """
     if isinstance(value, Constraints):
         return value
-    value = _with_own(value) if is_function(value) or isinstance(value, Constraint | list | tuple) else value
+    if is_function(value) or isinstance(value, Constraint | list | tuple):
+        listed = plain_table(value)
+        value = listed if isinstance(listed, Unreadable) else _with_own(listed)
     table = {} if value is None else read_table(value, origin, "[constraints]")
     return validated(Constraints, table, origin, ())
 

@@ -19,7 +19,7 @@ from flexopt.foundation.quantities import Checked, entries
 from flexopt.model.choices import check_objective
 
 NAME_MAX = 60
-BOUND_MAX = 1e100
+BOUND_MAX = 1e15
 
 
 def is_function(value: Any) -> bool:

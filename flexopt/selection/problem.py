@@ -310,6 +310,7 @@ class SelectionProblem:
             found += [Constraint(name, constraint.unit, low, high, sizes[name]) for name in names]
         return tuple(found)
 
+    @public(sizes=_sizes, z=array_of(("n_z",)))
     def own_values(self, z: Vector) -> Vector:
         """The values of the user's own constraints at z, entry by entry."""
         n_base = len(self.machine.base_coordinates)

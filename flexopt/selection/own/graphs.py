@@ -232,12 +232,10 @@ class OwnGraphs:
     # The same of placement and posture alone: the iterations are in it.
 
     def _whole(self, function: ca.Function) -> ca.Function:
-        each: list[tuple[str, ca.MX]] = list(zip(function.name_in(), function.mx_in(), strict=True))
-        given = [x for name, x in each if name not in INPUTS[3:5]]
-        at = given[:3]
-        names = [name for name, _ in each if name not in INPUTS[3:5]]
-        inputs = [*at, *self.held_at(at), *given[3:]]
-        return ca.Function(f"{function.name()}_at", given, function.call(inputs), names, function.name_out())
+        s = {name: x for name, x in self._begun[0].items() if name not in INPUTS[3:5]}
+        at, names = [s[name] for name in INPUTS[:3]], list(s)
+        inputs = [*at, *self.held_at(at), s["c"], s["left"]]
+        return ca.Function(f"{function.name()}_at", list(s.values()), function.call(inputs), names, function.name_out())
 
     def wrong_slopes(self, bases: Vector, postures: Vector) -> str | None:
         """A sentence where derivatives that f brings are not those of its values, at points (n_b, N), (n, N)."""
