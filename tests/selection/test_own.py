@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -385,6 +386,18 @@ def test_every_quantity_is_what_is_computed_elsewhere() -> None:
             if gravity and name.startswith(("w", "f")):
                 continue
             np.testing.assert_allclose(found, np.ravel(wanted[name]), rtol=1e-7, atol=1e-11)
+
+
+def test_the_worked_example_and_the_table_of_the_readme() -> None:
+    """The lines of README.md run, and give what is said there; its table names every quantity."""
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(import casadi as ca\n.*?)```", text, re.DOTALL)
+    names: dict[str, Any] = {"flexopt": flexopt, "machine": EXCAVATOR}
+    exec(block, names)
+    choice, said = names["choice"], float(re.findall(r"sag_length\"\].value  # ([0-9.]+) m", block)[0])
+    assert choice.best.constraints["sag_length"].value == pytest.approx(said, rel=2e-3)
+    listed = set(re.findall(r"`(\w+)`", text[text.index("| input | what it is |") : text.index("An unknown name")]))
+    assert set(known_quantities(SLEWING)) - {f"w{i}" for i in range(3, 7)} == listed - {"Machine"}
 
 
 # What is wrong with them.
