@@ -14,7 +14,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords, public
 from flexopt.model import AnyMachine
-from flexopt.model.constraints import Constraints
+from flexopt.model.constraints import AnyConstraints, Constraints
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
@@ -72,7 +72,7 @@ def build_selection(
     machine: AnyMachine,
     target: Any,
     *,
-    constraints: Constraints | Mapping[str, Any] | None = None,
+    constraints: AnyConstraints | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SelectionKeywords],
 ) -> SelectionProblem:

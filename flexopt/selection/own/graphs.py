@@ -221,7 +221,7 @@ class OwnGraphs:
         s, u, w = self._begun
         _, by_u, by_w = self._pulls()
         at = [s[name] for name in INPUTS[:5]]
-        slopes = self._inner_slope.call(at)[0]
+        slopes: Any = self._inner_slope.call(at)[0]
         second = self._inner_curvature.call([*at, by_u])[0]
         if self.takes_w:
             second += self.measures.expansion.curvature.call([*at[:4], by_w * (1 - s["left"])])[0]
