@@ -134,7 +134,7 @@ def main() -> None:
     """Print the gap of every case, and the worst."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--cases", type=int, default=40)
-    parser.add_argument("--machines", nargs="*", default=(*MACHINES, "excavator"))
+    parser.add_argument("--machines", nargs="*", default=MACHINES)
     parser.add_argument("--samples", type=int, default=SAMPLES)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
