@@ -138,7 +138,7 @@ class Program:
         found += [Constraint("steps between targets", "", -step, step, 1.0) for step in self.steps.tolist()]
         earlier = zip(self.first.objectives, self.first.kept, self.first.objective_scales, strict=False)
         for objective, kept, size in earlier:
-            found += [Constraint(f"kept {objective.name}", "", kept / size, np.inf, 1.0)] * self.coupling.count
+            found += [Constraint(objective.label, "", kept / size, np.inf, 1.0)] * self.coupling.count
         if self.goal != "weighted":
             found += [Constraint(f"least {self.first.objective.name}", "", 0.0, np.inf, 1.0)] * self.coupling.count
         return found
@@ -238,11 +238,11 @@ class Program:
         confirm_once(
             functions.model, parameters, partial(told_branches, functions, parameters), independent, x0, bounds
         )
-        of_alpha = parameters_of(first.configuration, self.coupling, count).place("alpha")
+        left = parameters_of(first.configuration, self.coupling, count).place("left")
 
         def without(modes: list[int]) -> Vector:
             changed = parameters.copy()
-            changed[of_alpha].reshape(count, -1)[:, modes] = 0.0
+            changed[left][modes] = 1.0
             return changed
 
         alphas = np.array([objective.alpha for objective in objectives]) / sizes[:, None]
@@ -341,7 +341,9 @@ class Program:
             return self
 
         def left(objective: Objective) -> Objective:
-            return replace(objective, alpha=tuple(0.0 if i in modes else a for i, a in enumerate(objective.alpha)))
+            own = objective.own and replace(objective.own, left=tuple(sorted(modes)))
+            alpha = tuple(0.0 if i in modes else a for i, a in enumerate(objective.alpha))
+            return replace(objective, alpha=alpha, own=own)
 
         objectives = tuple(left(objective) for objective in self.first.objectives)
         return replace(self, problems=tuple(replace(problem, objectives=objectives) for problem in self.problems))
@@ -368,7 +370,8 @@ def values_of(problem: SelectionProblem, z: Vector) -> Vector:
     """V (N,) of configurations z (n_z, N) without ε_max, the cost of travel taken off."""
     plant, n_b = problem.measures.plant, problem.measures.plant.n_base
     w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
-    return np.array(problem.objective.alpha) @ w - problem.travel_cost(problem.objective, z.T)[0]
+    values = problem.quantities.smooth(problem.objective, z[:n_b], z[n_b:], w)
+    return values - problem.travel_cost(problem.objective, z.T)[0]
 
 
 def _branched_local(member: Linearisation) -> Local:
