@@ -125,7 +125,7 @@ def infeasible(program: Program, x: Vector) -> dict[str, float]:
 
 
 def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
-    constraints, n_task = program.constraints(lowest=True), program.first.target.size
+    constraints, n_task = program.constraints(), program.first.target.size
     beyond = [
         float(max(row.lower - value, value - row.upper)) * row.scale for row, value in zip(constraints, g, strict=True)
     ]
@@ -153,12 +153,12 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
     """The program at x, with what is active there."""
     members = program.linear(x)
     level = float(min(member.values[-1][0] for member in members))
-    local = program.local(x, members, level, lowest=True)
+    local = program.local(x, members, level)
     equal: list[int] = []
     active: list[tuple[int, float]] = []
     rows: list[Vector] = []
     names: list[str] = []
-    for k, (constraint, value) in enumerate(zip(program.constraints(lowest=True), local.g, strict=True)):
+    for k, (constraint, value) in enumerate(zip(program.constraints(), local.g, strict=True)):
         if constraint.lower == constraint.upper:
             equal.append(k)
             continue
@@ -403,7 +403,7 @@ def _rises(
     slacks of earlier objectives allow is dear.
     Where earlier objectives are kept their derivatives may jump, so that no such point is found: nothing is known then.
     """
-    constraints = program.constraints(lowest=True)
+    constraints = program.constraints()
     numbers = [*local.equal, *(k for k, _ in local.active)]
     wanted = np.array([row.lower if value - row.lower <= row.upper - value else row.upper
                        for row, value in zip(constraints, local.g, strict=True)])[numbers]  # fmt: skip
@@ -413,7 +413,7 @@ def _rises(
 
     def there(y: Vector) -> Local:
         at = y[:n_x] * program.scale
-        return program.local(at, program.linear(at), float(y[-1]), lowest=True)
+        return program.local(at, program.linear(at), float(y[-1]))
 
     tips = [kink for kink in local.kinks if kink.number is not None]
 

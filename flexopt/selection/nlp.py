@@ -50,20 +50,6 @@ QUICK_OPTIONS: dict[str, Any] = {
     "acceptable_constr_viol_tol": 1e-10,
     "acceptable_compl_inf_tol": 1e-8,
 }
-SQP_OPTIONS: dict[str, Any] = QUIET | {
-    "qpsol": "qrqp",
-    "qpsol_options": {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
-    "hessian_approximation": "limited-memory",
-    "lbfgs_memory": 5,
-    "print_header": False,
-    "print_iteration": False,
-    "print_status": False,
-    "max_iter": 100,
-    "tol_du": 1e-7,
-    "tol_pr": 1e-10,
-    "min_step_size": 1e-12,
-}
-SQP_QUICK = 30
 # Several configurations: most starts take 10 to 30 iterations; those that wander are not worth waiting for.
 COUPLED_OPTIONS: dict[str, Any] = {"max_iter": 120, "tol": 1e-9, "constr_viol_tol": 1e-10}
 # "weighted": max Σ share_k V_k;  "worst": max min_k V_k;  "motion": the shortest way that keeps every V_k at a level.
@@ -175,21 +161,15 @@ def build_solver(
 
     Constraints: the rows of every configuration, (row − target) / row_scale; x_j − x_i for the pairs; of each objective
     before the last V / size of every configuration; and of the last one V_k / size − t ("worst") or − level ("motion").
-    IPOPT with exact Hessian where everything is smooth. Where ε_max takes part, V is the smaller of two branches, and
-    the largest t below both is sought (epigraph) by sequential quadratic programming: its subproblem sees both
-    branches, so that a step near a kink does not depend on which of them is the smaller one just now. `quick` is for
-    first solves of problems with much redundancy.
+    IPOPT with exact Hessian; ε_max, which has kinks, is for an ascent alone. `quick` is for first solves of problems
+    with much redundancy.
     """
+    assert not any(form.kinks for form in forms), "IPOPT is told no kinks"
     x, parameters, members, arranged = _assembled(configuration, coupling, forms, goal)
     f, g = arranged.values([member.values() for member in members])
     (f_there, g_there), (gradient, jacobian) = arranged.slopes([member.slopes() for member in members])
     program, at = {"x": x, "p": parameters, "f": f, "g": g}, ["x", "p"]
     name = "selection" if coupling.count == 1 else "several"
-    if any(form.kinks for form in forms):
-        outputs = [f_there, ca.densify(gradient), g_there, ca.densify(jacobian)]
-        given = ca.Function("jac_fg", [x, parameters], outputs, at, ["f", "grad_f_x", "g", "jac_g_x"])
-        options = SQP_OPTIONS | {"jac_fg": given} | ({"max_iter": SQP_QUICK} if quick else {})
-        return make_solver(name, "sqpmethod", program, options)
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.shape[0])
     second = ca.triu(arranged.curvature(members, len(forms), lam_f, lam_g))
     bent = [x, parameters, lam_f, lam_g], [second], [*at, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
@@ -200,7 +180,7 @@ def build_solver(
         "hess_lag": ca.Function("hess_lag", *bent),
     }
     own = (COUPLED_OPTIONS if coupling.count > 1 else {}) | (QUICK_OPTIONS if quick else {})
-    return make_solver(name, "ipopt", program, IPOPT_OPTIONS | given | {"ipopt": IPOPT_OPTIONS["ipopt"] | own})
+    return make_solver(name, program, IPOPT_OPTIONS | given | {"ipopt": IPOPT_OPTIONS["ipopt"] | own})
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.errors import InputError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, flag, instance, number, public
 from flexopt.foundation.control import Control
@@ -21,7 +22,7 @@ from flexopt.robustness.measures import Measures
 from flexopt.selection.cones import split_factors
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
-from flexopt.selection.nlp import Coupling, Goal, ObjectiveForm, alone, build_solver, parameters_of
+from flexopt.selection.nlp import Coupling, ObjectiveForm, alone, build_solver, parameters_of
 from flexopt.selection.objective import Objective, Quantities, entry_names, quantities
 from flexopt.selection.own import OwnTerm
 from flexopt.selection.scan import Scan
@@ -318,15 +319,16 @@ class SelectionProblem:
         found = [self.quantities.of_own(term, z[:n_base], z[n_base:]).ravel() for term in terms]
         return np.concatenate([np.zeros(0), *found])
 
-    @property
-    def goal(self) -> Goal:
-        """What is sought of V alone: itself, or where ε_max takes part the smaller of its branches."""
-        return "worst" if self.objective.has_kinks else "weighted"
-
     @public()
     def solver(self, *, quick: bool = False) -> ca.Function:
-        """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameters: `solver_parameters`."""
-        return build_solver(self.configuration, alone(self.scale.size), self.forms, self.goal, quick=quick)
+        """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameters: `solver_parameters`.
+
+        Raises:
+            InputError: ε_max takes part: it has kinks, which `flexopt.select` climbs without a solver.
+        """
+        if any(form.kinks for form in self.forms):
+            raise InputError("solver: objective: ε_max has kinks, which IPOPT is not told of; call flexopt.select")
+        return build_solver(self.configuration, alone(self.scale.size), self.forms, "weighted", quick=quick)
 
     def solver_parameters(self) -> Vector:
         """The numbers of this problem for `solver`, see `nlp.Parameters`."""

@@ -127,7 +127,7 @@ def test_what_is_wrong_by_a_thousandth_is_seen(wrong):
         "jac_g": ca.Function("jac_g", [x, p], [g, off["jac_g"] * ca.jacobian(g, x)]),
         "hess_lag": ca.Function("hess_lag", [x, p, of_f, of_g], [off["hess_lag"] * second]),
     }
-    solver = programs.make_solver("toy", "ipopt", {"x": x, "p": p, "f": f, "g": g}, IPOPT_OPTIONS | given)
+    solver = programs.make_solver("toy", {"x": x, "p": p, "f": f, "g": g}, IPOPT_OPTIONS | given)
     found = of_solver(solver, np.array([0.3, 1.2]), np.array([2.0]), np.random.default_rng(0))
     assert (found["first"] > FIRST or found["second"] > SECOND) == (wrong is not None)
 
@@ -192,11 +192,6 @@ def walk(monkeypatch):
 
     def go(problem, *args):
         now[:] = [problem]
-        if isinstance(problem, flexopt.SelectionProblem) and any(form.kinks for form in problem.forms):
-            with monkeypatch.context() as no_ascent:
-                no_ascent.setattr(program_module.Program, "climbed", lambda *_, **__: None)
-                with pytest.raises(_WalkedError):
-                    optima.run_solver(problem, *args)
         with pytest.raises(_WalkedError):
             optima.run_solver(problem, *args) if isinstance(problem, flexopt.SelectionProblem) else problem.solve(*args)
         if isinstance(problem, flexopt.SelectionProblem):
@@ -466,9 +461,9 @@ def test_the_optimiser_in_c(name):
 
 
 def test_all_solvers_were_walked(walk):
-    """In a process that runs the whole file: the three families of solvers."""
+    """In a process that runs the whole file: IPOPT on one and on several configurations, and the ascent."""
     test_several(walk, "worst")
     problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
     for stage, start in every_stage(maximising(problem, (1.0, 0.0), (0.0, 1.0))):
         walk(stage, start)
-    assert walked >= {"selection IpoptInterface", "selection Sqpmethod", "model MXFunction", "several IpoptInterface"}
+    assert walked >= {"selection IpoptInterface", "model MXFunction", "several IpoptInterface"}
