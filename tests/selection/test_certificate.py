@@ -45,6 +45,11 @@ def log_of_sum() -> str:
     return json.dumps(flexopt.certify(selected(**SUM)).log, allow_nan=False)
 
 
+@cache
+def faults_of_sum() -> tuple[str, ...]:
+    return tuple(checking.check(json.loads(log_of_sum()))[0])
+
+
 def holds(certificate: flexopt.Certificate, selection: flexopt.Selection, gap: float) -> None:
     assert certificate.proven
     assert 0 <= certificate.gap <= gap * certificate.scale
@@ -223,7 +228,7 @@ def _no_cells(log: dict[str, Any]) -> None:
 )
 def test_a_log_that_was_tampered_with_is_found(spoil: Callable[[dict[str, Any]], None]) -> None:
     log = json.loads(log_of_sum())
-    assert checking.check(log)[0] == []
+    assert faults_of_sum() == ()
     spoil(log)
     assert checking.check(log)[0]
 
