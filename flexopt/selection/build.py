@@ -22,7 +22,7 @@ from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_rea
 from flexopt.plant.statics import not_held
 from flexopt.selection.constraints import build_constraints, constraint_faults
 from flexopt.selection.objective import Objective, Quantities, own_constraints, quantities, read_objectives
-from flexopt.selection.problem import Constraint, DecisionVariable, Region, SelectionProblem, TravelCost
+from flexopt.selection.problem import DecisionVariable, Region, ScaledConstraint, SelectionProblem, TravelCost
 from flexopt.selection.scan import Scan, empty_scan, scan_redundancy
 from flexopt.selection.starts import STARTS, sample_configurations, with_kept
 
@@ -115,12 +115,12 @@ def build_selection(
         for name, unit, (low, high) in zip(machine.joints, machine.joint_units, limits, strict=True)
     ]
     bounds = [
-        Constraint(f"target {row}", "m", value, value, length or 1.0)
+        ScaledConstraint(f"target {row}", "m", value, value, length or 1.0)
         for row, value in zip(machine.task_rows, target.tolist(), strict=True)
     ]
-    bounds.append(Constraint("singularity margin", "sin²", math.sin(margin) ** 2, math.inf, 1.0))
+    bounds.append(ScaledConstraint("singularity margin", "sin²", math.sin(margin) ** 2, math.inf, 1.0))
     bounds += [
-        Constraint(label, unit, float(low), float(high), float(scale))
+        ScaledConstraint(label, unit, float(low), float(high), float(scale))
         for label, unit, low, high, scale in zip(
             rows.labels, rows.units, rows.lower, rows.upper, rows.scales, strict=True
         )

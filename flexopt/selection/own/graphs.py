@@ -19,7 +19,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.own import OwnFunction
 from flexopt.robustness.expansion import NO_DERIVATIVES
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
-from flexopt.selection.own.quantities import Quantity, Sight, known_quantities
+from flexopt.selection.own.quantities import KnownQuantity, Sight, known_quantities
 from flexopt.selection.own.reading import wrong_slopes
 
 # Inputs of the Functions: `held` is that of `Expansion`, `static` the static deflection where gravity is left out of
@@ -42,7 +42,7 @@ class OwnGraphs:
     own: OwnFunction
 
     @cached_property
-    def quantities(self) -> tuple[Quantity, ...]:
+    def quantities(self) -> tuple[KnownQuantity, ...]:
         """What f takes, in its order."""
         known = known_quantities(self.measures.plant.machine)
         return tuple(known[name] for name in self.own.function.name_in())
