@@ -282,6 +282,7 @@ def _vectors(
                 found = select(
                     machine, target.tolist(), objective="V", control=control, weights=weights.tolist(),
                     singularity_margin_deg=margin_deg, starts=SELECT_STARTS, seed=int(rng.integers(1000)),
+                    assume="limits",
                 )  # fmt: skip
         except FlexoptError:
             continue

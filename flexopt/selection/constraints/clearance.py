@@ -77,24 +77,25 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
     chosen = [k for k, capsule in enumerate(capsules) if asked.bodies is None or capsule.body in asked.bodies]
     groups: list[Group] = []
     if asked.ground is not None:
-        lifted = [k for k in chosen if _is_moved(plant, capsules[k].body)]
-        groups.append(_group(capsules, "ground", lifted, (asked.ground,), "ground", asked.distance))
+        lifted = [k for k in chosen if is_moved(plant, capsules[k].body)]
+        groups.append(group(capsules, "ground", lifted, (asked.ground,), "ground", asked.distance))
     for index, obstacle in enumerate(asked.obstacles):
         name = obstacle.name or f"obstacle {index + 1}"
-        groups.append(_group(capsules, obstacle.kind, chosen, _numbers(obstacle), name, asked.distance))
+        groups.append(group(capsules, obstacle.kind, chosen, _numbers(obstacle), name, asked.distance))
     return groups
 
 
-def _is_moved(plant: Plant, body: str) -> bool:
+def is_moved(plant: Plant, body: str) -> bool:
     """Whether an actuated joint moves the body."""
     k = plant.frames.names.index(body)
     frame = ca.veccat(plant.frames.origins[k], plant.frames.rotations[k])
     return bool(ca.depends_on(frame, plant.graph.q[plant.n_passive :]))
 
 
-def _group(
+def group(
     capsules: tuple[Capsule, ...], kind: str, chosen: list[int], numbers: tuple[float, ...], name: str, distance: float
 ) -> Group:
+    """Rows of the chosen capsules for an obstacle of that kind with these constants."""
     rows: list[ConstraintRow] = []
     for k in chosen:
         body = capsules[k].body
