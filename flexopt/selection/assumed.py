@@ -54,6 +54,12 @@ class Assumed(NamedTuple):
     named: tuple[Assumption, ...]
 
 
+def in_the_way(named: tuple[Assumption, ...]) -> str:
+    """What a message on a choice that was not found ends with: what may be in the way and nobody asked for."""
+    listed = "; ".join(str(assumption) for assumption in named if assumption.name != "limits")
+    return f"; {listed}: `assume` leaves it out" if listed else ""
+
+
 def assumed(
     plant: Plant,
     assume: str,

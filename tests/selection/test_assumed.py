@@ -202,3 +202,12 @@ def test_targets_of_one_choice_are_seen_together():
     assert stand.to_dict()["problem"]["assumed"][0]["value"] == 0.0
     values = [value.value for place in stand.places for value in place.constraints.values()]
     assert min(values) > -1e-7
+
+
+def test_what_may_be_in_the_way_is_told():
+    """A pin cannot be above ground where the target is 0.1 m above it and the tool is held upright below its pin."""
+    machine = flexopt.load("boom-stick-bucket")
+    with pytest.raises(
+        flexopt.NoSolutionFound, match=r"assumed \(ground\): boom, stick stay above .* `assume` leaves it"
+    ):
+        flexopt.select(machine, (7.0, 0.1), constraints={"tool_angle": math.pi / 2}, starts=2, workers=1)
