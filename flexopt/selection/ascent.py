@@ -59,7 +59,7 @@ class Ascent:
         without: α of every mode of which cones are looked at -> the parameters with these modes left out.
         noise: rounding error of V / size of the objectives that are kept: what is short by less is not short.
         sought: how many objectives are sought: the smallest of them is climbed.
-        parallel: further rows, which stay 0, after those of the functions.
+        parallel: further rows, after those of the functions.
     """
 
     functions: Branched
@@ -127,7 +127,7 @@ class Ascent:
     @property
     def _n_rows(self) -> int:
         """How many rows the functions have."""
-        return self.bounds.g_lower.size - (0 if self.parallel is None else self.parallel.size)
+        return self.bounds.g_lower.size - (0 if self.parallel is None else self.parallel.upper.size)
 
     def _rows(self, x: Vector) -> tuple[Vector, Vector]:
         """All rows at x, and their slopes."""

@@ -280,7 +280,8 @@ def _dimension(program: Program, x: Vector, local: FirstOrderModel) -> int | Non
     equations = np.ones(len(local.equalities), dtype=bool)
     for kink in local.kinks:
         equations[kink.rows] = False
-    return x.size - _rank(np.vstack([local.equalities[equations], surface.slopes(f, f_z * program.first.scale)]))
+    across = surface.slopes(f, f_z * program.first.scale)[: surface.equations]
+    return x.size - _rank(np.vstack([local.equalities[equations], across]))
 
 
 def _rank(rows: Vector) -> int:

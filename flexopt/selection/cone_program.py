@@ -20,6 +20,8 @@ from flexopt.selection.programs import Bounds
 
 # Singular values of equations below this share of the largest are rounding.
 DEPENDENT = 1e-12
+# No entry of u is larger than so many √n: d and `first` are within the bounds of d, the largest of which u is 1 at.
+FARTHEST = 2.0
 # The mean complementarity from which on what is active is told from an interior point, and how much it falls before
 # that is tried again.
 NEAR, NEARER = 1e-3, 0.01
@@ -107,9 +109,8 @@ class _Scaled:
         sought, lines, sizes = rows[:, n] != 0, rows[:, :n] @ self.ahead, cones.sizes * self.spans
         reached = np.sqrt((lines[sought] ** 2).sum(1)) + sizes[sought].sum(1)
         self.gain = float(reached.max(initial=0.0)) or 1.0
-        ranges = np.abs(rows[:, :n]) @ room
-        ranges[sought | cones.sizes.any(1)] = np.inf
-        sides, ends = self._sides(bounds, np.column_stack([lines, self.gain * rows[:, n]]), ranges, equal, fixed)
+        always = sought | cones.sizes.any(1)
+        sides, ends = self._sides(bounds, np.column_stack([lines, self.gain * rows[:, n]]), always, equal, fixed)
         # Of the lower sides those of rows come before those of d.
         weights = np.zeros((len(sides), len(sizes.T)))
         lower = self.below[self.below < len(rows)]
@@ -128,17 +129,21 @@ class _Scaled:
         )
 
     def _sides(
-        self, bounds: Bounds, lines: Vector, ranges: Vector, equal: Chosen, fixed: Chosen
+        self, bounds: Bounds, lines: Vector, always: Chosen, equal: Chosen, fixed: Chosen
     ) -> tuple[Vector, Vector]:
-        """Of rows and then of d what is bounded from above, and by what; upper sides first."""
+        """Of rows and then of d what is bounded from above, and by what; upper sides first.
+
+        What equations hold is moved by rounding alone, which must not be scaled up: it is not reached.
+        """
         n = len(self.first)
         every = np.concatenate([lines, np.column_stack([self.ahead, np.zeros(n)])])
         moved = np.concatenate([self.rows[:, :n] @ self.first, self.first])
         low, high = np.concatenate([bounds.g_lower, bounds.x_lower]), np.concatenate([bounds.g_upper, bounds.x_upper])
-        ranges = np.concatenate([ranges, np.full(n, np.inf)])
+        reach = FARTHEST * np.sqrt(n) * np.linalg.norm(every, axis=1)
+        reach[: len(always)][always] = np.inf
         limited = ~np.concatenate([equal, fixed])
-        self.above = np.flatnonzero(limited & np.isfinite(high) & (high <= ranges))
-        self.below = np.flatnonzero(limited & np.isfinite(low) & (-low <= ranges))
+        self.above = np.flatnonzero(limited & np.isfinite(high) & (high - moved <= reach))
+        self.below = np.flatnonzero(limited & np.isfinite(low) & (moved - low <= reach))
         ends = np.concatenate([(high - moved)[self.above], (moved - low)[self.below]])
         return np.concatenate([every[self.above], -every[self.below]]), ends
 

@@ -19,6 +19,8 @@ TINY = 1e-300
 SIDES = "ab"
 # Modes whose frequency fewer have stand alone: w_i of others is no product of two lengths.
 SHARED = 1.5
+# Cosines: to which a_i and b_i may turn in a chart of a surface, and from which on another chart is made.
+TURNED, STRAIGHT = 0.3, 0.5
 
 
 def split_factors(f: Vector, slopes: Vector) -> tuple[Vector, Vector]:
@@ -70,58 +72,67 @@ def smooth_slope(f: Vector, slopes: Vector, held: Mapping[int, tuple[float, Vect
 
 @dataclass(frozen=True)
 class Parallel:
-    """The equations of a_i parallel to b_i, for some modes: ((â·a)(e_k·b) − (e_k·a)(â·b)) / (|a₀||b₀|) = 0.
+    """a_i parallel to b_i, for some modes: ((â·a)(e_k·b) − (e_k·a)(â·b)) / (|a₀||b₀|) = 0, â·c ≥ TURNED |c|, c = a, b.
 
     w_i is a maximum there, so that its own slope tells nothing of the surface w_i = 0; the slopes of these do. â is the
     direction of a_i at the point x₀ that the chart is made at, e_k (r − 1,) are unit vectors across it: all r would
-    depend on each other.
+    depend on each other. The inequalities keep out what else the equations allow, a_i against b_i and both across â.
 
     Attributes:
         modes: numbers i.
         axes: [â; e_1; …] of each, (r, r).
-        sizes: |a₀||b₀| of each.
+        lengths: |a₀|, |b₀| of each.
     """
 
     modes: tuple[int, ...]
     axes: tuple[Vector, ...]
-    sizes: tuple[float, ...]
+    lengths: tuple[tuple[float, float], ...]
 
     @staticmethod
     def at(f: Vector, modes: tuple[int, ...]) -> Parallel:
         """The chart at a point; f is from `split_factors`."""
-        axes, sizes = list[Vector](), list[float]()
+        axes, lengths = list[Vector](), list[tuple[float, float]]()
         for i in modes:
             a, b = f[i]
             _, _, across = np.linalg.svd(a[None, :])
             axes.append(np.vstack([a / np.linalg.norm(a), across[1:]]))
-            sizes.append(float(np.linalg.norm(a) * np.linalg.norm(b)))
-        return Parallel(modes, tuple(axes), tuple(sizes))
+            lengths.append((float(np.linalg.norm(a)), float(np.linalg.norm(b))))
+        return Parallel(modes, tuple(axes), tuple(lengths))
 
     @property
-    def size(self) -> int:
-        """How many equations there are."""
+    def equations(self) -> int:
+        """How many of the rows are equations; these come first."""
         return sum(len(axes) - 1 for axes in self.axes)
 
+    @property
+    def upper(self) -> Vector:
+        """Upper bounds of the rows; the lower ones are 0."""
+        return np.append(np.zeros(self.equations), np.full(2 * len(self.modes), np.inf))
+
     def values(self, f: Vector) -> Vector:
-        """The left sides; f is from `split_factors`."""
-        found = list[Vector]()
-        for i, axes, size in zip(self.modes, self.axes, self.sizes, strict=True):
+        """The rows; f is from `split_factors`."""
+        equations, sides = list[Vector](), list[float]()
+        for i, axes, lengths in zip(self.modes, self.axes, self.lengths, strict=True):
             a, b = axes @ f[i, 0], axes @ f[i, 1]
-            found.append((a[0] * b[1:] - a[1:] * b[0]) / size)
-        return np.concatenate(found)
+            equations.append((a[0] * b[1:] - a[1:] * b[0]) / (lengths[0] * lengths[1]))
+            for c, size in zip((a, b), lengths, strict=True):
+                sides.append((c[0] - TURNED * float(np.linalg.norm(c))) / size)
+        return np.concatenate([*equations, sides])
 
     def slopes(self, f: Vector, slopes: Vector) -> Vector:
-        """Their slopes by x, (size, n)."""
-        found = list[Vector]()
-        for i, axes, size in zip(self.modes, self.axes, self.sizes, strict=True):
+        """Their slopes by x, (rows, n)."""
+        equations, sides = list[Vector](), list[Vector]()
+        for i, axes, lengths in zip(self.modes, self.axes, self.lengths, strict=True):
             (a, b), (a_x, b_x) = (axes @ f[i, side] for side in range(2)), (axes @ slopes[i, side] for side in range(2))
             rows = np.outer(b[1:], a_x[0]) + a[0] * b_x[1:] - b[0] * a_x[1:] - np.outer(a[1:], b_x[0])
-            found.append(rows / size)
-        return np.vstack(found)
+            equations.append(rows / (lengths[0] * lengths[1]))
+            for c, c_x, size in zip((a, b), (a_x, b_x), lengths, strict=True):
+                sides.append((c_x[0] - TURNED * c @ c_x / max(float(np.linalg.norm(c)), TINY)) / size)
+        return np.vstack([*equations, *sides])
 
-    def fits(self, f: Vector, least: float) -> bool:
-        """Whether the chart is still good: a_i has kept its direction, to a cosine `least`, and a_i·b_i > 0."""
+    def fits(self, f: Vector) -> bool:
+        """Whether the chart is still good: a_i has kept its direction, far from where it must not leave it."""
         return all(
-            abs(float(axes[0] @ f[i, 0])) > least * float(np.linalg.norm(f[i, 0])) and float(f[i, 0] @ f[i, 1]) > 0
+            float(axes[0] @ f[i, 0]) > STRAIGHT * float(np.linalg.norm(f[i, 0]))
             for i, axes in zip(self.modes, self.axes, strict=True)
         )

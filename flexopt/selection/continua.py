@@ -14,7 +14,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
-from flexopt.selection.starts import violated
+from flexopt.selection.starts import idle_joints, violated
 
 # Joints that differ by less, in scaled variables, are the same posture.
 SAME_POSTURE = 1e-4
@@ -22,8 +22,6 @@ SAME_POSTURE = 1e-4
 ALIKE = 1e-6
 # What turns a machine about a target; angles looked at, and how many how often between the best one's neighbours.
 TURNING, TURNS, ZOOMED, ZOOMS = ("x", "y", "yaw"), 180, 20, 8
-# Turns of a joint by which it is told whether anything depends on it, rad.
-FREE = np.array([0.0, 0.4, -1.1, 2.0])
 # How near to its rows a turned configuration is, in their scales.
 ON_ROWS = 1e-9
 # Places looked at on the way: a few, and for what the yard allows one every so many metres.
@@ -110,7 +108,7 @@ def nearest(problem: SelectionProblem, z: Vector) -> Vector:
             turned = here.copy()
             turned[k] = _whole_turns(z[k], now[k], problem.lower[k], problem.upper[k])
             here = turned if _as_good(problem, z, turned) else here
-    for k in _free(problem, here):
+    for k in idle_joints(problem, here):
         moved = here.copy()
         moved[k] = np.clip(now[k], problem.lower[k], problem.upper[k])
         here = moved if _as_good(problem, z, moved) else here
@@ -131,19 +129,6 @@ def _as_good(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
         and bool(np.abs(beyond_bounds(problem, other)).max() <= ON_ROWS)
         and _alike(problem, z, other)
     )
-
-
-def _free(problem: SelectionProblem, z: Vector) -> list[int]:
-    """Joints that neither the end-point nor a measure depends on."""
-    plant, p = problem.measures.plant, problem.measures.plant.parameter_values
-    found = list[int]()
-    for k in range(plant.n_base, z.size):
-        at = np.repeat(z[:, None], FREE.size, axis=1)
-        at[k] += FREE
-        w, size, r = (x.full() for x in problem.measures.w.call([at[: plant.n_base], at[plant.n_base :], p])[:3])
-        if np.all(np.abs(w - w[:, :1]) <= ON_ROWS * size) and np.all(np.abs(r - r[:, :1]) <= ON_ROWS):
-            found.append(k)
-    return found
 
 
 def _turned(problem: SelectionProblem, z: Vector) -> Vector:

@@ -201,7 +201,7 @@ class Program:
         """`solve` by an ascent of so many steps, of one configuration; None where no constraints are near the start.
 
         `sought`: of how many objectives, up to the one being solved, the smallest is climbed, each in its own scale;
-        `parallel`: equations that are kept, too.
+        `parallel`: what is kept, too.
         """
         ascent, x0 = self.ascent(start, within, sought=sought, parallel=parallel)
         found = ascent.climbed(x0, steps)
@@ -224,12 +224,12 @@ class Program:
         x0 = np.clip(x0, lower, upper)
         lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
         rows, count = self.constraints()[: len(first.constraints)], len(first.kept) + 1
-        zeros = np.zeros(0 if parallel is None else parallel.size)
+        further = np.zeros(0) if parallel is None else parallel.upper
         bounds = Bounds(
             lower,
             upper,
-            np.append([row.lower for row in rows], zeros),
-            np.append([row.upper for row in rows], zeros),
+            np.append([row.lower for row in rows], np.zeros(further.size)),
+            np.append([row.upper for row in rows], further),
         )
         objectives, sizes = first.objectives[:count], np.array(first.objective_scales[:count])
         n_base, p = first.measures.plant.n_base, first.measures.plant.parameter_values

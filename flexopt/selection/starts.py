@@ -39,6 +39,8 @@ BEST_SHARE = 1 / 3
 # there, relative to |a_i||b_i|. Starts from each plane of symmetry.
 PLANES = (0.0, math.pi, -math.pi, math.pi / 2, -math.pi / 2)
 SYMMETRIC, ASIDE, EVEN = 8, 0.3, 1e-9
+# Turns of a joint by which it is told whether anything depends on it, rad.
+TURNS = np.array([0.0, 0.4, -1.1, 2.0])
 INSIDE = 4
 # Points for each start that climb at random; steps, and the first one and the bounds of all, in scaled variables; by
 # how much a step grows after one that helped, and shrinks after others.
@@ -143,19 +145,17 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     order = np.lexsort([-scan.objective, scan.violation])
     order = order[good[order]] if good.any() else order
     best = z[:, order[: max(count, round(BEST_SHARE * order.size))]]
-    n_base = problem.measures.plant.n_base
     if not good.any() or problem.objectives[0].has_kinks or problem.redundancy < 2:
-        return _apart(best, problem.scale, count, n_base)
+        return _apart(problem, best, count)
     return _in_turn(problem, best[:, : CLIMBING * count], count, values_of, workers)
 
 
 def _in_turn(problem: SelectionProblem, z: Vector, count: int, values_at: Values, workers: int) -> list[Vector]:
     """Where the points lead that climb at random, freely and in the planes of symmetry, in turn, the best first."""
-    n_base = problem.measures.plant.n_base
     sets = [(problem, z), *((plane, _into(plane, z[:, ::2])) for plane in _planes(problem))]
     first, *others = _climbed(sets, values_at, workers)
-    free = _apart(first, problem.scale, count, n_base)
-    inside = [point for points in others for point in _apart(points, problem.scale, INSIDE, n_base)]
+    free = _apart(problem, first, count)
+    inside = [point for points in others for point in _apart(problem, points, INSIDE)]
     pairs = zip_longest(free[: len(inside)], inside)
     return [*(start for pair in pairs for start in pair if start is not None), *free[len(inside) :]][:count]
 
@@ -243,23 +243,31 @@ def _climbing(problem: SelectionProblem, z: Vector, values_at: Values, seed: See
     Returns:
         The points, and what grew there (N,).
     """
-    rng, count = np.random.default_rng(seed), z.shape[1]
+    rng, none = np.random.default_rng(seed), np.full(z.shape[1], -np.inf)
     lower, upper, free, scale = (x[:, None] for x in _bounds(problem))
-    values, step = _feasible(problem, z, values_at), np.full(count, STEP)
+    values, step = _feasible(problem, z, values_at, none), np.full(z.shape[1], STEP)
     for _ in range(STEPS):
         there = np.clip(z + step * rng.standard_normal(z.shape) * scale * free, lower, upper)
         there, off = onto_target(problem, there)
-        found = np.where(off <= FEASIBLE, _feasible(problem, there, values_at), -np.inf)
+        found = _feasible(problem, there, values_at, np.where(off <= FEASIBLE, values, np.inf))
         better = found > values
         z, values = np.where(better, there, z), np.where(better, found, values)
         step = np.clip(step * np.where(better, LONGER, SHORTER), STEP_LEAST, STEP_MOST)
     return z, values
 
 
-def _feasible(problem: SelectionProblem, z: Vector, values_at: Values) -> Vector:
-    """Values (N,) at points that reach the target; −∞ where they break a constraint."""
-    values = values_at(problem, z)
-    return np.where((violated(problem, z) <= FEASIBLE) & np.isfinite(values), values, -np.inf)
+def _feasible(problem: SelectionProblem, z: Vector, values_at: Values, above: Vector) -> Vector:
+    """Values (N,) at points that reach the target; −∞ where they break a constraint, or are no more than `above`."""
+    values: Vector = np.full(above.size, -np.inf)
+    asked = np.flatnonzero(above < np.inf)
+    if asked.size:
+        values[asked] = values_at(problem, z[:, asked])
+    more = np.isfinite(values) & (values > above)
+    asked = np.flatnonzero(more)
+    if asked.size:
+        more[asked] = violated(problem, z[:, asked]) <= FEASIBLE
+    values[~more] = -np.inf
+    return values
 
 
 def _onto_constraints(problem: SelectionProblem, z: Vector, feasible: NDArray[np.bool_]) -> list[Vector]:
@@ -272,21 +280,41 @@ def _onto_constraints(problem: SelectionProblem, z: Vector, feasible: NDArray[np
     return list(there[:, good].T)
 
 
-def _apart(z: Vector, scale: Vector, count: int, n_base: int) -> list[Vector]:
+def idle_joints(problem: SelectionProblem, z: Vector) -> list[int]:
+    """Joints that neither the end-point nor a measure depends on."""
+    plant, p = problem.measures.plant, problem.measures.plant.parameter_values
+    found = list[int]()
+    for k in range(plant.n_base, z.size):
+        at = np.repeat(z[:, None], TURNS.size, axis=1)
+        at[k] += TURNS
+        w, size, r = (x.full() for x in problem.measures.w.call([at[: plant.n_base], at[plant.n_base :], p])[:3])
+        if np.all(np.abs(w - w[:, :1]) <= EVEN * size) and np.all(np.abs(r - r[:, :1]) <= EVEN):
+            found.append(k)
+    return found
+
+
+def _apart(problem: SelectionProblem, z: Vector, count: int) -> list[Vector]:
     """Up to `count` of the columns, which come in order of preference, as far apart as that many can be found.
 
-    What counts is the posture: to turn or shift machine and target together changes no measure.
+    What counts is the posture: to turn or shift machine and target together changes no measure, nor do whole turns of
+    joints that may make them, nor joints on which nothing depends.
     """
-    x = (z / scale[:, None]).T[:, n_base:]
+    if not z.size:
+        return []
+    idle, n_base = idle_joints(problem, z[:, 0]), problem.measures.plant.n_base
+    seen = [k for k in range(n_base, z.shape[0]) if k not in idle]
+    x, turn = (z / problem.scale[:, None])[seen].T, math.tau / problem.scale[seen]
+    spans = zip(problem.variables, problem.upper - problem.lower, strict=True)
+    whole = np.array([variable.unit == "rad" and span > math.tau for variable, span in spans])[seen]
     distance = np.full(x.shape[0], np.inf)
     taken: list[int] = []
-    radius = float(np.median(np.abs(x - np.median(x, axis=0)).max(axis=1))) if x.size else 0.0
+    radius = float(np.median(np.abs(x - np.median(x, axis=0)).max(axis=1))) if seen else 0.0
     while len(taken) < count and radius > SAME_START:
         for k in range(x.shape[0]):
             if distance[k] >= radius and len(taken) < count:
                 taken.append(k)
-                distance = np.minimum(distance, np.abs(x - x[k]).max(axis=1))
+                away: Vector = x - x[k]
+                away = away - whole * turn * np.round(away / turn)
+                distance = np.minimum(distance, np.abs(away).max(axis=1))
         radius /= 2
-    if not taken and x.size:
-        taken = [0]
-    return [z[:, k] for k in sorted(taken)]
+    return [z[:, k] for k in sorted(taken or [0])]

@@ -28,8 +28,8 @@ from flexopt.selection.starts import worst_starts
 OPTIMA, STARTS, MOST = 12, 16, 2
 # The best sets, to which walks are tried from others.
 WALKED = 4
-# Charts of a surface that a climb may need, and the cosine to which a_i may turn in one.
-CHARTS, TURNED = 6, 0.3
+# Charts of a surface that a climb may need.
+CHARTS = 6
 # A gain below this share of the scale is none.
 STILL = 1e-9
 # Steps of a walk from one optimum to another, the longest of them in scaled variables, and what is left after each.
@@ -113,7 +113,7 @@ def _climbed(
             break
         z, steps, value = found[0], steps + found[1], _value(stage, sought, found[0])
         # Steps that end at a kink may go on from there in long ones again.
-        if value <= before + STILL * stage.objective_scale and surface.fits(problem.factors(z)[0], TURNED):
+        if value <= before + STILL * stage.objective_scale and surface.fits(problem.factors(z)[0]):
             break
         before = value
     return z, steps

@@ -242,6 +242,37 @@ def test_the_tip_of_a_cone(rank: int, *, slope: float, at_tip: bool) -> None:
         np.testing.assert_allclose(np.linalg.norm(found.forces[0]), 1.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_what_equations_hold_bounds_nothing(seed: int) -> None:
+    """An entry that an equation holds, but for rounding: the solution is that of the program without the entry."""
+    rng = np.random.default_rng(1000 + seed)
+    bend, rows, bounds = random_problem(rng, -1)
+    rows, bounds, cones = random_cones(rng, rows, bounds, 0)
+    n = bend.shape[0]
+    without = best_gain(bend, rows, bounds, cones)
+    assert without is not None
+    # Another entry, coupled to the others by rounding alone, in an equation and in a row of its own.
+    wider = np.zeros((n + 1, n + 1))
+    wider[:n, :n] = bend
+    held = np.append(1e-16 * rng.normal(size=n), [5.0, 0.0])
+    own = np.append(1e-16 * rng.normal(size=n), [1e-15, 0.0])
+    more = np.vstack([held, own, np.insert(rows, n, 1e-16 * rng.normal(size=len(rows)), axis=1)])
+    ends = Bounds(
+        np.append(bounds.x_lower, -0.1),
+        np.append(bounds.x_upper, 0.1),
+        np.append([1e-16, -0.3], bounds.g_lower),
+        np.append([1e-16, np.inf], bounds.g_upper),
+    )
+    slopes = np.concatenate([cones.slopes, np.zeros((*cones.slopes.shape[:2], 1))], axis=2)
+    found = best_gain(
+        wider, more, ends, Cones(cones.values, slopes, np.vstack([np.zeros((2, len(cones.values))), cones.sizes]))
+    )
+    assert found is not None
+    reach = float(bounds.x_upper[0])
+    assert abs(found.d[n]) <= 1e-14
+    assert np.abs(found.d[:n] - without.d).max() <= 1e-7 * reach
+
+
 def test_a_cone_far_smaller_than_its_neighbours_keeps_its_digits() -> None:
     """Two cones with one tip, of sizes 1 and 1e-6: d_1 follows from the small one to all digits."""
     values, slopes = np.zeros((2, 2)), np.zeros((2, 2, 3))

@@ -13,6 +13,7 @@ from benchmarks.choice import chosen
 from benchmarks.dimensions import cases, examined
 from flexopt.selection.cones import Parallel, split_factors
 from flexopt.selection.continua import nearest, travel
+from flexopt.selection.starts import _apart, idle_joints
 from tests.oracles.machines import random_machine
 
 
@@ -30,7 +31,7 @@ def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slope
 
     start = rng.normal(size=n)
     chart = Parallel.at(factors(start)[0], (0, 1))
-    assert chart.size == m * (task_rows - 1)
+    assert chart.equations == m * (task_rows - 1)
     x = start + 0.05 * rng.normal(size=n)
     step = 1e-6 * np.eye(n)
     told = chart.slopes(*factors(x))
@@ -40,10 +41,14 @@ def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slope
 
     f = factors(start)[0]
     f[:, 1] = f[:, 0] * [[2.0], [0.7]]
-    assert np.abs(Parallel.at(f, (0, 1)).values(f)).max() <= 1e-15
+    assert np.abs(Parallel.at(f, (0, 1)).values(f)[: chart.equations]).max() <= 1e-15
     aside = f.copy()
     aside[0, 1] += 1e-3 * np.linalg.norm(f[0, 1]) * np.linalg.svd(f[0, :1])[2][-1]
-    assert np.abs(Parallel.at(f, (0, 1)).values(aside)).max() >= 1e-4
+    assert np.abs(Parallel.at(f, (0, 1)).values(aside)[: chart.equations]).max() >= 1e-4
+    # Along each other inside the inequalities, against each other outside.
+    assert Parallel.at(f, (0, 1)).values(f)[chart.equations :].min() > 0
+    f[:, 1] *= -1
+    assert np.all(Parallel.at(f, (0, 1)).values(f)[chart.equations + 1 :: 2] < 0)
 
 
 @pytest.mark.parametrize("case", list(cases(12))[::2][:3] + list(cases(16))[7::8], ids=lambda case: case[0])
@@ -168,3 +173,18 @@ def test_a_planar_arm_of_more_joints_has_curves_of_optima() -> None:
     assert all(each.best.dimension == 1 for each in found)
     worst = [each.best.w[1:].min() for each in found]
     assert abs(worst[0] - worst[1]) <= 1e-6 * found[0].problem.objective_scale
+
+
+def test_starts_apart_are_no_copies_by_whole_turns_or_idle_joints() -> None:
+    """The roll of the mobile manipulator's tool moves nothing, and its joints may make two turns."""
+    machine = flexopt.load("mobile-manipulator")
+    problem = flexopt.build_selection(machine, (1.1, 0.1, 0.4), objective="w1", starts=2)
+    z = np.append(problem.region.low[:3], [0.3, -0.5, 1.1, -0.7, 0.4, 0.0])
+    assert idle_joints(problem, z) == [z.size - 1]
+    columns = np.repeat(z[:, None], 6, axis=1)
+    columns[3, 1] -= 2 * np.pi
+    columns[7, 2] += 2 * np.pi
+    columns[8, 3] = 3.0
+    columns[:3, 4] += 0.5
+    columns[5, 5] += 0.2
+    assert [tuple(start) for start in _apart(problem, columns, 2)] == [tuple(z), tuple(columns[:, 5])]
