@@ -204,6 +204,8 @@ class Constraints(FileModel):
         holds: what does: `"footprint"`, all that the undercarriage stands on, turned with the machine; `"point"`, the
             anchor point. By default the footprint where the machine's file has a `support`.
         clearance: least distance from ground and obstacles.
+        self_clearance: least distance between capsules of bodies that joints move against each other, neighbours aside,
+            m.
         tip_over_margin: least distance of the centre of mass from the edges of the support polygon, seen from above, m.
         holding: share of each joint's effort that gravity may take.
         tool_angle: range of the end-point's inclination, rad; one number for an exact value.
@@ -216,6 +218,7 @@ class Constraints(FileModel):
     keep_out: Annotated[tuple[Area, ...], _check_areas] | None = None
     holds: Literal["footprint", "point"] | None = None
     clearance: Clearance | None = None
+    self_clearance: Annotated[float, LENGTH_OR_ZERO] | None = None
     tip_over_margin: Annotated[float, LENGTH_OR_ZERO] | None = None
     holding: Annotated[float, Quantity("of each joint's effort", above=0.0, high=1.0)] | None = None
     tool_angle: Annotated[Interval, _check_tool_angle] | None = None

@@ -14,7 +14,16 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_plant
-from flexopt.selection.constraints import areas, clearance, ground, holding, manipulability, tip_over, tool_angle
+from flexopt.selection.constraints import (
+    areas,
+    clearance,
+    ground,
+    holding,
+    manipulability,
+    self_clearance,
+    tip_over,
+    tool_angle,
+)
 from flexopt.selection.constraints.kind import ConstraintKind, Group, Scene
 
 Vector = NDArray[np.float64]
@@ -24,13 +33,14 @@ KINDS: dict[str, ConstraintKind] = {
     "region": areas.REGION,
     "keep_out": areas.KEEP_OUT,
     "clearance": clearance.KIND,
+    "self_clearance": self_clearance.KIND,
     "ground": ground.KIND,
     "tip_over_margin": tip_over.KIND,
     "holding": holding.KIND,
     "tool_angle": tool_angle.KIND,
 }
 # Kinds that are the same wherever the machine stands; a clearance is where it is from the ground.
-EVERYWHERE = ("manipulability", "ground", "tip_over_margin", "holding", "tool_angle")
+EVERYWHERE = ("manipulability", "self_clearance", "ground", "tip_over_margin", "holding", "tool_angle")
 Structure = tuple[tuple[str, Any, int], ...]
 
 

@@ -327,6 +327,7 @@ def everything(d: int):
     rng = np.random.default_rng(4)
     polygon = [[-4, -4], [4, -4], [4, 4], [0, 1], [-4, 4]]
     table = {"manipulability": 0.1, "tip_over_margin": 0.1, "holding": 0.5, "tool_angle": [0.1, 0.5]}
+    table["self_clearance"] = 0.1
     table["clearance"] = {"distance": 0.1, "ground": 0.0, "obstacles": random_obstacles(rng, d, 2.0)}
     return table | {"region": [[-4, 4]] if d == 2 else [polygon], "keep_out": [[1, 2]] if d == 2 else [polygon]}
 
