@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from flexopt.model import load_problem as load_problem
     from flexopt.model import machine_from_dict as machine_from_dict
     from flexopt.model import tree_from_dict as tree_from_dict
+    from flexopt.model.own import Constraint as Constraint
     from flexopt.model.robots import load_robot as load_robot
     from flexopt.model.simulation import Experiment as Experiment
     from flexopt.model.simulation import SimulationOptions as SimulationOptions
@@ -96,6 +97,7 @@ __all__ = [
     "Candidate",
     "Certificate",
     "Check",
+    "Constraint",
     "Ensemble",
     "Evaluation",
     "Experiment",
@@ -180,6 +182,7 @@ _LATER = {
     "model": (
         "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"
     ),
+    "model.own": "Constraint",
     "model.robots": "load_robot",
     "model.simulation": "Experiment SimulationOptions",
     "plant": "Hydraulics Plant build_hydraulics build_plant inverse_kinematics",

@@ -229,7 +229,7 @@ def _selection_text(result: Selection) -> str:
     stand = f"Stand at {base} and hold" if base else "Hold"
     lines = [repr(result), "", f"{stand} {angles}.", repr(best)]
     if result.initial is not None:
-        first = problem.objectives[0]
+        first = problem.sought[0]
         before, after = (first.value(e.w, e.epsilon_max) for e in (result.initial, best))
         lines.append(f"{first.name}: {before:.5e} in the present posture, {after:.5e} in the chosen one")
     return "\n".join(lines)

@@ -10,10 +10,12 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, field_serializer
 from pydantic_core import PydanticCustomError
 
+from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.foundation.nearest import hint
+from flexopt.foundation.plain import Unreadable, plain_table
 from flexopt.foundation.quantities import (
     ANGLE,
     COORDINATE,
@@ -26,9 +28,11 @@ from flexopt.foundation.quantities import (
     each,
     entries,
     pair,
+    several,
     vector,
 )
 from flexopt.model.file_model import FileModel, read_table, validated
+from flexopt.model.own import Constraint, check_own_constraints, is_function
 from flexopt.model.polygons import Corners, check_simple_polygon
 from flexopt.model.targets import SOME_COORDINATES
 
@@ -210,6 +214,7 @@ class Constraints(FileModel):
         holding: share of each joint's effort that gravity may take.
         tool_angle: range of the end-point's inclination, rad; one number for an exact value.
         travel: cost of leaving the present configuration.
+        own: `flexopt.Constraint`s of the user's own, which files cannot have.
     """
 
     joint_margin: Annotated[float, Quantity(JOINT_VALUE.unit, low=0.0, high=ANGLE.high)] = 0.0
@@ -223,13 +228,19 @@ class Constraints(FileModel):
     holding: Annotated[float, Quantity("of each joint's effort", above=0.0, high=1.0)] | None = None
     tool_angle: Annotated[Interval, _check_tool_angle] | None = None
     travel: Travel | None = None
+    own: Annotated[tuple[Any, ...], check_own_constraints] | None = None
+
+    @field_serializer("own")
+    def _own_as_data(self, own: tuple[Constraint, ...] | None) -> list[dict[str, Any]] | None:
+        return None if own is None else [constraint.to_dict() for constraint in own]
 
 
 def read_constraints(value: Any, *, origin: str = "constraints") -> Constraints:
     """Constraints from a dictionary in the layout of [constraints]; ready ones pass, None is none.
 
     Args:
-        value: the table; NumPy arrays and numbers may stand for lists and numbers.
+        value: the table; NumPy arrays and numbers may stand for lists and numbers. Or a `casadi.Function` or
+            `flexopt.Constraint`, or a list of them, in which the table may stand, too.
         origin: what the message calls the source.
 
     Raises:
@@ -237,5 +248,26 @@ def read_constraints(value: Any, *, origin: str = "constraints") -> Constraints:
     """
     if isinstance(value, Constraints):
         return value
+    if is_function(value) or isinstance(value, Constraint | list | tuple):
+        listed = plain_table(value)
+        value = listed if isinstance(listed, Unreadable) else _with_own(listed)
     table = {} if value is None else read_table(value, origin, "[constraints]")
     return validated(Constraints, table, origin, ())
+
+
+def _with_own(value: Any) -> dict[str, Any]:
+    """A table of a list: what is no table in it are own constraints."""
+    table: dict[str, Any] = {}
+    own: list[Any] = []
+    for part in several(value):
+        ready = isinstance(part, Constraints)
+        given: Any = {name: getattr(part, name) for name in part.model_fields_set} if ready else part
+        if not isinstance(given, Mapping):
+            own.append(part)
+            continue
+        named = dict(cast(Mapping[str, Any], given))
+        own += several(named.pop("own", None) or [])
+        twice = [Fault(str(key), "stands in two tables of the list") for key in named if key in table]
+        raise_if_any(ModelError, "constraints", twice)
+        table |= named
+    return table | {"own": own}

@@ -29,12 +29,12 @@ from flexopt.model.choices import (
     Combine,
     Elbow,
     check_assume,
-    check_objective,
     check_weights,
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.file_model import BuiltByCall
 from flexopt.model.machine import OnMachine
+from flexopt.model.own import check_objectives
 from flexopt.model.targets import KINDS, SOME_COORDINATES, SOME_SHARES, PathMotion, Target, TargetKind, problem_faults
 
 # What the calls that solve a problem name the keys of [target].
@@ -62,7 +62,9 @@ class SelectionOptions(BuiltByCall):
     Attributes:
         objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
             separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1 to
-            within `slack`. Of several targets: one, without ε_max.
+            within `slack`. Of several targets: one, without ε_max. Or a `casadi.Function` of named quantities with one
+            number as output, which is maximised (README.md, "Your own objectives and constraints"), alone or in a list
+            in order with others: `["w1", f]`.
         weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
         control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
         gravity: measures and end-point under static deflection.
@@ -93,7 +95,7 @@ class SelectionOptions(BuiltByCall):
         shares: of the targets in the sum, (K,), positive; even by default.
     """
 
-    objective: Annotated[str, check_objective] = "w1"
+    objective: Annotated[Any, check_objectives] = "w1"
     weights: Annotated[tuple[float, ...], check_weights] | None = None
     control: Annotated[Control, check_control] = "inverse"
     gravity: bool = False
@@ -120,7 +122,7 @@ class SelectionOptions(BuiltByCall):
 class SharedKeywords(TypedDict, total=False):
     """Fields of `SelectionOptions` as keywords of a call, for type checkers: those of every kind of target."""
 
-    objective: str
+    objective: Any
     weights: Sequence[float] | None
     control: Control
     gravity: bool
@@ -164,7 +166,7 @@ class Problem(OnMachine):
     def select_arguments(self) -> dict[str, Any]:
         """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target."""
         kind = self.target.kind
-        options = self.selection.model_dump(include=set(SelectionOptions.of(kind)))
+        options = {name: getattr(self.selection, name) for name in SelectionOptions.of(kind)}
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options

@@ -224,9 +224,9 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
     values = np.array([candidate.objective for candidate in selection.candidates])
     axes.plot(ranks[1:], values[1:], "o", color="white", markeredgecolor="black", markersize=4.5, linestyle="none")
     axes.plot(ranks[0], values[0], "*", color=CHOSEN, markersize=14, markeredgecolor="black")
-    if selection.initial is not None:
-        first = selection.problem.objectives[0]
+    first = selection.problem.sought[0]
+    if selection.initial is not None and first.own is None:
         axes.axhline(first.value(selection.initial.w, selection.initial.epsilon_max), color=PRESENT, linewidth=1.4)
     axes.set_xlabel("candidate, by rank")
-    axes.set_ylabel(f"objective {selection.problem.objectives[0].name}")
+    axes.set_ylabel(f"objective {selection.problem.sought[0].name}")
     axes.locator_params(axis="x", integer=True)

@@ -105,9 +105,10 @@ class Ascent:
             first += 2 if kink else 1
         modes, alone = list[Cone](), np.zeros(0, dtype=np.bool_)
         rows, row_slopes = values[:n_rows], slopes[:n_rows]
-        if self.alphas.any() or self.parallel is not None:
+        alphas = self._alphas(x)
+        if alphas.any() or self.parallel is not None:
             f, f_x, same = self._factors(x)
-            modes = mode_cones(f, f_x, self.alphas)
+            modes = mode_cones(f, f_x, np.maximum(alphas, 0.0))
             alone = same[: len(modes) // 2] < SHARED
             if self.parallel is not None:
                 rows = np.append(rows, self.parallel.values(f))
@@ -120,9 +121,17 @@ class Ascent:
             slopes=slopes[lowest],
             cones=(*modes, *self._margin_cone(gap, epsilon_x)),
             alone=alone,
+            alphas=alphas,
             epsilon_slopes=epsilon_x,
             sought=self.sought,
         )
+
+    def _alphas(self, x: Vector) -> Vector:
+        """∂V/∂w / size of each objective, (j, m): α, and what own objectives add at x."""
+        if self.functions.pulls is None:
+            return self.alphas
+        found: Vector = self.functions.pulls.call([x, self.parameters])[0].full()
+        return found
 
     @property
     def _n_rows(self) -> int:
@@ -351,5 +360,5 @@ class Ascent:
             if number < 2 * here.n_modes:
                 cone, size = here.cones[number], float(np.linalg.norm(here.cones[number ^ 1].value))
                 pull = step.cone_pulls.get(number, float(step.pulls @ cone.sizes) * cone.unit)
-                held[number] = float(step.pulls @ self.alphas[:, number // 2]), pull / max(size, TINY)
+                held[number] = float(step.pulls @ here.alphas[:, number // 2]), pull / max(size, TINY)
         return self._bend_of(lambda f, f_x: smooth_slope(f, f_x, held), here, free)

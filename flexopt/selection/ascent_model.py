@@ -77,6 +77,7 @@ class Point:
         values, slopes: V / size of the objectives, (j,) and (j, n).
         cones: where they may have kinks; of modes two each, then that of ε_max where it takes part.
         alone: of each mode, whether its frequency is simple: cones of others are not looked at.
+        alphas: ∂V/∂w / size of the objectives, (j, m).
         epsilon_slopes: of ε_max's branches, and of their coupling, (3, n); else (0, n).
         sought: how many objectives are: what is climbed is the smallest of them.
     """
@@ -88,6 +89,7 @@ class Point:
     slopes: Vector
     cones: tuple[Cone, ...]
     alone: NDArray[np.bool_]
+    alphas: Vector
     epsilon_slopes: Vector
     sought: int = 1
 

@@ -9,34 +9,39 @@ from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
-from flexopt.errors import Fault, UnreachableTarget
+from flexopt.errors import Fault, InputError, UnreachableTarget, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords, public
 from flexopt.model import AnyMachine
 from flexopt.model.choices import EVERYTHING, assumes
 from flexopt.model.constraints import Constraints
+from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held
 from flexopt.selection.assumed import assumed
 from flexopt.selection.constraints import build_constraints, constraint_faults
-from flexopt.selection.objective import Objective, Quantities, quantities, read_objectives
+from flexopt.selection.objective import Objective, Quantities, own_constraints, quantities, read_objectives
 from flexopt.selection.problem import Constraint, DecisionVariable, Region, SelectionProblem, TravelCost
 from flexopt.selection.scan import Scan, empty_scan, scan_redundancy
-from flexopt.selection.starts import STARTS, sample_configurations
+from flexopt.selection.starts import STARTS, sample_configurations, with_kept
 
 Ranges = dict[str, tuple[float, float]]
 FREE = (-math.inf, math.inf)
 # The sample that scales come from.
 FIRST_SEED = 0
+# Points of it at which own Functions are looked at.
+SEEN = 16
+UNDEFINED = "is not a finite number at any configuration that reaches the target inside limits and margin"
 
 
 class _Asked(NamedTuple):
     """What several arguments say together."""
 
     objectives: tuple[Objective, ...]
+    own: tuple[tuple[Objective, float], ...]
     constraints: Constraints
     limits: Vector
     now: Vector | None
@@ -54,10 +59,11 @@ def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
     if given["objective"] is not None:
         objectives = read_objectives(arguments, machine, given["objective"], given["weights"])
     asked = _suiting(arguments, machine, given["constraints"] or Constraints())
+    own = own_constraints(arguments, machine, asked)
     # What an options object leaves out is assumed.
     free = not assumes(given.get("assume") or EVERYTHING, "limits")
     limits = np.tile(FREE, (len(machine.joints), 1)) if free else _joint_limits(arguments, machine, asked.joint_margin)
-    return _Asked(objectives, asked, limits, _present(arguments, machine, asked, base, posture))
+    return _Asked(objectives, own, asked, limits, _present(arguments, machine, asked, base, posture))
 
 
 def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
@@ -65,7 +71,7 @@ def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
     ask(arguments, given)
 
 
-@public("select", together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords))
+@public("select", together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
 def build_selection(
     machine: AnyMachine,
     target: Any,
@@ -79,7 +85,8 @@ def build_selection(
     Args:
         machine: from `flexopt.load`.
         target: a number for each row of the task (n_task,), m, inertial frame.
-        constraints: what else a configuration must keep, in the layout of a problem file's table [constraints].
+        constraints: what else a configuration must keep, in the layout of a problem file's table [constraints]; or a
+            list of `casadi.Function`s, every entry of which is at least 0, of `flexopt.Constraint`s, and of that table.
         options: how to choose, see `SelectionOptions`;  keywords: its fields, which go before it: objective, weights,
             control, gravity, gain, base, posture, base_range, elbow, singularity_margin_deg, starts, seed, assume,
             slack.
@@ -101,7 +108,7 @@ def build_one(
     """As `build_selection`, for checked arguments: one of the `targets` (K, n_task) that are reached by one choice."""
     read = ask(Arguments("select", machine), vars(asked) | {"constraints": constraints})
     assert read is not None  # the machine is one
-    objectives, kept, limits, travel_now = read
+    objectives, own, kept, limits, travel_now = read
     names, units = machine.base_coordinates, machine.base_units
     present = asked.base
     ranges: Ranges = asked.base_range or {}
@@ -138,8 +145,8 @@ def build_one(
     problem = SelectionProblem(
         machine=machine,
         target=target,
-        objectives=objectives,
-        kept=(),
+        objectives=(*(objective for objective, _ in own), *objectives),
+        kept=tuple(least for _, least in own),
         slack=asked.slack,
         control=asked.control,
         gravity=asked.gravity,
@@ -150,7 +157,7 @@ def build_one(
         asked=kept,
         assumed=beside.named,
         travel=None if travel_now is None or kept.travel is None else TravelCost(kept.travel.cost, travel_now),
-        objective_scales=(1.0,) * len(objectives),
+        objective_scales=(1.0,) * (len(own) + len(objectives)),
         scan=empty_scan(plant, reached=False),
         region=_region(machine, arm_length(plant), sampled, limits),
         present_base=present,
@@ -159,6 +166,7 @@ def build_one(
         singularity_margin=margin,
         starts=asked.starts,
         seed=asked.seed,
+        bounding=len(own),
     )
 
     def looked(seed: int) -> tuple[Scan, float]:
@@ -174,16 +182,46 @@ def build_one(
         raise _nothing_found(functions, target, ranges, margin, scan, off)
     # What travel costs is in these units: no matter of chance.
     usual = scan if asked.seed == FIRST_SEED else looked(FIRST_SEED)[0]
-    factor = usual.factor if usual.size else scan.factor
-    sizes = tuple(float(np.median(o.alpha @ factor)) + o.beta or 1.0 for o in objectives)
-    return replace(problem, scan=scan, objective_scales=sizes)
+    usual = usual if usual.size else scan
+    _confirm_own(functions, problem.objectives, usual)
+    sizes = [_typical(functions, objective, usual) for objective in problem.objectives]
+    sizes[: len(own)] = [max(size, abs(least)) for size, (_, least) in zip(sizes, own, strict=False)]
+    problem = replace(problem, objective_scales=tuple(size or 1.0 for size in sizes))
+    return replace(problem, scan=with_kept(problem, scan))
+
+
+def _typical(functions: Quantities, objective: Objective, scan: Scan) -> float:
+    """What V is divided by: typical Σ |∂V/∂w_i| |a_i||b_i|, and β; of own ones how much they vary, if that is more."""
+    if objective.own is None:
+        return float(np.median(objective.alpha @ scan.factor)) + objective.beta
+    pulls = np.abs(functions.pulls(objective, scan.base, scan.posture)) * scan.factor
+    values = functions.smooth(objective, scan.base, scan.posture, scan.w)
+    values, sizes = values[np.isfinite(values)], pulls.sum(axis=0)
+    if not values.size:
+        return 0.0
+    varies = float(np.median(np.abs(values - np.median(values))))
+    return max(varies, float(np.median(sizes[np.isfinite(sizes)]))) or float(np.abs(values).max())
+
+
+def _confirm_own(functions: Quantities, objectives: tuple[Objective, ...], scan: Scan) -> None:
+    """Refuse own Functions that are no numbers anywhere, and those that bring wrong derivatives with them."""
+    faults: list[Fault] = []
+    for objective in objectives:
+        if objective.own is not None:
+            field = f"constraints ({objective.name})" if objective.bounds else "objective"
+            values = functions.smooth(objective, scan.base, scan.posture, scan.w)
+            wrong = functions.own(objective.own).wrong_slopes(scan.base[:, :SEEN], scan.posture[:, :SEEN])
+            if not np.isfinite(values).any():
+                wrong = UNDEFINED
+            faults += [] if wrong is None else [Fault(field, wrong)]
+    raise_if_any(InputError, "select", faults)
 
 
 def _suiting(arguments: Arguments, machine: AnyMachine, asked: Constraints) -> Constraints:
     """The constraints, as far as they suit the machine; faults go to `arguments`."""
     faults = constraint_faults(build_plant(machine), asked)
     arguments.faults += [Fault(f"constraints.{f.field}", f.sentence, f.value) for f in faults]
-    return Constraints(travel=asked.travel) if faults else asked
+    return Constraints(travel=asked.travel, own=asked.own) if faults else asked
 
 
 def _joint_limits(arguments: Arguments, machine: AnyMachine, joint_margin: float) -> Vector:
@@ -269,6 +307,8 @@ def _nothing_found(
     plant = functions.measures.plant
     if scan.unsound:
         return not_held()
+    if scan.undefined:
+        return InputError(f"select: objective {UNDEFINED}", [Fault("objective", UNDEFINED)], "select")
     if not plant.closed_form:
         return missed(plant, target, None, off)
     return _why_unreachable(plant, target, ranges[plant.machine.base_coordinates[0]], margin, scan.reached)

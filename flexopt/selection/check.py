@@ -88,6 +88,8 @@ def prove_program(program: Program, x: Vector) -> Proof:
     violations = _infeasible(program, x, local.g)
     multipliers, kept = certified(local)
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
+    for name, size in _undecided(program, x):
+        _note(violations, name, size, STATIONARITY_TOLERANCE)
     bounded = program.first.bounded_by_zero and program.goal != "motion"
     unsurpassed = bounded and -local.value <= BEST_TOLERANCE
     curvature, dimension = 0.0, _dimension(program, x, local) if unsurpassed else None
@@ -123,7 +125,7 @@ def infeasible(program: Program, x: Vector) -> dict[str, float]:
 
 
 def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
-    constraints, n_task = program.constraints(lowest=True), program.first.target.size
+    constraints, n_task = program.constraints(), program.first.target.size
     beyond = [
         float(max(row.lower - value, value - row.upper)) * row.scale for row, value in zip(constraints, g, strict=True)
     ]
@@ -151,12 +153,12 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
     """The program at x, with what is active there."""
     members = program.linear(x)
     level = float(min(member.values[-1][0] for member in members))
-    local = program.local(x, members, level, lowest=True)
+    local = program.local(x, members, level)
     equal: list[int] = []
     active: list[tuple[int, float]] = []
     rows: list[Vector] = []
     names: list[str] = []
-    for k, (constraint, value) in enumerate(zip(program.constraints(lowest=True), local.g, strict=True)):
+    for k, (constraint, value) in enumerate(zip(program.constraints(), local.g, strict=True)):
         if constraint.lower == constraint.upper:
             equal.append(k)
             continue
@@ -222,9 +224,8 @@ def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[
     # How several share what they stand on is not looked at.
     if program.coupling.count > 1 or program.goal == "motion":
         return
-    first, count = program.first, len(member.values)
-    sizes = np.array(first.objective_scales[:count])
-    alphas = np.array([objective.alpha for objective in first.objectives[:count]]) / sizes[:, None]
+    first = program.first
+    alphas = _pulls_of_w(program, 0, x)
     if not alphas.any():
         return
     f, f_z, same = first.factors(program.of(x, 0))
@@ -234,6 +235,41 @@ def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[
                 scaled = Cone(size * cone.value, size * cone.slopes, np.ones(1), cone.unit)
                 alpha = float(alphas[j, number // 2])
                 yield j, f"kink of w{number // 2 + 1}: {name_of(number)}", scaled, number, alpha
+
+
+def _pulls_of_w(program: Program, k: int, x: Vector) -> Vector:
+    """∂V_j/∂w_i / size of configuration k's objectives up to the one being solved, (j, m)."""
+    problem, z = program.problems[k], program.of(x, k)
+    n_base, count = problem.measures.plant.n_base, len(problem.kept) + 1
+    pulls = [problem.quantities.pulls(o, z[:n_base], z[n_base:]).ravel() for o in problem.objectives[:count]]
+    return np.array(pulls) / np.array(program.first.objective_scales[:count])[:, None]
+
+
+def _undecided(program: Program, x: Vector) -> Iterator[tuple[str, float]]:
+    """What own objectives and constraints make of x that first and second derivatives do not tell, and its size.
+
+    A pull at w_i below 0 turns its kink over: V rises from there in two directions. Of several configurations kinks are
+    not looked at, and frequencies have no slopes where two are one.
+    """
+    first, count = program.first, len(program.first.kept) + 1
+    if all(objective.own is None for objective in first.objectives[:count]):
+        return
+    for k, problem in enumerate(program.problems):
+        z, alphas = program.of(x, k), _pulls_of_w(program, k, x)
+        f, f_z, same = problem.factors(z)
+        for objective in problem.objectives[:count]:
+            if (
+                objective.own is not None
+                and problem.quantities.own(objective.own).takes_frequencies
+                and same.max() > SHARED
+            ):
+                yield f"frequencies of {objective.name} that are one", np.inf
+        turned = np.array([objective.own is not None for objective in problem.objectives[:count]])[:, None] & (
+            alphas < 0
+        )
+        for number, cone in enumerate(mode_cones(f, f_z * first.scale, np.abs(alphas) * turned)):
+            if cone.sizes.any() and (cone.distance <= TIP or same[number // 2] > SHARED):
+                yield f"kink of w{number // 2 + 1}, on which V falls with it", float(cone.sizes.max()) * cone.length
 
 
 def _pull_of_kept(program: Program, local: FirstOrderModel, multipliers: Vector, kept: list[int]) -> float:
@@ -367,7 +403,7 @@ def _rises(
     slacks of earlier objectives allow is dear.
     Where earlier objectives are kept their derivatives may jump, so that no such point is found: nothing is known then.
     """
-    constraints = program.constraints(lowest=True)
+    constraints = program.constraints()
     numbers = [*local.equal, *(k for k, _ in local.active)]
     wanted = np.array([row.lower if value - row.lower <= row.upper - value else row.upper
                        for row, value in zip(constraints, local.g, strict=True)])[numbers]  # fmt: skip
@@ -377,7 +413,7 @@ def _rises(
 
     def there(y: Vector) -> Local:
         at = y[:n_x] * program.scale
-        return program.local(at, program.linear(at), float(y[-1]), lowest=True)
+        return program.local(at, program.linear(at), float(y[-1]))
 
     tips = [kink for kink in local.kinks if kink.number is not None]
 

@@ -237,7 +237,7 @@ def _alike(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
         for at in (z, other)
     )
     m = one.size - len(problem.objectives)
-    sizes = np.array([problem.objective_scales[0]] * m + list(problem.objective_scales))
+    sizes = np.array([problem.measure_scale] * m + list(problem.objective_scales))
     return bool(np.all(np.abs(one - two) <= ALIKE * np.maximum(sizes, np.abs(one))))
 
 

@@ -59,7 +59,7 @@ def _step(
 
 def _beyond(program: Program, local: FirstOrderModel, kept: list[int]) -> Vector:
     """By how much the active rows are off their bounds, in the order of `FirstOrderModel.rows`."""
-    constraints = program.constraints(lowest=True)
+    constraints = program.constraints()
     equal = [local.g[k] - constraints[k].lower for k in local.equal]
     active = [
         local.g[k] - constraints[k].lower if sense > 0 else constraints[k].upper - local.g[k]

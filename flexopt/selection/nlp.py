@@ -18,8 +18,10 @@ import numpy as np
 
 from flexopt.compiled import accelerate
 from flexopt.foundation.arrays import Vector
+from flexopt.model.own import OwnFunction
 from flexopt.robustness.margin import build_margin
 from flexopt.selection.configuration import Configuration
+from flexopt.selection.own import OwnGraphs, OwnTerm, own_graphs
 from flexopt.selection.programs import Local, make_solver
 
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False, "no_nlp_grad": True}
@@ -48,20 +50,6 @@ QUICK_OPTIONS: dict[str, Any] = {
     "acceptable_constr_viol_tol": 1e-10,
     "acceptable_compl_inf_tol": 1e-8,
 }
-SQP_OPTIONS: dict[str, Any] = QUIET | {
-    "qpsol": "qrqp",
-    "qpsol_options": {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
-    "hessian_approximation": "limited-memory",
-    "lbfgs_memory": 5,
-    "print_header": False,
-    "print_iteration": False,
-    "print_status": False,
-    "max_iter": 100,
-    "tol_du": 1e-7,
-    "tol_pr": 1e-10,
-    "min_step_size": 1e-12,
-}
-SQP_QUICK = 30
 # Several configurations: most starts take 10 to 30 iterations; those that wander are not worth waiting for.
 COUPLED_OPTIONS: dict[str, Any] = {"max_iter": 120, "tol": 1e-9, "constr_viol_tol": 1e-10}
 # "weighted": max Σ share_k V_k;  "worst": max min_k V_k;  "motion": the shortest way that keeps every V_k at a level.
@@ -110,8 +98,9 @@ class SolverParameters:
     """How the solver's parameters lie in one vector.
 
     `target` (K n_task,) and `row_scale` (n_rows,): rows are (row − target) / row_scale. `z_scale` (n_z,): z = z_scale
-    x. For each objective `alpha` (m,), `beta` and `size`, which V is divided by. `cost` and `now` (n_z,): V / size is
-    less by cost |x − now|². `share` (K,) of the configurations; the `level` of "motion"; `gain`, c and p.
+    x. For each objective `alpha` (m,), `beta`, `size`, which V is divided by, and `cost`: with `now` (n_z,) V / size is
+    less by cost |x − now|². `left` (m,): 1 for modes whose w_i is left out of second derivatives. `share` (K,) of the
+    configurations; the `level` of "motion"; `gain`, c and p.
     """
 
     sizes: tuple[tuple[str, int], ...]
@@ -137,10 +126,11 @@ class SolverParameters:
 
 @dataclass(frozen=True)
 class ObjectiveForm:
-    """What an objective is made of: whether any α, and whether β, is not zero."""
+    """What an objective is made of: whether any α, and whether β, is not zero; and the term of the user's own."""
 
     smooth: bool
     kinks: bool
+    own: OwnTerm | None = None
 
     @property
     def branches(self) -> int:
@@ -153,8 +143,8 @@ def parameters_of(configuration: Configuration, coupling: Coupling, objectives: 
     plant, count = configuration.measures.plant, coupling.count
     n_z, m = plant.n_base + plant.n_actuated, plant.n_passive
     sizes = {"target": plant.n_task * count, "row_scale": configuration.n_rows, "z_scale": n_z}
-    sizes |= {"alpha": m * objectives, "beta": objectives, "size": objectives, "cost": 1, "now": n_z}
-    sizes |= {"share": count, "level": 1, "gain": 1}
+    sizes |= {"alpha": m * objectives, "beta": objectives, "size": objectives, "cost": objectives, "now": n_z}
+    sizes |= {"left": m, "share": count, "level": 1, "gain": 1}
     return SolverParameters((*sizes.items(), ("c", configuration.n_constants), ("p", len(plant.parameter_names))))
 
 
@@ -171,21 +161,15 @@ def build_solver(
 
     Constraints: the rows of every configuration, (row − target) / row_scale; x_j − x_i for the pairs; of each objective
     before the last V / size of every configuration; and of the last one V_k / size − t ("worst") or − level ("motion").
-    IPOPT with exact Hessian where everything is smooth. Where ε_max takes part, V is the smaller of two branches, and
-    the largest t below both is sought (epigraph) by sequential quadratic programming: its subproblem sees both
-    branches, so that a step near a kink does not depend on which of them is the smaller one just now. `quick` is for
-    first solves of problems with much redundancy.
+    IPOPT with exact Hessian; ε_max, which has kinks, is for an ascent alone. `quick` is for first solves of problems
+    with much redundancy.
     """
+    assert not any(form.kinks for form in forms), "IPOPT is told no kinks"
     x, parameters, members, arranged = _assembled(configuration, coupling, forms, goal)
     f, g = arranged.values([member.values() for member in members])
     (f_there, g_there), (gradient, jacobian) = arranged.slopes([member.slopes() for member in members])
     program, at = {"x": x, "p": parameters, "f": f, "g": g}, ["x", "p"]
     name = "selection" if coupling.count == 1 else "several"
-    if any(form.kinks for form in forms):
-        outputs = [f_there, ca.densify(gradient), g_there, ca.densify(jacobian)]
-        given = ca.Function("jac_fg", [x, parameters], outputs, at, ["f", "grad_f_x", "g", "jac_g_x"])
-        options = SQP_OPTIONS | {"jac_fg": given} | ({"max_iter": SQP_QUICK} if quick else {})
-        return make_solver(name, "sqpmethod", program, options)
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.shape[0])
     second = ca.triu(arranged.curvature(members, len(forms), lam_f, lam_g))
     bent = [x, parameters, lam_f, lam_g], [second], [*at, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
@@ -196,7 +180,7 @@ def build_solver(
         "hess_lag": ca.Function("hess_lag", *bent),
     }
     own = (COUPLED_OPTIONS if coupling.count > 1 else {}) | (QUICK_OPTIONS if quick else {})
-    return make_solver(name, "ipopt", program, IPOPT_OPTIONS | given | {"ipopt": IPOPT_OPTIONS["ipopt"] | own})
+    return make_solver(name, program, IPOPT_OPTIONS | given | {"ipopt": IPOPT_OPTIONS["ipopt"] | own})
 
 
 @dataclass(frozen=True)
@@ -212,6 +196,7 @@ class Branched:
         factors: -> f = [a_i; b_i] (2r, m), slopes of its columns (2r m, n_x), and which modes have the same
             frequency, (m, m).
         margin: (base, posture, p, kr) -> as `Margin.gradients`; none where ε_max takes no part.
+        pulls: -> ∂V_j/∂w_i / size_j of each objective, (j, m), where there is an own one; else they are α / size.
     """
 
     model: ca.Function
@@ -219,6 +204,7 @@ class Branched:
     curvature: ca.Function
     factors: ca.Function
     margin: ca.Function | None
+    pulls: ca.Function | None = None
 
 
 @lru_cache(maxsize=48)
@@ -246,8 +232,14 @@ def build_branched(configuration: Configuration, forms: tuple[ObjectiveForm, ...
 
     second = ca.Function("curvature", [*at, pulls, row_pulls], [bent], [*names, "pulls", "row_pulls"], ["V_xx"])
     margin = member.margin[1] if any(form.kinks for form in forms) else None
+    pulls_of_w = function("pulls", {"V_w": member.pulls()}) if any(form.own for form in forms) else None
     return Branched(
-        function("model", outputs), function("rows", of_rows), second, function("factors", of_modes), margin
+        function("model", outputs),
+        function("rows", of_rows),
+        second,
+        function("factors", of_modes),
+        margin,
+        pulls_of_w,
     )
 
 
@@ -304,21 +296,22 @@ class _Member:
         self.held = measures.hold.call(self.at)[0]
         self.row_inputs = [*self.at, s["c"], configuration.held_rows(self.held)]
         self.alphas = ca.reshape(s["alpha"], plant.n_passive, len(forms))
+        self.held_by_own: dict[OwnFunction, list[ca.MX]] = {}
         target = s["target"][k * n_task : (k + 1) * n_task]
         self.offset = ca.vertcat(target, ca.DM.zeros(configuration.n_rows - n_task, 1))
 
     def values(self) -> tuple[Branches, ca.MX]:
         """V / size less travel of every objective, and the rows."""
-        smooth = [found[0] for found in self._of_modes(self.configuration.expansion.value)]
+        smooth = [found[0] for found in self._of_modes("value")]
         epsilon = self.margin[0].call([*self.at, self.s["gain"]])[0] if self._kinks else None
         return self._objectives(smooth, epsilon), self._rows(self.configuration.row_values.call(self.row_inputs)[0])
 
     def slopes(self) -> tuple[tuple[Branches, ca.MX], tuple[Branches, ca.MX]]:
         """As `values`, from the calls that give the slopes, too; and the slopes by x."""
-        s, found = self.s, self._of_modes(self.configuration.expansion.slope)
+        s, found = self.s, self._of_modes("slope")
         rows, row_slopes = self.configuration.row_slopes.call(self.row_inputs)
         by_x = [
-            [self._by_x((s["z_scale"] * v_z / s["size"][j] - 2 * s["cost"] * self.away).T) for v_z in branches]
+            [self._by_x((s["z_scale"] * v_z / s["size"][j] - 2 * s["cost"][j] * self.away).T) for v_z in branches]
             for j, branches in enumerate(self._branch_slopes([v_z for _, v_z in found]))
         ]
         scaled = row_slopes / ca.repmat(s["row_scale"], 1, row_slopes.shape[1])
@@ -328,20 +321,52 @@ class _Member:
     def curvature(self, of_values: ca.MX, of_rows: ca.MX) -> ca.MX:
         """Σ of_values_j ∂²(V_j / size_j less travel) + Σ of_rows_i ∂²row_i by x, (n_x, n_x)."""
         s, configuration = self.s, self.configuration
-        second = configuration.expansion.curvature.call([*self.at, self.held, self.alphas @ (of_values / s["size"])])[0]
+        pulls = (1 - s["left"]) * (self.alphas @ (of_values / s["size"]))
+        second = configuration.expansion.curvature.call([*self.at, self.held, pulls])[0]
+        for j, form in enumerate(self.forms):
+            if form.own is not None:
+                bent = self._graphs(form.own).curvature.call([*self._own_inputs(form.own), s["left"]])[0]
+                second += of_values[j] / s["size"][j] * bent
         second += configuration.row_curvature.call([*self.row_inputs, of_rows / s["row_scale"]])[0]
         n_z = second.shape[0]
-        scaled = second * (s["z_scale"] @ s["z_scale"].T) - 2 * s["cost"] * ca.sum1(of_values) * ca.MX.eye(n_z)
+        scaled = second * (s["z_scale"] @ s["z_scale"].T) - 2 * ca.dot(s["cost"], of_values) * ca.MX.eye(n_z)
         scaled = ca.densify(scaled)
         return scaled if self.pick is None else self.pick.T @ scaled @ self.pick
 
-    def _of_modes(self, function: ca.Function) -> list[list[ca.MX]]:
-        """Outputs of a Function of Σ αi wi for every objective; zeros where an objective has no α."""
-        none = [ca.MX.zeros(function.size1_out(k), 1) for k in range(function.n_out())]
-        return [
-            function.call([*self.at, self.held, self.alphas[:, j]]) if form.smooth else none
-            for j, form in enumerate(self.forms)
-        ]
+    def _of_modes(self, kind: Literal["value", "slope"]) -> list[list[ca.MX]]:
+        """V without ε_max for every objective and, of kind "slope", ∂V/∂z; zeros where an objective has neither."""
+        function = getattr(self.configuration.expansion, kind)
+        found = list[list[ca.MX]]()
+        for j, form in enumerate(self.forms):
+            parts = [ca.MX.zeros(function.size1_out(k), 1) for k in range(function.n_out())]
+            if form.smooth:
+                parts = function.call([*self.at, self.held, self.alphas[:, j]])
+            if form.own is not None:
+                graphs = self._graphs(form.own)
+                more = getattr(graphs, kind).call([*self._own_inputs(form.own), graphs.left()])
+                parts = [part + each for part, each in zip(parts, more, strict=False)]
+            found.append(parts)
+        return found
+
+    def pulls(self) -> ca.MX:
+        """∂V/∂w / size of every objective, (j, m)."""
+        rows = [self.alphas[:, j].T for j in range(len(self.forms))]
+        for j, form in enumerate(self.forms):
+            if form.own is not None:
+                graphs = self._graphs(form.own)
+                rows[j] += graphs.slope.call([*self._own_inputs(form.own), graphs.left()])[2].T
+        return ca.vertcat(*(row / self.s["size"][j] for j, row in enumerate(rows)))
+
+    def _graphs(self, term: OwnTerm) -> OwnGraphs:
+        c = self.configuration
+        return own_graphs(c.machine, c.control, c.gravity, term.own)
+
+    def _own_inputs(self, term: OwnTerm) -> list[ca.MX]:
+        """What an own Function takes but `left`; what is held is asked for once."""
+        if term.own not in self.held_by_own:
+            _, static = self._graphs(term).held_at(self.at)
+            self.held_by_own[term.own] = [self.held, static]
+        return [*self.at, *self.held_by_own[term.own], ca.MX(ca.DM(term.weights()))]
 
     def _by_x(self, slopes: ca.MX) -> ca.MX:
         return slopes if self.pick is None else slopes @ self.pick
@@ -350,14 +375,14 @@ class _Member:
         return (rows - self.offset) / self.s["row_scale"]
 
     def _objectives(self, smooth: list[ca.MX], epsilon: ca.MX | None) -> Branches:
-        s, travel = self.s, self.s["cost"] * ca.sumsqr(self.away)
+        s, away = self.s, ca.sumsqr(self.away)
         both: Branches = [[value] for value in smooth]
         if epsilon is not None:
             both = [
                 [value + s["beta"][j] * epsilon[b] for b in range(2)] if form.kinks else [value]
                 for j, (form, value) in enumerate(zip(self.forms, smooth, strict=True))
             ]
-        return [[value / s["size"][j] - travel for value in branches] for j, branches in enumerate(both)]
+        return [[value / s["size"][j] - s["cost"][j] * away for value in branches] for j, branches in enumerate(both)]
 
     def _branch_slopes(self, smooth: list[ca.MX]) -> Branches:
         """∂V/∂z (n_z,) of every objective and branch."""

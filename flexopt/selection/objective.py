@@ -1,4 +1,4 @@
-"""What a selection maximises: measures w_i, ε_max, weighted sums of them, one after another."""
+"""What a selection maximises: measures w_i, ε_max, weighted sums, Functions of the user's own, one after another."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
+from flexopt.model.constraints import Constraints
+from flexopt.model.own import Constraint as OwnConstraint
+from flexopt.model.own import OwnFunction
 from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.robustness.posture_margin import evaluate_margin
+from flexopt.selection.own import OwnGraphs, OwnTerm, own_faults, own_graphs, weights_of
 
 # Two eigenvalues of XZ this close, in ε, both count where stationarity is checked.
 KINK = 1e-5
@@ -25,17 +30,21 @@ KINK = 1e-5
 
 @dataclass(frozen=True)
 class Objective:
-    """V(z) = Σ αi wi + β ε_max.
+    """V(z) = Σ αi wi + β ε_max + U(z).
 
     Attributes:
-        name: `"w1"`, …, `"V"` or `"epsilon_max"`.
+        name: `"w1"`, …, `"V"` or `"epsilon_max"`; that of an own Function.
         alpha: α, (m,), as a tuple, so that an objective can be a key.
         beta: β; with β > 0 V has kinks where the two largest eigenvalues of XZ meet.
+        own: U, or None.
+        bounds: whether it is an own constraint: only kept, never sought, and travel costs it nothing.
     """
 
     name: str
     alpha: tuple[float, ...]
     beta: float
+    own: OwnTerm | None = None
+    bounds: bool = False
 
     @property
     def has_kinks(self) -> bool:
@@ -43,12 +52,24 @@ class Objective:
         return self.beta > 0
 
     @property
+    def label(self) -> str:
+        """What it is called where it is kept."""
+        return self.name if self.bounds else f"kept {self.name}"
+
+    @property
+    def uses(self) -> NDArray[np.bool_]:
+        """Which w_i take part, (m,)."""
+        own = self.own
+        takes = [own is not None and own.own.takes("w", f"w{i + 1}") for i in range(len(self.alpha))]
+        return np.array(takes) | (np.array(self.alpha) > 0)
+
+    @property
     def weights(self) -> Vector:
         """α and, where ε_max takes part, β after it."""
         return np.array([*self.alpha, self.beta] if self.has_kinks else self.alpha)
 
     def value(self, w: Vector, epsilon: float | None) -> float:
-        """V from the measures (m,) and ε_max."""
+        """V from the measures (m,) and ε_max, without what is the user's own."""
         share = self.beta * (np.nan if epsilon is None else epsilon) if self.has_kinks else 0.0
         return float(np.dot(self.alpha, w) + share)
 
@@ -66,6 +87,33 @@ class Quantities:
         p = self.measures.plant.parameter_values.full().ravel()
         return self.margin.batched(bases, postures, p, [self.gain])[0][0]
 
+    def own(self, term: OwnTerm) -> OwnGraphs:
+        """The graphs of a Function of the user's."""
+        return own_graphs(self.measures.plant.machine, self.measures.control, self.measures.gravity, term.own)
+
+    def smooth(self, objective: Objective, bases: Vector, postures: Vector, w: Vector) -> Vector:
+        """V (N,) without ε_max at points (n_b, N), (n, N) whose w_i are (m, N)."""
+        values: Vector = np.array(objective.alpha) @ w
+        if objective.own is None or not values.size:
+            return values
+        return values + self.of_own(objective.own, bases, postures)[objective.own.row] * objective.own.sign
+
+    def of_own(self, term: OwnTerm, bases: Vector, postures: Vector) -> Vector:
+        """Every entry of an own Function at points, (k, N)."""
+        graphs, p = self.own(term), self.measures.plant.parameter_values
+        return graphs.values_at.call([bases, postures, p, term.weights(), graphs.left()])[0].full()
+
+    def pulls(self, objective: Objective, bases: Vector, postures: Vector) -> Vector:
+        """∂V/∂w at points (n_b, N), (n, N): α, and what U adds, (m, N)."""
+        alpha = np.repeat(
+            np.array(objective.alpha)[:, None], np.reshape(postures, (len(postures), -1)).shape[1], axis=1
+        )
+        term = objective.own
+        if term is None or not objective.uses.any() or not alpha.size:
+            return alpha
+        graphs, p = self.own(term), self.measures.plant.parameter_values
+        return alpha + graphs.slope_at.call([bases, postures, p, term.weights(), graphs.left(term)])[2].full()
+
     def branches(
         self, objective: Objective, base: Vector, posture: Vector, *, exact: bool = False
     ) -> tuple[Vector, Vector]:
@@ -74,12 +122,16 @@ class Quantities:
         V itself is the smaller of the two. Without ε_max there is one branch: (1,) and (1, n_z). `exact`: ε_max and its
         gradient in extended precision, where it has no kink.
         """
-        p, alpha = self.measures.plant.parameter_values, np.array(objective.alpha)
-        w = self.measures.w.call([base, posture, p])[0].full().ravel()
-        value, gradient = (
-            np.atleast_1d(alpha @ w),
-            self.measures.weighted_gradient.call([base, posture, p, alpha])[0].full(),
-        )
+        p, alpha, term = self.measures.plant.parameter_values, np.array(objective.alpha), objective.own
+        value, gradient = np.zeros(1), np.zeros((1, len(base) + len(posture)))
+        if alpha.any() or term is None:
+            w = self.measures.w.call([base, posture, p])[0].full().ravel()
+            value = np.atleast_1d(alpha @ w)
+            gradient = self.measures.weighted_gradient.call([base, posture, p, alpha])[0].full()
+        if term is not None:
+            graphs = self.own(term)
+            found = graphs.slope_at.call([base, posture, p, term.weights(), graphs.left(term)])
+            value, gradient = value + float(found[0]), gradient + found[1].full().T
         if not objective.has_kinks:
             return value, gradient
         out = self.margin.gradients.call([base, posture, p, self.gain])
@@ -112,14 +164,51 @@ def quantities(machine: AnyMachine, control: Control, gravity: bool, gain: float
 
 
 def read_objectives(
-    arguments: Arguments, machine: AnyMachine, objective: str, weights: Sequence[float] | None
+    arguments: Arguments,
+    machine: AnyMachine,
+    objective: str | Sequence[str | OwnFunction],
+    weights: Sequence[float] | None,
 ) -> tuple[Objective, ...]:
     """The objectives of a call, in order, of words and weights that are checked; other faults go to `arguments`."""
     m = build_plant(machine).n_passive
-    names = objective.split(",")
-    if "V" not in names and weights is not None:
-        arguments.note("weights", f"go with objective V only, not with {','.join(names)}", list(weights))
-    return tuple(_objective(arguments, machine, name, weights, m) for name in names)
+    parts = objective.split(",") if isinstance(objective, str) else objective
+    if "V" not in parts and weights is not None:
+        names = ",".join(part if isinstance(part, str) else part.name for part in parts)
+        arguments.note("weights", f"go with objective V only, not with {names}", list(weights))
+    found = list[Objective]()
+    for part in parts:
+        if isinstance(part, str):
+            found.append(_objective(arguments, machine, part, weights, m))
+        else:
+            faults = own_faults("objective", machine, part, scalar=True)
+            arguments.faults += faults
+            alpha = None if faults else weights_of(part, m)
+            own = OwnTerm(part) if alpha is None else None
+            found.append(Objective(part.name, alpha or (0.0,) * m, 0.0, own))
+    return tuple(found)
+
+
+def own_constraints(
+    arguments: Arguments, machine: AnyMachine, constraints: Constraints
+) -> tuple[tuple[Objective, float], ...]:
+    """Of every own constraint, each entry and each bound, what is kept and its least value; faults to `arguments`."""
+    m, found = build_plant(machine).n_passive, list[tuple[Objective, float]]()
+    for constraint in constraints.own or ():
+        faults = own_faults(f"constraints ({constraint.label})", machine, constraint.function, scalar=False)
+        arguments.faults += faults
+        lower, upper = constraint.bounds
+        for row, name in enumerate([] if faults else entry_names(constraint)):
+            for sign, bound in ((1.0, lower), (-1.0, upper)):
+                if np.isfinite(bound):
+                    term = OwnTerm(constraint.function, row, sign)
+                    found.append((Objective(name, (0.0,) * m, 0.0, term, bounds=True), sign * bound))
+    return tuple(found)
+
+
+def entry_names(constraint: OwnConstraint) -> list[str]:
+    """What results call each entry of an own constraint."""
+    size = int(constraint.function.function.numel_out(0))
+    return [constraint.label] if size == 1 else [f"{constraint.label}[{k}]" for k in range(size)]
 
 
 def _objective(

@@ -171,7 +171,10 @@ def _attempted(
                 failures.append((z, proof))
                 outcome = f"{outcome}; fails {', '.join(proof.violations)}"
             elif _accepted(problem, proof, status):
-                new, value = _is_new(problem, z, found), None if problem.kept else value_at(problem, z)
+                new, value = (
+                    _is_new(problem, z, found),
+                    None if len(problem.kept) > problem.bounding else value_at(problem, z),
+                )
                 outcome = "a new local optimum" if new else "a local optimum found before"
                 if new:
                     found.append((z, proof, iterations))
@@ -200,16 +203,37 @@ def _hurried(problem: SelectionProblem) -> bool:
 
 def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
     """A start's solution; where there is much redundancy, after a few iterations (see `_promising`)."""
+    start = _lifted(problem, starts[number])
     if not _hurried(problem):
-        return _finish(problem, starts, number)
+        return _finish(problem, [start], 0)
     if number < CLIMBED:
-        found = single(problem).climbed(starts[number], ASCENT_QUICK)
+        found = single(problem).climbed(start, ASCENT_QUICK)
         if found is not None:
             return _proved(problem, *found)
-    z, proof, iterations, status = _proved(problem, *run_solver(problem, starts[number], quick=True))
+    z, proof, iterations, status = _proved(problem, *run_solver(problem, start, quick=True))
     if proof is not None and not proof.holds and status in SOLVED:
         return _further(problem, z, iterations)
     return z, proof, iterations, status
+
+
+def _lifted(problem: SelectionProblem, z: Vector) -> Vector:
+    """A point where own constraints hold, by climbing those that do not, one after another; z where none is found."""
+    there = z
+    for j in range(problem.bounding):
+        stage = replace(
+            problem,
+            objectives=problem.objectives[: j + 1],
+            objective_scales=problem.objective_scales[: j + 1],
+            kept=problem.kept[:j],
+            bounding=j + 1,
+        )
+        if value_at(stage, there) >= problem.kept[j]:
+            continue
+        found = single(stage).climbed(there, ASCENT_QUICK)
+        if found is None or not value_at(stage, found[0]) >= problem.kept[j]:
+            return z
+        there = found[0]
+    return there
 
 
 def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:

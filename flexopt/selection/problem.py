@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.errors import InputError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, flag, instance, number, public
 from flexopt.foundation.control import Control
@@ -22,8 +23,9 @@ from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
-from flexopt.selection.nlp import Coupling, Goal, ObjectiveForm, alone, build_solver, parameters_of
-from flexopt.selection.objective import Objective, Quantities, quantities
+from flexopt.selection.nlp import Coupling, ObjectiveForm, alone, build_solver, parameters_of
+from flexopt.selection.objective import Objective, Quantities, entry_names, quantities
+from flexopt.selection.own import OwnTerm
 from flexopt.selection.scan import Scan
 
 
@@ -81,11 +83,12 @@ _MANY = array_of(("n_z",), ("N", "n_z"), ("K", "N", "n_z"), finite=False)
 
 @dataclass(frozen=True)
 class SelectionProblem:
-    """argmax V(z), V = Σ αi wi + β ε_max, over z = [base, posture] with r(z) = target (article, section 4).
+    """argmax V(z), V = Σ αi wi + β ε_max + U(z), over z = [base, posture] with r(z) = target (article, section 4).
 
     Attributes:
         machine, target: what is asked for; target (n_task,), m, inertial frame.
-        objectives: what is maximised, in order of importance: each one among the configurations that keep those before.
+        objectives: own constraints, see `bounding`; and after them what is maximised, in order of importance: each one
+            among the configurations that keep those before.
         kept: values of V_1, V_2, … that a solution must keep, for the objectives before the one being solved.
         slack: what an objective may give up for the next, as a share; see `given_up`.
         control, gravity, gain: as in `flexopt.evaluate`.
@@ -105,6 +108,7 @@ class SelectionProblem:
         elbow: branch of the initial posture of a planar arm.
         singularity_margin: rad.
         starts: how many are tried at most, or None for the default;  seed: of the scan's sample.
+        bounding: how many of the objectives are own constraints: they come first, and are kept from the beginning.
     """
 
     machine: AnyMachine
@@ -130,6 +134,24 @@ class SelectionProblem:
     singularity_margin: float
     starts: int | None
     seed: int
+    bounding: int = 0
+
+    @property
+    def sought(self) -> tuple[Objective, ...]:
+        """The objectives that are maximised, in order."""
+        return self.objectives[self.bounding :]
+
+    @property
+    def first_scale(self) -> float:
+        """Scale of the first of them."""
+        return self.objective_scales[self.bounding]
+
+    @property
+    def measure_scale(self) -> float:
+        """What differences of w_i are told by: the first objective's scale, where that is one of w_i."""
+        if self.sought[0].own is None or not self.scan.factor.size:
+            return self.first_scale
+        return float(np.median(self.scan.factor)) or 1.0
 
     @property
     def quantities(self) -> Quantities:
@@ -149,7 +171,7 @@ class SelectionProblem:
     @property
     def name(self) -> str:
         """Names of the objectives, in order."""
-        return ",".join(objective.name for objective in self.objectives)
+        return ",".join(objective.name for objective in self.sought)
 
     @property
     def objective(self) -> Objective:
@@ -172,7 +194,7 @@ class SelectionProblem:
     @property
     def bounded_by_zero(self) -> bool:
         """Whether no configuration can have V > 0: w_i ≤ 0 for two task rows and more, travel costs aside."""
-        return not self.objective.has_kinks and self.target.size > 1
+        return not self.objective.has_kinks and self.objective.own is None and self.target.size > 1
 
     @property
     def lower(self) -> Vector:
@@ -208,7 +230,8 @@ class SelectionProblem:
         the inertial origin the last digits of their difference would be lost.
         """
         of_z, of_target = np.zeros(len(self.variables)), np.zeros(self.target.size)
-        if self.constraint_set is not None and self.constraint_set.placed:
+        placed = self.constraint_set is not None and self.constraint_set.placed
+        if placed or any(objective.own is not None for objective in self.objectives):
             return of_z, of_target
         rows = self.machine.task_rows
         for k, name in enumerate(self.machine.base_coordinates):
@@ -241,7 +264,7 @@ class SelectionProblem:
     @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
     def travel_cost(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
         """What V of an objective is less by at z (…, n_z), and its gradient."""
-        if self.travel is None:
+        if self.travel is None or objective.bounds:
             return np.zeros(z.shape[:-1]), np.zeros(z.shape)
         size = self.travel.cost * self.objective_scales[self.objectives.index(objective)]
         away = (z - self.travel.now) / self.scale
@@ -280,17 +303,36 @@ class SelectionProblem:
     def forms(self) -> tuple[ObjectiveForm, ...]:
         """What the objectives before the one being solved, and it, are made of."""
         objectives = self.objectives[: len(self.kept) + 1]
-        return tuple(ObjectiveForm(smooth=any(o.alpha), kinks=o.has_kinks) for o in objectives)
+        return tuple(ObjectiveForm(smooth=any(o.alpha), kinks=o.has_kinks, own=o.own) for o in objectives)
 
     @property
-    def goal(self) -> Goal:
-        """What is sought of V alone: itself, or where ε_max takes part the smaller of its branches."""
-        return "worst" if self.objective.has_kinks else "weighted"
+    def own_constraints(self) -> tuple[Constraint, ...]:
+        """The user's own, entry by entry."""
+        sizes = {o.name: size for o, size in zip(self.objectives[: self.bounding], self.objective_scales, strict=False)}
+        found = list[Constraint]()
+        for constraint in self.asked.own or ():
+            (low, high), names = constraint.bounds, entry_names(constraint)
+            found += [Constraint(name, constraint.unit, low, high, sizes[name]) for name in names]
+        return tuple(found)
+
+    @public(sizes=_sizes, z=array_of(("n_z",)))
+    def own_values(self, z: Vector) -> Vector:
+        """The values of the user's own constraints at z, entry by entry."""
+        n_base = len(self.machine.base_coordinates)
+        terms = [OwnTerm(constraint.function) for constraint in self.asked.own or ()]
+        found = [self.quantities.of_own(term, z[:n_base], z[n_base:]).ravel() for term in terms]
+        return np.concatenate([np.zeros(0), *found])
 
     @public()
     def solver(self, *, quick: bool = False) -> ca.Function:
-        """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameters: `solver_parameters`."""
-        return build_solver(self.configuration, alone(self.scale.size), self.forms, self.goal, quick=quick)
+        """IPOPT on this problem: x = (z − shift) / scale, exact Hessian; its parameters: `solver_parameters`.
+
+        Raises:
+            InputError: ε_max takes part: it has kinks, which `flexopt.select` climbs without a solver.
+        """
+        if any(form.kinks for form in self.forms):
+            raise InputError("solver: objective: ε_max has kinks, which IPOPT is not told of; call flexopt.select")
+        return build_solver(self.configuration, alone(self.scale.size), self.forms, "weighted", quick=quick)
 
     def solver_parameters(self) -> Vector:
         """The numbers of this problem for `solver`, see `nlp.Parameters`."""
@@ -302,17 +344,17 @@ class SelectionProblem:
         return {
             "target": self.target.tolist(),
             "objective": self.name,
-            "weights": self.objectives[0].weights.tolist(),
+            "weights": self.sought[0].weights.tolist(),
             "slack": self.slack,
-            "objective_scale": self.objective_scales[0],
+            "objective_scale": self.first_scale,
             "objectives": [
                 {"name": objective.name, "weights": objective.weights.tolist(), "scale": size}
-                for objective, size in zip(self.objectives, self.objective_scales, strict=True)
+                for objective, size in zip(self.sought, self.objective_scales[self.bounding :], strict=True)
             ],
             "control": self.control,
             "gravity": self.gravity,
             "variables": [vars(v) for v in self.variables],
-            "constraints": [vars(c) for c in self.constraints],
+            "constraints": [vars(c) for c in self.constraints] + [vars(c) for c in self.own_constraints],
             "assumed": [vars(assumption) for assumption in self.assumed],
             "travel": self.travel and {"cost": self.travel.cost, "now": self.travel.now.tolist()},
             "gain": self.gain,
@@ -353,8 +395,9 @@ def packed_parameters(
             "alpha": np.array([objective.alpha for objective in objectives]),
             "beta": [objective.beta for objective in objectives],
             "size": first.objective_scales[:count],
-            "cost": 0.0 if first.travel is None else first.travel.cost,
+            "cost": [0.0 if first.travel is None or o.bounds else first.travel.cost for o in objectives],
             "now": now,
+            "left": np.zeros(first.measures.plant.n_passive),
             "share": share,
             "level": level,
             "gain": first.gain,

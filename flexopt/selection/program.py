@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.selection.ascent import Ascent
+from flexopt.selection.ascent import STUCK, Ascent
 from flexopt.selection.cones import Parallel
 from flexopt.selection.configuration import ConstraintRows
 from flexopt.selection.nlp import Coupling, Goal, alone, build_branched, build_solver, parameters_of, told_branches
@@ -128,11 +128,8 @@ class Program:
             lower[at], upper[at] = np.maximum(lower[at], problem.lower), np.minimum(upper[at], problem.upper)
         return lower, upper
 
-    def constraints(self, *, lowest: bool = False) -> list[Constraint]:
-        """Every constraint in the solver's order, with bounds of what the solver sees.
-
-        `lowest`: of V's branches the smallest alone, with no level t below them.
-        """
+    def constraints(self) -> list[Constraint]:
+        """Every constraint in the solver's order, with bounds of what the solver sees."""
         n_task, found = self.first.target.size, list[Constraint]()
         for k in range(self.coupling.count):
             for number, row in enumerate(self.first.constraints):
@@ -141,12 +138,9 @@ class Program:
         found += [Constraint("steps between targets", "", -step, step, 1.0) for step in self.steps.tolist()]
         earlier = zip(self.first.objectives, self.first.kept, self.first.objective_scales, strict=False)
         for objective, kept, size in earlier:
-            branches = self.coupling.count * (2 if objective.has_kinks and not lowest else 1)
-            found += [Constraint(f"kept {objective.name}", "", kept / size, np.inf, 1.0)] * branches
-        objective = self.first.objective
-        if self.goal != "weighted" and not (lowest and objective.has_kinks):
-            branches = self.coupling.count * (2 if objective.has_kinks else 1)
-            found += [Constraint(f"least {objective.name}", "", 0.0, np.inf, 1.0)] * branches
+            found += [Constraint(objective.label, "", kept / size, np.inf, 1.0)] * self.coupling.count
+        if self.goal != "weighted":
+            found += [Constraint(f"least {self.first.objective.name}", "", 0.0, np.inf, 1.0)] * self.coupling.count
         return found
 
     def values(self, x: Vector) -> Vector:
@@ -167,13 +161,10 @@ class Program:
         `within` limits how far it leads, in scaled variables.
         """
         first, shift = self.first, self._spread(self.shift[0])
-        one = self.coupling.count == 1 and not self.fixed and self.goal != "motion"
-        if one and any(form.kinks for form in first.forms):
-            found = self.climbed(start, ASCENT_QUICK if quick else ASCENT_LONG, within)
-            if found is not None:
-                return found
-        solver = build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=quick)
         start = np.clip(start, *self.bounds())
+        if any(form.kinks for form in first.forms):
+            return self.climbed(start, ASCENT_QUICK if quick else ASCENT_LONG, within) or (start, 0, STUCK)
+        solver = build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=quick)
         x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
         lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
         held = list(self.fixed)
@@ -247,11 +238,11 @@ class Program:
         confirm_once(
             functions.model, parameters, partial(told_branches, functions, parameters), independent, x0, bounds
         )
-        of_alpha = parameters_of(first.configuration, self.coupling, count).place("alpha")
+        left = parameters_of(first.configuration, self.coupling, count).place("left")
 
         def without(modes: list[int]) -> Vector:
             changed = parameters.copy()
-            changed[of_alpha].reshape(count, -1)[:, modes] = 0.0
+            changed[left][modes] = 1.0
             return changed
 
         alphas = np.array([objective.alpha for objective in objectives]) / sizes[:, None]
@@ -303,9 +294,11 @@ class Program:
             [slopes / size * scale for (_, slopes), size in zip(found, sizes, strict=True)],
         )
 
-    def local(self, x: Vector, members: Sequence[Linearisation], level: float, *, lowest: bool = False) -> Local:
-        """Objective and constraints at x, slopes by x / scale and, for "worst", by t, last; `members` from `linear`."""
-        goal: Goal = "weighted" if lowest and self.first.objective.has_kinks else self.goal
+    def local(self, x: Vector, members: Sequence[Linearisation], level: float) -> Local:
+        """Objective and constraints at x, slopes by x / scale and, for "worst", by t, last; `members` from `linear`.
+
+        Of V's branches the smallest one.
+        """
         n_x = self.coupling.n_x
         steps = self.coupling.steps(n_x)
 
@@ -318,17 +311,16 @@ class Program:
         last: list[tuple[Vector, Vector]] = []
         for j in range(len(members[0].values)):
             for k, member in enumerate(members):
-                values = member.values[j][: 1 if lowest else None]
                 ours = kept if j < len(members[0].values) - 1 else last
-                ours.append((values, wide(k, member.slopes[j][: values.size])))
+                ours.append((member.values[j][:1], wide(k, member.slopes[j][:1])))
         g = [*(member.rows for member in members), steps @ (x / self.scale), *(values for values, _ in kept)]
         jacobian = [*(wide(k, m.row_slopes) for k, m in enumerate(members)), steps, *(slopes for _, slopes in kept)]
         values, slopes = (np.concatenate(part) for part in zip(*last, strict=True))
-        if goal == "weighted":
+        if self.goal == "weighted":
             return Local(-float(self.share @ values), -self.share @ slopes, np.concatenate(g), np.vstack(jacobian))
-        above = values - (level if goal == "worst" else self.level)
+        above = values - (level if self.goal == "worst" else self.level)
         g, jacobian = np.concatenate([*g, above]), np.vstack([*jacobian, slopes])
-        if goal == "motion":
+        if self.goal == "motion":
             away = steps @ (x / self.scale)
             return Local(float(away @ away) / 2, steps.T @ away, g, jacobian)
         of_level = np.concatenate([np.zeros(len(jacobian) - values.size), np.full(values.size, -1.0)])
@@ -349,7 +341,9 @@ class Program:
             return self
 
         def left(objective: Objective) -> Objective:
-            return replace(objective, alpha=tuple(0.0 if i in modes else a for i, a in enumerate(objective.alpha)))
+            own = objective.own and replace(objective.own, left=tuple(sorted(modes)))
+            alpha = tuple(0.0 if i in modes else a for i, a in enumerate(objective.alpha))
+            return replace(objective, alpha=alpha, own=own)
 
         objectives = tuple(left(objective) for objective in self.first.objectives)
         return replace(self, problems=tuple(replace(problem, objectives=objectives) for problem in self.problems))
@@ -361,7 +355,7 @@ class Program:
 
 def single(problem: SelectionProblem) -> Program:
     """The program of one configuration."""
-    return Program((problem,), alone(problem.scale.size), np.zeros(0), np.ones(1), problem.goal)
+    return Program((problem,), alone(problem.scale.size), np.zeros(0), np.ones(1), "weighted")
 
 
 def margin_noise(problem: SelectionProblem, margin: ca.Function, z: Vector) -> float:
@@ -376,7 +370,8 @@ def values_of(problem: SelectionProblem, z: Vector) -> Vector:
     """V (N,) of configurations z (n_z, N) without ε_max, the cost of travel taken off."""
     plant, n_b = problem.measures.plant, problem.measures.plant.n_base
     w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
-    return np.array(problem.objective.alpha) @ w - problem.travel_cost(problem.objective, z.T)[0]
+    values = problem.quantities.smooth(problem.objective, z[:n_b], z[n_b:], w)
+    return values - problem.travel_cost(problem.objective, z.T)[0]
 
 
 def _branched_local(member: Linearisation) -> Local:

@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -61,20 +61,15 @@ class SolverResult:
     status: str
 
 
-def make_solver(
-    name: str, plugin: Literal["ipopt", "sqpmethod"], program: dict[str, ca.MX], options: dict[str, Any]
-) -> ca.Function:
-    """A solver of min f(x, p) with bounds on x and g(x, p); derivatives are given among the options."""
-    return ca.nlpsol(name, plugin, program, options)
+def make_solver(name: str, program: dict[str, ca.MX], options: dict[str, Any]) -> ca.Function:
+    """IPOPT on min f(x, p) with bounds on x and g(x, p); derivatives are given among the options."""
+    return ca.nlpsol(name, "ipopt", program, options)
 
 
 def told(solver: ca.Function, parameters: Vector, x: Vector) -> Local:
     """What a solver is told at x, by its own Functions."""
-    if "nlp_jac_fg" in solver.get_function():
-        f, gradient, g, jacobian = solver.get_function("nlp_jac_fg").call([x, parameters])
-    else:
-        f, gradient = solver.get_function("nlp_grad_f").call([x, parameters])
-        g, jacobian = solver.get_function("nlp_jac_g").call([x, parameters])
+    f, gradient = solver.get_function("nlp_grad_f").call([x, parameters])
+    g, jacobian = solver.get_function("nlp_jac_g").call([x, parameters])
     return Local(float(f), gradient.full().ravel(), g.full().ravel(), jacobian.full())
 
 

@@ -194,7 +194,7 @@ class Selection(Result):
         values = np.sort([attempt.value for attempt in self.attempts if attempt.value is not None])
         if not values.size or (problem.redundancy < 2 and problem.measures.plant.closed_form):
             return None
-        apart = np.diff(values) > SAME_VALUE * problem.objective_scales[0]
+        apart = np.diff(values) > SAME_VALUE * problem.first_scale
         alone = np.concatenate([[True], apart]) & np.concatenate([apart, [True]])
         return float(alone.sum() / values.size)
 
@@ -221,11 +221,11 @@ class Selection(Result):
         level = best.objective - TIE_TOLERANCE * self.problem.objective_scale
         if best.dimension == 0 and not any(other.objective >= level for other in self.candidates[1:]):
             return ""
-        used = np.any([np.array(objective.alpha) > 0 for objective in self.problem.objectives], axis=0)
+        used = np.any([objective.uses for objective in self.problem.sought], axis=0)
         told = list[str]()
         if not used.all():
             told.append(f"worst of the other w_i {best.w[~used].min():.6g}")
-        if best.evaluation.epsilon_max is not None and not any(o.has_kinks for o in self.problem.objectives):
+        if best.evaluation.epsilon_max is not None and not any(o.has_kinks for o in self.problem.sought):
             told.append(f"ε_max {best.evaluation.epsilon_max:.6g}")
         told.append(f"way there {np.sqrt(travel(self.problem, best.z)):.4g} in scaled variables")
         return f"among those as good, in this order: {', '.join(told)}"
@@ -234,7 +234,7 @@ class Selection(Result):
     def nothing_to_gain(self) -> str:
         """A sentence where the present configuration is as good as the best, to 1e-4 of the scale; else empty."""
         problem, now = self.problem, self.initial
-        if now is None or len(problem.objectives) > 1:
+        if now is None or len(problem.sought) > 1:
             return ""
         z = np.concatenate([now.base, now.posture])
         inside = bool(np.all((z >= problem.lower) & (z <= problem.upper)))
@@ -257,7 +257,7 @@ class Selection(Result):
             + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size))
             + f"{'ε_max':>10}",
         ]
-        equal = TIE_TOLERANCE * problem.objective_scales[0] if not problem.objectives[0].has_kinks else 0.0
+        equal = TIE_TOLERANCE * problem.first_scale if not problem.sought[0].has_kinks else 0.0
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
             e = candidate.evaluation
             numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))

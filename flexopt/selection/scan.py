@@ -48,6 +48,7 @@ class Scan:
         violation: of the other constraints, the largest in units of their scales, (N,).
         reached: whether any point reached the target at all, limits and margin left aside.
         unsound: whether a point was dropped because its measures are no numbers (under gravity: it falls over).
+        undefined: whether one was because an own objective is none there.
     """
 
     redundancy: Vector
@@ -62,6 +63,7 @@ class Scan:
     violation: Vector
     reached: bool
     unsound: bool
+    undefined: bool = False
 
     @property
     def size(self) -> int:
@@ -103,12 +105,15 @@ def scanned(
     w, factor = (
         x.full() for x in functions.measures.w.call([base, posture, functions.measures.plant.parameter_values])[:2]
     )
-    value = np.array(objective.alpha) @ w
+    value = functions.smooth(objective, base, posture, w)
+    defined = np.isfinite(value)
     epsilon = np.full(value.size, np.nan)
     if objective.has_kinks:
         epsilon = functions.epsilon_max(base, posture)
         value = value + objective.beta * epsilon
-    sound = np.isfinite(value) & np.all(np.isfinite(w), axis=0)
+    measured = np.all(np.isfinite(w), axis=0)
+    measured &= np.isfinite(value) | ~defined
+    sound = measured & defined
     return Scan(
         redundancy=redundancy[:, sound],
         elbow=elbow[sound],
@@ -121,7 +126,8 @@ def scanned(
         index=index[sound].astype(np.int64),
         violation=violation[sound],
         reached=True,
-        unsound=not bool(sound.all()),
+        unsound=not bool(measured.all()),
+        undefined=not bool(defined[measured].all()),
     )
 
 

@@ -57,7 +57,7 @@ def kept_peaks(problem: SelectionProblem) -> list[Vector]:
 def _values(problem: SelectionProblem, objective: Objective, z: Vector, among: NDArray[np.bool_]) -> Vector:
     """V of an objective at some of the scan's points."""
     scan = problem.scan
-    values = np.array(objective.alpha) @ scan.w[:, among]
+    values = problem.quantities.smooth(objective, scan.base[:, among], scan.posture[:, among], scan.w[:, among])
     if objective.has_kinks and among.any():
         epsilon = scan.epsilon[among]
         unknown = np.flatnonzero(np.isnan(epsilon))

@@ -16,6 +16,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
+from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
@@ -37,7 +38,7 @@ Extent = dict[str, tuple[float, float]]
 REPRESENTATIVES = 5
 
 
-@public(together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords))
+@public(together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
 def select(
     machine: AnyMachine,
     target: Any,
@@ -96,7 +97,7 @@ def solve_selection(
     # What may still be wrong with it shows here, not when it is first asked for.
     assert candidates[0].evaluation is not None
     options = {"target": problem.target.tolist(), "objective": problem.name, "control": problem.control}
-    options |= {"weights": [objective.weights.tolist() for objective in problem.objectives]}
+    options |= {"weights": [objective.weights.tolist() for objective in problem.sought]}
     options |= {"gravity": problem.gravity, "gain": problem.gain, "seed": problem.seed, "slack": problem.slack}
     options |= {"assumed": [vars(assumption) for assumption in problem.assumed]}
     return Selection(
@@ -124,7 +125,7 @@ def _candidate(problem: SelectionProblem, group: list[Best]) -> Candidate:
     return Candidate(
         z=z,
         w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
-        objective=float(problem.branches(problem.objectives[0], z)[0][0]),
+        objective=float(problem.branches(problem.sought[0], z)[0][0]),
         active=proof.active,
         constraints=constraint_values(problem, z),
         target_error=proof.target_error,
@@ -190,9 +191,10 @@ def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, Constra
     if problem.constraint_set is not None:
         reported = problem.constraint_set.report.call([*at, problem.constraint_set.constants])[0]
         values += reported.full().ravel().tolist()
+    values += problem.own_values(z).tolist()
     return {
         constraint.name: ConstraintValue(value, constraint.lower, constraint.upper, constraint.unit)
-        for constraint, value in zip(problem.constraints[n_task:], values, strict=True)
+        for constraint, value in zip((*problem.constraints[n_task:], *problem.own_constraints), values, strict=True)
     }
 
 
@@ -219,11 +221,11 @@ def _ranked(problem: SelectionProblem, candidates: list[Candidate]) -> list[Cand
 
 def _criteria(problem: SelectionProblem) -> Iterator[tuple[Callable[[Candidate], float], float]]:
     """What candidates are ranked by, in order, the larger the better, and up to what they count as equal."""
-    used = np.any([np.array(objective.alpha) > 0 for objective in problem.objectives], axis=0)
-    for objective, size in zip(reversed(problem.objectives), reversed(problem.objective_scales), strict=True):
+    used, first = np.any([objective.uses for objective in problem.sought], axis=0), problem.bounding
+    for objective, size in zip(reversed(problem.sought), reversed(problem.objective_scales[first:]), strict=True):
         yield partial(_objective, problem, objective), TIE_TOLERANCE * size
     if not used.all():
-        yield lambda candidate: float(candidate.w[~used].min()), EQUAL * problem.objective_scales[0]
+        yield lambda candidate: float(candidate.w[~used].min()), EQUAL * problem.measure_scale
     yield lambda candidate: candidate.evaluation.epsilon_max or 0.0, EQUAL
     yield partial(_nearness, problem), EQUAL
 

@@ -49,6 +49,8 @@ CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 6, 60, 0.3, 1e-4
 BLOCK = 32
 # Largest violation, in units of the rows' scales, of a point that counts as feasible.
 FEASIBLE = 1e-7
+# The violation of an own constraint that is no number.
+NO_NUMBER = 1e100
 # Starts that differ by less, in scaled variables, are one.
 SAME_START = 1e-3
 
@@ -105,13 +107,13 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
         nearest = order[left[order] > FEASIBLE][: 2 * ENOUGH * starts]
         there, still = moved(problem, z[:, nearest], missing)
         better = still <= FEASIBLE
-        z[:, nearest[better]], left[nearest[better]] = there[:, better], still[better]
+        z[:, nearest[better]], left[nearest[better]] = there[:, better], violated(problem, there[:, better])
     if np.sum(left <= FEASIBLE) >= starts:
         z, unit, left = z[:, left <= FEASIBLE], unit[:, left <= FEASIBLE], left[left <= FEASIBLE]
     count = left.size
     violation, number = np.where(left <= FEASIBLE, 0.0, left), np.arange(count, dtype=np.int64)
     return scanned(
-        problem.quantities, problem.objectives[0], unit, np.zeros(count), z[:n_b], z[n_b:], number, violation
+        problem.quantities, problem.sought[0], unit, np.zeros(count), z[:n_b], z[n_b:], number, violation
     ), 0.0
 
 
@@ -125,8 +127,31 @@ def violated(problem: SelectionProblem, z: Vector) -> Vector:
     at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values, problem.constants]
     rows = problem.configuration.rows_at_rest.call(at)[0].full().T
     beyond = np.maximum(lower - rows, rows - upper) / scale
-    worst = np.maximum(beyond, 0.0).max(axis=1)
+    worst = np.maximum(np.maximum(beyond, 0.0).max(axis=1), _short(problem, z))
     return np.where(np.isfinite(worst), worst, np.inf)
+
+
+def _short(problem: SelectionProblem, z: Vector) -> Vector:
+    """The largest violation of an own constraint at points z (n_z, N), in units of the scales."""
+    plant, worst = problem.measures.plant, np.zeros(z.shape[1])
+    if not problem.bounding or not worst.size:
+        return worst
+    base, posture = z[: plant.n_base], z[plant.n_base :]
+    w = np.zeros((plant.n_passive, worst.size))
+    for objective, least, size in zip(
+        problem.objectives[: problem.bounding], problem.kept, problem.objective_scales, strict=False
+    ):
+        values = problem.quantities.smooth(objective, base, posture, w)
+        worst = np.maximum(worst, np.where(np.isfinite(values), (least - values) / size, NO_NUMBER))
+    return worst
+
+
+def with_kept(problem: SelectionProblem, scan: Scan) -> Scan:
+    """A scan that knows of own constraints, too."""
+    if not problem.bounding or not scan.size:
+        return scan
+    short = _short(problem, np.vstack([scan.base, scan.posture]))
+    return replace(scan, violation=np.maximum(scan.violation, np.where(short <= FEASIBLE, 0.0, short)))
 
 
 def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]:
@@ -145,7 +170,7 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     order = np.lexsort([-scan.objective, scan.violation])
     order = order[good[order]] if good.any() else order
     best = z[:, order[: max(count, round(BEST_SHARE * order.size))]]
-    if not good.any() or problem.objectives[0].has_kinks or problem.redundancy < 2:
+    if not good.any() or problem.sought[0].has_kinks or problem.redundancy < 2:
         return _apart(problem, best, count)
     return _in_turn(problem, best[:, : CLIMBING * count], count, values_of, workers)
 
@@ -297,15 +322,16 @@ def _apart(problem: SelectionProblem, z: Vector, count: int) -> list[Vector]:
     """Up to `count` of the columns, which come in order of preference, as far apart as that many can be found.
 
     What counts is the posture: to turn or shift machine and target together changes no measure, nor do whole turns of
-    joints that may make them, nor joints on which nothing depends.
+    joints that may make them, nor joints on which nothing depends; own Functions may depend on all of it.
     """
     if not z.size:
         return []
     idle, n_base = idle_joints(problem, z[:, 0]), problem.measures.plant.n_base
-    seen = [k for k in range(n_base, z.shape[0]) if k not in idle]
+    own = any(objective.own is not None for objective in problem.objectives)
+    seen = [k for k in range(z.shape[0]) if own or (k >= n_base and k not in idle)]
     x, turn = (z / problem.scale[:, None])[seen].T, math.tau / problem.scale[seen]
     spans = zip(problem.variables, problem.upper - problem.lower, strict=True)
-    whole = np.array([variable.unit == "rad" and span > math.tau for variable, span in spans])[seen]
+    whole = np.array([variable.unit == "rad" and span > math.tau and not own for variable, span in spans])[seen]
     distance = np.full(x.shape[0], np.inf)
     taken: list[int] = []
     radius = float(np.median(np.abs(x - np.median(x, axis=0)).max(axis=1))) if seen else 0.0

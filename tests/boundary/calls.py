@@ -284,6 +284,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
         "levers": None,
         "servo_gain": 1.0,
     },
+    "Constraint": lambda: {"function": _own(), "lower": 0.0, "upper": 1.0, "unit": "rad", "name": "mine"},
     "Experiment": lambda: {
         "schema": 1,
         "name": "small",
@@ -355,6 +356,7 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "BaseTrajectory": lambda: flexopt.nullspace_trajectory(excavator(), POSTURE, duration=0.05),
     "Candidate": lambda: selection().best,
     "Certificate": lambda: flexopt.certify(selection()),
+    "Constraint": lambda: flexopt.Constraint(_own()),
     "Ensemble": lambda: flexopt.simulate_ensemble(excavator(), POSTURE, vary={"kp": [1e4, 2e4]}, threads=1, **LOOP),
     "Evaluation": lambda: flexopt.evaluate(excavator(), POSTURE),
     "Experiment": experiment,
@@ -391,6 +393,11 @@ def _z() -> list[float]:
 
 def _objective() -> Any:
     return selection().problem.objective
+
+
+def _own() -> ca.Function:
+    posture = ca.MX.sym("posture", 2)
+    return ca.Function("mine", [posture], [posture[0]], ["posture"], ["angle"])
 
 
 def _pin() -> Cylinder:
@@ -430,6 +437,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "SelectionProblem.branches": lambda: {"objective": _objective(), "z": _z(), "exact": True},
     "SelectionProblem.factors": lambda: {"z": _z()},
     "SelectionProblem.given_up": lambda: {"best": 0.1},
+    "SelectionProblem.own_values": lambda: {"z": _z()},
     "SelectionProblem.rows": lambda: {"z": _z()},
     "SelectionProblem.solver": lambda: {"quick": False},
     "SelectionProblem.travel_cost": lambda: {"objective": _objective(), "z": _z()},

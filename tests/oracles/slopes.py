@@ -49,14 +49,6 @@ def of_function(function: ca.Function, inputs: list[np.ndarray], value: int, slo
 
 def of_solver(solver: ca.Function, x: np.ndarray, p: np.ndarray, rng: np.random.Generator) -> dict[str, float]:
     """Gradient and Jacobian that a solver is given and, where it is given them, second derivatives."""
-    if "nlp_jac_fg" in solver.get_function():
-        both, slopes = solver.get_function("nlp_fg"), solver.get_function("nlp_jac_fg")
-
-        def values(z: np.ndarray) -> np.ndarray:
-            return np.concatenate([out.full().ravel() for out in both.call([z, p])])
-
-        _, gradient, _, jacobian = (out.full() for out in slopes.call([x, p]))
-        return {"first": away(np.vstack([gradient.reshape(1, -1), jacobian]), values, x)}
     names = ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
     f, g, grad_f, jac_g, hess_l = (solver.get_function(name) for name in names)
 

@@ -16,12 +16,14 @@ import flexopt
 from flexopt.export.context import build_context
 from flexopt.export.optimiser_kernels import build_optimiser_kernels
 from flexopt.model.constraints import Constraints
+from flexopt.model.own import check_function
 from flexopt.plant.inverse_kinematics import reach_steps
 from flexopt.robustness.atlas import fields as atlas_fields
 from flexopt.selection import nullspace_law, optima, programs
 from flexopt.selection import program as program_module
 from flexopt.selection.nlp import IPOPT_OPTIONS
 from flexopt.selection.objective import Objective
+from flexopt.selection.own import OwnTerm, known_quantities
 from flexopt.selection.program import row_gradients
 from flexopt.selection.several.plan import _along
 from flexopt.selection.several.standing import one_placement
@@ -59,6 +61,10 @@ TAKEN = {
     ("selection/configuration.py", "row_slopes"): "test_single",
     ("selection/configuration.py", "row_curvature"): "test_single",
     ("selection/program.py", "_extra_slopes"): "test_the_independent_ones",
+    ("selection/own/graphs.py", "_inner_slope"): "test_own_ones",
+    ("selection/own/graphs.py", "_inner_curvature"): "test_own_ones",
+    ("selection/own/graphs.py", "_outer_slope"): "test_own_ones",
+    ("selection/own/graphs.py", "_outer_curvature"): "test_own_ones",
     ("export/optimiser_kernels.py", "build_optimiser_kernels"): "test_the_optimiser_in_c",
     ("export/optimiser_kernels.py", "_position"): "test_the_optimiser_in_c",
 }
@@ -121,7 +127,7 @@ def test_what_is_wrong_by_a_thousandth_is_seen(wrong):
         "jac_g": ca.Function("jac_g", [x, p], [g, off["jac_g"] * ca.jacobian(g, x)]),
         "hess_lag": ca.Function("hess_lag", [x, p, of_f, of_g], [off["hess_lag"] * second]),
     }
-    solver = programs.make_solver("toy", "ipopt", {"x": x, "p": p, "f": f, "g": g}, IPOPT_OPTIONS | given)
+    solver = programs.make_solver("toy", {"x": x, "p": p, "f": f, "g": g}, IPOPT_OPTIONS | given)
     found = of_solver(solver, np.array([0.3, 1.2]), np.array([2.0]), np.random.default_rng(0))
     assert (found["first"] > FIRST or found["second"] > SECOND) == (wrong is not None)
 
@@ -186,11 +192,6 @@ def walk(monkeypatch):
 
     def go(problem, *args):
         now[:] = [problem]
-        if isinstance(problem, flexopt.SelectionProblem) and any(form.kinks for form in problem.forms):
-            with monkeypatch.context() as no_ascent:
-                no_ascent.setattr(program_module.Program, "climbed", lambda *_, **__: None)
-                with pytest.raises(_WalkedError):
-                    optima.run_solver(problem, *args)
         with pytest.raises(_WalkedError):
             optima.run_solver(problem, *args) if isinstance(problem, flexopt.SelectionProblem) else problem.solve(*args)
         if isinstance(problem, flexopt.SelectionProblem):
@@ -264,7 +265,7 @@ def test_in_order(walk, objectives, control, gravity):
 
 
 def constrained():
-    assert set(CONSTRAINTS) == set(Constraints.model_fields), "a kind of constraint is not walked"
+    assert set(CONSTRAINTS) == set(Constraints.model_fields) - {"own"}, "a kind of constraint is not walked"
     machine = flexopt.tree_from_dict(slewing())
     options = {"constraints": CONSTRAINTS, "starts": 2, **PRESENT}
     return flexopt.build_selection(machine, (3.5, 1.0, 1.2), **options)
@@ -274,6 +275,35 @@ def constrained():
 def test_every_kind_of_constraint(walk, objectives):
     for stage, start in every_stage(maximising(constrained(), *objectives)):
         walk(stage, start)
+
+
+@pytest.mark.parametrize("gravity", [False, True])
+@pytest.mark.parametrize("name", ["excavator", "slewing-excavator"])
+def test_own_ones(walk, name, gravity):
+    """Every quantity, squared and times another, as objective and as constraint, and in order with others."""
+    machine, target = machine_of(name)
+    plain = flexopt.build_selection(machine, target, starts=2, gravity=gravity)
+    start = starting_points(plain)[0]
+    for own in own_functions(machine, plain, start):
+        options = {"starts": 2, "gravity": gravity, "constraints": [flexopt.Constraint(own, lower=-1e3, name="kept")]}
+        problem = flexopt.build_selection(machine, target, objective=[own, "w1"], **options)
+        walk(problem, start)
+        walk(replace(problem, kept=(*problem.kept, -1e3)), start)
+
+
+def own_functions(machine, problem, start):
+    """Two Functions of half of a machine's quantities each, of typical size 1."""
+    known, rng = dict(known_quantities(machine)), np.random.default_rng(3)
+    del known["p"]
+    n_base = problem.measures.plant.n_base
+    for names in (list(known)[::2], list(known)[1::2]):
+        symbols, total = {name: ca.MX.sym(name, known[name].size) for name in names}, ca.MX(0)
+        for name, symbol in symbols.items():
+            own = OwnTerm(check_function(ca.Function("one", [symbol], [symbol], [name], ["v"])))
+            size = np.abs(problem.quantities.of_own(own, start[:n_base], start[n_base:])).max()
+            x = symbol / max(size, 1e-6)
+            total += ca.dot(rng.uniform(0.5, 1.0, symbol.shape[0]), x + x**2) * (1 + total) / len(names)
+        yield ca.Function("own", list(symbols.values()), [total], names, ["v"])
 
 
 @pytest.mark.parametrize("goal", ["worst", "weighted", "motion"])
@@ -431,9 +461,9 @@ def test_the_optimiser_in_c(name):
 
 
 def test_all_solvers_were_walked(walk):
-    """In a process that runs the whole file: the three families of solvers."""
+    """In a process that runs the whole file: IPOPT on one and on several configurations, and the ascent."""
     test_several(walk, "worst")
     problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
     for stage, start in every_stage(maximising(problem, (1.0, 0.0), (0.0, 1.0))):
         walk(stage, start)
-    assert walked >= {"selection IpoptInterface", "selection Sqpmethod", "model MXFunction", "several IpoptInterface"}
+    assert walked >= {"selection IpoptInterface", "model MXFunction", "several IpoptInterface"}

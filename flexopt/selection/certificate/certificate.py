@@ -119,6 +119,9 @@ def not_provable(problem: SelectionProblem) -> str | None:
     plant = problem.measures.plant
     if any(objective.has_kinks for objective in problem.objectives):
         return "maximises ε_max, of which no bound over whole cells is known; w_i and their sums can be certified"
+    own = [objective.name for objective in problem.objectives if objective.own is not None]
+    if own:
+        return f"has Functions of its own ({', '.join(own)}), of which no bound over whole cells is known"
     if not plant.closed_form or plant.n_actuated != 2 or problem.redundancy > 1:
         return (
             "has more than the one degree of redundancy that can be covered: two actuated joints in a plane, a target "

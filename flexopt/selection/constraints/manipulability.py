@@ -34,8 +34,11 @@ def _report(scene: Scene, _: Any, __: ca.SX) -> list[ca.SX]:
 
 
 def _squared(scene: Scene) -> ca.SX:
+    return squared_manipulability(scene.plant.rigid_jacobian(scene.q, scene.base, scene.p))
+
+
+def squared_manipulability(jacobian: ca.SX) -> ca.SX:
     """det(Jv Jvᵀ), for a square Jv as det(Jv)², whose rounding grows with cond Jv and not with its square."""
-    jacobian = scene.plant.rigid_jacobian(scene.q, scene.base, scene.p)
     rows, columns = jacobian.shape
     return determinant(jacobian) ** 2 if rows == columns else determinant(jacobian @ jacobian.T)
 

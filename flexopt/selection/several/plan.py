@@ -25,6 +25,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
 from flexopt.model.constraints import Constraints
+from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATES, TIMES
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
@@ -80,6 +81,7 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     duration=by(DURATION),
     max_base_rate=by(RATES),
     max_joint_rate=by(RATES),
+    objective=OBJECTIVES,
     together=_together,
     keywords=Keywords(SelectionOptions, SharedKeywords),
 )

@@ -16,6 +16,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
 from flexopt.model.choices import COMBINES
 from flexopt.model.constraints import Constraints
+from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
 from flexopt.robustness.plausibility import warn_implausible
@@ -45,6 +46,7 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     targets=several_targets(1),
     combine=words(*COMBINES),
     shares=by(SOME_SHARES),
+    objective=OBJECTIVES,
     together=_together,
     keywords=Keywords(SelectionOptions, StandKeywords),
 )

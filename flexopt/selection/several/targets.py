@@ -59,13 +59,13 @@ def build_problems(
         sentence = sentence_list("targets that cannot be reached", faults)
         raise UnreachableTarget(sentence, miss=max(error.miss for _, error in missed))
     first = problems[0].objective
-    if len(problems[0].objectives) > 1 or first.has_kinks:
+    if len(problems[0].sought) > 1 or first.has_kinks:
         sentence = "must be a single one of the w_i or V without ε_max, where several configurations belong together"
         arguments = Arguments(call)
         arguments.faults.append(Fault("objective", sentence, shown(options.objective)))
         arguments.done()
-    size = float(np.median([problem.objective_scale for problem in problems]))
-    return tuple(replace(problem, objective_scales=(size,)) for problem in problems)
+    sizes = tuple(np.median([problem.objective_scales for problem in problems], axis=0).tolist())
+    return tuple(replace(problem, objective_scales=sizes) for problem in problems)
 
 
 def sample_bases(problems: tuple[SelectionProblem, ...], on_line: int, elsewhere: int, seed: int) -> Vector:
