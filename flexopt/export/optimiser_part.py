@@ -26,8 +26,9 @@ from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, outer_reach, reach, sampled_ranges
-from flexopt.selection import Selection, select
+from flexopt.selection import Selection, build_selection
 from flexopt.selection.check import prove
+from flexopt.selection.solve import solved
 
 # Share of the scale that V may lose against IPOPT's, and what still counts as on the target, m for each m of reach.
 LOSS = {"double": 1e-8, "float": 1e-5}
@@ -279,11 +280,11 @@ def _vectors(
             with warnings.catch_warnings():
                 # Only V matters here, not what an optimum's other measures are worth.
                 warnings.simplefilter("ignore", FlexoptWarning)
-                found = select(
+                found = solved(build_selection(
                     machine, target.tolist(), objective="V", control=control, weights=weights.tolist(),
                     singularity_margin_deg=margin_deg, starts=SELECT_STARTS, seed=int(rng.integers(1000)),
                     assume="limits",
-                )  # fmt: skip
+                ), climbs=False)  # fmt: skip
         except FlexoptError:
             continue
         best = found.best

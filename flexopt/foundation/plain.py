@@ -11,6 +11,8 @@ import numpy as np
 # More lists and tables than this, deeper ones, or the same ones more often, are nothing that anybody means.
 PARTS_MAX, DEPTH_MAX, REPEATS_MAX = 1_000_000, 64, 10_000
 SHOWN = 60
+# Read as they are, before anything else is asked: most parts of long lists are these.
+NUMBERS_AND_TEXTS = frozenset((type(None), bool, int, float, str))
 
 
 class Unreadable:
@@ -52,8 +54,7 @@ class _Reader:
 
     def __init__(self, *, tuples: bool = False, most: int = PARTS_MAX) -> None:
         self.tuples, self.most = tuples, most
-        self.inside: list[int] = []
-        self.parts, self.seen = 0, set[int]()
+        self.inside, self.seen, self.parts = set[int](), set[int](), 0
         self.sentences: list[str] = []
 
     def read(self, value: Any) -> Any:
@@ -73,32 +74,35 @@ class _Reader:
         return Unreadable(sentence)
 
     def _read(self, value: Any) -> Any:
-        if isinstance(value, np.ndarray | np.generic):
+        if type(value) in NUMBERS_AND_TEXTS:
+            return value
+        if isinstance(value, (np.ndarray, np.generic)):
             array = cast(Any, value)
             value = array.tolist()
             if isinstance(value, np.floating):  # extended precision
                 return float(cast(Any, value))
             if array.dtype.kind != "O":
                 return _tuples(value) if self.tuples else value
-        table = isinstance(value, Mapping)
+        table = type(value) is not list and isinstance(value, Mapping)
         # Named tuples and the like are objects of their own.
         if not table and not isinstance(value, list) and type(value) is not tuple:
             return value
         value = cast(Any, value)
-        if id(value) in self.inside:
+        own = id(value)
+        if own in self.inside:
             return self._unreadable("contains itself")
         self.parts += 1
-        self.seen.add(id(value))
+        self.seen.add(own)
         if len(self.inside) == DEPTH_MAX or self.parts > min(self.most, len(self.seen) + REPEATS_MAX):
             raise _TooMuchError
-        self.inside.append(id(value))
+        self.inside.add(own)
         try:
             if table:
                 return self._table(dict(value))
-            parts = [self.read(part) for part in value]
+            parts = [part if type(part) in NUMBERS_AND_TEXTS else self.read(part) for part in value]
             return parts if isinstance(value, list) and not self.tuples else tuple(parts)
         finally:
-            self.inside.pop()
+            self.inside.remove(own)
 
     def _table(self, table: dict[Any, Any]) -> Any:
         for key in table:

@@ -7,7 +7,7 @@ coordinates in the plane or in space) is told by `flexopt.selection.constraints`
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import BeforeValidator, field_serializer
@@ -233,6 +233,10 @@ class Constraints(FileModel):
     @field_serializer("own")
     def _own_as_data(self, own: tuple[Constraint, ...] | None) -> list[dict[str, Any]] | None:
         return None if own is None else [constraint.to_dict() for constraint in own]
+
+
+# What calls take as constraints: a `casadi.Function`, too, alone or in the list.
+AnyConstraints = Constraints | Mapping[str, Any] | Constraint | Sequence[Any]
 
 
 def read_constraints(value: Any, *, origin: str = "constraints") -> Constraints:

@@ -138,7 +138,7 @@ class Ascent:
         """How many rows the functions have."""
         return self.bounds.g_lower.size - (0 if self.parallel is None else self.parallel.upper.size)
 
-    def _rows(self, x: Vector) -> tuple[Vector, Vector]:
+    def rows(self, x: Vector) -> tuple[Vector, Vector]:
         """All rows at x, and their slopes."""
         rows, slopes = (out.full() for out in self.functions.rows.call([x, self.parameters]))
         if self.parallel is None:
@@ -158,21 +158,29 @@ class Ascent:
         slopes = np.vstack([(epsilon_x[0] - epsilon_x[1]) / 2, epsilon_x[2]])
         return [Cone(np.array([-gap / 2, 0.0]), slopes, self.kinks, np.array([-1.0, 0.0]))]
 
+    def onto_rows(self, x: Vector) -> tuple[Vector, bool] | None:
+        """The point nearest to x, to first order, on the rows, and whether they hold there; None without slopes."""
+        x = np.clip(x, self.bounds.x_lower, self.bounds.x_upper)
+        for _ in range(CORRECTIONS):
+            rows, slopes = self.rows(x)
+            wrong = self._beyond(rows)
+            if not (np.isfinite(wrong).all() and np.isfinite(slopes).all()):
+                return None
+            if np.abs(wrong).max(initial=0.0) <= ON_ROWS:
+                return x, True
+            x = x - self._shortest(x, slopes, wrong, self._equal | (wrong != 0))
+            x = np.clip(x, self.bounds.x_lower, self.bounds.x_upper)
+        return x, False
+
     def restored(self, x: Vector, lifts: int = CORRECTIONS) -> Point | None:
         """The point nearest to x, to first order, where everything holds; None where steps do not lead there.
 
         `lifts`: steps at most towards what is kept; each takes off three quarters of what is short next to a maximum.
         """
-        for _ in range(CORRECTIONS):
-            x = np.clip(x, self.bounds.x_lower, self.bounds.x_upper)
-            rows, slopes = self._rows(x)
-            wrong = self._beyond(rows)
-            if not (np.isfinite(wrong).all() and np.isfinite(slopes).all()):
-                return None
-            if np.abs(wrong).max(initial=0.0) <= ON_ROWS:
-                break
-            x = x - self._shortest(x, slopes, wrong, self._equal | (wrong != 0))
-        point = self.at(np.clip(x, self.bounds.x_lower, self.bounds.x_upper))
+        found = self.onto_rows(x)
+        if found is None:
+            return None
+        point = self.at(found[0])
         best: tuple[float, Point | None] = (max(ON_KEPT, 2 * self.noise), None)
         for _ in range(lifts):
             if not point.is_finite:

@@ -15,7 +15,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords, public
 from flexopt.model import AnyMachine
 from flexopt.model.choices import EVERYTHING, assumes
-from flexopt.model.constraints import Constraints
+from flexopt.model.constraints import AnyConstraints, Constraints
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
@@ -24,7 +24,7 @@ from flexopt.plant.statics import not_held
 from flexopt.selection.assumed import assumed
 from flexopt.selection.constraints import build_constraints, constraint_faults
 from flexopt.selection.objective import Objective, Quantities, own_constraints, quantities, read_objectives
-from flexopt.selection.problem import Constraint, DecisionVariable, Region, SelectionProblem, TravelCost
+from flexopt.selection.problem import DecisionVariable, Region, ScaledConstraint, SelectionProblem, TravelCost
 from flexopt.selection.scan import Scan, empty_scan, scan_redundancy
 from flexopt.selection.starts import STARTS, sample_configurations, with_kept
 
@@ -76,7 +76,7 @@ def build_selection(
     machine: AnyMachine,
     target: Any,
     *,
-    constraints: Constraints | Mapping[str, Any] | None = None,
+    constraints: AnyConstraints | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SelectionKeywords],
 ) -> SelectionProblem:
@@ -101,7 +101,7 @@ def build_selection(
 def build_one(
     machine: AnyMachine,
     target: Vector,
-    constraints: Constraints | Mapping[str, Any] | None,
+    constraints: AnyConstraints | None,
     asked: SelectionOptions,
     targets: Vector,
 ) -> SelectionProblem:
@@ -132,12 +132,12 @@ def build_one(
         for name, unit, (low, high) in zip(machine.joints, machine.joint_units, limits, strict=True)
     ]
     bounds = [
-        Constraint(f"target {row}", "m", value, value, length or 1.0)
+        ScaledConstraint(f"target {row}", "m", value, value, length or 1.0)
         for row, value in zip(machine.task_rows, target.tolist(), strict=True)
     ]
-    bounds.append(Constraint("singularity margin", "sin²", math.sin(margin) ** 2, math.inf, 1.0))
+    bounds.append(ScaledConstraint("singularity margin", "sin²", math.sin(margin) ** 2, math.inf, 1.0))
     bounds += [
-        Constraint(label, unit, float(low), float(high), float(scale))
+        ScaledConstraint(label, unit, float(low), float(high), float(scale))
         for label, unit, low, high, scale in zip(
             rows.labels, rows.units, rows.lower, rows.upper, rows.scales, strict=True
         )

@@ -251,23 +251,24 @@ def _undecided(program: Program, x: Vector) -> Iterator[tuple[str, float]]:
     A pull at w_i below 0 turns its kink over: V rises from there in two directions. Of several configurations kinks are
     not looked at, and frequencies have no slopes where two are one.
     """
-    first, count = program.first, len(program.first.kept) + 1
-    if all(objective.own is None for objective in first.objectives[:count]):
+    first, least = program.first, (*program.first.kept, -np.inf)
+    if all(objective.own is None for objective in first.objectives[: len(least)]):
         return
     for k, problem in enumerate(program.problems):
-        z, alphas = program.of(x, k), _pulls_of_w(program, k, x)
-        f, f_z, same = problem.factors(z)
-        for objective in problem.objectives[:count]:
-            if (
-                objective.own is not None
-                and problem.quantities.own(objective.own).takes_frequencies
-                and same.max() > SHARED
-            ):
+        z = program.of(x, k)
+        own = np.zeros((len(least), 1), dtype=bool)
+        for j, (objective, kept) in enumerate(zip(problem.objectives, least, strict=False)):
+            if objective.own is None:
+                continue
+            # What is kept and has more than it needs does not matter.
+            value, size = float(problem.branches(objective, z)[0][0]), first.objective_scales[j]
+            own[j] = kept == -np.inf or not value > kept + ACTIVE_TOLERANCE * size
+        (f, f_z, same), alphas = problem.factors(z), _pulls_of_w(program, k, x)
+        for objective, matters in zip(problem.objectives, own[:, 0], strict=False):
+            one = bool(matters) and same.max() > SHARED
+            if one and objective.own is not None and problem.quantities.own(objective.own).takes_frequencies:
                 yield f"frequencies of {objective.name} that are one", np.inf
-        turned = np.array([objective.own is not None for objective in problem.objectives[:count]])[:, None] & (
-            alphas < 0
-        )
-        for number, cone in enumerate(mode_cones(f, f_z * first.scale, np.abs(alphas) * turned)):
+        for number, cone in enumerate(mode_cones(f, f_z * first.scale, np.maximum(-alphas, 0.0) * own)):
             if cone.sizes.any() and (cone.distance <= TIP or same[number // 2] > SHARED):
                 yield f"kink of w{number // 2 + 1}, on which V falls with it", float(cone.sizes.max()) * cone.length
 

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.cone_newton import Program, State
+from flexopt.selection.cone_newton import ConicPoint, ConicProgram
 
 # Iterations at most; the share of the way to the boundary that a step goes; the error at which it ends.
 ITERATIONS, SHORT, KNOWN, LOST = 60, 0.99, 1e-13, 1e3
 
 
-def interior(program: Program) -> Iterator[tuple[float, float, State]]:
+def interior(program: ConicProgram) -> Iterator[tuple[float, float, ConicPoint]]:
     """The mean complementarity, the error of the conditions of an optimum, and the point, of each iteration.
 
     Variables x are v and the height h_i ≥ |c_i + C_i u| of each cone; slacks are those of rows, and [h_i, c_i + C_i u].
@@ -39,7 +39,7 @@ def interior(program: Program) -> Iterator[tuple[float, float, State]]:
         best = min(best, error)
         if not error <= LOST * best:
             return
-        yield gap, error, State(x[: program.lines.shape[1]], y, -z[:, 1:], y > s)
+        yield gap, error, ConicPoint(x[: program.lines.shape[1]], y, -z[:, 1:], y > s)
         if error <= KNOWN:
             return
         if min(_sizes(t).min(initial=1.0), _sizes(z).min(initial=1.0)) <= 0:
@@ -69,7 +69,7 @@ class _Equations:
     Not brought down to x: near a solution that would lose the digits of y and z.
     """
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: ConicProgram) -> None:
         """For every step towards the solution of one program."""
         size, (m, r) = program.lines.shape[1], program.values.shape
         self.k, self.n = len(program.ends), size + m

@@ -28,7 +28,7 @@ SMALL, TINY = 1e-6, 1e-300
 
 
 @dataclass(frozen=True)
-class Program:
+class ConicProgram:
     """The program with k rows and m cones.
 
     Attributes:
@@ -63,7 +63,7 @@ class Program:
 
 
 @dataclass(frozen=True)
-class State:
+class ConicPoint:
     """A point v with multipliers (k,) of the rows, forces (m, r) of the cones, and which rows are active."""
 
     v: Vector
@@ -72,11 +72,11 @@ class State:
     active: Chosen
 
 
-def newton(program: Program, state: State, steps: int) -> State | None:
+def newton(program: ConicProgram, state: ConicPoint, steps: int) -> ConicPoint | None:
     """The solution that Newton's steps lead to, if they do."""
     v, pulls, forces, active = state.v, state.pulls, state.forces, state.active
     for _ in range(steps):
-        found = _step(program, State(v, pulls, forces, active))
+        found = _step(program, ConicPoint(v, pulls, forces, active))
         v, pulls, forces = found.v, found.pulls, found.forces
         if not np.isfinite(v.sum() + pulls.sum() + forces.sum()):
             return None
@@ -84,13 +84,13 @@ def newton(program: Program, state: State, steps: int) -> State | None:
         beyond = program.lines @ v + program.sizes @ lengths - program.ends
         better = np.where(active, pulls >= -TOLERANCE, beyond > TOLERANCE)
         if (better == active).all() and _solves(program, found, after, beyond):
-            return State(v, np.maximum(pulls, 0.0), forces, active)
+            return ConicPoint(v, np.maximum(pulls, 0.0), forces, active)
         active = better
         pulls = np.where(active, np.maximum(pulls, 0.0), 0.0)
     return None
 
 
-def _solves(program: Program, found: State, after: Vector, beyond: Vector) -> bool:
+def _solves(program: ConicProgram, found: ConicPoint, after: Vector, beyond: Vector) -> bool:
     """Whether a point is the solution; that inactive rows hold, and active ones pull, is known."""
     if float(np.abs(beyond[found.active]).max(initial=0.0)) > TOLERANCE:
         return False
@@ -112,7 +112,7 @@ def _nearest(x: Vector, radii: Vector) -> Vector:
     return x * (radii / np.maximum(np.sqrt((x**2).sum(1)), np.maximum(radii, TINY)))[:, None]
 
 
-def _step(program: Program, state: State) -> State:
+def _step(program: ConicProgram, state: ConicPoint) -> ConicPoint:
     """Where a step leads, the rows of `state.active` active."""
     at, size = state.active, program.lines.shape[1]
     lines, ends = program.lines[at], program.ends[at]
@@ -141,10 +141,10 @@ def _step(program: Program, state: State) -> State:
         beside = np.zeros(chosen.shape)
         beside[chosen] = x[size + n_rows :] * root
         forces = (pulls @ program.sizes)[:, None] * unit + (across @ beside[:, :, None])[:, :, 0]
-    return State(x[:size], pulls, forces, at)
+    return ConicPoint(x[:size], pulls, forces, at)
 
 
-def _directions(program: Program, state: State) -> tuple[Vector, Vector, Chosen, Vector]:
+def _directions(program: ConicProgram, state: ConicPoint) -> tuple[Vector, Vector, Chosen, Vector]:
     """Of every cone the unit (m, r) along which it pulls, 0 at a tip; unit vectors (m, r, r) and which are across it.
 
     And of these 1 / (1 + stiffness).

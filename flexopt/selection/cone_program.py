@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.cone_interior import interior
-from flexopt.selection.cone_newton import TOLERANCE, Chosen, Program, State, newton
+from flexopt.selection.cone_newton import TOLERANCE, Chosen, ConicPoint, ConicProgram, newton
 from flexopt.selection.programs import Bounds
 
 # Singular values of equations below this share of the largest are rounding.
@@ -119,7 +119,7 @@ class _Scaled:
         self.lengths[self.lengths == 0] = 1.0
         second = np.zeros((sides.shape[1], sides.shape[1]))
         second[:-1, :-1] = self.ahead.T @ bend @ self.ahead / self.gain
-        self.program = Program(
+        self.program = ConicProgram(
             second,
             sides / self.lengths[:, None],
             ends / self.lengths,
@@ -147,7 +147,7 @@ class _Scaled:
         ends = np.concatenate([(high - moved)[self.above], (moved - low)[self.below]])
         return np.concatenate([every[self.above], -every[self.below]]), ends
 
-    def told(self, guess: tuple[Vector, Vector]) -> State | None:
+    def told(self, guess: tuple[Vector, Vector]) -> ConicPoint | None:
         """Multipliers and forces as a state; none where nothing pulls at t."""
         multipliers = np.append(guess[0], np.zeros(len(self.first)))
         told = np.concatenate([multipliers[self.above], -multipliers[self.below]])
@@ -155,9 +155,9 @@ class _Scaled:
         if not np.any(pulls * self.program.lines[:, -1] > 0):
             return None
         forces = guess[1] * (self.spans / self.gain)[:, None]
-        return State(np.zeros(len(self.program.second)), pulls, forces, pulls > 0)
+        return ConicPoint(np.zeros(len(self.program.second)), pulls, forces, pulls > 0)
 
-    def undone(self, found: State) -> Gain:
+    def undone(self, found: ConicPoint) -> Gain:
         """A solution in d and t, with the multipliers of equations too."""
         d: Vector = self.first + self.ahead @ found.v[:-1]
         pulls, k, n = found.pulls * self.gain / self.lengths, len(self.rows), d.size
@@ -172,7 +172,7 @@ class _Scaled:
         return Gain(d, self.gain * float(found.v[-1]), multipliers[:k], forces)
 
 
-def _start(program: Program) -> State:
+def _start(program: ConicProgram) -> ConicPoint:
     """A first guess: most often one row bounds t, the one that is lowest at first, and no other matters."""
     v = np.zeros(program.lines.shape[1])
     after, lengths = program.lengths(v[:-1])
@@ -182,10 +182,10 @@ def _start(program: Program) -> State:
     active = np.arange(slack.size) == lowest
     pulls = active / program.lines[lowest, -1]
     forces = after * ((pulls @ program.sizes) / np.where(lengths > 0, lengths, 1.0))[:, None]
-    return State(v, pulls, forces, active)
+    return ConicPoint(v, pulls, forces, active)
 
 
-def _solved(program: Program, start: State) -> State | None:
+def _solved(program: ConicProgram, start: ConicPoint) -> ConicPoint | None:
     """By Newton's steps from a guess; else from interior points; else the interior point itself, where it is exact."""
     found = newton(program, start, FIRST)
     if found is not None:

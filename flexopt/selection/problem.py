@@ -41,7 +41,7 @@ class DecisionVariable:
 
 
 @dataclass(frozen=True)
-class Constraint:
+class ScaledConstraint:
     """A constraint lower ≤ c(z) ≤ upper, divided by `scale` before IPOPT sees it."""
 
     name: str
@@ -120,7 +120,7 @@ class SelectionProblem:
     gravity: bool
     gain: float
     variables: tuple[DecisionVariable, ...]
-    constraints: tuple[Constraint, ...]
+    constraints: tuple[ScaledConstraint, ...]
     constraint_set: ConstraintSet | None
     asked: ConstraintsAsked
     assumed: tuple[Assumption, ...]
@@ -306,13 +306,13 @@ class SelectionProblem:
         return tuple(ObjectiveForm(smooth=any(o.alpha), kinks=o.has_kinks, own=o.own) for o in objectives)
 
     @property
-    def own_constraints(self) -> tuple[Constraint, ...]:
+    def own_constraints(self) -> tuple[ScaledConstraint, ...]:
         """The user's own, entry by entry."""
         sizes = {o.name: size for o, size in zip(self.objectives[: self.bounding], self.objective_scales, strict=False)}
-        found = list[Constraint]()
+        found = list[ScaledConstraint]()
         for constraint in self.asked.own or ():
             (low, high), names = constraint.bounds, entry_names(constraint)
-            found += [Constraint(name, constraint.unit, low, high, sizes[name]) for name in names]
+            found += [ScaledConstraint(name, constraint.unit, low, high, sizes[name]) for name in names]
         return tuple(found)
 
     @public(sizes=_sizes, z=array_of(("n_z",)))

@@ -21,7 +21,7 @@ from flexopt.selection.cones import Parallel
 from flexopt.selection.configuration import ConstraintRows
 from flexopt.selection.nlp import Coupling, Goal, alone, build_branched, build_solver, parameters_of, told_branches
 from flexopt.selection.objective import Objective
-from flexopt.selection.problem import Constraint, SelectionProblem, packed_parameters
+from flexopt.selection.problem import ScaledConstraint, SelectionProblem, packed_parameters
 from flexopt.selection.programs import Bounds, Local, confirm_once, run
 
 # Steps of an ascent; one that takes longer is taken up again where it is ahead of the best.
@@ -128,19 +128,21 @@ class Program:
             lower[at], upper[at] = np.maximum(lower[at], problem.lower), np.minimum(upper[at], problem.upper)
         return lower, upper
 
-    def constraints(self) -> list[Constraint]:
+    def constraints(self) -> list[ScaledConstraint]:
         """Every constraint in the solver's order, with bounds of what the solver sees."""
-        n_task, found = self.first.target.size, list[Constraint]()
+        n_task, found = self.first.target.size, list[ScaledConstraint]()
         for k in range(self.coupling.count):
             for number, row in enumerate(self.first.constraints):
                 ends = (0.0, 0.0) if number < n_task else (row.lower / row.scale, row.upper / row.scale)
-                found.append(Constraint(self.prefix(k) + row.name, row.unit, *ends, row.scale))
-        found += [Constraint("steps between targets", "", -step, step, 1.0) for step in self.steps.tolist()]
+                found.append(ScaledConstraint(self.prefix(k) + row.name, row.unit, *ends, row.scale))
+        found += [ScaledConstraint("steps between targets", "", -step, step, 1.0) for step in self.steps.tolist()]
         earlier = zip(self.first.objectives, self.first.kept, self.first.objective_scales, strict=False)
         for objective, kept, size in earlier:
-            found += [Constraint(objective.label, "", kept / size, np.inf, 1.0)] * self.coupling.count
+            found += [ScaledConstraint(objective.label, "", kept / size, np.inf, 1.0)] * self.coupling.count
         if self.goal != "weighted":
-            found += [Constraint(f"least {self.first.objective.name}", "", 0.0, np.inf, 1.0)] * self.coupling.count
+            found += [
+                ScaledConstraint(f"least {self.first.objective.name}", "", 0.0, np.inf, 1.0)
+            ] * self.coupling.count
         return found
 
     def values(self, x: Vector) -> Vector:

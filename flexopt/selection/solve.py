@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
@@ -15,7 +15,7 @@ from flexopt.foundation.boundary import Keywords, instance, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.constraints import Constraints
+from flexopt.model.constraints import AnyConstraints
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant.inverse_kinematics import inverse_kinematics
@@ -43,7 +43,7 @@ def select(
     machine: AnyMachine,
     target: Any,
     *,
-    constraints: Constraints | Mapping[str, Any] | None = None,
+    constraints: AnyConstraints | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
@@ -80,6 +80,13 @@ def solve_selection(
         NoSolutionFound: no start led to a point that passes the checks; names the violated constraints, their sizes
             and the best iterate.
     """
+    return solved(problem, workers, progress)
+
+
+def solved(
+    problem: SelectionProblem, workers: int | None = None, progress: Progress | None = None, *, climbs: bool = True
+) -> Selection:
+    """As `solve_selection`; without `climbs` optima stay where they were found, also where they are surfaces."""
     warn_implausible(problem.machine)
     count = workers or available_cores()
     found, attempts = first_optima(problem, starting_points(problem, count), count, progress)
@@ -89,7 +96,7 @@ def solve_selection(
         kept.append(now)
         found, more = later_optima(problem, [z for z, _, _ in found], count)
         attempts += more
-    bests = along_surfaces(problem, found, count)
+    bests = along_surfaces(problem, found, count) if climbs else [Best(item) for item in found]
     groups = grouped(problem, [best.found[0] for best in bests])
     candidates = _ranked(
         problem, _merged(problem, [_candidate(problem, [bests[k] for k in group]) for group in groups])

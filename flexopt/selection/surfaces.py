@@ -135,13 +135,12 @@ def _connected(problem: SelectionProblem, start: Vector, goal: Vector) -> bool:
             return False
         away[:n_base] = 0.0
         ascent, here = program.ascent(x, parallel=surface)
-        point = ascent.at(here)
-        rows = point.row_slopes[ascent.bounds.g_lower == ascent.bounds.g_upper]
+        rows = ascent.rows(here)[1][ascent.bounds.g_lower == ascent.bounds.g_upper]
         along = away - np.linalg.pinv(rows, rcond=DEPENDENT) @ (rows @ away)
-        there = ascent.restored(here + along * min(1.0, STRIDE / max(float(np.abs(along).max()), TINY)))
-        if there is None:
+        there = ascent.onto_rows(here + along * min(1.0, STRIDE / max(float(np.abs(along).max()), TINY)))
+        if there is None or not there[1]:
             return False
-        after = program.told(there.x)
+        after = program.told(there[0])
         if np.linalg.norm(between(problem, after, goal_x)[n_base:]) > NEARER * np.linalg.norm(away):
             return False
         x = after

@@ -30,7 +30,7 @@ SEEDS = 64
 
 
 @dataclass(frozen=True)
-class Cells:
+class MapPoints:
     """Where the end-point and the base are in each cell of n_y rows and n_x columns.
 
     Attributes:
@@ -44,7 +44,7 @@ class Cells:
     distance: Vector
 
 
-def follow(plant: Plant, cells: Cells, reference: Vector) -> tuple[Vector, Mask, float]:
+def follow(plant: Plant, cells: MapPoints, reference: Vector) -> tuple[Vector, Mask, float]:
     """The posture of each cell: on its target, inside the joint limits, at rest.
 
     The first cell is the one nearest to the reference; every other starts from a neighbour that is done. An arm

@@ -19,7 +19,7 @@ from flexopt.model.choices import Elbow
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
 from flexopt.plant.reach import arm_length, missed, outer_reach, reach, sampled_ranges
-from flexopt.study.follow import Cells, follow
+from flexopt.study.follow import MapPoints, follow
 
 Over = Literal["end_point", "posture", "base"]
 Range = tuple[float, float]
@@ -155,7 +155,7 @@ def task_grid(
     bases = np.broadcast_to(base[:, None, None], (base.size, *shape))
     here = end_point_at(plant, base, reference)
     distance = np.hypot(*(target[k] - here[k] for k in rows))
-    posture, done, _ = follow(plant, Cells(target, bases, distance), reference)
+    posture, done, _ = follow(plant, MapPoints(target, bases, distance), reference)
     column, row = (
         Axis(names[k], values, "m", f"{names[k]} of the end-point at rest, inertial frame")
         for k, values in zip(rows, (x, y), strict=True)
@@ -179,7 +179,7 @@ def placement_grid(
     bases[coordinates[0]], bases[coordinates[1]] = np.meshgrid(x, y)
     target = np.broadcast_to(end_point[:, None, None], (end_point.size, *shape))
     distance = np.hypot(*(bases[k] - base[k] for k in coordinates))
-    posture, done, miss = follow(plant, Cells(target, bases, distance), reference)
+    posture, done, miss = follow(plant, MapPoints(target, bases, distance), reference)
     if not done.any():
         raise missed(plant, end_point, base, miss)
     column, row = (

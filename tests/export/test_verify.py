@@ -24,6 +24,14 @@ def exported(folder: Path, **options) -> Path:
     return export_c(flexopt.load("excavator"), folder, **options).folder
 
 
+def without_sliding() -> flexopt.Machine:
+    """The excavator with two modes: the C of all its parts is two thirds as long, of the same loops and statements."""
+    data = flexopt.load("excavator").to_dict()
+    for key in ("stiffness", "damping"):
+        data["base"][key] = {name: value for name, value in data["base"][key].items() if name != "x"}
+    return flexopt.machine_from_dict(data)
+
+
 def named(checks: tuple[VerificationCheck, ...], name: str) -> VerificationCheck:
     return next(check for check in checks if check.name.startswith(name))
 
@@ -38,7 +46,7 @@ def rows(check: VerificationCheck, title: str) -> list[dict]:
     [("double", [part for part in PARTS if part != "levers"], 7, 15), ("float", ["kinematics", "controller"], 3, 5)],
 )
 def test_everything_holds_on_the_host(real: str, parts, functions: int, outputs: int, tmp_path: Path) -> None:
-    folder = exported(tmp_path / "b", real=real, parts=parts)
+    folder = export_c(without_sliding(), tmp_path / "b", real=real, parts=parts).folder
     result = verify_bundle(folder, target="host", inputs=1000, fuzz_calls=10_000)
     assert result.passed and result.complete, repr(result)  # noqa: PT018
     for compiler in ("gcc", "clang"):

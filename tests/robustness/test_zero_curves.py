@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexopt.robustness.atlas.rectangle import Rectangle, Scaled
+from flexopt.robustness.atlas.rectangle import CellFields, Rectangle
 from flexopt.robustness.atlas.tracing import Tracing
 from flexopt.robustness.atlas.zero_curves import common_zeros, zero_curves
 
@@ -99,7 +99,7 @@ def test_every_crossing_has_two_neighbours() -> None:
     import casadi as ca  # noqa: PLC0415
 
     given = fields(lambda x, y: ca.sin(2 * x) * ca.cos(y) + 0.4 * ca.sin(x - 2 * y) + 0.05)
-    scaled = Scaled(given, TORUS, (24, 24))
+    scaled = CellFields(given, TORUS, (24, 24))
     lines = scaled.lines()
     tracing = Tracing(scaled, lines, scaled.at_nodes(lines), 1)
     assert all(curve.closed for curve in tracing.curves())

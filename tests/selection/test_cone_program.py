@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog, minimize
 
 from flexopt.selection.cone_interior import interior
-from flexopt.selection.cone_newton import Program, State, newton
+from flexopt.selection.cone_newton import ConicPoint, ConicProgram, newton
 from flexopt.selection.cone_program import Cones, Gain, best_gain
 from flexopt.selection.programs import Bounds
 
@@ -301,7 +301,7 @@ def test_both_ways_lead_to_one_solution(seed: int) -> None:
     sizes[:k, 0] += 3.0
     slopes = 0.3 * rng.normal(size=(m, r, n))
     slopes[0, :, 2:] = slopes[0, :, :2] @ rng.normal(size=(2, 2))
-    program = Program(second, np.concatenate([cuts, box]), np.append(rng.uniform(0, 0.1, k), np.ones(2 * n)), sizes,
+    program = ConicProgram(second, np.concatenate([cuts, box]), np.append(rng.uniform(0, 0.1, k), np.ones(2 * n)), sizes,
                       values, slopes)  # fmt: skip
     _, error, last = min(interior(program), key=lambda point: point[1])
     # Equations whose coefficients differ by 1 / error: half the digits are sure.
@@ -312,7 +312,7 @@ def test_both_ways_lead_to_one_solution(seed: int) -> None:
     assert np.linalg.norm(program.slopes[0] @ found.v[:-1]) <= 1e-12
     # From a few percent beside, too: quadratically, at tips as off them.
     noise = 1 + 0.03 * rng.uniform(-1, 1, (m, r))
-    beside = State(found.v * noise[0, 0], found.pulls * noise[1, 0], found.forces * noise, found.active)
+    beside = ConicPoint(found.v * noise[0, 0], found.pulls * noise[1, 0], found.forces * noise, found.active)
     again = newton(program, beside, 6)
     assert again is not None
     np.testing.assert_allclose(again.v, found.v, atol=1e-9)

@@ -12,9 +12,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 import flexopt
+from benchmarks.own import OtherOwn, asked, random_goal, sags, torques
 from flexopt.model.own import check_function
 from flexopt.selection.check import prove
 from flexopt.selection.own import OwnGraphs, known_quantities
@@ -135,43 +136,17 @@ def test_in_order_with_others() -> None:
 
 
 def gravity_of(machine: Any, z: np.ndarray) -> np.ndarray:
-    """Torques at rest, from the public Function."""
-    plant = flexopt.build_plant(machine)
-    base, posture, p = z[: plant.n_base], z[plant.n_base :], plant.parameter_values
-    q = plant.rest(base, posture, p)
-    return plant.gravity(q, base, p).full().ravel()[plant.n_passive :]
+    """Torques at rest, by public Functions."""
+    n_b = len(machine.base_coordinates)
+    return torques(machine, z[:n_b, None], z[n_b:, None]).ravel()
 
 
 # Beside other methods.
 
 
-def sag_of(machine: Any, base: np.ndarray, posture: np.ndarray) -> np.ndarray:
-    """How far the end-point gives way, where q_p = rest − K_p⁻¹ g_p(q) repeated leads: springs are far stiffer."""
-    plant = flexopt.build_plant(machine)
-    m, p = plant.n_passive, plant.parameter_values
-    rest = plant.rest(base, posture, p).full().ravel()
-    stiffness, q = plant.stiffness(p).full()[:m, :m], rest.copy()
-    for _ in range(15):
-        q[:m] = rest[:m] - np.linalg.solve(stiffness, plant.gravity(q, base, p).full().ravel()[:m])
-    way: np.ndarray = (plant.end_point(q, base, p) - plant.end_point(rest, base, p)).full().ravel()
-    return way
-
-
-def random_goal(rng: np.random.Generator, machine: Any, size: float) -> tuple[Any, ca.Function]:
-    """A smooth function of base, posture, w and sag: for numbers and as a `casadi.Function`."""
-    q = symbols(machine)
-    n, m, r = (q[name].shape[0] for name in ("posture", "w", "sag"))
-    a, b, c = rng.uniform(-1, 1, n), rng.uniform(0.2, 1, m), rng.uniform(-1, 1, r)
-    shift = rng.uniform(-1, 1)
-
-    def value(base: Any, posture: Any, w: Any, sag: Any) -> Any:
-        swing = sum(a[k] * ca.sin(posture[k] + 0.3 * base[0]) for k in range(n))
-        measures = sum(b[k] * w[k] for k in range(m)) / size
-        return 0.3 * swing + measures - 0.05 * (base[0] - shift) ** 2 + sum(c[k] * sag[k] for k in range(r))
-
-    inputs = {name: q[name] for name in ("base", "posture", "w", "sag")}
-    expression = value(*(list(ca.vertsplit(x)) for x in inputs.values()))
-    return value, function("goal", expression, **inputs)
+def sag_of(machine: Any, base: Any, posture: Any) -> np.ndarray:
+    """How far the end-point gives way, by public Functions."""
+    return sags(machine, np.reshape(base, (-1, 1)), np.reshape(posture, (-1, 1))).ravel()
 
 
 def scanned(machine: Any, target: np.ndarray, value: Any, margin: float) -> float:
@@ -187,7 +162,7 @@ def scanned(machine: Any, target: np.ndarray, value: Any, margin: float) -> floa
             w = measures.w([x], posture, plant.parameter_values)[0].full().ravel()
         except flexopt.FlexoptError:
             return -1e9
-        return float(value([x], posture, w, sag_of(machine, np.array([x]), posture)))
+        return float(value([x], posture, w, sag_of(machine, [x], posture)))
 
     best, grid = -math.inf, np.linspace(low, high, 40)
     for elbow in ("up", "down"):
@@ -217,39 +192,18 @@ def test_a_scan_finds_nothing_better(seed: int | None) -> None:
     assert best.objective == pytest.approx(float(told), rel=1e-8, abs=1e-8)
 
 
-def test_in_space_another_solver_finds_nothing_better() -> None:
-    """SciPy's SLSQP from the same starts, by differences of public Functions."""
-    machine, target, plant = SLEWING, np.array(AHEAD), flexopt.build_plant(SLEWING)
-    problem = flexopt.build_selection(machine, target)
-    size, n_b, rng = problem.objective_scale, plant.n_base, np.random.default_rng(5)
-    value, goal = random_goal(rng, machine, size)
-    most = 0.9 * np.abs(gravity_of(machine, np.zeros(n_b + 4))).max()
-    q = symbols(machine)
-    held = flexopt.Constraint(function("held", ca.sumsqr(q["torques"] / most), torques=q["torques"]), upper=1.0)
-    selection = flexopt.select(machine, target, objective=goal, constraints=[held], starts=16)
-    measures = flexopt.build_measures(machine)
-
-    def worth(z: np.ndarray) -> float:
-        w = measures.w(z[:n_b], z[n_b:], plant.parameter_values)[0].full().ravel()
-        return float(value(z[:n_b], z[n_b:], w, sag_of(machine, z[:n_b], z[n_b:])))
-
-    low, high, scale = problem.lower, problem.upper, problem.scale
-    rows = [
-        {"type": "eq", "fun": lambda x: (problem.rows(x * scale) - np.append(target, 0.0))[:3]},
-        {"type": "ineq", "fun": lambda x: problem.rows(x * scale)[3:4] - problem.row_bounds[0][3]},
-        {"type": "ineq", "fun": lambda x: 1.0 - np.sum((gravity_of(machine, x * scale) / most) ** 2)},
-    ]
-    found = []
-    for k in range(3):
-        start = np.concatenate([problem.scan.base[:, 40 * k], problem.scan.posture[:, 40 * k]])
-        ends = minimize(lambda x: -worth(x * scale), start / scale, bounds=list(zip(low / scale, high / scale, strict=True)),
-                        constraints=rows, method="SLSQP", options={"maxiter": 40})  # fmt: skip
-        if max(np.abs(rows[0]["fun"](ends.x))) < 1e-6 and all(row["fun"](ends.x).min() > -1e-6 for row in rows[1:]):
-            found.append(-float(ends.fun))
-    assert found
-    # What SLSQP may be off its constraints.
-    assert selection.best.objective >= max(found) - 1e-5
-    assert selection.best.objective == pytest.approx(worth(selection.best.z), rel=1e-7, abs=1e-7)
+@pytest.mark.parametrize(("name", "number"), [("slewing-excavator", 0), ("boom-stick-bucket", 3)])
+def test_a_method_without_slopes_finds_nothing_better(name: str, number: int) -> None:
+    """With constraints of both kinds; `python -m benchmarks.own` tries more."""
+    machine, target, options, value, most = asked(name, number)
+    selection = flexopt.select(machine, target, **options)
+    other, _ = OtherOwn(selection.problem, number, value, most).best(100, 20, 60)
+    assert other <= selection.best.objective + 1e-4 * selection.problem.objective_scale
+    z, n_b = selection.best.z, len(machine.base_coordinates)
+    assert np.linalg.norm(gravity_of(machine, z)) <= most * (1 + 1e-7)
+    told = value(z[:n_b], z[n_b:], selection.best.w, sag_of(machine, z[:n_b], z[n_b:]))
+    travel = selection.problem.travel_cost(selection.problem.objective, z)[0]
+    assert selection.best.objective == pytest.approx(float(told - travel), rel=1e-7, abs=1e-7)
 
 
 # Kinks.

@@ -50,7 +50,7 @@ class Rectangle:
         )
 
 
-class Scaled:
+class CellFields:
     """The fields in coordinates in which the cells are one wide and the rectangle begins at 0."""
 
     def __init__(self, fields: Fields, rectangle: Rectangle, cells: tuple[int, int]) -> None:

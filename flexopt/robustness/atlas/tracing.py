@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.robustness.atlas.rectangle import Mask, Pair, Scaled, Whole
+from flexopt.robustness.atlas.rectangle import CellFields, Mask, Pair, Whole
 
 Cell = tuple[int, int]
 # Function, axis, cell, line; see `_Crossings`.
@@ -96,7 +96,7 @@ class _Crossings:
 class Tracing:
     """All curves of a grid, advanced together from crossing to crossing."""
 
-    def __init__(self, scaled: Scaled, lines: Pair, values: Vector, functions: int) -> None:
+    def __init__(self, scaled: CellFields, lines: Pair, values: Vector, functions: int) -> None:
         self.scaled, self.lines, self.periodic = scaled, lines, scaled.rectangle.periodic
         self.count = tuple(line.size - 1 for line in lines)
         self.crossings = _Crossings()

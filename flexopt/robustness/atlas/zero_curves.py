@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.robustness.atlas.rectangle import INSET, Fields, Mask, Pair, Rectangle, Scaled, Whole
+from flexopt.robustness.atlas.rectangle import INSET, CellFields, Fields, Mask, Pair, Rectangle, Whole
 from flexopt.robustness.atlas.tracing import CONVERGED, CORRECTIONS, ROUNDING, STEP, Tracing, ZeroCurve
 
 NEWTON_MAX = 40
@@ -43,7 +43,7 @@ def zero_curves(
     fields: Fields, rectangle: Rectangle, cells: tuple[int, int], functions: int
 ) -> tuple[list[ZeroCurve], Nodes]:
     """The curves on which the first `functions` of the fields vanish, and the values at the nodes."""
-    scaled = Scaled(fields, rectangle, cells)
+    scaled = CellFields(fields, rectangle, cells)
     lines = scaled.lines()
     values = scaled.at_nodes(lines)
     for _ in range(ROUNDS):
@@ -80,7 +80,7 @@ def common_zeros(
     fields: Fields, rectangle: Rectangle, cells: tuple[int, int], pair: tuple[int, int], starts: Vector
 ) -> tuple[Vector, Mask]:
     """Newton's method on two of the fields from points (2, N): where it ends, inside the rectangle, and if it has."""
-    scaled = Scaled(fields, rectangle, cells)
+    scaled = CellFields(fields, rectangle, cells)
     x = scaled.inwards(starts)
     change = np.full(x.shape[1], np.inf)
     for _ in range(NEWTON_MAX):
@@ -98,7 +98,7 @@ def common_zeros(
 
 def on_curve(fields: Fields, rectangle: Rectangle, cells: tuple[int, int], function: int, points: Vector) -> Vector:
     """Points (2, N) beside a curve on which one of the fields vanishes, moved across it onto it."""
-    scaled, which = Scaled(fields, rectangle, cells), np.full(points.shape[1], function, dtype=np.int64)
+    scaled, which = CellFields(fields, rectangle, cells), np.full(points.shape[1], function, dtype=np.int64)
     x = scaled.inwards(points)
     for _ in range(CORRECTIONS):
         value, slope = scaled.one(x, which)
@@ -117,7 +117,7 @@ def _solved(slope: Vector, value: Vector) -> Vector:
         return np.stack([d * x - b * y, a * y - c * x]) / (a * d - b * c)
 
 
-def _hidden(scaled: Scaled, lines: Pair, values: Vector, functions: int) -> Vector:
+def _hidden(scaled: CellFields, lines: Pair, values: Vector, functions: int) -> Vector:
     """Points (2, N) of another sign than all nodes about them: extrema inside loops that no line crosses."""
     function, i, j = _least(values[:functions], scaled.rectangle.periodic)
     if not function.size:

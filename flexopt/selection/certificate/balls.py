@@ -28,8 +28,7 @@ class Cell:
         self.h = h
         if polynomial.degree() > DEGREE:
             c = polynomial.coeffs()
-            last = reduce(lambda value, each: value * h + each, reversed(c[DEGREE:]))
-            polynomial = arb_poly([*c[:DEGREE], last])
+            polynomial = arb_poly([*c[:DEGREE], arb_poly(c[DEGREE:])(h)])
         self.polynomial = polynomial
 
     def _of(self, other: Cell | arb | int) -> arb_poly | arb | int:
@@ -61,7 +60,7 @@ class Cell:
         elif vertex.overlaps(self.h):
             values.append(c[0] + vertex * c[1] / 2)
         hull = reduce(lambda one, other: one.union(other), values)
-        return hull + reduce(lambda value, each: value * self.h + each, reversed(c[3:]), arb(0)) * h2 * self.h
+        return hull + arb_poly(c[3:])(self.h) * h2 * self.h
 
     def _approximate(self, root: bool) -> Cell:
         """The exact polynomial of 1/f or √f about the middle."""
@@ -113,7 +112,7 @@ def plus(x: Number, y: Number) -> Number:
 
 def minus(x: Number, y: Number) -> Number:
     """X − y."""
-    return plus(x, times(-1, y))
+    return x if zero(y) else times(-1, y) if zero(x) else x - y
 
 
 def inverted(x: Number) -> Number:

@@ -1,7 +1,7 @@
 """Branch and bound over the redundancy: cells of the placement, an elbow each, split until none may hold much more.
 
-In: a problem's `Curve`, a value and by how much more than it is still sought. Out: the cells, with why each is left
-out, or a bound on the objective in it.
+In: a problem's `RedundancyCurve`, a value and by how much more than it is still sought. Out: a `Covering` by cells,
+with why each is left out, or a bound on the objective in it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from flexopt.compiled.taylor import Array
 from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
-from flexopt.selection.certificate.curve import Curve, Seen
+from flexopt.selection.certificate.curve import RedundancyCurve, Seen
 from flexopt.selection.problem import beyond_bounds
 
 # Cells that each elbow begins with, parts of one that is split, cells looked at in one go and in all at most.
@@ -33,7 +33,7 @@ class Better:
 
 
 @dataclass(frozen=True)
-class Cells:
+class Covering:
     """A covering of the redundancy: all placements in the range, for each elbow.
 
     Attributes:
@@ -66,7 +66,7 @@ class Cells:
         )
 
 
-def branch_and_bound(curve: Curve, sought: float) -> Cells:
+def branch_and_bound(curve: RedundancyCurve, sought: float) -> Covering:
     """Cells in each of which V ≤ `sought`, as far as that can be shown."""
     variable = curve.problem.variables[0]
     edges = np.linspace(variable.lower, variable.upper, FIRST + 1 if variable.lower < variable.upper else 2)
@@ -100,10 +100,12 @@ def branch_and_bound(curve: Curve, sought: float) -> Cells:
     words = [word for each in done for word in each[3]]
     sides, lows, highs, bounds = (np.concatenate([each[k] for each in done]) for k in (0, 1, 2, 4))
     order = np.lexsort([lows, sides])
-    return Cells(sides[order], lows[order], highs[order], [words[k] for k in order], bounds[order], decided, better)
+    return Covering(sides[order], lows[order], highs[order], [words[k] for k in order], bounds[order], decided, better)
 
 
-def _seen(curve: Curve, low: Array, high: Array, elbow: Array, before: Array, sought: float) -> tuple[Seen, Array]:
+def _seen(
+    curve: RedundancyCurve, low: Array, high: Array, elbow: Array, before: Array, sought: float
+) -> tuple[Seen, Array]:
     """What is known of cells, and to what in V, (N,).
 
     Where that is hardly less than of the larger cell they are part of, rounding is what is left: more digits are taken.
@@ -125,7 +127,7 @@ def _seen(curve: Curve, low: Array, high: Array, elbow: Array, before: Array, so
     return found, known
 
 
-def _better(curve: Curve, cells: NDArray[np.int64], low: Array, high: Array, elbow: Array) -> Better | None:
+def _better(curve: RedundancyCurve, cells: NDArray[np.int64], low: Array, high: Array, elbow: Array) -> Better | None:
     """The middle of the first of these cells that is allowed, in all of which V is more than what was sought."""
     problem = curve.problem
     for k in cells.tolist():

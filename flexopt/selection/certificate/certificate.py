@@ -24,8 +24,8 @@ from flexopt.foundation.documents import json_ready, package_version
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
-from flexopt.selection.certificate.bound import Cells, branch_and_bound
-from flexopt.selection.certificate.curve import Curve
+from flexopt.selection.certificate.bound import Covering, branch_and_bound
+from flexopt.selection.certificate.curve import RedundancyCurve
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Selection
 
@@ -177,7 +177,7 @@ def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
             (),
             lambda: _log(problem, best.z, value, 0.0, None),
         )
-    curve = Curve(problem)
+    curve = RedundancyCurve(problem)
     value = _value(curve, best.z)
     cells = branch_and_bound(curve, value + asked)
     upper = max(cells.upper, value)
@@ -191,7 +191,7 @@ def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
     )  # fmt: skip
 
 
-def _value(curve: Curve, z: Vector) -> float:
+def _value(curve: RedundancyCurve, z: Vector) -> float:
     """A lower bound on V at the placement and with the elbow of z, exactly on the target."""
     problem, x = curve.problem, z[:1]
     plant = problem.measures.plant
@@ -203,7 +203,7 @@ def _value(curve: Curve, z: Vector) -> float:
     return float(curve.see(x, x, np.array([elbows[int(np.argmin(away))]]), precise=True).low[0])
 
 
-def _log(problem: SelectionProblem, z: Vector, value: float, upper: float, cells: Cells | None) -> dict[str, Any]:
+def _log(problem: SelectionProblem, z: Vector, value: float, upper: float, cells: Covering | None) -> dict[str, Any]:
     """All that the proof stands on."""
     machine, tree = problem.machine, problem.machine.kinematic_tree
     bodies = [body.model_dump(mode="json") | {"held": i in tree.held} for i, body in enumerate(tree.bodies)]

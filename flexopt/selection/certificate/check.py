@@ -60,7 +60,7 @@ BITS, PARTS, ROUNDING = 128, 400, 1e-9
 Terms = tuple[Matrix, Matrix, Matrix]
 
 
-class Machine:
+class LoggedMachine:
     """The machine of a log, standing on an anchor that is moved along x."""
 
     def __init__(self, log: dict[str, Any]) -> None:
@@ -281,7 +281,7 @@ def within(low: float, high: float) -> tuple[arb, arb]:
 
 
 def upper_bound(
-    machine: Machine, log: dict[str, Any], low: float, high: float, elbow: int, weights: list[float]
+    machine: LoggedMachine, log: dict[str, Any], low: float, high: float, elbow: int, weights: list[float]
 ) -> float:
     """An upper bound on V in a cell, less the cost of travel."""
     middle, h = within(low, high)
@@ -294,7 +294,7 @@ def upper_bound(
     return math.inf if math.isnan(bound) else bound
 
 
-def angles(machine: Machine, x: Number, elbow: int) -> Vector:
+def angles(machine: LoggedMachine, x: Number, elbow: int) -> Vector:
     """Both joint angles over a cell, each on one turn."""
     found: Vector = []
     for c, s in machine.reaching(x, elbow):
@@ -307,7 +307,7 @@ def angles(machine: Machine, x: Number, elbow: int) -> Vector:
     return found
 
 
-def travel_cost(machine: Machine, log: dict[str, Any], x: Number, elbow: int) -> Number:
+def travel_cost(machine: LoggedMachine, log: dict[str, Any], x: Number, elbow: int) -> Number:
     """What the way from the present configuration costs, each joint on its nearest turn; from below, where unsure."""
     travel = log["travel"]
     if travel is None:
@@ -326,7 +326,7 @@ def travel_cost(machine: Machine, log: dict[str, Any], x: Number, elbow: int) ->
     return cost * arb(travel["cost"])
 
 
-def left_out(machine: Machine, log: dict[str, Any], low: float, high: float, elbow: int, why: str) -> bool:
+def left_out(machine: LoggedMachine, log: dict[str, Any], low: float, high: float, elbow: int, why: str) -> bool:
     """Whether no placement of the cell allows the target to be reached inside margin and limits."""
     middle, h = within(low, high)
     if why == "margin":
@@ -351,7 +351,7 @@ def left_out(machine: Machine, log: dict[str, Any], low: float, high: float, elb
     return False
 
 
-def holds(machine: Machine, log: dict[str, Any], cell: tuple[float, float, int, str], bound: float) -> bool:
+def holds(machine: LoggedMachine, log: dict[str, Any], cell: tuple[float, float, int, str], bound: float) -> bool:
     """Whether a cell is what the log says, halved where that does not show at once."""
     low, high, elbow, why = cell
     left = [(low, high)]
@@ -391,7 +391,7 @@ def check(log: dict[str, Any]) -> tuple[list[str], int]:
         zero_is_most = all(weight >= 0 for weight in log["weights"][-1])
         reached = -ROUNDING * log["scale"] <= log["value"] <= 0 == log["upper"]
         return ([] if zero_is_most and reached else ["no cells, and 0 is not reached"]), 0
-    machine, faults, trusted = Machine(log), uncovered(log), 0
+    machine, faults, trusted = LoggedMachine(log), uncovered(log), 0
     tolerance = ROUNDING * log["scale"]
     for elbow, low, high, why, bound in log["cells"]:
         if why == "constraint":

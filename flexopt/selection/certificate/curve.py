@@ -41,7 +41,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Curve:
+class RedundancyCurve:
     """The redundancy of a problem: a closed form, two actuated joints, the base moving along x."""
 
     problem: SelectionProblem

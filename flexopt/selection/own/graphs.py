@@ -19,7 +19,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.own import OwnFunction
 from flexopt.robustness.expansion import NO_DERIVATIVES
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
-from flexopt.selection.own.quantities import Quantity, Sight, known_quantities
+from flexopt.selection.own.quantities import KnownQuantity, Sight, known_quantities
 from flexopt.selection.own.reading import wrong_slopes
 
 # Inputs of the Functions: `held` is that of `Expansion`, `static` the static deflection where gravity is left out of
@@ -42,7 +42,7 @@ class OwnGraphs:
     own: OwnFunction
 
     @cached_property
-    def quantities(self) -> tuple[Quantity, ...]:
+    def quantities(self) -> tuple[KnownQuantity, ...]:
         """What f takes, in its order."""
         known = known_quantities(self.measures.plant.machine)
         return tuple(known[name] for name in self.own.function.name_in())
@@ -173,14 +173,14 @@ class OwnGraphs:
     # Both together.
 
     @cached_property
-    def _begun(self) -> tuple[dict[str, Any], Any, Any]:
+    def _begun(self) -> tuple[dict[str, ca.MX], ca.MX, ca.MX]:
         """Symbols of all inputs by name; u and w as graphs of them."""
         m, sizes = self.measures.plant.n_passive, [x.shape[0] for x in self._explicit[0]]
         s = {name: ca.MX.sym(name, size) for name, size in zip(INPUTS, [*sizes, self.size, m], strict=True)}
         at = [s[name] for name in INPUTS[:5]]
         return s, self._inner_value.call(at)[0], self._w(s)
 
-    def _w(self, s: dict[str, Any]) -> Any:
+    def _w(self, s: dict[str, ca.MX]) -> ca.MX:
         expansion = self.measures.expansion
         if not self.takes_w:
             return ca.MX(0, 1)
@@ -221,12 +221,13 @@ class OwnGraphs:
         s, u, w = self._begun
         _, by_u, by_w = self._pulls()
         at = [s[name] for name in INPUTS[:5]]
-        slopes = self._inner_slope.call(at)[0]
-        second = self._inner_curvature.call([*at, by_u])[0]
+        rows: list[ca.MX] = list[Any](self._inner_slope.call(at))
+        second: Any = self._inner_curvature.call([*at, by_u])[0]
         if self.takes_w:
             second += self.measures.expansion.curvature.call([*at[:4], by_w * (1 - s["left"])])[0]
-            slopes = ca.vertcat(slopes, self._w_slope.call(at[:4])[0])
-        bent = self._outer_curvature.call([ca.vertcat(u, w), s["c"]])[0]
+            rows += list[Any](self._w_slope.call(at[:4]))
+        slopes = ca.vertcat(*rows)
+        bent: Any = self._outer_curvature.call([ca.vertcat(u, w), s["c"]])[0]
         return _function("own_curvature", s, {"U_zz": second + slopes.T @ bent @ slopes})
 
     # The same of placement and posture alone: the iterations are in it.

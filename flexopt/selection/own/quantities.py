@@ -95,7 +95,7 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class KnownQuantity:
     """A quantity that own functions may take.
 
     Attributes:
@@ -120,7 +120,7 @@ class Quantity:
 
 
 @lru_cache(maxsize=64)
-def known_quantities(machine: AnyMachine) -> Mapping[str, Quantity]:
+def known_quantities(machine: AnyMachine) -> Mapping[str, KnownQuantity]:
     """All quantities of a machine, by name."""
     plant = build_plant(machine)
     m, n, dimension = plant.n_passive, plant.n_actuated, plant.frames.dimension
@@ -128,32 +128,35 @@ def known_quantities(machine: AnyMachine) -> Mapping[str, Quantity]:
     efforts = _units(tuple({"rad": "N m", "m": "N"}[unit] for unit in machine.joint_units))
     places, rest = ", ".join(machine.base_coordinates) or "none", "the passive coordinates at rest"
     found = [
-        Quantity("base", _units(machine.base_units), plant.n_base, f"placement ({places})", lambda s: s.at[0]),
-        Quantity("posture", joints, n, f"actuated joints ({', '.join(machine.joints)})", lambda s: s.at[1]),
-        Quantity("p", "", len(plant.parameter_names), "parameters, in the order of Machine.parameters",
+        KnownQuantity("base", _units(machine.base_units), plant.n_base, f"placement ({places})", lambda s: s.at[0]),
+        KnownQuantity("posture", joints, n, f"actuated joints ({', '.join(machine.joints)})", lambda s: s.at[1]),
+        KnownQuantity("p", "", len(plant.parameter_names), "parameters, in the order of Machine.parameters",
                  lambda s: s.at[2]),
-        Quantity("w", "1/kg or 1/(kg m²), as R_i", m, "measures w_i of all modes, lowest frequency first",
+        KnownQuantity("w", "1/kg or 1/(kg m²), as R_i", m, "measures w_i of all modes, lowest frequency first",
                  modes=tuple(range(m)), modal=True),
-        *(Quantity(f"w{i + 1}", "as w", 1, f"w_{i + 1} alone", modes=(i,), modal=True) for i in range(m)),
-        Quantity("frequencies", "Hz", m, "natural frequencies, ascending", lambda s: s.frequencies, modal=True),
-        Quantity("end_point", "m", plant.n_task, f"end-point r, inertial frame, {rest}",
+        *(KnownQuantity(f"w{i + 1}", "as w", 1, f"w_{i + 1} alone", modes=(i,), modal=True) for i in range(m)),
+        KnownQuantity("frequencies", "Hz", m, "natural frequencies, ascending", lambda s: s.frequencies, modal=True),
+        KnownQuantity("end_point", "m", plant.n_task, f"end-point r, inertial frame, {rest}",
                  lambda s: s.plant.end_point(*s.rest)),
-        Quantity("centre_of_mass", "m", dimension, f"of the whole machine, inertial frame, {rest}",
+        KnownQuantity("centre_of_mass", "m", dimension, f"of the whole machine, inertial frame, {rest}",
                  lambda s: s.plant.centre_of_mass(*s.rest)),
-        Quantity("torques", efforts, n, f"what each actuated joint holds against the weight, {rest}",
+        KnownQuantity("torques", efforts, n, f"what each actuated joint holds against the weight, {rest}",
                  lambda s: s.torques),
-        Quantity("manipulability", "", 1, "sqrt(det(Jv Jvᵀ)), Yoshikawa 1985", lambda s: s.manipulability),
-        Quantity("singularity", "", 1, "sin² of the distance from singular postures, Plant.singularity_sine_squared",
+        KnownQuantity("manipulability", "", 1, "sqrt(det(Jv Jvᵀ)), Yoshikawa 1985", lambda s: s.manipulability),
+        KnownQuantity("singularity", "", 1,
+                 "sin² of the distance from singular postures, Plant.singularity_sine_squared",
                  lambda s: s.plant.singularity_sine_squared(*s.at)),
-        Quantity("deflection", passive, m, "of the passive coordinates under the weight, the arm held",
+        KnownQuantity("deflection", passive, m, "of the passive coordinates under the weight, the arm held",
                  lambda s: s.deflection, static=True),
-        Quantity("sag", "m", plant.n_task, "way of the end-point from rest under the weight, the arm held",
+        KnownQuantity("sag", "m", plant.n_task, "way of the end-point from rest under the weight, the arm held",
                  lambda s: s.sag, static=True),
     ]  # fmt: skip
     if machine.cylinders:
         names = ", ".join(cylinder.name for cylinder in machine.cylinders)
         sentence = f"what each cylinder ({names}) holds against the weight, positive where it pushes"
-        found.append(Quantity("cylinder_forces", "N", len(machine.cylinders), sentence, lambda s: s.cylinder_forces))
+        found.append(
+            KnownQuantity("cylinder_forces", "N", len(machine.cylinders), sentence, lambda s: s.cylinder_forces)
+        )
     return MappingProxyType({quantity.name: quantity for quantity in found})
 
 

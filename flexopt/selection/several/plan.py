@@ -24,7 +24,7 @@ from flexopt.foundation.quantities import DURATION
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
-from flexopt.model.constraints import Constraints
+from flexopt.model.constraints import AnyConstraints
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATES, TIMES
@@ -94,7 +94,7 @@ def plan_base(
     max_base_rate: Any = None,
     max_joint_rate: Any = None,
     start: Any = None,
-    constraints: Constraints | Mapping[str, Any] | None = None,
+    constraints: AnyConstraints | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords

@@ -15,7 +15,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
 from flexopt.model.choices import COMBINES
-from flexopt.model.constraints import Constraints
+from flexopt.model.constraints import AnyConstraints
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
@@ -54,7 +54,7 @@ def select_stand(
     machine: AnyMachine,
     targets: Any,
     *,
-    constraints: Constraints | Mapping[str, Any] | None = None,
+    constraints: AnyConstraints | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords

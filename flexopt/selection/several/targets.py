@@ -5,9 +5,7 @@ In: arguments. Out: a `SelectionProblem` for each target, and placements to look
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +14,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine
-from flexopt.model.constraints import Constraints
+from flexopt.model.constraints import AnyConstraints
 from flexopt.model.problem import SelectionOptions
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.build import build_one
@@ -29,7 +27,7 @@ def build_problems(
     points: Vector,
     field: str,
     options: SelectionOptions,
-    constraints: Constraints | Mapping[str, Any] | None,
+    constraints: AnyConstraints | None,
 ) -> tuple[SelectionProblem, ...]:
     """A configuration problem for each target, all with the same scale of the objective.
 
