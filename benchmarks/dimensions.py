@@ -37,13 +37,22 @@ def walked(problem: flexopt.SelectionProblem, z: np.ndarray, modes: list[int], s
     plant, scale = problem.measures.plant, problem.scale
     free = np.flatnonzero(problem.lower < problem.upper)
 
+    @functools.cache
+    def sizes_of(start: bytes) -> np.ndarray:
+        lengths = np.linalg.norm(problem.factors(np.frombuffer(start))[0], axis=2)
+        return lengths.prod(axis=1)[modes]
+
+    def sizes_at(start: np.ndarray) -> np.ndarray:
+        """|a_i||b_i| where a walk begins: one of them may be zero on the way."""
+        return sizes_of(start.tobytes())
+
     def residual(y: np.ndarray, start: np.ndarray) -> np.ndarray:
         there = start.copy()
         there[free] += y * scale[free]
         n_base, p = plant.n_base, plant.parameter_values
         out = problem.measures.w.call([there[:n_base], there[n_base:], p])
         f = problem.factors(there)[0]
-        crossed = [np.outer(f[i, 0], f[i, 1]) / np.prod(np.linalg.norm(f[i], axis=1)) for i in modes]
+        crossed = [np.outer(f[i, 0], f[i, 1]) / size for i, size in zip(modes, sizes_at(start), strict=True)]
         across = [(each - each.T)[np.triu_indices(len(each), 1)] for each in crossed]
         return np.concatenate([(out[2].full().ravel() - problem.target) / scale.max(), *across])
 

@@ -77,7 +77,9 @@ def check_objectives(value: Any) -> str | tuple[str | OwnFunction, ...]:
         try:
             return check_objective(value)
         except ValueError as error:
-            raise ValueError(f"{error}; or a casadi.Function, or a list of both") from None
+            # Files and the command line have words alone.
+            more = "" if isinstance(value, str | int | float) else "; or a casadi.Function, or a list of both"
+            raise ValueError(f"{error}{more}") from None
     found: list[str | OwnFunction] = []
     for part in entries(value) if isinstance(value, list | tuple) else [value]:
         found += check_objective(part).split(",") if isinstance(part, str) else [check_function(part)]

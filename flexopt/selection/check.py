@@ -38,6 +38,8 @@ CORRECTIONS, ON_ROWS = 8, 1e-14
 NOISY = 4.0
 # Singular values of rows below this share of the largest are rounding.
 DEPENDENT = 1e-9
+# Slopes of the equations of a_i parallel to b_i, in scaled variables, that count as none.
+VANISHING = 1e-7
 # A gain below this share of V's and the multipliers' size is rounding.
 NOISE = 1e-12
 KINK_NAME = "kink of ε_max"
@@ -294,16 +296,19 @@ def _pull_of_kept(program: Program, local: FirstOrderModel, multipliers: Vector,
 
 
 def surface_at(problem: SelectionProblem, z: Vector) -> Parallel | None:
-    """The equations, about z, of what makes V = 0 there: a_i parallel to b_i; None where one of them vanishes."""
+    """The equations, about z, of what makes V = 0 there: a_i parallel to b_i; None where both of a mode vanish."""
     modes = tuple(i for i, alpha in enumerate(problem.objective.alpha) if alpha > 0)
     if not modes:
         return None
-    f, _, same = problem.factors(z)
-    lengths = np.linalg.norm(f, axis=2)
-    alone = all(same[i] < SHARED for i in modes)
-    if not alone or any(lengths[i].prod() * problem.objective.alpha[i] <= TIP * problem.objective_scale for i in modes):
+    f, f_z, same = problem.factors(z)
+    slopes = f_z * problem.scale
+    reach = np.linalg.norm(slopes, 2, axis=(2, 3))
+    sizes = np.maximum(np.linalg.norm(f, axis=2), reach)
+    away = (np.linalg.norm(f, axis=2) > TIP * reach).any(axis=1)
+    told = sizes.prod(axis=1) * np.array(problem.objective.alpha) > TIP * problem.objective_scale
+    if not all(same[i] < SHARED and away[i] and told[i] for i in modes):
         return None
-    return Parallel.at(f, modes)
+    return Parallel.at(f, slopes, modes)
 
 
 def _dimension(program: Program, x: Vector, local: FirstOrderModel) -> int | None:
@@ -318,6 +323,9 @@ def _dimension(program: Program, x: Vector, local: FirstOrderModel) -> int | Non
     for kink in local.kinks:
         equations[kink.rows] = False
     across = surface.slopes(f, f_z * program.first.scale)[: surface.equations]
+    # Where equations lose their slopes, as on an edge in a plane of symmetry, sets may cross.
+    if np.linalg.svd(across, compute_uv=False)[-1] <= VANISHING:
+        return None
     return x.size - _rank(np.vstack([local.equalities[equations], across]))
 
 

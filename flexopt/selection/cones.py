@@ -21,6 +21,8 @@ SIDES = "ab"
 SHARED = 1.5
 # Cosines: to which a_i and b_i may turn in a chart of a surface, and from which on another chart is made.
 TURNED, STRAIGHT = 0.3, 0.5
+# A step, in scaled variables: lengths are taken to be no less than what it changes them by.
+NEAR = 1e-2
 
 
 def split_factors(f: Vector, slopes: Vector) -> tuple[Vector, Vector]:
@@ -72,32 +74,38 @@ def smooth_slope(f: Vector, slopes: Vector, held: Mapping[int, tuple[float, Vect
 
 @dataclass(frozen=True)
 class Parallel:
-    """a_i parallel to b_i, for some modes: ((â·a)(e_k·b) − (e_k·a)(â·b)) / (|a₀||b₀|) = 0, â·c ≥ TURNED |c|, c = a, b.
+    """a_i parallel to b_i, for some modes: ((û·a)(e_k·b) − (e_k·a)(û·b)) / (α β) = 0, û·c ≥ TURNED |c|, c = a, b.
 
-    w_i is a maximum there, so that its own slope tells nothing of the surface w_i = 0; the slopes of these do. â is the
-    direction of a_i at the point x₀ that the chart is made at, e_k (r − 1,) are unit vectors across it: all r would
-    depend on each other. The inequalities keep out what else the equations allow, a_i against b_i and both across â.
+    w_i is a maximum there, so that its own slope tells nothing of the surface w_i = 0; the slopes of these do. û is the
+    direction of a_i or b_i at the point x₀ that the chart is made at, of the one that is farther from 0: where the
+    other is 0 the surface has an edge. e_k (r − 1,) are unit vectors across it: all r would depend on each other. The
+    inequalities keep out what else the equations allow, a_i against b_i and both across û.
 
     Attributes:
         modes: numbers i.
-        axes: [â; e_1; …] of each, (r, r).
-        lengths: |a₀|, |b₀| of each.
+        sides: of each 0 where û is of a_i, 1 where it is of b_i.
+        axes: [û; e_1; …] of each, (r, r).
+        lengths: α, β of each: |a₀| and |b₀|, or what they change by in a step NEAR.
     """
 
     modes: tuple[int, ...]
+    sides: tuple[int, ...]
     axes: tuple[Vector, ...]
     lengths: tuple[tuple[float, float], ...]
 
     @staticmethod
-    def at(f: Vector, modes: tuple[int, ...]) -> Parallel:
-        """The chart at a point; f is from `split_factors`."""
-        axes, lengths = list[Vector](), list[tuple[float, float]]()
+    def at(f: Vector, slopes: Vector, modes: tuple[int, ...]) -> Parallel:
+        """The chart at a point; f and slopes, by scaled variables, are from `split_factors`."""
+        sides, axes, lengths = list[int](), list[Vector](), list[tuple[float, float]]()
         for i in modes:
-            a, b = f[i]
-            _, _, across = np.linalg.svd(a[None, :])
-            axes.append(np.vstack([a / np.linalg.norm(a), across[1:]]))
-            lengths.append((float(np.linalg.norm(a)), float(np.linalg.norm(b))))
-        return Parallel(modes, tuple(axes), tuple(lengths))
+            size, reach = np.linalg.norm(f[i], axis=1), np.linalg.norm(slopes[i], 2, axis=(1, 2))
+            side = int(np.argmax(size / np.maximum(reach, TINY)))
+            _, _, across = np.linalg.svd(f[i, side][None, :])
+            sides.append(side)
+            axes.append(np.vstack([f[i, side] / size[side], across[1:]]))
+            alpha, beta = np.maximum(size, NEAR * reach).tolist()
+            lengths.append((alpha, beta))
+        return Parallel(modes, tuple(sides), tuple(axes), tuple(lengths))
 
     @property
     def equations(self) -> int:
@@ -131,8 +139,8 @@ class Parallel:
         return np.vstack([*equations, *sides])
 
     def fits(self, f: Vector) -> bool:
-        """Whether the chart is still good: a_i has kept its direction, far from where it must not leave it."""
+        """Whether the chart is still good: û's vector has kept its direction, far from where it must not leave it."""
         return all(
-            float(axes[0] @ f[i, 0]) > STRAIGHT * float(np.linalg.norm(f[i, 0]))
-            for i, axes in zip(self.modes, self.axes, strict=True)
+            float(axes[0] @ f[i, side]) > STRAIGHT * float(np.linalg.norm(f[i, side]))
+            for i, side, axes in zip(self.modes, self.sides, self.axes, strict=True)
         )

@@ -49,14 +49,14 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
 
     Where objectives are kept in order, or travel costs, the next objective or the cost says what is best.
     """
-    wide = [item for item in found if (item[1].dimension or 0) > int(turns(problem)) and item[1].unsurpassed]
+    wide = [item for item in found if item[1].unsurpassed and _may_be_wide(problem, item)]
     if not wide or len(problem.objectives) > 1 or problem.travel is not None:
         return [Best(item) for item in found]
     rest = [Best(item) for item in found if not any(item is other for other in wide)]
     stage, sought = _next(problem)
     wide = sorted(wide, key=lambda item: -_value(stage, sought, item[0]))[:OPTIMA]
     beyond = max(item[1].dimension or 0 for item in wide) - int(turns(problem))
-    starts = [z for z, _, _ in wide] + worst_starts(problem, STARTS * min(beyond, MOST), workers)
+    starts = [z for z, _, _ in wide] + worst_starts(problem, STARTS * min(max(beyond, 1), MOST), workers)
     climb = partial(_climbed, problem, stage, sought, starts)
     ends = in_parallel(climb, len(starts), workers, lost=lambda number, _: (starts[number], 0))
     proved = [(z, prove(problem, z), steps) for z, steps in ends]
@@ -80,6 +80,14 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
         if number < len(wide):
             home.append(wide[number][0])
     return [*rest, *(Best(item, tuple(_distinct(problem, item[0], others))) for item, others in sets)]
+
+
+def _may_be_wide(problem: SelectionProblem, item: Found) -> bool:
+    """Whether a surface of more than turns about the target leads away; where no dimension is told one may."""
+    z, proof, _ = item
+    if proof.dimension is None:
+        return surface_at(problem, z) is not None
+    return proof.dimension > int(turns(problem))
 
 
 def _next(problem: SelectionProblem) -> tuple[SelectionProblem, int]:

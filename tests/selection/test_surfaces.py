@@ -30,7 +30,7 @@ def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slope
         return split_factors(f, slopes)
 
     start = rng.normal(size=n)
-    chart = Parallel.at(factors(start)[0], (0, 1))
+    chart = Parallel.at(*factors(start), (0, 1))
     assert chart.equations == m * (task_rows - 1)
     x = start + 0.05 * rng.normal(size=n)
     step = 1e-6 * np.eye(n)
@@ -39,16 +39,16 @@ def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slope
     # Rounding of the differences: 1e-16 / 1e-6.
     assert np.abs(told - np.array(beside).T).max() <= 1e-8 * np.abs(told).max()
 
-    f = factors(start)[0]
+    f, slopes = factors(start)
     f[:, 1] = f[:, 0] * [[2.0], [0.7]]
-    assert np.abs(Parallel.at(f, (0, 1)).values(f)[: chart.equations]).max() <= 1e-15
+    assert np.abs(Parallel.at(f, slopes, (0, 1)).values(f)[: chart.equations]).max() <= 1e-15
     aside = f.copy()
     aside[0, 1] += 1e-3 * np.linalg.norm(f[0, 1]) * np.linalg.svd(f[0, :1])[2][-1]
-    assert np.abs(Parallel.at(f, (0, 1)).values(aside)[: chart.equations]).max() >= 1e-4
+    assert np.abs(Parallel.at(f, slopes, (0, 1)).values(aside)[: chart.equations]).max() >= 1e-4
     # Along each other inside the inequalities, against each other outside.
-    assert Parallel.at(f, (0, 1)).values(f)[chart.equations :].min() > 0
+    assert Parallel.at(f, slopes, (0, 1)).values(f)[chart.equations :].min() > 0
     f[:, 1] *= -1
-    assert np.all(Parallel.at(f, (0, 1)).values(f)[chart.equations + 1 :: 2] < 0)
+    assert np.all(Parallel.at(f, slopes, (0, 1)).values(f)[chart.equations :].reshape(-1, 2).min(axis=1) < 0)
 
 
 @pytest.mark.parametrize("case", list(cases(12))[::2][:3] + list(cases(16))[7::8], ids=lambda case: case[0])
@@ -75,6 +75,19 @@ def test_chance_does_not_decide_what_is_recommended() -> None:
         assert found.best.dimension == 2
         assert sum(candidate.unsurpassed for candidate in found.candidates) == 2
         assert "worst of the other w_i" in repr(found)
+
+
+def test_nor_where_the_surface_has_an_edge() -> None:
+    """Optima of the truck crane stand where a_1 = 0, in its plane of symmetry."""
+    machine, target, options = chosen("truck-crane", 1)
+    found = [
+        flexopt.select(machine, target, objective="w1", control=options["control"], seed=seed, starts=8, workers=1)
+        for seed in (0, 2)
+    ]
+    assert all("kink of w1: a1 = 0" in each.best.kinks and each.best.dimension == 2 for each in found)
+    away = (found[0].best.z - found[1].best.z)[np.array([0, 1, 6])]
+    turned = np.sin((found[0].best.z - found[1].best.z)[2:6] / 2)
+    assert max(np.abs(away).max(), 2 * np.abs(turned).max()) <= 1e-3
 
 
 def test_no_point_of_the_surface_nearby_has_better_other_modes() -> None:
