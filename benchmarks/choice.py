@@ -59,6 +59,7 @@ def chosen(name: str, number: int) -> tuple[Any, Vector, dict[str, Any]]:
     if rng.uniform() < 0.4 and "yaw" in machine.base_coordinates:
         x, y = target[0], target[1]
         kinds["keep_out"] = [[[x - 1, y - 1], [x + 1, y - 1], [x + 1, y + 1], [x - 1, y + 1]]]
+        kinds["holds"] = "point"
     if rng.uniform() < 0.4:
         kinds["travel"] = {"cost": 1e-2, "base": base.tolist(), "posture": posture.tolist()}
     options: dict[str, Any] = {"objective": "V", "weights": weights.tolist(), "constraints": kinds or None}

@@ -122,7 +122,7 @@ def draw_pairs(machine: AnyMachine, control: Control, count: int, seed: int) -> 
         target, weights, base_range = draw(rng, plant)
         try:
             problem = flexopt.build_selection(
-                machine, target, control=control, objective="V", weights=weights, base_range=base_range
+                machine, target, control=control, objective="V", weights=weights, base_range=base_range, assume="limits"
             )
         except UnreachableTarget:
             continue

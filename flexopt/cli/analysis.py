@@ -122,6 +122,11 @@ def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
 @value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
 @value("--slack", "SHARE", "What an objective may give up for the next in order (1e-5 by default).", number)
 @value("--singularity-margin-deg", "DEG", "Distance from singular postures (10 by default).", number)
+@value(
+    "--assume",
+    "everything|nothing|WORDS",
+    "What holds where nothing else is asked for: some of ground,limits,reach (everything by default).",
+)
 @value("--starts", "N", "Starts at most (32 by default; in the plane every peak of the scan).", whole)
 @value("--seed", "N", "Seed of the starts.", whole)
 @value("--workers", "N", "Processes at most (one for each core by default); the result is the same.", whole)

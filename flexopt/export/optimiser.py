@@ -162,7 +162,8 @@ def build_optimiser(
 ) -> OptimiserSources:
     """Write the optimiser of V(z) = Σ α_i w_i(z) subject to r(z) = target, bounds and the singularity margin.
 
-    Target, bounds and margin are inputs of every call; so are α and p unless they are baked.
+    Target, bounds and margin are inputs of every call; so are α and p unless they are baked. It knows no further
+    constraints: of what `flexopt.select` assumes (`flexopt.selection.assumed`) the joint limits alone.
 
     Args:
         machine: from `flexopt.load`.

@@ -283,6 +283,7 @@ def _vectors(
                 found = solved(build_selection(
                     machine, target.tolist(), objective="V", control=control, weights=weights.tolist(),
                     singularity_margin_deg=margin_deg, starts=SELECT_STARTS, seed=int(rng.integers(1000)),
+                    assume="limits",
                 ), climbs=False)  # fmt: skip
         except FlexoptError:
             continue

@@ -83,7 +83,7 @@ class _Reader:
                 return float(cast(Any, value))
             if array.dtype.kind != "O":
                 return _tuples(value) if self.tuples else value
-        table = type(value) is not list and isinstance(value, Mapping)
+        table = type(value) is not list and isinstance(cast(object, value), Mapping)
         # Named tuples and the like are objects of their own.
         if not table and not isinstance(value, list) and type(value) is not tuple:
             return value

@@ -20,6 +20,7 @@ from flexopt.model.choices import (
     SLACK_SHARE,
     STARTS,
     TARGETS_MAX,
+    check_assume,
     check_objective,
     check_weights,
 )
@@ -87,6 +88,7 @@ TABLE.update(
         "starts": by(STARTS),
         "objective": by(check_objective),
         "weights": by(check_weights),
+        "assume": by(check_assume),
         "base_range": of_machine(_base_range),
         "constraints": _constraints,
     }

@@ -12,6 +12,9 @@ ELBOWS: tuple[Elbow, ...] = ("up", "down")
 # How the targets that share a placement count: the worst one, or all by their shares.
 Combine = Literal["worst", "weighted"]
 COMBINES: tuple[Combine, ...] = ("worst", "weighted")
+# What a selection assumes where nothing else is asked for; see `flexopt.selection.assumed`.
+ASSUMPTIONS = ("ground", "limits", "reach")
+EVERYTHING, NOTHING = "everything", "nothing"
 SINGULARITY_MARGIN_DEG = 10.0
 # The best maxima of the excavator's ε_max differ by 4e-5 of it and more.
 SLACK = 1e-5
@@ -33,6 +36,20 @@ def check_objective(value: Any) -> str:
     if len(set(words)) < len(words):
         raise ValueError("names the same objective twice")
     return ",".join(words)
+
+
+@Checked
+def check_assume(value: Any) -> str:
+    """`everything`, `nothing`, or some of `ASSUMPTIONS`, separated by commas."""
+    words = value.replace(" ", "").split(",") if isinstance(value, str) else []
+    if words not in ([EVERYTHING], [NOTHING]) and not (words and set(words) <= set(ASSUMPTIONS)):
+        raise ValueError(f"must be {EVERYTHING}, {NOTHING}, or some of {', '.join(ASSUMPTIONS)}, separated by commas")
+    return ",".join(dict.fromkeys(words))
+
+
+def assumes(assume: str, name: str) -> bool:
+    """Whether a word of `check_assume` takes one of `ASSUMPTIONS` in."""
+    return assume == EVERYTHING or name in assume.split(",")
 
 
 @Checked

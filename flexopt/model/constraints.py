@@ -203,9 +203,13 @@ class Constraints(FileModel):
     Attributes:
         joint_margin: kept from every joint limit, rad or m.
         manipulability: least sqrt(det(Jv Jvᵀ)).
-        region: the anchor point lies in one of these polygons, m (of planar machines: intervals of x).
+        region: the machine stands in one of these polygons, m (of planar machines: intervals of x).
         keep_out: and outside these.
+        holds: what does: `"footprint"`, all that the undercarriage stands on, turned with the machine; `"point"`, the
+            anchor point. By default the footprint where the machine's file has a `support`.
         clearance: least distance from ground and obstacles.
+        self_clearance: least distance between capsules of bodies that joints move against each other, neighbours aside,
+            m.
         tip_over_margin: least distance of the centre of mass from the edges of the support polygon, seen from above, m.
         holding: share of each joint's effort that gravity may take.
         tool_angle: range of the end-point's inclination, rad; one number for an exact value.
@@ -217,7 +221,9 @@ class Constraints(FileModel):
     manipulability: Annotated[float, _POSITIVE] | None = None
     region: Annotated[tuple[Area, ...], _check_areas] | None = None
     keep_out: Annotated[tuple[Area, ...], _check_areas] | None = None
+    holds: Literal["footprint", "point"] | None = None
     clearance: Clearance | None = None
+    self_clearance: Annotated[float, LENGTH_OR_ZERO] | None = None
     tip_over_margin: Annotated[float, LENGTH_OR_ZERO] | None = None
     holding: Annotated[float, Quantity("of each joint's effort", above=0.0, high=1.0)] | None = None
     tool_angle: Annotated[Interval, _check_tool_angle] | None = None

@@ -18,6 +18,7 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.boundary import holding_machine
 from flexopt.model.choices import (
+    EVERYTHING,
     GAIN,
     MARGIN_DEG,
     SEED,
@@ -27,6 +28,7 @@ from flexopt.model.choices import (
     STARTS,
     Combine,
     Elbow,
+    check_assume,
     check_weights,
 )
 from flexopt.model.constraints import Constraints
@@ -70,8 +72,9 @@ class SelectionOptions(BuiltByCall):
         base: present placement (n_b,), m or rad: breaks ties and gives the initial posture.
         posture: present posture (n,), rad or m: with `base` the initial configuration.
         base_range: where the base may stand: (lower, upper) of x, or a table such as {"x": (lower, upper), "yaw": …}
-            with the placement coordinates that are bounded. By default all placements from which the arm reaches;
-            where the task does not say where that is, within the arm's reach of the present placement. yaw is free.
+            with the placement coordinates that are bounded. By default all placements from which the arm reaches, and
+            see `assume`; where the task does not say where that is, within the arm's reach of the present placement.
+            yaw is free.
         elbow: of a single target: branch of the initial posture of a planar arm, where no posture is given.
         singularity_margin_deg: distance from singular postures: for two links the angle that θ3 keeps from straight and
             from folded, for more in the root mean square over pairs of segments; in space see
@@ -80,6 +83,11 @@ class SelectionOptions(BuiltByCall):
             scan, up to 64; of a stand 8 placements where targets leave one degree of freedom, else 32; of a plan 3
             ways, besides standing still.
         seed: of the sample that the starts come from.
+        assume: what holds where nothing else is asked for: `"everything"`, `"nothing"`, or some of
+            `"ground,limits,reach"`, see `flexopt.selection.assumed`. `"ground"`: above the ground on which the machine
+            stands all keeps that joints move, the end-point's body and targets below ground aside; `"limits"`: joints
+            keep the limits of the machine's file; `"reach"`: from a present placement `base` no coordinate moves
+            farther than the arm reaches. What was assumed is named in the result.
         slack: of a single target: what an objective may give up for the next one, as a share of its best value, or of
             Σ αi |a_i||b_i| where that is more: w_i are best at 0. 1e-5 lets a_i and b_i of w_i turn by 0.3° from each
             other.
@@ -99,6 +107,7 @@ class SelectionOptions(BuiltByCall):
     singularity_margin_deg: Annotated[float, MARGIN_DEG] = SINGULARITY_MARGIN_DEG
     starts: Annotated[int, STARTS] | None = None
     seed: Annotated[int, SEED] = 0
+    assume: Annotated[str, check_assume] = EVERYTHING
     slack: Annotated[float, SLACK_SHARE] = SLACK
     combine: Combine = "worst"
     shares: Annotated[tuple[float, ...], SOME_SHARES] | None = None
@@ -123,6 +132,7 @@ class SharedKeywords(TypedDict, total=False):
     singularity_margin_deg: float
     starts: int | None
     seed: int
+    assume: str
 
 
 class SelectionKeywords(SharedKeywords, total=False):

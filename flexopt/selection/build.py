@@ -14,12 +14,14 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords, public
 from flexopt.model import AnyMachine
+from flexopt.model.choices import EVERYTHING, assumes
 from flexopt.model.constraints import AnyConstraints, Constraints
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held
+from flexopt.selection.assumed import assumed
 from flexopt.selection.constraints import build_constraints, constraint_faults
 from flexopt.selection.objective import Objective, Quantities, own_constraints, quantities, read_objectives
 from flexopt.selection.problem import DecisionVariable, Region, ScaledConstraint, SelectionProblem, TravelCost
@@ -58,7 +60,9 @@ def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
         objectives = read_objectives(arguments, machine, given["objective"], given["weights"])
     asked = _suiting(arguments, machine, given["constraints"] or Constraints())
     own = own_constraints(arguments, machine, asked)
-    limits = _joint_limits(arguments, machine, asked.joint_margin)
+    # What an options object leaves out is assumed.
+    free = not assumes(given.get("assume") or EVERYTHING, "limits")
+    limits = np.tile(FREE, (len(machine.joints), 1)) if free else _joint_limits(arguments, machine, asked.joint_margin)
     return _Asked(objectives, own, asked, limits, _present(arguments, machine, asked, base, posture))
 
 
@@ -84,13 +88,24 @@ def build_selection(
         constraints: what else a configuration must keep, in the layout of a problem file's table [constraints]; or a
             list of `casadi.Function`s, every entry of which is at least 0, of `flexopt.Constraint`s, and of that table.
         options: how to choose, see `SelectionOptions`;  keywords: its fields, which go before it: objective, weights,
-            control, gravity, gain, base, posture, base_range, elbow, singularity_margin_deg, starts, seed, slack.
+            control, gravity, gain, base, posture, base_range, elbow, singularity_margin_deg, starts, seed, assume,
+            slack.
 
     Raises:
         InputError: arguments of wrong shape, not finite or out of range, all in one message.
         UnreachableTarget: no placement in the range reaches the target inside limits and margin.
     """
-    asked = SelectionOptions.model_construct(**keywords)
+    return build_one(machine, target, constraints, SelectionOptions.model_construct(**keywords), target[None, :])
+
+
+def build_one(
+    machine: AnyMachine,
+    target: Vector,
+    constraints: AnyConstraints | None,
+    asked: SelectionOptions,
+    targets: Vector,
+) -> SelectionProblem:
+    """As `build_selection`, for checked arguments: one of the `targets` (K, n_task) that are reached by one choice."""
     read = ask(Arguments("select", machine), vars(asked) | {"constraints": constraints})
     assert read is not None  # the machine is one
     objectives, own, kept, limits, travel_now = read
@@ -101,9 +116,11 @@ def build_selection(
 
     functions = quantities(machine, asked.control, asked.gravity, asked.gain)
     plant = functions.measures.plant
-    rows = build_constraints(plant, kept)
+    now = present if travel_now is None else travel_now[: len(names)]
+    beside = assumed(plant, asked.assume, targets, kept, now, frozenset(ranges))
+    rows = build_constraints(plant, kept, beside.ground)
     constraint_set = rows if len(rows) else None
-    ranges, sampled, intervals = _placements(plant, target, ranges, margin, present)
+    ranges, sampled, intervals = _placements(plant, target, ranges, margin, now, beside.drive)
     length = outer_reach(plant)[1]
     lengths = {"m": length or 1.0, "rad": 1.0}
     variables = [
@@ -138,6 +155,7 @@ def build_selection(
         constraints=tuple(bounds),
         constraint_set=constraint_set,
         asked=kept,
+        assumed=beside.named,
         travel=None if travel_now is None or kept.travel is None else TravelCost(kept.travel.cost, travel_now),
         objective_scales=(1.0,) * (len(own) + len(objectives)),
         scan=empty_scan(plant, reached=False),
@@ -236,7 +254,7 @@ def _present(
 
 
 def _placements(
-    plant: Plant, target: Vector, given: Ranges, margin: float, present: Vector | None
+    plant: Plant, target: Vector, given: Ranges, margin: float, present: Vector | None, drive: float | None
 ) -> tuple[Ranges, Ranges, list[Interval]]:
     """Bounds of the placement coordinates, ranges to sample them in, and in the plane the parts that reach."""
     machine = plant.machine
@@ -248,7 +266,7 @@ def _placements(
         # Beyond the margin's own ends, so that the margin and not the range is what stops the base.
         whole = reach(plant).base_intervals(target)
         (name,) = machine.base_coordinates
-        span = given.get(name, (whole[0][0], whole[-1][1]))
+        span = given.get(name, _driven((whole[0][0], whole[-1][1]), present, 0, drive))
         return {name: span}, {name: span}, clipped(intervals, span)
     center, outer = outer_reach(plant)
     rows = machine.task_rows
@@ -264,8 +282,15 @@ def _placements(
             sampled[name] = given.get(name, (-math.pi, math.pi))
             continue
         about = float(target[rows.index(name)]) if name in rows else 0.0 if present is None else float(present[k])
-        bounds[name] = sampled[name] = given.get(name, (about - far, about + far))
+        bounds[name] = sampled[name] = given.get(name, _driven((about - far, about + far), present, k, drive))
     return bounds, sampled, []
+
+
+def _driven(span: Interval, present: Vector | None, k: int, drive: float | None) -> Interval:
+    """The part of a range of placement coordinate k that is no farther than `drive` from the present one."""
+    if present is None or drive is None:
+        return span
+    return max(span[0], float(present[k]) - drive), min(span[1], float(present[k]) + drive)
 
 
 def _region(machine: AnyMachine, length: float, sampled: Ranges, limits: Vector) -> Region:

@@ -16,6 +16,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent import CUT_SHORT
+from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import FIRST_ORDER, Proof, prove
 from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
@@ -342,14 +343,16 @@ def _no_solution(
     heading = f"no configuration passed the checks{among} in {len(attempts)} starts"
     if not failures:
         outcomes = "; ".join(sorted({attempt.outcome for attempt in attempts}))
-        return NoSolutionFound(f"{heading}: {outcomes}", violations={}, iterate={})
+        return NoSolutionFound(f"{heading}: {outcomes}{in_the_way(problem.assumed)}", violations={}, iterate={})
     z, proof = min(failures, key=lambda item: _severity(problem, item[1]))
     units = {c.name: c.unit for c in problem.constraints} | {f"{v.name} range": v.unit for v in problem.variables}
     sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in proof.violations.items())
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
     return NoSolutionFound(
-        f"{heading}; the best iterate ({where}) violates {sizes}", violations=proof.violations, iterate=iterate
+        f"{heading}; the best iterate ({where}) violates {sizes}{in_the_way(problem.assumed)}",
+        violations=proof.violations,
+        iterate=iterate,
     )
 
 

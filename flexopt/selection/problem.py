@@ -19,6 +19,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.robustness.measures import Measures
+from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
@@ -96,6 +97,7 @@ class SelectionProblem:
             `constraint_set`.
         constraint_set: what else a configuration must keep, or None.
         asked: the constraints as they were given.
+        assumed: what holds beside them, see `flexopt.selection.assumed`.
         travel: what leaving the present configuration costs, or None.
         objective_scales: of each objective: typical |a||b| of its modes, or β of ε_max; V is divided by it before
             IPOPT sees it.
@@ -121,6 +123,7 @@ class SelectionProblem:
     constraints: tuple[ScaledConstraint, ...]
     constraint_set: ConstraintSet | None
     asked: ConstraintsAsked
+    assumed: tuple[Assumption, ...]
     travel: TravelCost | None
     objective_scales: tuple[float, ...]
     scan: Scan = field(repr=False)
@@ -227,7 +230,8 @@ class SelectionProblem:
         the inertial origin the last digits of their difference would be lost.
         """
         of_z, of_target = np.zeros(len(self.variables)), np.zeros(self.target.size)
-        if self.constraint_set is not None or any(objective.own is not None for objective in self.objectives):
+        placed = self.constraint_set is not None and self.constraint_set.placed
+        if placed or any(objective.own is not None for objective in self.objectives):
             return of_z, of_target
         rows = self.machine.task_rows
         for k, name in enumerate(self.machine.base_coordinates):
@@ -351,6 +355,7 @@ class SelectionProblem:
             "gravity": self.gravity,
             "variables": [vars(v) for v in self.variables],
             "constraints": [vars(c) for c in self.constraints] + [vars(c) for c in self.own_constraints],
+            "assumed": [vars(assumption) for assumption in self.assumed],
             "travel": self.travel and {"cost": self.travel.cost, "now": self.travel.now.tolist()},
             "gain": self.gain,
             "singularity_margin": self.singularity_margin,

@@ -275,6 +275,7 @@ class Selection(Result):
                 f"about {100 * self.missed_chance:.0f} % of further ones would end at a value not found yet"
             )
         lines += [f"  {sentence}" for sentence in (self.decided_by, self.nothing_to_gain) if sentence]
+        lines += [f"  {assumption}" for assumption in problem.assumed]
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:

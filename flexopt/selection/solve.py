@@ -106,6 +106,7 @@ def solved(
     options = {"target": problem.target.tolist(), "objective": problem.name, "control": problem.control}
     options |= {"weights": [objective.weights.tolist() for objective in problem.sought]}
     options |= {"gravity": problem.gravity, "gain": problem.gain, "seed": problem.seed, "slack": problem.slack}
+    options |= {"assumed": [vars(assumption) for assumption in problem.assumed]}
     return Selection(
         best=candidates[0],
         candidates=tuple(candidates),

@@ -42,6 +42,7 @@ def report_html(report: Report) -> str:
         sentence=f"{_sentence(report)} {report.selection.status}.",
         candidates=candidates,
         candidates_note=note,
+        assumed=" ".join(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in report.selection.problem.assumed),
         constraints=_constraints(report),
         coordinates=_coordinates(report),
         masses=_parameters(report, ("kg",), "mass"),

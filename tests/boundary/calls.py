@@ -100,6 +100,7 @@ SELECT = {
     "singularity_margin_deg": 10.0,
     "starts": 1,
     "seed": 0,
+    "assume": "ground,limits",
     "options": flexopt.SelectionOptions(seed=1),
 }
 RUN = {"workers": 1, "progress": print}

@@ -36,6 +36,10 @@ ROUNDING = 1e-11
 SIX_ROWS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
+# The optimiser in C knows no ground.
+NO_GROUND: Any = {"assume": "limits"}
+
+
 @dataclass(frozen=True)
 class Case:
     """A problem, what `select` makes of it, and a point that the problem's own sample reached."""
@@ -61,7 +65,7 @@ def cases(machine: Any, count: int, seed: int, **options: Any) -> list[Case]:
         weights = rng.uniform(0.1, 1, plant.n_passive).tolist()
         target = draw_target(plant, rng).tolist()
         try:
-            found = flexopt.select(machine, target, objective="V", weights=weights, starts=8, **options)
+            found = flexopt.select(machine, target, objective="V", weights=weights, starts=8, **NO_GROUND, **options)
         except (UnreachableTarget, flexopt.NoSolutionFound):
             continue
         scan = found.problem.scan
@@ -191,7 +195,9 @@ def test_a_narrowed_range_is_kept_and_costs_something(slewing, excavator, some):
         at = case.start
         ranges = {"x": (at[0] - 0.2, at[0] + 0.2), "y": (at[1], at[1] + 0.3), "yaw": (at[2] - 0.1, at[2] + 0.05)}
         alpha = case.problem.objective.weights.tolist()
-        narrow = flexopt.build_selection(slewing, case.problem.target, objective="V", weights=alpha, base_range=ranges)
+        narrow = flexopt.build_selection(
+            slewing, case.problem.target, objective="V", weights=alpha, base_range=ranges, **NO_GROUND
+        )
         answer = excavator.solve(problem_of(excavator, narrow), case.start)
         assert answer.feasible
         assert_feasible(narrow, answer, ROUNDING)
@@ -262,7 +268,9 @@ def test_parameters_at_run_time(excavator, some):
     """The optimiser of one machine given another's parameters solves the other's problem."""
     heavy = tree_from_dict(some[0].problem.machine.to_dict() | {"payload": {"mass": 800.0}})
     assert heavy.parameters != some[0].problem.machine.parameters
-    selection = flexopt.build_selection(heavy, some[0].problem.target, objective="V", weights=[1.0] * 6, starts=8)
+    selection = flexopt.build_selection(
+        heavy, some[0].problem.target, objective="V", weights=[1.0] * 6, starts=8, **NO_GROUND
+    )
     problem = problem_of(excavator, selection)
     problem.parameters[:] = [parameter.value for parameter in heavy.parameters]
     answer = excavator.solve(problem, None, excavator.options(budget=3000))

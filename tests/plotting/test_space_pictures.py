@@ -35,7 +35,7 @@ def machine():
 @pytest.fixture(scope="module")
 def selection(machine):
     constraints = {
-        "region": [[[-2.5, -1.0], [1.0, -1.0], [1.0, 1.0], [-2.5, 1.0]]],
+        "region": [[[-3.5, -1.5], [2.0, -1.5], [2.0, 1.5], [-3.5, 1.5]]],
         "clearance": {
             "distance": 0.05,
             "obstacles": [

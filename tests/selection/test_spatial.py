@@ -26,6 +26,8 @@ CONSTRAINTS = {
     "manipulability": 0.5,
     "region": [YARD],
     "keep_out": [TRENCH],
+    "holds": "footprint",
+    "self_clearance": 0.05,
     "tip_over_margin": 0.2,
     "holding": 0.8,
     "tool_angle": [-1.2, 1.2],

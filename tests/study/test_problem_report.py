@@ -73,6 +73,7 @@ def test_document(article):
     assert document["loops"]["present"]["run"]["verdict"] == "grows"
     assert document["simulation"]["kp"] == [1e5]
     assert len(document["gains"]) == 4
+    assert [each["name"] for each in document["selection"]["problem"]["assumed"]] == ["reach"]
     shares = np.array(document["mode_shares"]["chosen"])
     np.testing.assert_allclose(shares.sum(axis=0), 1.0)
     # The first mode is the base's rotation: its strain energy by hand.
@@ -102,7 +103,8 @@ def test_files(article, tmp_path):
     words = text_of(markup)
     best = article.selection.best.evaluation
     for expected in ("The article's target", "766.6", "1.112e+06", f"{best.posture[0]:.5g}", "grows", "Kv/Kp = 0.02 s",
-                     "base.rotation 96 %", "singularity margin", "at least 0.030154 sin²", "kp = 100000"):  # fmt: skip
+                     "base.rotation 96 %", "singularity margin", "at least 0.030154 sin²", "kp = 100000",
+                     "Assumed (reach): the base moves by no more than 3.188 m along x"):  # fmt: skip
         assert expected in words, expected
     repr(article)
 

@@ -14,7 +14,16 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_plant
-from flexopt.selection.constraints import areas, clearance, holding, manipulability, tip_over, tool_angle
+from flexopt.selection.constraints import (
+    areas,
+    clearance,
+    ground,
+    holding,
+    manipulability,
+    self_clearance,
+    tip_over,
+    tool_angle,
+)
 from flexopt.selection.constraints.kind import ConstraintKind, Group, Scene
 
 Vector = NDArray[np.float64]
@@ -24,10 +33,14 @@ KINDS: dict[str, ConstraintKind] = {
     "region": areas.REGION,
     "keep_out": areas.KEEP_OUT,
     "clearance": clearance.KIND,
+    "self_clearance": self_clearance.KIND,
+    "ground": ground.KIND,
     "tip_over_margin": tip_over.KIND,
     "holding": holding.KIND,
     "tool_angle": tool_angle.KIND,
 }
+# Kinds that are the same wherever the machine stands; a clearance is where it is from the ground.
+EVERYWHERE = ("manipulability", "self_clearance", "ground", "tip_over_margin", "holding", "tool_angle")
 Structure = tuple[tuple[str, Any, int], ...]
 
 
@@ -58,13 +71,21 @@ class ConstraintSet:
     def __len__(self) -> int:
         return len(self.labels)
 
+    @property
+    def placed(self) -> bool:
+        """Whether places in the inertial frame enter other than heights."""
+        return any(
+            kind not in EVERYWHERE and not (kind == "clearance" and shape[0] == "ground")
+            for kind, shape, _ in self.structure
+        )
+
 
 def constraint_faults(plant: Plant, constraints: Constraints) -> list[Fault]:
     """What stands in the way of these constraints for a machine; fields are those of `Constraints`."""
     return [fault for kind in KINDS.values() for fault in kind.faults(plant, constraints)]
 
 
-def build_constraints(plant: Plant, constraints: Constraints) -> ConstraintSet:
+def build_constraints(plant: Plant, constraints: Constraints, assumed_ground: float | None = None) -> ConstraintSet:
     """The rows that a configuration of this machine must keep.
 
     `joint_margin` and `travel` give no rows: they belong to bounds and objective.
@@ -72,6 +93,7 @@ def build_constraints(plant: Plant, constraints: Constraints) -> ConstraintSet:
     Args:
         plant: of the machine.
         constraints: from `flexopt.model.constraints.read_constraints`.
+        assumed_ground: its height, m; see `flexopt.selection.assumed`.
 
     Raises:
         InputError: the machine lacks what a kind needs, or bodies and coordinates do not suit it; lists every fault.
@@ -80,6 +102,8 @@ def build_constraints(plant: Plant, constraints: Constraints) -> ConstraintSet:
     groups: list[Group] = []
     for kind in KINDS.values():
         groups += kind.groups(plant, constraints)
+    if assumed_ground is not None:
+        groups += ground.ground_groups(plant, assumed_ground)
     rows = [row for group in groups for row in group.rows]
     structure = tuple(group.structure for group in groups)
     function, report = _functions(plant.machine, structure)

@@ -30,18 +30,23 @@ def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
     if asked is None:
         return []
     if not machine.capsules:
-        ends = "[along, left]" if plant.frames.dimension == 2 else "[x, y, z]"
-        sentence = (
-            f"needs the volumes of bodies, and {machine.name} has none: add tables [[capsules]] with body, "
-            f"start = {ends}, end and radius (m, in the body's axes) to the machine file"
-        )
-        return [Fault("clearance", sentence)]
+        return [without_volumes(plant, "clearance")]
     faults = _body_faults(plant, asked)
     if asked.ground is None and not asked.obstacles:
         faults.append(Fault("clearance", "names nothing to keep clear of: give ground (height, m) or obstacles"))
     for index, obstacle in enumerate(asked.obstacles):
         faults += _obstacle_faults(plant, obstacle, f"clearance.obstacles[{index}]")
     return faults
+
+
+def without_volumes(plant: Plant, field: str) -> Fault:
+    """A machine without capsules cannot keep them apart from anything."""
+    ends = "[along, left]" if plant.frames.dimension == 2 else "[x, y, z]"
+    sentence = (
+        f"needs the volumes of bodies, and {plant.machine.name} has none: add tables [[capsules]] with body, "
+        f"start = {ends}, end and radius (m, in the body's axes) to the machine file"
+    )
+    return Fault(field, sentence)
 
 
 def _body_faults(plant: Plant, asked: Clearance) -> list[Fault]:
@@ -77,29 +82,38 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
     chosen = [k for k, capsule in enumerate(capsules) if asked.bodies is None or capsule.body in asked.bodies]
     groups: list[Group] = []
     if asked.ground is not None:
-        lifted = [k for k in chosen if _is_moved(plant, capsules[k].body)]
-        groups.append(_group(capsules, "ground", lifted, (asked.ground,), "ground", asked.distance))
+        lifted = [k for k in chosen if is_moved(plant, capsules[k].body)]
+        groups.append(group(capsules, "ground", lifted, (asked.ground,), "ground", asked.distance))
     for index, obstacle in enumerate(asked.obstacles):
         name = obstacle.name or f"obstacle {index + 1}"
-        groups.append(_group(capsules, obstacle.kind, chosen, _numbers(obstacle), name, asked.distance))
+        groups.append(group(capsules, obstacle.kind, chosen, _numbers(obstacle), name, asked.distance))
     return groups
 
 
-def _is_moved(plant: Plant, body: str) -> bool:
+def is_moved(plant: Plant, body: str) -> bool:
     """Whether an actuated joint moves the body."""
     k = plant.frames.names.index(body)
     frame = ca.veccat(plant.frames.origins[k], plant.frames.rotations[k])
     return bool(ca.depends_on(frame, plant.graph.q[plant.n_passive :]))
 
 
-def _group(
+def capsule_names(capsules: tuple[Capsule, ...]) -> list[str]:
+    """What messages call each capsule: its body, with a number where that has several."""
+    bodies = [capsule.body for capsule in capsules]
+    return [
+        body if bodies.count(body) == 1 else f"{body} capsule {bodies[: k + 1].count(body)}"
+        for k, body in enumerate(bodies)
+    ]
+
+
+def group(
     capsules: tuple[Capsule, ...], kind: str, chosen: list[int], numbers: tuple[float, ...], name: str, distance: float
 ) -> Group:
+    """Rows of the chosen capsules for an obstacle of that kind with these constants."""
     rows: list[ConstraintRow] = []
+    names = capsule_names(capsules)
     for k in chosen:
-        body = capsules[k].body
-        of_body = [i for i, capsule in enumerate(capsules) if capsule.body == body]
-        who = body if len(of_body) == 1 else f"{body} capsule {of_body.index(k) + 1}"
+        who = names[k]
         by_end = kind in ("ground", "half_plane") and not _is_ball(capsules[k])
         whose = [f"{who} (start)", f"{who} (end)"] if by_end else [who]
         rows += [ConstraintRow(f"clearance of {part} from {name}", "m", distance, math.inf) for part in whose]
@@ -122,17 +136,23 @@ def _graph(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
     rows: list[ca.SX] = []
     for k in chosen:
         capsule = scene.plant.machine.capsules[k]
-        start, end = scene.point(capsule.body, capsule.start), scene.point(capsule.body, capsule.end)
-        ends = [(start + end) / 2] if _is_ball(capsule) else [start, end]
-        rows += [distance - capsule.radius for distance in DISTANCES[kind](ends, _length(capsule), c)]
+        found = DISTANCES[kind](axis_ends(scene, capsule), axis_length(capsule), c)
+        rows += [distance - capsule.radius for distance in found]
     return rows
 
 
+def axis_ends(scene: Scene, capsule: Capsule) -> list[ca.SX]:
+    """The ends of a capsule's axis, (d,), m, inertial frame; of a ball the one point."""
+    start, end = scene.point(capsule.body, capsule.start), scene.point(capsule.body, capsule.end)
+    return [(start + end) / 2] if _is_ball(capsule) else [start, end]
+
+
 def _is_ball(capsule: Capsule) -> bool:
-    return _length(capsule) < BALL
+    return axis_length(capsule) < BALL
 
 
-def _length(capsule: Capsule) -> float:
+def axis_length(capsule: Capsule) -> float:
+    """Of a capsule's axis, m."""
     return math.dist(capsule.start, capsule.end)
 
 

@@ -91,13 +91,29 @@ class Scene:
         coordinates = {name: self.base[k] for k, name in enumerate(self.plant.machine.base_coordinates)}
         return ca.vertcat(*(coordinates.get(name, ca.SX(0)) for name in "xy"[: self.dimension - 1]))
 
+    @cached_property
+    def _yaw(self) -> tuple[ca.SX, ca.SX] | None:
+        """Cosine and sine of the anchor frame's turn about the vertical; None where it has none."""
+        if "yaw" not in self.plant.machine.base_coordinates:
+            return None
+        yaw = self.base[self.plant.machine.base_coordinates.index("yaw")]
+        return ca.cos(yaw), ca.sin(yaw)
+
+    @cached_property
+    def footprint(self) -> list[ca.SX]:
+        """Corners of the support, (d − 1,) each, m, inertial frame."""
+        corners = [ca.SX(ca.DM(list(corner))) for corner in self.plant.machine.support_points]
+        if self._yaw is not None:
+            c, s = self._yaw
+            corners = [ca.vertcat(c * at[0] - s * at[1], s * at[0] + c * at[1]) for at in corners]
+        return [self.anchor + corner for corner in corners]
+
     def from_anchor(self, point: ca.SX) -> ca.SX:
         """A point's horizontal position in the anchor frame, (d − 1,), m."""
         away = point[: self.dimension - 1] - self.anchor
-        if "yaw" not in self.plant.machine.base_coordinates:
+        if self._yaw is None:
             return away
-        yaw = self.base[self.plant.machine.base_coordinates.index("yaw")]
-        c, s = ca.cos(yaw), ca.sin(yaw)
+        c, s = self._yaw
         return ca.vertcat(c * away[0] + s * away[1], c * away[1] - s * away[0])
 
 

@@ -32,6 +32,17 @@ def polygon_constants(corners: Sequence[Corner]) -> tuple[float, ...]:
     return tuple(numbers)
 
 
+def left_of_edges(point: ca.SX, c: ca.SX) -> list[ca.SX]:
+    """How far to the left of each edge's line a point (2,) is, m, of the polygon with the constants c."""
+    edges = [c[k : k + NUMBERS] for k in range(0, c.shape[0], NUMBERS)]
+    return [edge[2] * (point[1] - edge[1]) - edge[3] * (point[0] - edge[0]) for edge in edges]
+
+
+def corners_of(c: ca.SX) -> list[ca.SX]:
+    """Corners (2,) of the polygon with the constants c."""
+    return [c[k : k + 2] for k in range(0, c.shape[0], NUMBERS)]
+
+
 def polygon_distance(point: ca.SX, c: ca.SX) -> ca.SX:
     """Signed distance of a point (2,) from the polygon with the constants c, m.
 

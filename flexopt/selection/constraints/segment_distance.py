@@ -18,15 +18,16 @@ PARALLEL = 1e-10
 # A sliver of a face, between nearly parallel edges, counts only where it is nearer than the others by this, m: its
 # normal, and with it the derivative, is only as good as the sliver is wide.
 SLIVER = 1e-12
+# Two segments count as parallel where the square of the sine between them is below this: their ends then tell the
+# distance, and where they are apart at all it is wrong by far less than rounding.
+SINE_SQUARED = 1e-12
 
 
 def from_sphere(ends: list[ca.SX], length: float, center: ca.SX, radius: ca.SX) -> ca.SX:
     """Distance of a segment, or of the point that is its one end, from a ball's surface; −radius through its middle."""
-    start, along = ends[0], ends[-1] - ends[0]
     if len(ends) == 1:
-        return safe_norm(start - center) - radius
-    s = ca.fmax(0, ca.fmin(1, ca.dot(center - start, along) / length**2))
-    return safe_norm(start + s * along - center) - radius
+        return safe_norm(ends[0] - center) - radius
+    return _from_end(center, ends[0], ends[1] - ends[0], ca.SX(length)) - radius
 
 
 def point_from_box(point: ca.SX, half: ca.SX) -> ca.SX:
@@ -105,3 +106,50 @@ def _separation(start: ca.SX, end: ca.SX, length: ca.SX, half: ca.SX) -> ca.SX:
         here = ca.fabs(along[j] * middle[i] - along[i] * middle[j]) / across - reach
         gap = ca.if_else(ca.logic_and(valid, here > gap + SLIVER), here, gap)
     return gap
+
+
+def from_segment(one: list[ca.SX], length: float, other: list[ca.SX], other_length: float) -> ca.SX:
+    """Distance of two segments, or points that are one end each; in the plane minus the depth where they cross.
+
+    It is that of an end of either from the other segment, or that of the lines where both feet of their common normal
+    lie inside (Ericson, Real-Time Collision Detection, section 5.1.9). The depth is the shortest way out: an end's
+    distance from the other line.
+    """
+    if len(one) == 1:
+        return from_sphere(other, other_length, one[0], ca.SX(0))
+    if len(other) == 1:
+        return from_sphere(one, length, other[0], ca.SX(0))
+    return _segment_distance(one[0].shape[0]).call([*one, ca.SX(length), *other, ca.SX(other_length)])[0]
+
+
+@lru_cache
+def _segment_distance(dimension: int) -> ca.Function:
+    """`from_segment`, written once for all pairs."""
+    a, b, c, d = (ca.SX.sym(name, dimension) for name in "abcd")
+    one, other = ca.SX.sym("one"), ca.SX.sym("other")
+    u, v, away = b - a, d - c, a - c
+    ends = [_from_end(x, a, u, one) for x in (c, d)] + [_from_end(x, c, v, other) for x in (a, b)]
+    across = _cross(u, v)
+    size = ca.dot(across, across)
+    leaning = size > SINE_SQUARED * (one * other) ** 2
+    by = ca.if_else(leaning, size, 1.0)
+    uv, u_away, v_away = ca.dot(u, v), ca.dot(u, away), ca.dot(v, away)
+    s, t = (uv * v_away - other**2 * u_away) / by, (one**2 * v_away - uv * u_away) / by
+    inside = ca.logic_and(leaning, ca.logic_and(ca.fmin(s, t) >= 0, ca.fmax(s, t) <= 1))
+    if dimension == 2:
+        depths = [_cross(u, x - a) / one for x in (c, d)] + [_cross(v, x - c) / other for x in (a, b)]
+        lines = -ca.mmin(ca.fabs(ca.vertcat(*depths)))
+    else:
+        lines = ca.fabs(ca.dot(away, across)) / ca.sqrt(by)
+    distance = ca.if_else(inside, lines, ca.mmin(ca.vertcat(*ends)))
+    return ca.Function("segment_distance", [a, b, one, c, d, other], [distance])
+
+
+def _from_end(point: ca.SX, start: ca.SX, along: ca.SX, length: ca.SX) -> ca.SX:
+    s = ca.fmax(0, ca.fmin(1, ca.dot(point - start, along) / length**2))
+    return safe_norm(start + s * along - point)
+
+
+def _cross(u: ca.SX, v: ca.SX) -> ca.SX:
+    """(3,), in the plane its only entry."""
+    return ca.cross(u, v) if u.shape[0] == 3 else u[0] * v[1] - u[1] * v[0]

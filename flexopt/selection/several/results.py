@@ -93,7 +93,8 @@ class ConfigurationSet:
         """A heading, and a line for each target."""
         first = self.problems[0]
         how = f"Jacobian {first.control} control, objective {first.name}: {status}"
-        return [f"{first.machine.name}: {what}, {how}", *_table(self.places, self.worst)]
+        named = [f"  {assumption}" for assumption in first.assumed]
+        return [f"{first.machine.name}: {what}, {how}", *_table(self.places, self.worst), *named]
 
 
 @dataclass(frozen=True)

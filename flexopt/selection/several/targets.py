@@ -17,7 +17,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.problem import SelectionOptions
 from flexopt.plant.inverse_kinematics import low_discrepancy
-from flexopt.selection.build import build_selection
+from flexopt.selection.build import build_one
 from flexopt.selection.problem import SelectionProblem
 
 
@@ -35,19 +35,21 @@ def build_problems(
         call: the function that asks;  field: its argument that the targets are.
         machine: a machine.
         points: targets (K, n_task), m.
-        options, constraints: arguments of `build_selection`.
+        options, constraints: arguments of `flexopt.build_selection`, checked.
 
     Raises:
-        InputError: as `build_selection`; several objectives, or ε_max among them.
+        InputError: several objectives, or ε_max among them.
         UnreachableTarget: lists every target that cannot be reached.
     """
     names = set(SelectionOptions.of("path"))
-    given = {name: getattr(options, name) for name in options.model_fields_set & names}
+    asked = SelectionOptions.model_construct(
+        **{name: getattr(options, name) for name in options.model_fields_set & names}
+    )
     problems: list[SelectionProblem] = []
     missed: list[tuple[Fault, UnreachableTarget]] = []
     for k, point in enumerate(points):
         try:
-            problems.append(build_selection(machine, point.tolist(), constraints=constraints, **given))
+            problems.append(build_one(machine, point, constraints, asked, points))
         except UnreachableTarget as error:
             missed.append((Fault(f"{field}[{k}]", str(error)), error))
     if missed:

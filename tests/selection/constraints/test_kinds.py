@@ -11,7 +11,7 @@ import pytest
 import shapely
 
 from flexopt.algebra import determinant
-from flexopt.errors import InputError
+from flexopt.errors import InputError, ModelError
 from flexopt.model import load, machine_from_dict
 from flexopt.model.constraints import read_constraints
 from flexopt.model.tree import tree_from_dict
@@ -21,6 +21,7 @@ from tests.oracles.machines import random_machine
 from tests.oracles.mujoco_chain import mujoco_chain
 from tests.oracles.spatial import grounded, mujoco_tree, pinocchio_tree, random_tree
 from tests.selection.constraints.scenes import at_rest, random_capsules, random_obstacles
+from tests.selection.constraints.test_polygon_distance import comb, star
 
 
 def of(plant, table, base, posture):
@@ -214,6 +215,95 @@ def test_areas_in_space():
     assert (rows.lower == 0).all()
 
 
+def placed(corners, base):
+    x, y, yaw = base
+    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    return shapely.Polygon(np.array(corners) @ turn.T + [x, y])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_whole_footprint_in_and_off_areas(seed):
+    """Of random supports and areas, convex or not: Shapely's `contains` and distances."""
+    rng = np.random.default_rng(seed)
+    angles = np.sort(rng.uniform(0, 2 * math.pi, 3 + seed % 3))
+    while np.diff([*angles, angles[0] + 2 * math.pi]).max() > 3:
+        angles = np.sort(rng.uniform(0, 2 * math.pi, 3 + seed % 3))
+    support = (rng.uniform(0.2, 0.8) * np.stack([np.cos(angles), np.sin(angles)], axis=1)).tolist()
+    areas = [star(rng, n) for n in (3, 7, 12)] + [comb(2)]
+    plant = build_plant(tree_from_dict(grounded(3, 0, coupled=False) | {"support": {"polygon": support}}))
+    asked = [({"region": [area]}, {"keep_out": [area]}) for area in areas]
+    built = [[build_constraints(plant, read_constraints(table)) for table in pair] for pair in asked]
+    found = np.zeros(3, dtype=int)
+    for area, (inside, outside) in zip(areas, built, strict=True):
+        polygon, middle = shapely.Polygon(area), np.mean(area, axis=0)
+        for _ in range(80):
+            base = [*(middle + rng.uniform(-2, 2, 2)), rng.uniform(-3, 3)]
+            foot = placed(support, base)
+            given = (base, np.zeros(3), plant.parameter_values)
+            within, off = (rows.report(*given, rows.constants).full().min() for rows in (inside, outside))
+            for rows, value in ((inside, within), (outside, off)):
+                assert (rows.function(*given, rows.constants).full().min() >= 0) == (value >= 0)
+            if polygon.contains(foot):
+                assert within == pytest.approx(polygon.exterior.distance(foot), abs=1e-12)
+            else:
+                assert within < 0
+            if polygon.disjoint(foot):
+                assert off == pytest.approx(polygon.distance(foot), abs=1e-12)
+            else:
+                assert off < 0
+            found += [polygon.contains(foot), polygon.disjoint(foot), 1]
+    assert 0 < found[0] < found[2]
+    assert 0 < found[1] < found[2]
+
+
+def test_a_footprint_in_one_of_several_areas():
+    """Each corner may not lie in another one: the best of the areas counts."""
+    support = [[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]]
+    plant = build_plant(tree_from_dict(grounded(3, 0, coupled=False) | {"support": {"polygon": support}}))
+    two = [[[0, 0], [3, 0], [3, 3], [0, 3]], [[3.1, 0], [9, 0], [9, 3], [3.1, 3]]]
+    for base, expected in [((1.5, 1.5, 0.0), 0.5), ((3.05, 1.5, 0.0), -1.05), ((6.0, 1.0, math.pi / 2), 0.0)]:
+        rows, g, reported = of(plant, {"region": two}, base, np.zeros(3))
+        assert rows.labels == ("distance inside region",)
+        assert reported[0] == pytest.approx(expected, abs=1e-12)
+        assert g[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_word_for_a_point():
+    support = [[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]]
+    data = grounded(3, 0, coupled=False)
+    plant = build_plant(tree_from_dict(data | {"support": {"polygon": support}}))
+    area = [[0, 0], [4, 0], [4, 4], [0, 4]]
+    table = {"region": [area], "keep_out": [area]}
+    bare = build_plant(tree_from_dict(data))
+    for machine, more in ((plant, {"holds": "point"}), (bare, {}), (bare, {"holds": "point"})):
+        rows, g, _ = of(machine, table | more, (1.0, 2.0, 0.3), np.zeros(3))
+        assert rows.labels == ("distance inside region", "distance from keep_out[0]")
+        assert g == pytest.approx([1.0, -1.0], abs=1e-15)
+    rows, g, _ = of(plant, table, (1.0, 2.0, 0.0), np.zeros(3))
+    assert rows.labels[0] == "distance inside region of corner (-1, -0.5)"
+    assert g == pytest.approx([0.0, 1.5, 1.5, 0.0, -2.0], abs=1e-15)
+    with pytest.raises(InputError, match=r"holds = 'footprint': needs what the undercarriage stands on"):
+        build_constraints(bare, read_constraints(table | {"holds": "footprint"}))
+    with pytest.raises(ModelError, match="holds = 'feet'"):
+        read_constraints({"holds": "feet"})
+
+
+def test_the_footprint_in_the_plane():
+    plant = excavator(support={"span": [-1.0, 2.0]})
+    table = {"region": [[-2.0, 4.0]], "keep_out": [[6.0, 7.0]]}
+    for x, inside, outside in [
+        (0.0, 1.0, 4.0),
+        (-1.5, -0.5, 5.5),
+        (3.0, -1.0, 1.0),
+        (7.5, -5.5, -0.5),
+        (9.0, -7.0, 1.0),
+    ]:
+        rows, g, _ = of(plant, table, x, [0.1, 0.2])
+        assert g == pytest.approx([inside, outside], abs=1e-15)
+        assert of(plant, table | {"holds": "point"}, x, [0.1, 0.2])[1][0] == pytest.approx(min(x + 2, 4 - x))
+    assert rows.labels == ("distance inside region", "distance from keep_out[0]")
+
+
 def signed(polygon, point):
     distance = polygon.exterior.distance(point)
     return distance if polygon.contains(point) else -distance
@@ -237,6 +327,7 @@ def everything(d: int):
     rng = np.random.default_rng(4)
     polygon = [[-4, -4], [4, -4], [4, 4], [0, 1], [-4, 4]]
     table = {"manipulability": 0.1, "tip_over_margin": 0.1, "holding": 0.5, "tool_angle": [0.1, 0.5]}
+    table["self_clearance"] = 0.1
     table["clearance"] = {"distance": 0.1, "ground": 0.0, "obstacles": random_obstacles(rng, d, 2.0)}
     return table | {"region": [[-4, 4]] if d == 2 else [polygon], "keep_out": [[1, 2]] if d == 2 else [polygon]}
 

@@ -12,7 +12,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from flexopt.selection.constraints.segment_distance import PARALLEL, from_box, from_sphere, point_from_box
+from flexopt.selection.constraints.segment_distance import (
+    PARALLEL,
+    from_box,
+    from_segment,
+    from_sphere,
+    point_from_box,
+)
 from tests.selection.constraints.derivatives import all_finite, difference_error, with_derivatives
 
 
@@ -224,3 +230,68 @@ def test_spheres_give_no_nan():
         function = with_derivatives(ca.Function("sphere", [start, end, center], [value]))
         for at in ([0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]):
             assert all_finite(function, np.zeros(3), np.array([1.0, 0, 0]), np.array(at))
+
+
+def pair_function(d: int) -> ca.Function:
+    """Inputs the ends; lengths follow from them."""
+    a, b, c, e = (ca.SX.sym(name, d) for name in "abce")
+    distance = from_segment([a, b], ca.norm_2(b - a), [c, e], ca.norm_2(e - c))
+    return ca.Function("pair", [a, b, c, e], [distance])
+
+
+PAIR = {d: pair_function(d) for d in (2, 3)}
+PAIR_DERIVATIVES = {d: with_derivatives(function) for d, function in PAIR.items()}
+
+
+def pair_oracle(a, b, c, e) -> float:
+    """Depth of the origin in the hull of the differences, where it has one; else the least of a convex function."""
+    differences = np.array([x - y for x in (a, b) for y in (c, e)])
+    if len(a) == 2:
+        depth = ConvexHull(differences).equations[:, -1].max()
+        if depth < 0:
+            return float(depth)
+
+    def nearest(s):
+        at = a + s * (b - a)
+        t = np.clip((at - c) @ (e - c) / ((e - c) @ (e - c)), 0, 1)
+        return np.linalg.norm(at - c - t * (e - c))
+
+    low, high = 0.0, 1.0
+    for _ in range(120):
+        one, other = low + (high - low) / 3, high - (high - low) / 3
+        low, high = (low, other) if nearest(one) <= nearest(other) else (one, high)
+    return float(min(nearest(low), nearest(0.0), nearest(1.0)))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_distance_of_segments(d):
+    rng = np.random.default_rng(d)
+    met = 0
+    for _ in range(600):
+        a, b, c, e = rng.uniform(-1, 1, (4, d))
+        if rng.random() < 0.2:  # parallel to rounding
+            e = c + rng.uniform(0.3, 2) * (b - a) + 1e-8 * rng.uniform(-1, 1, d)
+        expected = pair_oracle(a, b, c, e)
+        assert float(PAIR[d](a, b, c, e)) == pytest.approx(expected, abs=1e-8)
+        assert float(PAIR[d](c, e, b, a)) == pytest.approx(expected, abs=1e-8)
+        met += expected < 0
+    assert (met > 50) == (d == 2)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_derivatives_of_the_distance_of_segments(d):
+    rng = np.random.default_rng(d)
+    points = rng.uniform(-1, 1, (60, 4, d))
+    assert np.quantile([difference_error(PAIR_DERIVATIVES[d], list(four)) for four in points], 0.9) <= 1e-6
+    x, y = np.eye(d)[:2]
+    odd = [
+        (0 * x, x, 0 * x, x),
+        (0 * x, x, x, 2 * x),
+        (0 * x, x, y, x + y),
+        (-x, x, -y, y),
+        (0 * x, x, x / 2, x / 2 + y),
+    ]
+    assert all(all_finite(PAIR_DERIVATIVES[d], *four) for four in odd)
+    ball = [ca.SX.sym("p", d)]
+    function = ca.Function("ball", ball, [from_segment(ball, 0.0, [ca.SX(ca.DM(y)), ca.SX(ca.DM(x + y))], 1.0)])
+    assert float(function(0.5 * x)) == pytest.approx(1.0, abs=1e-15)

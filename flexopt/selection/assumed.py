@@ -1,0 +1,128 @@
+"""What a selection assumes where nobody asks for anything: the ground, the file's joint limits, how far to drive.
+
+Three words (`SelectionOptions.assume`), each named in the result with its number:
+
+- `ground`, where `constraints.clearance` names none: what joints raise and lower stays above the ground on which the
+  machine stands. Its height is 0, that of the anchor frame, where the machine has a support or is placed by x and y;
+  without a support it is as low as the volumes of what stands still. Elsewhere (an arm on a rail, say) it is not known.
+  Bodies from the end-point's on work where the target is, and targets below ground are dug for: neither is bound.
+- `limits`: joints keep the limits of the machine's file.
+- `reach`, where `base_range` does not bound a placement coordinate and the present placement is known: it changes by no
+  more than the arm reaches, or than the way to the target where that is farther.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.model.choices import assumes
+from flexopt.model.constraints import Constraints
+from flexopt.plant import Plant
+from flexopt.plant.reach import outer_reach
+from flexopt.selection.constraints.ground import above_ground, kept_above
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """One of `flexopt.model.choices.ASSUMPTIONS` that was made.
+
+    Attributes:
+        name: the word that switches it;  sentence: what was assumed.
+        value: its number, in `unit`: the ground's height, m; how many joints keep limits; how far to drive, m.
+    """
+
+    name: str
+    sentence: str
+    value: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"assumed ({self.name}): {self.sentence}"
+
+
+class Assumed(NamedTuple):
+    """What a selection assumes: height of the ground, m; whether limits hold; how far to drive, m; and their names."""
+
+    ground: float | None
+    limits: bool
+    drive: float | None
+    named: tuple[Assumption, ...]
+
+
+def in_the_way(named: tuple[Assumption, ...]) -> str:
+    """What a message on a choice that was not found ends with: what may be in the way and nobody asked for."""
+    listed = "; ".join(str(assumption) for assumption in named if assumption.name != "limits")
+    return f"; {listed}: `assume` leaves it out" if listed else ""
+
+
+def assumed(
+    plant: Plant,
+    assume: str,
+    targets: Vector,
+    constraints: Constraints,
+    present: Vector | None,
+    bounded: frozenset[str],
+) -> Assumed:
+    """What holds where nothing else is asked for.
+
+    Args:
+        plant: of the machine.
+        assume: the word, see `flexopt.model.choices.check_assume`.
+        targets: all that are reached by one choice, (K, n_task), m.
+        constraints: that were asked for.
+        present: placement (n_b,), m or rad, if it is known.
+        bounded: placement coordinates with a range of their own.
+    """
+    machine, named = plant.machine, list[Assumption]()
+    ground = _ground(plant, targets) if assumes(assume, "ground") and not _has_ground(constraints) else None
+    above = () if ground is None else kept_above(plant)
+    if ground is not None and above:
+        sentence = f"{', '.join(above)} stay{'s' * (len(above) == 1)} above the ground, whose height is {ground:g} m"
+        named.append(Assumption("ground", sentence, ground, "m"))
+    limited = sum(bool(np.isfinite(ends).any()) for ends in machine.limits)
+    limits = assumes(assume, "limits")
+    if limits and limited:
+        sentence = f"{limited} of {len(machine.joints)} joints keep the limits of the machine's file"
+        named.append(Assumption("limits", sentence, float(limited), "joints"))
+    free = [name for name in machine.base_coordinates if name != "yaw" and name not in bounded]
+    drive = None
+    if assumes(assume, "reach") and present is not None and free:
+        drive = _drive(plant, targets, present)
+        sentence = (
+            f"the base moves by no more than {drive:.4g} m along {' or '.join(free)} from where it stands: as far as "
+            "the arm reaches, or the target lies"
+        )
+        named.append(Assumption("reach", sentence, drive, "m"))
+    return Assumed(ground if above else None, limits, drive, tuple(named))
+
+
+def _has_ground(constraints: Constraints) -> bool:
+    return constraints.clearance is not None and constraints.clearance.ground is not None
+
+
+def _ground(plant: Plant, targets: Vector) -> float | None:
+    """The height of the ground, m; None where it is not known, or a target lies below."""
+    machine = plant.machine
+    if not machine.support_points and not {"x", "y"} <= set(machine.base_coordinates):
+        return None
+    ground = 0.0 if machine.support_points else min(0.0, above_ground(plant))
+    up = machine.kinematic_tree.axes[-1]
+    heights = targets[:, machine.task_rows.index(up)] if up in machine.task_rows else np.array([math.inf])
+    return None if heights.min() < ground else ground
+
+
+def _drive(plant: Plant, targets: Vector, present: Vector) -> float:
+    """The arm's reach, or the way from the present placement to the farthest target, m."""
+    rows, names = plant.machine.task_rows, plant.machine.base_coordinates
+    center, outer = outer_reach(plant)
+    away = [
+        np.abs(targets[:, rows.index(name)] - present[names.index(name)]) for name in ("x", "y")
+        if name in rows and name in names
+    ]  # fmt: skip
+    far = outer + math.hypot(*center[: 1 if plant.closed_form else 2])
+    return max([far, *(float(a.max()) for a in away)])

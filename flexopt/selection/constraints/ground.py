@@ -1,0 +1,103 @@
+"""What stays above a ground that nobody asked for: see `flexopt.selection.assumed`.
+
+Of every body that actuated joints raise and lower, but the end-point's and those that it carries: its capsules, as of
+`clearance`, or where it has none the joints that it carries, a row each: height above the ground, m.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from flexopt.model import AnyMachine
+from flexopt.model.constraints import Constraints
+from flexopt.plant import Plant, build_plant
+from flexopt.selection.constraints import clearance
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+
+NAME = "the assumed ground"
+# What differs by less than this in height, m, over so many postures, no joint raises.
+STILL, SEEN = 1e-9, 4
+
+
+def _no_groups(_: Plant, __: Constraints) -> list[Group]:
+    """It is asked for by nobody."""
+    return []
+
+
+def ground_groups(plant: Plant, height: float) -> list[Group]:
+    """The rows, for a ground at this height, m."""
+    capsules, carried = _above(plant.machine)
+    groups = [clearance.group(plant.machine.capsules, "ground", list(capsules), (height,), NAME, 0.0)]
+    labels = [f"height of the joint of {body} above {NAME}" for body in carried]
+    groups.append(Group("ground", carried, (height,), tuple(ConstraintRow(x, "m", 0.0, math.inf) for x in labels)))
+    return [group for group in groups if group.rows]
+
+
+def kept_above(plant: Plant) -> tuple[str, ...]:
+    """What `ground_groups` has rows of."""
+    capsules, carried = _above(plant.machine)
+    bodies = dict.fromkeys(plant.machine.capsules[k].body for k in capsules)
+    return (*bodies, *(f"the joint of {body}" for body in carried))
+
+
+def above_ground(plant: Plant) -> float:
+    """How low the capsules of bodies that no actuated joint moves reach, m, the machine at rest; ∞ without any."""
+    return _lowest(plant.machine)
+
+
+@lru_cache(maxsize=32)
+def _lowest(machine: AnyMachine) -> float:
+    plant = build_plant(machine)
+    still = [capsule for capsule in machine.capsules if not clearance.is_moved(plant, capsule.body)]
+    if not still:
+        return math.inf
+    g, base = plant.graph, np.zeros(plant.n_base)
+    scene = Scene(plant, g.base, g.posture, g.p)
+    ends = [scene.point(c.body, at)[-1] - c.radius for c in still for at in (c.start, c.end)]
+    lowest = ca.Function("lowest", [g.base, g.posture, g.p], [ca.mmin(ca.vertcat(*ends))])
+    return float(lowest(base, np.zeros(plant.n_actuated), plant.parameter_values))
+
+
+@lru_cache(maxsize=32)
+def _above(machine: AnyMachine) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Capsules (their numbers) and bodies (their joints) whose height some actuated joint changes."""
+    plant, tree = build_plant(machine), machine.kinematic_tree
+    parents = {body.name: body.parent for body in tree.bodies}
+    working, end = set[str | None](), tree.end_point.body
+    for name, parent in parents.items():  # each after its parent
+        if name == end or parent in working:
+            working.add(name)
+    g = plant.graph
+    scene = Scene(plant, g.base, g.posture, g.p)
+    postures = np.random.default_rng(0).uniform(-1, 1, (plant.n_actuated, SEEN))
+
+    def raised(body: str, at: tuple[float, ...]) -> bool:
+        height = ca.Function("height", [g.base, g.posture, g.p], [scene.point(body, at)[-1]])
+        seen = height.call([np.zeros(plant.n_base), postures, plant.parameter_values])[0].full()
+        return bool(np.ptp(seen) > STILL)
+
+    filled = {capsule.body for capsule in machine.capsules}
+    capsules = tuple(
+        k
+        for k, capsule in enumerate(machine.capsules)
+        if capsule.body not in working and (raised(capsule.body, capsule.start) or raised(capsule.body, capsule.end))
+    )
+    origin = (0.0,) * scene.dimension
+    carried = tuple(
+        name
+        for name in plant.frames.names
+        if (carrier := parents[name]) is not None and carrier not in filled | working and raised(name, origin)
+    )
+    return capsules, carried
+
+
+def _graph(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
+    return [scene.point(body, (0.0,) * scene.dimension)[-1] - c[0] for body in shape]
+
+
+KIND = ConstraintKind(_no_groups, _graph)

@@ -1,0 +1,90 @@
+"""Clearance of the machine's capsules from each other.
+
+A row for each pair of capsules whose bodies an actuated joint moves against each other, neighbours aside: those share
+the joint between them. It is the distance of their surfaces, m, exact; where the axes of two capsules meet minus both
+radii (in the plane less the depth).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any, cast
+
+import casadi as ca
+
+from flexopt.errors import Fault
+from flexopt.model import AnyMachine
+from flexopt.model.constraints import Constraints
+from flexopt.plant import Plant
+from flexopt.selection.constraints.clearance import axis_ends, axis_length, capsule_names, without_volumes
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.segment_distance import from_segment
+
+
+@lru_cache(maxsize=32)
+def meeting_pairs(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
+    """Numbers of capsules that a choice of posture may bring together."""
+    bodies = {body.name: body for body in machine.kinematic_tree.bodies}
+    filled = {capsule.body for capsule in machine.capsules}
+
+    def upwards(name: str | None) -> list[str]:
+        """The body and those that carry it, outwards in."""
+        found: list[str] = []
+        while name is not None:
+            found.append(name)
+            name = bodies[name].parent
+        return found
+
+    def carrier(name: str) -> str | None:
+        """The next body inwards that is more than a part of a joint."""
+        above = upwards(name)[1:]
+        return next((other for other in above if other in filled or not bodies[other].massless), None)
+
+    def meet(one: str, other: str) -> bool:
+        if carrier(one) == other or carrier(other) == one:
+            return False
+        between = set(upwards(one)) ^ set(upwards(other))
+        return any(not bodies[name].joint.passive for name in between)
+
+    names = [capsule.body for capsule in machine.capsules]
+    return tuple((i, j) for j in range(len(names)) for i in range(j) if meet(names[i], names[j]))
+
+
+def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
+    if constraints.self_clearance is None:
+        return []
+    if not plant.machine.capsules:
+        return [without_volumes(plant, "self_clearance")]
+    if not meeting_pairs(plant.machine):
+        sentence = (
+            "needs two bodies with capsules that an actuated joint moves against each other and that are no "
+            f"neighbours, and {plant.machine.name} has none: its capsules are of {', '.join(_filled(plant.machine))}"
+        )
+        return [Fault("self_clearance", sentence, f"{constraints.self_clearance:g}")]
+    return []
+
+
+def _filled(machine: AnyMachine) -> list[str]:
+    return list(dict.fromkeys(capsule.body for capsule in machine.capsules))
+
+
+def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
+    least = constraints.self_clearance
+    if least is None:
+        return []
+    names, pairs = capsule_names(plant.machine.capsules), meeting_pairs(plant.machine)
+    labels = [f"self-clearance of {names[j]} from {names[i]}" for i, j in pairs]
+    rows = tuple(ConstraintRow(label, "m", least, math.inf) for label in labels)
+    return [Group("self_clearance", pairs, (), rows)]
+
+
+def _graph(scene: Scene, shape: Any, _: ca.SX) -> list[ca.SX]:
+    capsules = scene.plant.machine.capsules
+    ends = [axis_ends(scene, capsule) for capsule in capsules]
+    lengths, radii = [axis_length(capsule) for capsule in capsules], [capsule.radius for capsule in capsules]
+    pairs = cast(tuple[tuple[int, int], ...], shape)
+    return [from_segment(ends[i], lengths[i], ends[j], lengths[j]) - radii[i] - radii[j] for i, j in pairs]
+
+
+KIND = ConstraintKind(_groups, _graph, _faults)
