@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import click
@@ -15,19 +13,16 @@ from flexopt.cli.common import (
     PICTURES,
     check_output,
     given,
+    hand_out,
     names,
     numbers,
     option_names,
     placement,
-    print_json,
     read,
-    say,
     value,
     warnings_to_stderr,
     wholes,
-    write_output,
 )
-from flexopt.foundation.writing import write_file
 from flexopt.model import load
 
 
@@ -57,14 +52,4 @@ def atlas_command(as_json: bool, machine: str, plot: str | None, out: str | None
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
         result = atlas(loaded, **given(options))
-    if out is not None and Path(out).suffix.lower() == ".nc":
-        write_output("--out", out, lambda: result.to_netcdf(out))
-    elif out is not None:
-        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
-        write_output("--out", out, lambda: write_file(out, text))
-    if plot is not None:
-        write_output("--plot", plot, lambda: result.plot(plot))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        say(repr(result))
+    hand_out(result, out, plot, as_json=as_json)

@@ -15,6 +15,7 @@ import click
 from flexopt.errors import Fault, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
 from flexopt.foundation.control import CONTROLS, DAMPED
 from flexopt.foundation.escapes import terminal
+from flexopt.foundation.writing import write_file
 from flexopt.model.choices import ELBOWS
 
 BAD_INPUT, FAILED = 2, 3
@@ -135,6 +136,21 @@ def write_output(option: str, path: str, write: Callable[[], object]) -> None:
         write()
     except WriteError as error:
         raise WriteError(f"{option} = {path!r}: {error}", path=error.path, size=error.size, code=error.errno) from error
+
+
+def hand_out(result: Any, out: str | None, plot: str | None, *, as_json: bool) -> None:
+    """Write a map's files, netCDF or by its name the document, and its picture, and print it."""
+    if out is not None and Path(out).suffix.lower() == ".json":
+        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
+        write_output("--out", out, lambda: write_file(out, text))
+    elif out is not None:
+        write_output("--out", out, lambda: result.to_netcdf(out))
+    if plot is not None:
+        write_output("--plot", plot, lambda: result.plot(plot))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        say(repr(result))
 
 
 def given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from flexopt.cli.common import (
     check_folder,
     check_output,
     given,
+    hand_out,
     names,
     numbers,
     option,
@@ -86,14 +87,7 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json), progress_bar("postures") as progress:
         result = map_workspace(loaded, progress=progress, **given(options))
-    if out is not None:
-        write_output("--out", out, lambda: result.to_netcdf(out))
-    if plot is not None:
-        write_output("--plot", plot, lambda: result.plot(plot))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        say(repr(result))
+    hand_out(result, out, plot, as_json=as_json)
 
 
 @click.command("reproduce", short_help="The article computed again and checked.")

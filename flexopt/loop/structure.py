@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from flexopt.foundation.control import DAMPED, Control
 from flexopt.loop.feedback import FeedbackLaw, Law
 from flexopt.model import AnyMachine
+from flexopt.model.simulation import Method
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.tree_structure import Skeleton
-
-Method = Literal["rk4", "dop853", "gauss"]
-METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
 
 
 @dataclass(frozen=True)

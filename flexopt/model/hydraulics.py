@@ -51,7 +51,6 @@ Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float
 UNTURNED: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-_ALONG_LEFT = vector("a pair [along, left] in m", OFFSET, ("along", "left"))
 _SPEEDS = vector(
     "a pair [retracting, extending] in m/s", Quantity("m/s", above=0.0, high=SPEED.high), ("retracting", "extending")
 )

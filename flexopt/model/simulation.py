@@ -31,7 +31,6 @@ from flexopt.model.targets import TIMES
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
-METHODS: tuple[Method, ...] = ("rk4", "dop853", "gauss")
 SAMPLES_MAX = 10_000_000
 DELAY_MAX = 100  # samples
 PART_OF_SAMPLE = 1e-6  # below this share of a sample a dead time is a whole number of them

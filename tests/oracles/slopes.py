@@ -66,7 +66,13 @@ def of_solver(solver: ca.Function, x: np.ndarray, p: np.ndarray, rng: np.random.
     return {"first": away(np.vstack([gradient, jacobian]), values, x), "second": away(hessian, lagrangian, x)}
 
 
-def best_of(check: Callable[[np.ndarray], dict[str, float]], points: list[np.ndarray]) -> dict[str, float]:
-    """The smallest of each figure over points."""
-    found = [check(x) for x in points]
-    return {name: min(each[name] for each in found if not np.isnan(each[name])) for name in found[0]}
+def best_of(
+    check: Callable[[np.ndarray], dict[str, float]], points: list[np.ndarray], bar: float, **bars: float
+) -> dict[str, float]:
+    """The smallest of each figure over points, up to that by which all are below their bars: `bar`, or their own."""
+    found: dict[str, float] = {}
+    for x in points:
+        found = {name: np.nanmin([value, found.get(name, np.nan)]) for name, value in check(x).items()}
+        if all(value < bars.get(name, bar) for name, value in found.items()):
+            break
+    return found

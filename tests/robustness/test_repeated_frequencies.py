@@ -74,7 +74,8 @@ def test_two_equal_frequencies_give_the_measure_of_their_sum(seed, control):
         assert np.linalg.norm(residue - total) <= 1e-10 * size
 
 
-@SEEDS
+# The gap decides, not the machine: further machines are in the tests above and below.
+@pytest.mark.parametrize("seed", range(2))
 @CONTROLS
 @pytest.mark.parametrize("gap", [1e-16, 1e-14, 1e-12, 1e-10, 1e-8, 1e-7, 0.9e-6, 1.1e-6, 1e-5])
 def test_nearly_equal_frequencies_never_give_nan(seed, control, gap):

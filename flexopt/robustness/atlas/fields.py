@@ -21,7 +21,7 @@ from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
-from flexopt.plant import build_plant
+from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import conditions
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import NAMES as INPUTS
@@ -58,10 +58,15 @@ class Slice:
     threads: int = 1
     left_out: tuple[int, ...] = ()
 
+    @cached_property
+    def plant(self) -> Plant:
+        """The machine's, asked for once: a slice is called many times with few points."""
+        return build_plant(self.machine)
+
     @property
     def modes(self) -> int:
         """Number of modes."""
-        return build_plant(self.machine).n_passive
+        return self.plant.n_passive
 
     @property
     def turning(self) -> bool:
@@ -108,7 +113,7 @@ class Slice:
 
     def values(self, points: Vector) -> SliceValues:
         """Everything at points (2, N)."""
-        plant, r = build_plant(self.machine), len(self.machine.task_rows)
+        plant, r = self.plant, len(self.machine.task_rows)
         p = plant.parameter_values.full().ravel()
         postures = np.array(self.postures(points), order="C")
         found = _function(self.machine, self.control, self.gravity)(
@@ -124,8 +129,7 @@ class Slice:
         columns = jv.reshape(n, r, count)
         column_slopes = jv_z.reshape(n, n, r, count)[list(self.varies)].transpose(1, 2, 0, 3)
         frequency = np.sqrt(np.maximum(omega_squared, 0.0)) / (2 * np.pi)
-        condition, _ = conditions(jv, n)
-        return SliceValues(factors, slopes, divisor[0], columns, column_slopes, frequency, end_point, condition)
+        return SliceValues(factors, slopes, divisor[0], columns, column_slopes, frequency, end_point)
 
     def __call__(self, points: Vector) -> tuple[Vector, Vector]:
         """a_i × b_i (m), `edge`, a_i·b_i (m), minors or second components, and their slopes; see `zero_curves`.
@@ -171,7 +175,6 @@ class SliceValues:
         column_slopes: (n, r, 2, N).
         frequency_hz: (m, N).
         end_point: (r, N), m.
-        condition: cond Jv, (N,).
     """
 
     factors: Vector
@@ -181,7 +184,12 @@ class SliceValues:
     column_slopes: Vector
     frequency_hz: Vector
     end_point: Vector
-    condition: Vector
+
+    @property
+    def condition(self) -> Vector:
+        """Of Jv, (N,)."""
+        n, r, count = self.columns.shape
+        return conditions(self.columns.reshape(n * r, count), n)[0]
 
     @property
     def scale(self) -> Vector:

@@ -14,8 +14,6 @@ from flexopt.foundation.arrays import Vector
 from flexopt.robustness.atlas.rectangle import CellFields, Mask, Pair, Whole
 
 Cell = tuple[int, int]
-# Function, axis, cell, line; see `_Crossings`.
-Edge = tuple[int, int, int, int]
 
 # In cells: the longest step, the shortest, where Newton's method has converged, what counts as one point.
 STEP, LEAST_STEP, CONVERGED, SAME = 0.35, 1e-5, 1e-9, 1e-6

@@ -40,7 +40,7 @@ from flexopt.selection.several.solving import End, Progress, end_from, ends_from
 from flexopt.selection.several.standing import best_placements, one_placement
 from flexopt.selection.several.targets import build_problems, sample_bases
 from flexopt.selection.several.ways import coarse_ways, nodes_of
-from flexopt.selection.solve import solve_selection
+from flexopt.selection.solve import solved
 
 # Placements that are looked at, for one coordinate and for more: from which all targets may be reached, and for each
 # target alone.
@@ -197,7 +197,7 @@ def _carried(program: Program, begin: Vector | None, workers: int) -> list[Vecto
     middle = program.problems[len(program.problems) // 2]
     rows, coordinates = middle.machine.task_rows, middle.machine.base_coordinates
     try:
-        selection = solve_selection(replace(middle, starts=CARRIED_STARTS), workers=workers)
+        selection = solved(replace(middle, starts=CARRIED_STARTS), workers, climbs=False)
     except NoSolutionFound:
         return []
     ways: list[Vector] = []
