@@ -86,16 +86,21 @@ def along_the_target(machine, z, target, low, high, count, seed):
     p = plant.parameter_values
     out = np.repeat(z, -(-count // z.shape[1]), axis=1)[:, :count]
     out = np.clip(out + rng.normal(scale=0.4, size=out.shape), low[:, None], high[:, None])
+
+    def task(x):
+        q = plant.rest.call([x[:3], x[3:], p])[0]
+        return plant.end_point.call([q, x[:3], p])[0].full()
+
+    left, steps = np.arange(count), 1e-6 * np.eye(len(low))
     for _ in range(30):
-
-        def task(x):
-            q = plant.rest.call([x[:3], x[3:], p])[0]
-            return plant.end_point.call([q, x[:3], p])[0].full()
-
-        here = task(out)
-        slopes = np.stack([(task(out + 1e-6 * step[:, None]) - here) / 1e-6 for step in np.eye(len(low))], axis=2)
-        back = np.linalg.pinv(slopes.transpose(1, 0, 2)) @ (here - np.array(target)[:, None]).T[:, :, None]
-        out = np.clip(out - back[:, :, 0].T, low[:, None], high[:, None])
+        here = task(out[:, left])
+        off = here - np.array(target)[:, None]
+        still = np.abs(off).max(axis=0) > 1e-13
+        left, here, off = left[still], here[:, still], off[:, still]
+        x = out[:, left]
+        slopes = np.stack([(task(x + step[:, None]) - here) / 1e-6 for step in steps], axis=2)
+        back = np.linalg.pinv(slopes.transpose(1, 0, 2)) @ off.T[:, :, None]
+        out[:, left] = np.clip(x - back[:, :, 0].T, low[:, None], high[:, None])
     return out[:, np.abs(task(out) - np.array(target)[:, None]).max(axis=0) < 1e-8]
 
 
