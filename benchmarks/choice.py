@@ -114,7 +114,7 @@ class Other:
         return np.where(np.abs(self.end_points(z) - target).max(axis=0) <= NEAR, z, np.nan)
 
     def best(self, samples: int, parents: int, steps: int) -> tuple[float, Vector]:
-        """The largest V that is found, and where."""
+        """The largest V that is found, and where; −∞ where no sample keeps everything."""
         region, found = self.problem.region, list[Vector]()
         for _ in range(20):
             z = region.low[:, None] + (region.high - region.low)[:, None] * self.rng.uniform(
@@ -125,6 +125,8 @@ class Other:
             if sum(each.shape[1] for each in found) >= samples:
                 break
         z = np.hstack(found)
+        if not z.size:
+            return -math.inf, np.full(len(region.low), np.nan)
         values = self.values(z)
         order = np.argsort(-values)[:parents]
         z, values, step = z[:, order], values[order], np.full(min(parents, len(order)), FIRST)
@@ -156,7 +158,9 @@ def examined(samples: int, case: tuple[str, int]) -> tuple[str, int, float, floa
     value, z = Other(problem, number).best(samples, PARENTS, STEPS)
     if value > best + BAR * problem.objective_scale:
         sentence = f"{sentence} better: {np.array2string(z, precision=5, separator=', ')}"
-    gap = (value - best) / problem.objective_scale
+    gap = (value - best) / problem.objective_scale if value > -math.inf else math.nan
+    if math.isnan(gap):
+        sentence = f"{sentence} the other method finds nothing feasible"
     return name, number, gap, middle - start, time.perf_counter() - middle, sentence
 
 
@@ -181,10 +185,11 @@ def main() -> None:
             rows.append(row)
             name, number, gap, ours, others, sentence = row
             print(f"{number:3d} {name:30s} {gap:+.1e} {ours:6.1f} s {others:6.1f} s  {sentence}", flush=True)
-    gaps = np.array([row[2] for row in rows])
+    gaps = np.array([row[2] for row in rows if not math.isnan(row[2])])
     failures = int(np.sum(np.isinf(gaps)))
     lines = [("what", "read", "bar"), ("worst gap", f"{gaps[np.isfinite(gaps)].max():+.1e}", f"{BAR:.0e}")]
     lines += [("above the bar", str(int(np.sum(gaps > BAR)) - failures), "0"), ("not solved", str(failures), "2 %")]
+    lines += [("nothing feasible to compare with", str(len(rows) - gaps.size), "")]
     print(table(f"{len(rows)} cases beside {options.samples} samples", lines))
 
 

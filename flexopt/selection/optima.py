@@ -241,16 +241,12 @@ def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> Sol
     z, proof, iterations, status = _proved(problem, *run_solver(problem, starts[number]))
     if proof is None or proof.holds or any(form.kinks for form in problem.forms):
         return z, proof, iterations, status
-    there = _further(problem, z, iterations)
-    return there if there[1] is not None else (z, proof, iterations, status)
+    return _further(problem, z, iterations, status)
 
 
-def _further(problem: SelectionProblem, z: Vector, iterations: int) -> SolveOutcome:
-    """Where an ascent leads from a point that a solver reached; no proof where it is on no rows."""
-    found = single(problem).climbed(z, ASCENT_LONG)
-    if found is None:
-        return z, None, iterations, CUT_SHORT
-    z, more, status = found
+def _further(problem: SelectionProblem, z: Vector, iterations: int, status: str = CUT_SHORT) -> SolveOutcome:
+    """Where an ascent leads from a point that a solver reached with this status; that point where it is on no rows."""
+    z, more, status = single(problem).climbed(z, ASCENT_LONG) or (z, 0, status)
     return _proved(problem, z, iterations + more, status)
 
 

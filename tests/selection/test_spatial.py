@@ -243,6 +243,16 @@ def test_what_cannot_be_kept_is_named(machine):
     assert " m" in str(caught.value)
 
 
+@pytest.mark.parametrize(("constraints", "name"), [
+    ({"manipulability": 1e6}, "manipulability"),
+    ({"keep_out": [[[-30.0, -30.0], [40.0, -30.0], [40.0, 30.0], [-30.0, 30.0]]]}, "distance from keep_out[0]"),
+])  # fmt: skip
+def test_nor_where_no_climb_comes_near_is_it_unnamed(machine, constraints, name):
+    with pytest.raises(flexopt.NoSolutionFound, match=r"the best iterate .* violates") as caught:
+        flexopt.select(machine, TARGET, constraints=constraints, objective="w1", starts=4, workers=1)
+    assert caught.value.violations[name] > 1
+
+
 def test_unreachable_targets_say_by_how_much(machine):
     with pytest.raises(flexopt.UnreachableTarget, match="m off in one of the task's rows") as caught:
         flexopt.select(machine, (0.0, 0.0, 30.0))
