@@ -204,7 +204,7 @@ _BUFFERED = {"savefig", "save", "to_netcdf", "ZipFile", "dump", "generate"}
 # file that serves as a lock is empty.
 _OWN = {
     ("compiled/locks.py", "open"),
-    ("cli/atlas.py", "to_netcdf"),
+    ("cli/common.py", "to_netcdf"),
     ("cli/simulation.py", "save"),
     ("cli/studies.py", "to_netcdf"),
     ("export/verify/target.py", "generate"),

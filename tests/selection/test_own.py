@@ -385,7 +385,7 @@ class Plain(ca.Callback):
         (ca.Function("f", [], [1.0], [], ["v"]), "has no inputs"),
         (ca.Function("f", [W1], [W1], ["epsilon_max"], ["v"]), "epsilon_max, of which no second derivatives"),
         (function("f", ca.log(POSTURE[0] - 100), posture=POSTURE), "not a finite number at any configuration"),
-        (3, "w1, w2, .*or a casadi.Function"),
+        ({"w": 1}, "w1, w2, .*or a casadi.Function"),
         ([3], "must be a casadi.Function"),
         (["w1", "w1"], "names the same objective twice"),
         ([function("w1", W1 * W1, w1=W1), "w1"], "names the same objective twice"),
