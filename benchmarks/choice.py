@@ -17,7 +17,7 @@ import argparse
 import functools
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_context
 from typing import Any
 
@@ -35,6 +35,7 @@ SAMPLES, PARENTS, STEPS = 2000, 200, 300
 NEWTON, DIFFERENCE, NEAR, KEPT = 8, 1e-6, 1e-10, 1e-9
 FIRST, LEAST, MOST, LONGER, SHORTER = 0.2, 1e-7, 0.5, 1.5, 0.85
 BAR = 1e-4
+Row = tuple[str, int, float, float, float, str]
 
 
 def chosen(name: str, number: int) -> tuple[Any, Vector, dict[str, Any]]:
@@ -142,10 +143,11 @@ class Other:
         return float(values[top]), z[:, top]
 
 
-def examined(samples: int, case: tuple[str, int]) -> tuple[str, int, float, float, float, str]:
-    """A case: machine, number, gap, seconds of both, failure."""
-    name, number = case
-    machine, target, options = chosen(name, number)
+def beside(
+    samples: int, case: tuple[str, int], asked: tuple[Any, Any, dict[str, Any]], other: Callable[..., Other]
+) -> Row:
+    """A case: machine, number, gap, seconds of both, failure; `other`: of the problem, the other method."""
+    machine, target, options = asked
     start = time.perf_counter()
     sentence, best = "", -math.inf
     try:
@@ -155,13 +157,18 @@ def examined(samples: int, case: tuple[str, int]) -> tuple[str, int, float, floa
         sentence = str(error)[:250]
         problem = flexopt.build_selection(machine, target, **options)
     middle = time.perf_counter()
-    value, z = Other(problem, number).best(samples, PARENTS, STEPS)
+    value, z = other(problem).best(samples, PARENTS, STEPS)
     if value > best + BAR * problem.objective_scale:
         sentence = f"{sentence} better: {np.array2string(z, precision=5, separator=', ')}"
     gap = (value - best) / problem.objective_scale if value > -math.inf else math.nan
     if math.isnan(gap):
         sentence = f"{sentence} the other method finds nothing feasible"
-    return name, number, gap, middle - start, time.perf_counter() - middle, sentence
+    return *case, gap, middle - start, time.perf_counter() - middle, sentence
+
+
+def examined(samples: int, case: tuple[str, int]) -> Row:
+    """As `beside`."""
+    return beside(samples, case, chosen(*case), functools.partial(Other, seed=case[1]))
 
 
 def cases(names: Sequence[str], count: int) -> Iterator[tuple[str, int]]:
@@ -170,17 +177,17 @@ def cases(names: Sequence[str], count: int) -> Iterator[tuple[str, int]]:
         yield names[number % len(names)], number
 
 
-def main() -> None:
-    """Print the gap of every case, and the worst."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--cases", type=int, default=60)
+def compare(description: str, count: int, examine: Callable[[int, tuple[str, int]], Row]) -> None:
+    """Print the gap of every case, and the worst; `examine`: of samples and a case, its row."""
+    parser = argparse.ArgumentParser(description=description.split("\n", 1)[0])
+    parser.add_argument("--cases", type=int, default=count)
     parser.add_argument("--machines", nargs="*", default=MACHINES)
     parser.add_argument("--samples", type=int, default=SAMPLES)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
-    rows: list[tuple[str, int, float, float, float, str]] = []
+    rows: list[Row] = []
     with get_context("spawn").Pool(options.workers, maxtasksperchild=4) as pool:
-        work = functools.partial(examined, options.samples)
+        work = functools.partial(examine, options.samples)
         for row in pool.imap_unordered(work, cases(options.machines, options.cases)):
             rows.append(row)
             name, number, gap, ours, others, sentence = row
@@ -194,4 +201,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    compare(__doc__ or "", 60, examined)

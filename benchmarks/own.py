@@ -9,21 +9,15 @@ Functions. The gap is how much better it is, as a share of the objective's scale
 
 from __future__ import annotations
 
-import argparse
 import functools
-import math
-import time
 from collections.abc import Callable
-from multiprocessing import get_context
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import flexopt
-from benchmarks.choice import BAR, MACHINES, PARENTS, SAMPLES, STEPS, Other, cases, chosen
-from benchmarks.timing import table
-from flexopt.errors import FlexoptError
+from benchmarks.choice import Other, Row, beside, chosen, compare
 from flexopt.foundation.arrays import Vector
 
 # Repetitions of q_p = rest − K_p⁻¹ g_p(q): springs are far stiffer than the weight moves.
@@ -105,52 +99,12 @@ def asked(name: str, number: int) -> tuple[Any, Vector, dict[str, Any], Value, f
     return machine, target, options | {"objective": goal, "weights": None, "constraints": constraints}, value, most
 
 
-def examined(samples: int, case: tuple[str, int]) -> tuple[str, int, float, float, float, str]:
-    """A case: machine, number, gap, seconds of both, failure."""
-    name, number = case
-    machine, target, options, value, most = asked(name, number)
-    start, sentence, best = time.perf_counter(), "", -math.inf
-    try:
-        selection = flexopt.select(machine, target, workers=1, **options)
-        best, problem = selection.best.objective, selection.problem
-    except FlexoptError as error:
-        sentence = str(error)[:250]
-        problem = flexopt.build_selection(machine, target, **options)
-    middle = time.perf_counter()
-    found, z = OtherOwn(problem, number, value, most).best(samples, PARENTS, STEPS)
-    if found > best + BAR * problem.objective_scale:
-        sentence = f"{sentence} better: {np.array2string(z, precision=5, separator=', ')}"
-    return (
-        name,
-        number,
-        (found - best) / problem.objective_scale,
-        middle - start,
-        time.perf_counter() - middle,
-        sentence,
-    )
-
-
-def main() -> None:
-    """Print the gap of every case, and the worst."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--cases", type=int, default=40)
-    parser.add_argument("--machines", nargs="*", default=MACHINES)
-    parser.add_argument("--samples", type=int, default=SAMPLES)
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args()
-    gaps, failures = list[float](), 0
-    with get_context("spawn").Pool(options.workers, maxtasksperchild=4) as pool:
-        work = functools.partial(examined, options.samples)
-        for name, number, gap, ours, others, sentence in pool.imap_unordered(
-            work, cases(options.machines, options.cases)
-        ):
-            gaps, failures = [*gaps, gap], failures + math.isinf(gap)
-            print(f"{number:3d} {name:30s} {gap:+.1e} {ours:6.1f} s {others:6.1f} s  {sentence}", flush=True)
-    told = [gap for gap in gaps if math.isfinite(gap)]
-    lines = [("what", "read", "bar"), ("worst gap", f"{max(told):+.1e}", f"{BAR:.0e}")]
-    lines += [("above the bar", str(sum(gap > BAR for gap in told)), "0"), ("not solved", str(failures), "2 %")]
-    print(table(f"{len(gaps)} cases beside {options.samples} samples", lines))
+def examined(samples: int, case: tuple[str, int]) -> Row:
+    """As `beside`."""
+    machine, target, options, value, most = asked(*case)
+    other = functools.partial(OtherOwn, seed=case[1], value=value, most=most)
+    return beside(samples, case, (machine, target, options), other)
 
 
 if __name__ == "__main__":
-    main()
+    compare(__doc__ or "", 40, examined)
