@@ -1,6 +1,7 @@
-"""Ascent of one configuration's objective, which may have kinks: of ε_max, and of w_i where a_i = 0 or b_i = 0.
+"""Ascent of objectives that may have kinks: of ε_max, and of w_i where a_i = 0 or b_i = 0.
 
-In: a program's Functions, and a start. Out: a point that keeps every constraint and is never worse than the start.
+In: configurations that share variables, one or many, and a start. Out: a point that keeps every constraint and is never
+worse than the start.
 
 Each step maximises a model (`ascent_model`) within a distance that grows where the model holds and shrinks where it
 does not, and is moved back onto the constraints: points stay feasible, so that V alone tells whether a step helps.
@@ -8,7 +9,6 @@ does not, and is moved back onto the constraints: points stay feasible, so that 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.ascent_member import Member
 from flexopt.selection.ascent_model import DIFFERENCE, ROUNDING, Cone, Point, SecondOrder, Step, best_step
-from flexopt.selection.cones import SHARED, TINY, Parallel, mode_cones, smooth_slope, split_factors
-from flexopt.selection.nlp import Branched
+from flexopt.selection.cones import SHARED, TINY, mode_cones
+from flexopt.selection.nlp import own_directions
 from flexopt.selection.programs import Bounds
 
 # Distances, in scaled variables: of the first step, the greatest, and the one below which nothing is found.
@@ -36,8 +37,6 @@ ON_ROWS, ON_KEPT, AT_KEPT, CORRECTIONS, LIFTS = 1e-11, 1e-10, 1e-13, 6, 24
 TOGETHER = 100.0
 # Steps with the same second derivatives back onto a ridge, and the least curvature then, relative to the greatest.
 CHORDS, STIFF = 3, 0.3
-# Step of the differences of what the cones leave of w_i, in scaled variables.
-BESIDE = 1e-5
 # Multipliers of ε_max, as a share of those where it alone is sought, from which on its differences are central.
 DEAR = 10.0
 # Cones up to so many steps away are looked at, and how many times as long as the one before a step is taken to be.
@@ -49,30 +48,27 @@ DONE, CUT_SHORT, STUCK = "Solve_Succeeded", "Maximum_Iterations_Exceeded", "Sear
 class Ascent:
     """The program in x = (z − shift) / scale.
 
+    With V_jk / size of every objective j of configuration k, what is kept and what is sought are the sums
+    Σ mix_ojk V_jk / size; or −|steps x|² / 2 is sought.
+
     Attributes:
-        functions: from `build_branched`;  parameters: those of the solver.
-        alphas: of each objective, those that are sought last, α / size, (j, m).
-        kinks: of each objective β / size, 0 where ε_max takes no part.
-        least: V / size that is kept, of each objective before those that are sought.
-        bounds: of x and of the rows.
-        margin: x -> slopes of ε_max's branches, and of their coupling, by x, (3, n).
-        without: α of every mode of which cones are looked at -> the parameters with these modes left out.
-        noise: rounding error of V / size of the objectives that are kept: what is short by less is not short.
-        sought: how many objectives are sought: the smallest of them is climbed.
-        parallel: further rows, after those of the functions.
+        members: the configurations; ε_max takes part where there is one.
+        mix: ≥ 0, of what is kept, then of what is sought, (o, j, k).
+        least: what is kept is at least.
+        bounds: of x and of the rows: those of every configuration, then steps @ x.
+        steps: (s, n);  shortest: whether the last of what is sought is −|steps x|² / 2, its mix 0.
+        noise: rounding error of what is kept: what is short by less is not short.
+        sought: how many are sought: the smallest of them is climbed.
     """
 
-    functions: Branched
-    parameters: Vector
-    alphas: Vector
-    kinks: Vector
+    members: tuple[Member, ...]
+    mix: Vector
     least: Vector
     bounds: Bounds
-    margin: Callable[[Vector], Vector]
-    without: Callable[[list[int]], Vector]
+    steps: Vector
+    shortest: bool = False
     noise: float = 0.0
     sought: int = 1
-    parallel: Parallel | None = None
 
     def climbed(self, start: Vector, iterations: int) -> tuple[Vector, int, str] | None:
         """Where steps from a start lead, how many, and why they ended; None where the start leads onto no rows."""
@@ -95,68 +91,68 @@ class Ascent:
 
     def at(self, x: Vector) -> Point:
         """The program at x."""
-        last, g, last_x, g_x, epsilon_x = (out.full() for out in self.functions.model.call([x, self.parameters]))
-        n_rows, gap = self._n_rows, 0.0
-        values, slopes = np.concatenate([g, last]).ravel(), np.vstack([g_x, last_x])
-        lowest, first = list[int](), n_rows
-        for kink in self.kinks:
-            lowest.append(first)
-            gap = float(values[first + 1] - values[first]) / kink if kink else gap
-            first += 2 if kink else 1
+        points = [member.at(x) for member in self.members]
+        parts = list(zip(self.members, points, strict=True))
+        values = np.einsum("ojk,kj->o", self.mix, np.array([point.values for point in points]))
+        told = np.array([self._wide(member, point.slopes) for member, point in parts])
+        slopes = np.einsum("ojk,kjn->on", self.mix, told)
+        along = self.steps @ x
+        if self.shortest:
+            values[-1] -= float(along @ along) / 2
+            slopes[-1] -= self.steps.T @ along
         modes, alone = list[Cone](), np.zeros(0, dtype=np.bool_)
-        rows, row_slopes = values[:n_rows], slopes[:n_rows]
-        alphas = self._alphas(x)
-        if alphas.any() or self.parallel is not None:
+        alphas = np.hstack([self.mix[:, :, k] @ point.alphas for k, point in enumerate(points)])
+        if alphas.any():
             f, f_x, same = self._factors(x)
-            modes = mode_cones(f, f_x, np.maximum(alphas, 0.0))
+            # A pull below 0 turns a cone over: of that there is nothing to climb on.
+            sizes = [self.mix[:, :, k] @ np.maximum(point.alphas, 0.0) for k, point in enumerate(points)]
+            modes = mode_cones(f, f_x, np.hstack(sizes))
             alone = same[: len(modes) // 2] < SHARED
-            if self.parallel is not None:
-                rows = np.append(rows, self.parallel.values(f))
-                row_slopes = np.vstack([row_slopes, self.parallel.slopes(f, f_x)])
+        epsilon_x = self._wide(self.members[0], points[0].epsilon_slopes)
         return Point(
             x=x,
-            rows=rows,
-            row_slopes=row_slopes,
-            values=values[lowest],
-            slopes=slopes[lowest],
-            cones=(*modes, *self._margin_cone(gap, epsilon_x)),
+            rows=np.concatenate([*(point.rows for point in points), along]),
+            row_slopes=np.vstack([*(self._wide(member, point.row_slopes) for member, point in parts), self.steps]),
+            values=values,
+            slopes=slopes,
+            cones=(*modes, *self._margin_cone(points[0].gap, epsilon_x)),
             alone=alone,
             alphas=alphas,
             epsilon_slopes=epsilon_x,
             sought=self.sought,
         )
 
-    def _alphas(self, x: Vector) -> Vector:
-        """∂V/∂w / size of each objective, (j, m): α, and what own objectives add at x."""
-        if self.functions.pulls is None:
-            return self.alphas
-        found: Vector = self.functions.pulls.call([x, self.parameters])[0].full()
-        return found
-
-    @property
-    def _n_rows(self) -> int:
-        """How many rows the functions have."""
-        return self.bounds.g_lower.size - (0 if self.parallel is None else self.parallel.upper.size)
+    def _wide(self, member: Member, slopes: Vector) -> Vector:
+        """Slopes (…, n) by x of those by a configuration's own entries."""
+        wide = np.zeros((*slopes.shape[:-1], self.bounds.x_lower.size))
+        wide[..., list(member.place)] = slopes
+        return wide
 
     def rows(self, x: Vector) -> tuple[Vector, Vector]:
         """All rows at x, and their slopes."""
-        rows, slopes = (out.full() for out in self.functions.rows.call([x, self.parameters]))
-        if self.parallel is None:
-            return rows.ravel(), slopes
-        f, f_x, _ = self._factors(x)
-        return np.append(rows, self.parallel.values(f)), np.vstack([slopes, self.parallel.slopes(f, f_x)])
+        found = [member.rows(x) for member in self.members]
+        slopes = [self._wide(member, own) for member, (_, own) in zip(self.members, found, strict=True)]
+        return np.concatenate([*(rows for rows, _ in found), self.steps @ x]), np.vstack([*slopes, self.steps])
 
     def _factors(self, x: Vector) -> tuple[Vector, Vector, Vector]:
-        """As `split_factors`, and of every mode how many have its frequency."""
-        f, f_x, same = (out.full() for out in self.functions.factors.call([x, self.parameters]))
-        return *split_factors(f, f_x), same.sum(axis=0)
+        """As `Member.factors`, modes of all configurations in a row."""
+        found = [member.factors(x) for member in self.members]
+        f, f_z, same = zip(*found, strict=True)
+        wide = [self._wide(member, own) for member, own in zip(self.members, f_z, strict=True)]
+        return np.concatenate(f), np.concatenate(wide), np.concatenate(same)
+
+    @cached_property
+    def _kinks(self) -> Vector:
+        """What of ε_max is kept and sought, (o,)."""
+        mixed: Vector = self.mix[:, :, 0] @ self.members[0].kinks
+        return mixed
 
     def _margin_cone(self, gap: float, epsilon_x: Vector) -> list[Cone]:
         """−β |((V_1 − V_2) / 2, g_12)|, in a list; none where ε_max takes no part."""
-        if not self.kinks.any():
+        if not self._kinks.any():
             return []
         slopes = np.vstack([(epsilon_x[0] - epsilon_x[1]) / 2, epsilon_x[2]])
-        return [Cone(np.array([-gap / 2, 0.0]), slopes, self.kinks, np.array([-1.0, 0.0]))]
+        return [Cone(np.array([-gap / 2, 0.0]), slopes, self._kinks, np.array([-1.0, 0.0]))]
 
     def onto_rows(self, x: Vector) -> tuple[Vector, bool] | None:
         """The point nearest to x, to first order, on the rows, and whether they hold there; None without slopes."""
@@ -325,48 +321,37 @@ class Ascent:
         Where steps are short only cones nearby count: what w_i bend without them is less like V.
         """
         free, cones = self._free(here), here.near(REACH * min(distance, AHEAD * step.length))
-        modes = [number // 2 for number in cones if number < 2 * here.n_modes]
-        of_rows = step.row_pulls[: self._n_rows]
-        given = [here.x, self.without(modes) if modes else self.parameters, -step.pulls, of_rows]
-        smooth = free @ self.functions.curvature.call(given)[0].full() @ free.T
-        if self.parallel is not None:
-            smooth = smooth + self._bend_of_parallel(here, step.row_pulls[self._n_rows :], free)
-        if modes:
-            smooth = smooth - self._left_of_modes(here, step, cones, free)
+        held, each, first = self._held(here, step, cones), 2 * here.n_modes // len(self.members), 0
+        smooth = np.zeros((len(free), len(free)))
+        for k, member in enumerate(self.members):
+            along, basis = own_directions(free, member.place)
+            of_rows, first = step.row_pulls[first : first + member.n_rows], first + member.n_rows
+            own = {number - k * each: pull for number, pull in held.items() if number // each == k}
+            bent = member.bend(here.x, basis, step.pulls @ self.mix[:, :, k], of_rows, own)
+            smooth += along @ bent @ along.T
+        if self.shortest:
+            ways = free @ self.steps.T
+            smooth += float(step.pulls[-1]) * ways @ ways.T
         margins = np.zeros((2, len(free), len(free)))
-        pull = float(step.pulls @ self.kinks)
+        pull = float(step.pulls @ self._kinks)
         if len(free) and pull > 0:
-            ahead = [self.margin(here.x + DIFFERENCE * way) for way in free]
+            margin = self.members[0].margin
+            ahead = [margin(here.x + DIFFERENCE * way) for way in free]
             # What is kept may have multipliers of thousands, which the error of one-sided differences is multiplied by.
-            central = pull > DEAR * float(self.kinks.max())
-            behind = [self.margin(here.x - DIFFERENCE * way) if central else here.epsilon_slopes for way in free]
+            central = pull > DEAR * float(self._kinks.max())
+            behind = [margin(here.x - DIFFERENCE * way) if central else here.epsilon_slopes for way in free]
             change = (np.array(ahead) - np.array(behind))[:, :2] @ free.T / (DIFFERENCE * (2 if central else 1))
             margins = (change.transpose(1, 0, 2) + change.transpose(1, 2, 0)) / 2
         if not (np.isfinite(smooth).all() and np.isfinite(margins).all()):
             return None
         return SecondOrder(here, free, smooth, margins, step, cones)
 
-    def _bend_of_parallel(self, here: Point, pulls: Vector, free: Vector) -> Vector:
-        """Σ pulls_i ∂²row_i of the rows of `parallel` along `free`, (d, d)."""
-        parallel = self.parallel
-        assert parallel is not None
-        return self._bend_of(lambda f, f_x: pulls @ parallel.slopes(f, f_x), here, free)
-
-    def _bend_of(self, slope: Callable[[Vector, Vector], Vector], here: Point, free: Vector) -> Vector:
-        """Second derivatives along `free`, (d, d), of what has a slope (n,) that a_i and b_i and theirs tell."""
-        beside = [
-            slope(*self._factors(here.x + BESIDE * way)[:2]) - slope(*self._factors(here.x - BESIDE * way)[:2])
-            for way in free
-        ]
-        change = np.array(beside).reshape(len(free), here.x.size) @ free.T / (2 * BESIDE)
-        return (change + change.T) / 2
-
-    def _left_of_modes(self, here: Point, step: Step, cones: tuple[int, ...], free: Vector) -> Vector:
-        """Second derivatives (d, d) of what is smooth in w_i whose cones are looked at, ν as a step pulls it."""
+    def _held(self, here: Point, step: Step, cones: tuple[int, ...]) -> dict[int, tuple[float, Vector]]:
+        """What `smooth_slope` holds of modes whose cones are looked at, ν as a step pulls it."""
         held: dict[int, tuple[float, Vector]] = {}
         for number in cones:
             if number < 2 * here.n_modes:
                 cone, size = here.cones[number], float(np.linalg.norm(here.cones[number ^ 1].value))
                 pull = step.cone_pulls.get(number, float(step.pulls @ cone.sizes) * cone.unit)
                 held[number] = float(step.pulls @ here.alphas[:, number // 2]), pull / max(size, TINY)
-        return self._bend_of(lambda f, f_x: smooth_slope(f, f_x, held), here, free)
+        return held

@@ -15,6 +15,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.selection.ascent_model import Cone
 from flexopt.selection.cones import SHARED, Parallel, mode_cones, name_of, smooth_slope
 from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, Held, Kink, certified
+from flexopt.selection.nlp import own_directions
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Linearisation, Program, margin_noise, single
@@ -173,19 +174,25 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
     corners, kinks = list[Vector](), list[Kink]()
     n_objectives = len(members[0].values)
     held = len(program.first.constraints) * program.coupling.count + len(program.coupling.pairs)
-    for j, name, cone, number, alpha in _tips(program, x, members[0]):
-        first = None
-        if j < n_objectives - 1:
-            first = next((row for row, (k, _) in enumerate(active) if k == held + j * program.coupling.count), None)
+    wanted = [(k, tip) for k, member in enumerate(members) for tip in _tips(program, k, x, member)]
+    for k, (j, name, cone, number, alpha) in wanted:
+        first, share = None, 1.0
+        place, wide = list(program.coupling.places[k]), np.zeros((len(cone.slopes), local.gradient.size))
+        wide[:, place] = cone.slopes
+        if j < n_objectives - 1 or program.goal != "weighted":
+            row_number = held + j * program.coupling.count + k
+            first = next((row for row, (active_number, _) in enumerate(active) if active_number == row_number), None)
             if first is None:
                 continue
-            rows[first] = rows[first] + cone.unit @ cone.slopes
+            rows[first] = rows[first] + cone.unit @ wide
         else:
-            gradient = gradient + cone.unit @ cone.slopes
+            share = float(program.share[k])
+            gradient = gradient + share * cone.unit @ wide
         begin = len(equal) + sum(len(corner) for corner in corners)
-        corners.append(cone.axes @ cone.slopes)
-        full = name if first is None else f"{name} that is kept"
-        kinks.append(Kink(full, slice(begin, begin + len(corners[-1])), first, number, cone.axes, alpha))
+        corners.append(share * cone.axes @ wide)
+        rows_of = slice(begin, begin + len(corners[-1]))
+        full = program.prefix(k) + (name if j == n_objectives - 1 else f"{name} that is kept")
+        kinks.append(Kink(full, rows_of, first, k, number, cone.axes, share * alpha))
 
     identity, moving = np.eye(local.gradient.size), np.ones(local.gradient.size)
     fixed: list[Vector] = []
@@ -214,8 +221,13 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
     )
 
 
-def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[int, str, Cone, int | None, float]]:
-    """Of every objective the cones at whose tips x stands, in units of V / size: j, name, −|c|, number, α / size."""
+def _tips(
+    program: Program, k: int, x: Vector, member: Linearisation
+) -> Iterator[tuple[int, str, Cone, int | None, float]]:
+    """Of a configuration's objectives the cones at whose tips x stands, by its z / scale and in units of V / size.
+
+    Of each j, name, −|c|, number, α / size.
+    """
     for j, (values, slopes) in enumerate(zip(member.values, member.slopes, strict=True)):
         if len(values) < 2:
             continue
@@ -223,15 +235,11 @@ def _tips(program: Program, x: Vector, member: Linearisation) -> Iterator[tuple[
         if values[1] - values[0] <= min(KINK, MEETS * apart):
             halves = np.vstack([(slopes[0] - slopes[1]) / 2, slopes[2]])
             yield j, KINK_NAME, Cone(np.zeros(2), halves, np.ones(1), np.array([-1.0, 0.0])), None, 0.0
-    # How several share what they stand on is not looked at.
-    if program.coupling.count > 1 or program.goal == "motion":
-        return
-    first = program.first
-    alphas = _pulls_of_w(program, 0, x)
+    alphas = _pulls_of_w(program, k, x)
     if not alphas.any():
         return
-    f, f_z, same = first.factors(program.of(x, 0))
-    for number, cone in enumerate(mode_cones(f, f_z * first.scale, alphas)):
+    f, f_z, same = program.problems[k].factors(program.of(x, k))
+    for number, cone in enumerate(mode_cones(f, f_z * program.first.scale, alphas)):
         for j, size in enumerate(cone.sizes.tolist()):
             if size > 0 and same[number // 2] < SHARED and cone.distance <= TIP:
                 scaled = Cone(size * cone.value, size * cone.slopes, np.ones(1), cone.unit)
@@ -250,8 +258,8 @@ def _pulls_of_w(program: Program, k: int, x: Vector) -> Vector:
 def _undecided(program: Program, x: Vector) -> Iterator[tuple[str, float]]:
     """What own objectives and constraints make of x that first and second derivatives do not tell, and its size.
 
-    A pull at w_i below 0 turns its kink over: V rises from there in two directions. Of several configurations kinks are
-    not looked at, and frequencies have no slopes where two are one.
+    A pull at w_i below 0 turns its kink over: V rises from there in two directions. Frequencies have no slopes where
+    two are one.
     """
     first, least = program.first, (*program.first.kept, -np.inf)
     if all(objective.own is None for objective in first.objectives[: len(least)]):
@@ -366,10 +374,7 @@ def lagrangian_hessian(program: Program, x: Vector, free: Vector, weights: Vecto
     hessian = np.zeros((len(free), len(free)))
     for k, place in enumerate(program.coupling.places):
         # What the others do does not matter to this one's second derivatives, and it has few directions of its own.
-        own = free[:, list(place)]
-        _, reach, basis = np.linalg.svd(own, full_matrices=False)
-        basis = basis[reach > 1e-9]
-        along = own @ basis.T
+        along, basis = own_directions(free, place)
         hessian += along @ _second_derivatives(program, k, program.of(x, k), basis, weights, held) @ along.T
     if program.goal == "motion":
         steps = free @ program.coupling.steps(free.shape[1]).T
@@ -384,16 +389,17 @@ def _second_derivatives(program: Program, k: int, z: Vector, basis: Vector, weig
     weighted = before + kept * count == weights.size
     of_value = program.share[k] if weighted else -weights[before + kept * count + k]
 
-    smooth = program.without_modes({number // 2 for number in held})
+    tips = {number: pull for (member, number), pull in held.items() if member == k}
+    smooth = program.without_modes({number // 2 for number in tips})
 
     def pull(there: Vector) -> Vector:
         row_slopes, _, slopes = smooth.slopes_of(k, there)
         total = of_value * slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ row_slopes
         for j in range(kept):
             total = total - weights[before + j * count + k] * slopes[j][0]
-        if held:
+        if tips:
             f, f_z, _ = program.problems[k].factors(there)
-            total = total + smooth_slope(f, f_z * program.first.scale, held)
+            total = total + smooth_slope(f, f_z * program.first.scale, tips)
         return total
 
     second = np.zeros((len(basis), len(basis)))
@@ -429,12 +435,16 @@ def _rises(
     def linear(y: Vector) -> tuple[Vector, Vector]:
         at = there(y)
         values, slopes = [at.g[numbers] - wanted], [at.jacobian[numbers]]
-        f, f_z, _ = program.first.factors(y[:n_x] * program.scale) if tips else (np.zeros(0),) * 3
+        z = [program.of(y[:n_x] * program.scale, k) for k in range(program.coupling.count)]
+        factors = {k: program.problems[k].factors(z[k]) for k in {kink.member for kink in tips}}
         for kink in tips:
-            i, side = divmod(kink.number or 0, 2)
-            size = float(np.linalg.norm(f_z[i, side] * program.scale, 2))
+            (f, f_z, _), (i, side) = factors[kink.member], divmod(kink.number or 0, 2)
+            own = f_z[i, side] * program.first.scale
+            size = float(np.linalg.norm(own, 2))
             values.append(kink.axes @ f[i, side] / size)
-            slopes.append(kink.axes @ f_z[i, side] * program.scale / size)
+            wide = np.zeros((len(kink.axes), y.size))
+            wide[:, list(program.coupling.places[kink.member])] = kink.axes @ own / size
+            slopes.append(wide)
         return np.concatenate(values), np.vstack(slopes)
 
     landed, start = False, np.append(x / program.scale, local.level)[: local.gradient.size]

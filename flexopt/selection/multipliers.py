@@ -16,8 +16,8 @@ from flexopt.selection.nonnegative import nonnegative_least_squares
 STATIONARITY_TOLERANCE = 1e-6
 # Rounds in which multipliers of kinks are looked for where the nearest are too large, and by how much they may be.
 ROUNDS, OVER = 200, 1e-9
-# Of kinks by number in `mode_cones`, what `smooth_slope` holds.
-Held = dict[int, tuple[float, Vector]]
+# Of kinks by configuration and number in `mode_cones`, what `smooth_slope` holds.
+Held = dict[tuple[int, int], tuple[float, Vector]]
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,14 @@ class Kink:
     Attributes:
         name: see `Proof`;  rows: which of the equalities are C, along its axes.
         first: number of the objective among the inequalities, whose multiplier limits |p|; None of what is sought.
-        number: of the cone in `mode_cones`, None of ε_max;  axes: of C, (k, r);  alpha: α_i / size of the objective.
+        member: number of the configuration;  number: of the cone in `mode_cones`, None of ε_max.
+        axes: of C, (k, r);  alpha: α_i / size of the objective.
     """
 
     name: str
     rows: slice
     first: int | None
+    member: int = 0
     number: int | None = None
     axes: Vector | None = None
     alpha: float = 0.0
@@ -93,9 +95,10 @@ class FirstOrderModel:
         none: tuple[float, Vector] = (0.0, np.zeros(1))
         for kink, limit in zip(self.kinks, limits, strict=True):
             if kink.number is not None and kink.axes is not None:
-                alpha, pull = found.get(kink.number, none)
+                of = kink.member, kink.number
+                alpha, pull = found.get(of, none)
                 more = kink.alpha * (multipliers[kink.rows] @ kink.axes)
-                found[kink.number] = alpha + kink.alpha * limit, pull + more
+                found[of] = alpha + kink.alpha * limit, pull + more
         return found
 
     def weights(self, multipliers: Vector, kept: list[int]) -> Vector:

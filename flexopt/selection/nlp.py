@@ -52,6 +52,8 @@ QUICK_OPTIONS: dict[str, Any] = {
 }
 # Several configurations: most starts take 10 to 30 iterations; those that wander are not worth waiting for.
 COUPLED_OPTIONS: dict[str, Any] = {"max_iter": 120, "tol": 1e-9, "constr_viol_tol": 1e-10}
+# Directions that move a configuration by less than this do not.
+APART = 1e-9
 # "weighted": max Σ share_k V_k;  "worst": max min_k V_k;  "motion": the shortest way that keeps every V_k at a level.
 Goal = Literal["weighted", "worst", "motion"]
 # Of objectives in order, of each its branches: values, or slopes by x (1, n_x).
@@ -86,6 +88,14 @@ class Coupling:
         for row, (i, j) in enumerate(self.pairs):
             matrix[row, i], matrix[row, j] = -1.0, 1.0
         return matrix
+
+
+def own_directions(free: Vector, place: Sequence[int]) -> tuple[Vector, Vector]:
+    """What directions (d, n_x) move of the entries at a place, as along @ basis: (d, e), and orthonormal, (e, n_z)."""
+    own = free[:, list(place)]
+    _, reach, basis = np.linalg.svd(own, full_matrices=False)
+    basis = basis[reach > APART]
+    return own @ basis.T, basis
 
 
 def alone(n_z: int) -> Coupling:

@@ -17,10 +17,10 @@ from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.check import FIRST_ORDER, Proof, prove
+from flexopt.selection.check import FIRST_ORDER, Proof, prove, prove_program
 from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
-from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, single
+from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
 from flexopt.selection.result import Attempt, Kept
 from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
 
@@ -170,7 +170,7 @@ def _attempted(
             if not proof.holds:
                 failures.append((z, proof))
                 outcome = f"{outcome}; fails {', '.join(proof.violations)}"
-            elif _accepted(problem, proof, status):
+            elif accepted(single(problem), proof, status):
                 new, value = (
                     _is_new(problem, z, found),
                     None if len(problem.kept) > problem.bounding else value_at(problem, z),
@@ -186,13 +186,13 @@ def _lost(starts: list[Vector], number: int, sentence: str) -> SolveOutcome:
     return starts[number], None, 0, sentence
 
 
-def _accepted(problem: SelectionProblem, proof: Proof, status: str) -> bool:
+def accepted(program: Program, proof: Proof, status: str) -> bool:
     """Whether a point counts as an optimum.
 
     At a kink the solver's own stopping test may fail where the proof, which knows of both branches, holds; so it may
     where derivatives change without bound, as they do next to a_i = 0, and where no step is left that is not rounding.
     """
-    climbed = any(form.kinks for form in problem.forms)
+    climbed = any(form.kinks for form in program.first.forms)
     return proof.holds and (status in (*SOLVED, NO_STEP) or climbed or bool(proof.kinks) or proof.unsurpassed)
 
 
@@ -205,14 +205,14 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
     """A start's solution; where there is much redundancy, after a few iterations (see `_promising`)."""
     start = _lifted(problem, starts[number])
     if not _hurried(problem):
-        return _finish(problem, [start], 0)
+        return finished(single(problem), start)
     if number < CLIMBED:
         found = single(problem).climbed(start, ASCENT_QUICK)
         if found is not None:
-            return _proved(problem, *found)
-    z, proof, iterations, status = _proved(problem, *run_solver(problem, start, quick=True))
+            return _proved(single(problem), *found)
+    z, proof, iterations, status = _proved(single(problem), *run_solver(problem, start, quick=True))
     if proof is not None and not proof.holds and status in SOLVED:
-        return _further(problem, z, iterations)
+        return _further(single(problem), z, iterations)
     return z, proof, iterations, status
 
 
@@ -237,32 +237,36 @@ def _lifted(problem: SelectionProblem, z: Vector) -> Vector:
 
 
 def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> SolveOutcome:
+    return finished(single(problem), starts[number])
+
+
+def finished(program: Program, start: Vector) -> SolveOutcome:
     """A start's solution; where derivatives jump, by an ascent from there on."""
-    z, proof, iterations, status = _proved(problem, *run_solver(problem, starts[number]))
-    if proof is None or proof.holds or any(form.kinks for form in problem.forms):
+    z, proof, iterations, status = _proved(program, *program.solve(start))
+    if proof is None or proof.holds or any(form.kinks for form in program.first.forms):
         return z, proof, iterations, status
-    return _further(problem, z, iterations, status)
+    return _further(program, z, iterations, status)
 
 
-def _further(problem: SelectionProblem, z: Vector, iterations: int, status: str = CUT_SHORT) -> SolveOutcome:
+def _further(program: Program, z: Vector, iterations: int, status: str = CUT_SHORT) -> SolveOutcome:
     """Where an ascent leads from a point that a solver reached with this status; that point where it is on no rows."""
-    z, more, status = single(problem).climbed(z, ASCENT_LONG) or (z, 0, status)
-    return _proved(problem, z, iterations + more, status)
+    z, more, status = program.climbed(z, ASCENT_LONG) or (z, 0, status)
+    return _proved(program, z, iterations + more, status)
 
 
-def _proved(problem: SelectionProblem, z: Vector, iterations: int, status: str) -> SolveOutcome:
+def _proved(program: Program, z: Vector, iterations: int, status: str) -> SolveOutcome:
     """Where a solve ended, with its proof; after Newton's steps where only the first-order condition fails."""
     if not np.all(np.isfinite(z)):
         return z, None, iterations, status
-    proof = prove(problem, z)
+    proof = prove_program(program, z)
     if proof.holds or status == CUT_SHORT:
         return z, proof, iterations, status
-    z, better = polished(single(problem), z, proof)
-    for _ in range(AGAIN if any(form.kinks for form in problem.forms) else 0):
-        found = None if list(better.violations) != [FIRST_ORDER] else single(problem).climbed(z, ASCENT_QUICK)
+    z, better = polished(program, z, proof)
+    for _ in range(AGAIN if any(form.kinks for form in program.first.forms) else 0):
+        found = None if list(better.violations) != [FIRST_ORDER] else program.climbed(z, ASCENT_QUICK)
         if found is None:
             break
-        there = prove(problem, found[0])
+        there = prove_program(program, found[0])
         if not (there.holds or there.stationarity <= better.stationarity / 2):
             break
         z, better, iterations = found[0], there, iterations + found[1]
@@ -287,7 +291,7 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
 
 def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> SolveOutcome:
     """A solve that was cut short, taken up again."""
-    return _further(problem, points[number], 0)
+    return _further(single(problem), points[number], 0)
 
 
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[int]:
@@ -297,7 +301,7 @@ def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[in
     """
     if not _hurried(problem):
         return []
-    good = [z for z, proof, _, status in solved if proof is not None and _accepted(problem, proof, status)]
+    good = [z for z, proof, _, status in solved if proof is not None and accepted(single(problem), proof, status)]
     best = max((value_at(problem, z) for z in good), default=-np.inf)
     short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
     near = [k for k in short if np.abs(beyond_bounds(problem, solved[k][0])).max() <= NEARLY]

@@ -17,6 +17,7 @@ from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.selection.ascent import STUCK, Ascent
+from flexopt.selection.ascent_member import Member
 from flexopt.selection.cones import Parallel
 from flexopt.selection.configuration import ConstraintRows
 from flexopt.selection.nlp import Coupling, Goal, alone, build_branched, build_solver, parameters_of, told_branches
@@ -162,25 +163,18 @@ class Program:
 
         `within` limits how far it leads, in scaled variables.
         """
-        first, shift = self.first, self._spread(self.shift[0])
-        start = np.clip(start, *self.bounds())
+        first, start = self.first, np.clip(start, *self.bounds())
         if any(form.kinks for form in first.forms):
             return self.climbed(start, ASCENT_QUICK if quick else ASCENT_LONG, within) or (start, 0, STUCK)
         solver = build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=quick)
-        x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
-        lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
-        held = list(self.fixed)
-        lower[held] = upper[held] = x0[held]
+        x0, lower, upper = self._limits(start, within)
         if self.goal == "worst":
             x0 = np.append(x0, self.values(start).min() / self.size)
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
         rows = self.constraints()
         bounds = Bounds(lower, upper, np.array([row.lower for row in rows]), np.array([row.upper for row in rows]))
-        reached = run(solver, partial(self._stated, shift), x0, self.parameters(), bounds)
-        x = reached.x[: self.coupling.n_x] * self.scale + shift
-        if not self.coupling.pairs:
-            x = self.packed(list(first.wrapped(np.array([self.of(x, k) for k in range(self.coupling.count)]))))
-        return np.clip(x, *self.bounds()), reached.iterations, reached.status
+        reached = run(solver, self._stated, x0, self.parameters(), bounds)
+        return self.told(reached.x[: self.coupling.n_x]), reached.iterations, reached.status
 
     def climbed(
         self,
@@ -191,10 +185,10 @@ class Program:
         sought: int = 1,
         parallel: Parallel | None = None,
     ) -> tuple[Vector, int, str] | None:
-        """`solve` by an ascent of so many steps, of one configuration; None where no constraints are near the start.
+        """`solve` by an ascent of so many steps; None where no constraints are near the start.
 
-        `sought`: of how many objectives, up to the one being solved, the smallest is climbed, each in its own scale;
-        `parallel`: what is kept, too.
+        Of one configuration, `sought`: of how many objectives, up to the one being solved, the smallest is climbed,
+        each in its own scale;  `parallel`: what is kept, too.
         """
         ascent, x0 = self.ascent(start, within, sought=sought, parallel=parallel)
         found = ascent.climbed(x0, steps)
@@ -204,19 +198,19 @@ class Program:
         return self.told(x), iterations, status
 
     def told(self, x: Vector) -> Vector:
-        """The z of an ascent's x, within the bounds."""
-        return np.clip(self.first.wrapped(x * self.scale + self.shift[0]), *self.bounds())
+        """The point of a solver's or an ascent's x, within the bounds."""
+        x = x * self.scale + self._spread(self.shift[0])
+        if not self.coupling.pairs:
+            x = self.packed(list(self.first.wrapped(np.array([self.of(x, k) for k in range(self.coupling.count)]))))
+        return np.clip(x, *self.bounds())
 
     def ascent(
         self, start: Vector, within: float = np.inf, *, sought: int = 1, parallel: Parallel | None = None
     ) -> tuple[Ascent, Vector]:
         """What `climbed` climbs by, and the start in its variables."""
-        first, (shift, _), parameters = self.first, self.shift, self.parameters()
-        functions = build_branched(first.configuration, first.forms, compiled=self._compiles)
-        x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
+        x0, lower, upper = self._limits(start, within)
         x0 = np.clip(x0, lower, upper)
-        lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
-        rows, count = self.constraints()[: len(first.constraints)], len(first.kept) + 1
+        rows = self.constraints()[: len(self.first.constraints) * self.coupling.count + len(self.coupling.pairs)]
         further = np.zeros(0) if parallel is None else parallel.upper
         bounds = Bounds(
             lower,
@@ -224,23 +218,59 @@ class Program:
             np.append([row.lower for row in rows], np.zeros(further.size)),
             np.append([row.upper for row in rows], further),
         )
-        objectives, sizes = first.objectives[:count], np.array(first.objective_scales[:count])
-        n_base, p = first.measures.plant.n_base, first.measures.plant.parameter_values
+        members = tuple(self._member(k, x0, bounds, parallel) for k in range(self.coupling.count))
+        mix, least = self._mixed(sought)
+        noise, kinks, margin = 0.0, members[0].kinks[:-sought], members[0].functions.margin
+        if kinks.any() and margin is not None:
+            noise = float(kinks.max()) * margin_noise(self.first, margin, x0 * self.scale)
+        steps, motion = self.coupling.steps(self.coupling.n_x), self.goal == "motion"
+        return Ascent(members, mix, least, bounds, steps, motion, noise, len(mix) - len(least)), x0
+
+    def _limits(self, start: Vector, within: float) -> tuple[Vector, Vector, Vector]:
+        """A start and the bounds as solvers have them: no further away than `within`, what is fixed at the start."""
+        shift = self._spread(self.shift[0])
+        x0, lower, upper = ((end - shift) / self.scale for end in (start, *self.bounds()))
+        lower, upper = np.maximum(lower, x0 - within), np.minimum(upper, x0 + within)
+        held = list(self.fixed)
+        lower[held] = upper[held] = x0[held]
+        return x0, lower, upper
+
+    def _mixed(self, sought: int) -> tuple[Vector, Vector]:
+        """The sums of V_jk / size that are kept and then sought, (o, j, k), and how much is kept; see `Ascent`."""
+        first, count, n_k = self.first, len(self.first.kept) + 1, self.coupling.count
+        each = np.eye(count * n_k).reshape(count * n_k, count, n_k)
+        before = (count - sought) * n_k
+        kept = np.array(first.kept[: count - sought]) / np.array(first.objective_scales[: count - sought])
+        least = np.repeat(kept, n_k)
+        if self.goal == "motion":
+            return np.concatenate([each, np.zeros((1, count, n_k))]), np.append(least, np.full(n_k, self.level))
+        if self.goal == "worst":
+            return each, least
+        return np.concatenate([each[:before], np.eye(count)[-sought:, :, None] * self.share]), least
+
+    def _member(self, k: int, x0: Vector, bounds: Bounds, parallel: Parallel | None) -> Member:
+        """Configuration k for an ascent from x0, whose slopes are confirmed there."""
+        problem, place, shift = self.problems[k], self.coupling.places[k], self.shift
+        own, count = list(place), len(problem.kept) + 1
+        functions = build_branched(problem.configuration, problem.forms, compiled=self._compiles)
+        parameters = packed_parameters((problem,), alone(len(place)), np.ones(1), 0.0, shift)
+        objectives, sizes = problem.objectives[:count], np.array(problem.objective_scales[:count])
+        n_base, p, scale = problem.measures.plant.n_base, problem.measures.plant.parameter_values, problem.scale
 
         def margin(x: Vector) -> Vector:
             # As the model is told z, without its shift.
-            z = x * self.scale
+            z = x[own] * scale
             assert functions.margin is not None, "asked for without ε_max"
-            slopes: Vector = functions.margin.call([z[:n_base], z[n_base:], p, first.gain])[1].full()
-            return slopes * self.scale
+            slopes: Vector = functions.margin.call([z[:n_base], z[n_base:], p, problem.gain])[1].full()
+            return slopes * scale
 
         def independent(x: Vector) -> Local:
-            return _branched_local(self.linear(x * self.scale + shift)[0])
+            return _branched_local(self.linear_of(k, x * scale + shift[0]))
 
-        confirm_once(
-            functions.model, parameters, partial(told_branches, functions, parameters), independent, x0, bounds
-        )
-        left = parameters_of(first.configuration, self.coupling, count).place("left")
+        limits = Bounds(bounds.x_lower[own], bounds.x_upper[own], bounds.g_lower, bounds.g_upper)
+        given = partial(told_branches, functions, parameters)
+        confirm_once(functions.model, parameters, given, independent, x0[own], limits)
+        left = parameters_of(problem.configuration, alone(len(place)), count).place("left")
 
         def without(modes: list[int]) -> Vector:
             changed = parameters.copy()
@@ -249,11 +279,7 @@ class Program:
 
         alphas = np.array([objective.alpha for objective in objectives]) / sizes[:, None]
         kinks = np.array([objective.beta for objective in objectives]) / sizes
-        least = np.array(first.kept[: count - sought]) / sizes[: count - sought]
-        noise = 0.0
-        if kinks[:-sought].any() and functions.margin is not None:
-            noise = float(kinks[:-sought].max()) * margin_noise(first, functions.margin, x0 * self.scale)
-        return Ascent(functions, parameters, alphas, kinks, least, bounds, margin, without, noise, sought, parallel), x0
+        return Member(functions, place, parameters, alphas, without, kinks, margin, parallel)
 
     @cached_property
     def _compiles(self) -> bool:
@@ -269,9 +295,9 @@ class Program:
         """The numbers of this program for its solver, see `nlp.Parameters`."""
         return packed_parameters(self.problems, self.coupling, self.share, self.level, self.shift)
 
-    def _stated(self, shift: Vector, x: Vector) -> Local:
+    def _stated(self, x: Vector) -> Local:
         """Objective and constraints of the solver's program at the solver's x, with slopes."""
-        there = x[: self.coupling.n_x] * self.scale + shift
+        there = x[: self.coupling.n_x] * self.scale + self._spread(self.shift[0])
         return self.local(there, self.linear(there), float(x[-1]))
 
     def linear(self, x: Vector) -> list[Linearisation]:

@@ -15,8 +15,8 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.check import infeasible, prove_program
-from flexopt.selection.optima import Progress
+from flexopt.selection.check import infeasible
+from flexopt.selection.optima import Progress, accepted, finished
 from flexopt.selection.program import SOLVED, Program
 from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import TargetConfiguration
@@ -59,19 +59,18 @@ def _numbered(program: Program, starts: list[Vector], number: int) -> End:
 
 
 def end_from(program: Program, start: Vector) -> End:
-    """IPOPT from a start, and what the equations say of its end; once more from there where only IPOPT accepts it."""
+    """Where a start leads, and what the equations say of its end; once more from there where only IPOPT accepts it."""
     end = _end(program, start)
     again = _end(program, end.x) if end.violations and end.status in SOLVED else end
     return end if again.violations else again
 
 
 def _end(program: Program, start: Vector) -> End:
-    x, _, status = program.solve(start)
-    if not np.all(np.isfinite(x)):
+    x, proof, _, status = finished(program, start)
+    if proof is None:
         return End(x, {"solver": np.inf}, np.inf, status)
-    proof = prove_program(program, x)
     violations = dict(proof.violations)
-    if proof.holds and status not in SOLVED and not proof.unsurpassed:
+    if proof.holds and not accepted(program, proof, status):
         violations["solver"] = 0.0
     return End(x, violations, 0.0 if proof.unsurpassed else proof.stationarity, status)
 
