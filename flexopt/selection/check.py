@@ -442,7 +442,7 @@ def _rises(
             own = f_z[i, side] * program.first.scale
             size = float(np.linalg.norm(own, 2))
             values.append(kink.axes @ f[i, side] / size)
-            wide = np.zeros((len(kink.axes), y.size))
+            wide = np.zeros((kink.rows.stop - kink.rows.start, y.size))
             wide[:, list(program.coupling.places[kink.member])] = kink.axes @ own / size
             slopes.append(wide)
         return np.concatenate(values), np.vstack(slopes)

@@ -212,7 +212,7 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
             return _proved(single(problem), *found)
     z, proof, iterations, status = _proved(single(problem), *run_solver(problem, start, quick=True))
     if proof is not None and not proof.holds and status in SOLVED:
-        return _further(single(problem), z, iterations)
+        return climbed_from(single(problem), z, iterations)
     return z, proof, iterations, status
 
 
@@ -245,10 +245,10 @@ def finished(program: Program, start: Vector) -> SolveOutcome:
     z, proof, iterations, status = _proved(program, *program.solve(start))
     if proof is None or proof.holds or any(form.kinks for form in program.first.forms):
         return z, proof, iterations, status
-    return _further(program, z, iterations, status)
+    return climbed_from(program, z, iterations, status)
 
 
-def _further(program: Program, z: Vector, iterations: int, status: str = CUT_SHORT) -> SolveOutcome:
+def climbed_from(program: Program, z: Vector, iterations: int = 0, status: str = CUT_SHORT) -> SolveOutcome:
     """Where an ascent leads from a point that a solver reached with this status; that point where it is on no rows."""
     z, more, status = program.climbed(z, ASCENT_LONG) or (z, 0, status)
     return _proved(program, z, iterations + more, status)
@@ -291,7 +291,7 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
 
 def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> SolveOutcome:
     """A solve that was cut short, taken up again."""
-    return _further(single(problem), points[number], 0)
+    return climbed_from(single(problem), points[number])
 
 
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[int]:

@@ -18,6 +18,7 @@ import pytest
 import flexopt
 from flexopt.cli import _COMMANDS
 from flexopt.cli.analysis import select_command
+from flexopt.selection.program import Program
 from tests.cli.command import MACHINE, PROBLEM, THIRD_LINK, Command, strict_json, toml
 
 ROOT = Path(__file__).parents[2]
@@ -336,11 +337,11 @@ def test_text_of_evaluate_lists_every_mode(command: Command) -> None:
 
 
 def test_failed_solve_tells_constraint_and_iterate(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    def lose(problem: flexopt.SelectionProblem, start: np.ndarray, **how: float) -> tuple[np.ndarray, int, str]:
+    def lose(self: Program, start: np.ndarray, **how: float) -> tuple[np.ndarray, int, str]:
         return start + np.array([0.1, 0.0, 0.0]), 200, "Maximum_Iterations_Exceeded"
 
-    monkeypatch.setattr("flexopt.selection.optima.run_solver", lose)
-    monkeypatch.setattr("flexopt.selection.program.Program.climbed", lambda *_: None)
+    monkeypatch.setattr(Program, "solve", lose)
+    monkeypatch.setattr(Program, "climbed", lambda *_: None)
     outcome = command(*SELECT, "--json", "--out", "choice.json")
     assert outcome.code == 3
     error = outcome.document["error"]

@@ -69,11 +69,11 @@ def test_a_later_objective_is_solved_and_no_point_nearby_is_better(name: str) ->
 
 def test_an_objective_that_nobody_solves_has_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = flexopt.load("excavator")
-    honest, tries = optima.run_solver, []
+    honest, tries = Program.solve, []
 
-    def stuck(problem, start, **options):
-        if not problem.kept:
-            return honest(problem, start, **options)
+    def stuck(self, start, **options):
+        if not self.first.kept:
+            return honest(self, start, **options)
         tries.append(start)
         return start, 0, "Restoration_Failed"
 
@@ -82,7 +82,7 @@ def test_an_objective_that_nobody_solves_has_no_answer(monkeypatch: pytest.Monke
     def off_the_rows(self, start, *more):
         return None if self.first.kept else climbed(self, start, *more)
 
-    monkeypatch.setattr(optima, "run_solver", stuck)
+    monkeypatch.setattr(Program, "solve", stuck)
     monkeypatch.setattr(Program, "climbed", off_the_rows)
     with pytest.raises(NoSolutionFound, match="as an optimum of w2 among those that keep w1 in"):
         flexopt.select(machine, [3.0, 0.5], objective="w1,w2", workers=1)
@@ -97,12 +97,12 @@ def test_an_optimum_of_the_objective_before_may_be_one_of_the_next(monkeypatch: 
     problem = replace(
         whole.problem, objectives=whole.problem.objectives * 2, objective_scales=whole.problem.objective_scales * 2
     )
-    honest = optima.run_solver
+    honest = Program.solve
 
-    def stuck(problem, start, **options):
-        return (start, 0, "Restoration_Failed") if problem.kept else honest(problem, start, **options)
+    def stuck(self, start, **options):
+        return (start, 0, "Restoration_Failed") if self.first.kept else honest(self, start, **options)
 
-    monkeypatch.setattr(optima, "run_solver", stuck)
+    monkeypatch.setattr(Program, "solve", stuck)
     twice = flexopt.solve_selection(problem, workers=1)
     np.testing.assert_allclose(twice.best.w[0], whole.best.w[0], atol=1e-9 * whole.problem.objective_scale)
 

@@ -151,7 +151,8 @@ def plan_base(
         raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
     ends = ends_from(program, begins, count, progress)
     good = not_below(program, verified(program, ends, "way"), begins, "way")
-    best, stationarity = _shortest(program, good)
+    end = _shortest(program, good)
+    best = program.unwound(end.x)
     places = places_at(program, best)
     stated = {"path": points.tolist(), "times": due.tolist(), "max_base_rate": base_rates.tolist()}
     stated |= {"max_joint_rate": joint_rates.tolist(), "start": None if begin is None else begin.tolist()}
@@ -161,7 +162,8 @@ def plan_base(
         still=None if still is None else _still(program, still),
         between=_between(problems, due, [program.of(best, k) for k in range(len(problems))]),
         travelled=_travelled(machine, np.array([place.evaluation.base for place in places])),
-        stationarity=stationarity,
+        stationarity=end.stationarity,
+        kinks=end.kinks,
         attempts=(len(ends), len(good)),
         problems=problems,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=seed),
@@ -247,8 +249,8 @@ def _still(program: Program, zs: list[Vector]) -> FixedPlacement:
     )
 
 
-def _shortest(program: Program, good: list[End]) -> tuple[Vector, float]:
-    """The shortest of the ways near the verified ones that keep the best worst V, and its stationarity."""
+def _shortest(program: Program, good: list[End]) -> End:
+    """The shortest of the ways near the verified ones that keep the best worst V."""
     level = program.worth(good[0].x) / program.size - SLACK
     shorter = program.kept(level)
     ways: list[End] = []
@@ -256,8 +258,7 @@ def _shortest(program: Program, good: list[End]) -> tuple[Vector, float]:
         if program.worth(end.x) / program.size >= level:
             moved = end_from(shorter, end.x)
             ways.append(end if moved.violations else moved)
-    best = min(ways, key=lambda end: program.length(end.x))
-    return program.unwound(best.x), best.stationarity
+    return min(ways, key=lambda end: program.length(end.x))
 
 
 def _between(problems: tuple[SelectionProblem, ...], due: Vector, zs: list[Vector]) -> tuple[float, float]:

@@ -51,12 +51,15 @@ class ConfigurationSet:
     Attributes:
         places: one for each target, in order.
         stationarity: of the solution, relative to the objective's scale.
+        kinks: where w_i have kinks at the solution (a_i = 0 or b_i = 0 at a target), the multipliers that prove it, as
+            in `flexopt.selection.result.Candidate`.
         attempts: starts, and how many led to a verified optimum.
         problems: the configuration problem of each target.
     """
 
     places: tuple[TargetConfiguration, ...]
     stationarity: float
+    kinks: dict[str, float]
     attempts: tuple[int, int]
     problems: tuple[SelectionProblem, ...] = field(repr=False)
     provenance: dict[str, Any] = field(repr=False)
@@ -85,7 +88,7 @@ class ConfigurationSet:
         document = {"status": status, "converged": self.converged}
         document |= own | {"worst": self.worst, "places": [place.to_dict() for place in self.places]}
         document |= {"base_coordinates": self.places[0].evaluation.base_coordinates}
-        document |= {"stationarity": self.stationarity, "provenance": self.provenance}
+        document |= {"stationarity": self.stationarity, "kinks": self.kinks, "provenance": self.provenance}
         problem = self.problems[0].to_dict() | {targets: [place.target for place in self.places]}
         return json_ready(document | {"problem": problem})
 

@@ -16,7 +16,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import infeasible
-from flexopt.selection.optima import Progress, accepted, finished
+from flexopt.selection.optima import Progress, SolveOutcome, accepted, climbed_from, finished
 from flexopt.selection.program import SOLVED, Program
 from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import TargetConfiguration
@@ -32,12 +32,14 @@ class End:
 
     Attributes:
         x: the point;  violations: what it violates, by name, beyond tolerances.
-        stationarity: as in `Proof`, 0 where no configuration is better;  status: IPOPT's.
+        stationarity: as in `Proof`, 0 where no configuration is better;  kinks: as in `Proof`.
+        status: the solver's.
     """
 
     x: Vector
     violations: dict[str, float]
     stationarity: float
+    kinks: dict[str, float]
     status: str
 
 
@@ -49,7 +51,7 @@ def ends_from(program: Program, starts: list[Vector], workers: int, progress: Pr
             progress(done, len(starts))
 
     def lost(number: int, sentence: str) -> End:
-        return End(starts[number], {"solver": np.inf}, np.inf, sentence)
+        return End(starts[number], {"solver": np.inf}, np.inf, {}, sentence)
 
     return in_parallel(partial(_numbered, program, starts), len(starts), workers, tell, lost=lost)
 
@@ -66,13 +68,17 @@ def end_from(program: Program, start: Vector) -> End:
 
 
 def _end(program: Program, start: Vector) -> End:
-    x, proof, _, status = finished(program, start)
+    return _told(program, finished(program, start))
+
+
+def _told(program: Program, found: SolveOutcome) -> End:
+    x, proof, _, status = found
     if proof is None:
-        return End(x, {"solver": np.inf}, np.inf, status)
+        return End(x, {"solver": np.inf}, np.inf, {}, status)
     violations = dict(proof.violations)
     if proof.holds and not accepted(program, proof, status):
         violations["solver"] = 0.0
-    return End(x, violations, 0.0 if proof.unsurpassed else proof.stationarity, status)
+    return End(x, violations, 0.0 if proof.unsurpassed else proof.stationarity, proof.kinks, status)
 
 
 def verified(program: Program, ends: list[End], what: str) -> list[End]:
@@ -118,7 +124,8 @@ def not_below(program: Program, good: list[End], seen: list[Vector], what: str) 
     better = sorted(better, key=lambda x: -program.worth(x))[:TRIED]
     if not better:
         return good
-    found = verified(program, [*good, *(end_from(program, x) for x in better)], what)
+    # An ascent never leads below its start.
+    found = verified(program, [*good, *(_told(program, climbed_from(program, x)) for x in better)], what)
     short = program.worth(better[0]) - program.worth(found[0].x)
     if short > BETTER * program.size:
         raise NoSolutionFound(

@@ -97,6 +97,7 @@ def select_stand(
         worth=program.worth(best),
         alternatives=tuple(_alternatives(program, [end.x for end in good])),
         stationarity=good[0].stationarity,
+        kinks=good[0].kinks,
         attempts=(tried, len(good)),
         problems=problems,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=asked.seed),
