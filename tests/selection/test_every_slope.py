@@ -19,8 +19,9 @@ from flexopt.model.constraints import Constraints
 from flexopt.model.own import check_function
 from flexopt.plant.inverse_kinematics import reach_steps
 from flexopt.robustness.atlas import fields as atlas_fields
-from flexopt.selection import nullspace_law, optima, programs
+from flexopt.selection import nullspace_law, programs
 from flexopt.selection import program as program_module
+from flexopt.selection.ascent_model import Step
 from flexopt.selection.nlp import IPOPT_OPTIONS
 from flexopt.selection.objective import Objective
 from flexopt.selection.own import OwnTerm, known_quantities
@@ -191,12 +192,12 @@ def walk(monkeypatch):
     monkeypatch.setattr(programs, "confirm", checked)
 
     def go(problem, *args):
-        now[:] = [problem]
+        program = program_module.single(problem) if isinstance(problem, flexopt.SelectionProblem) else problem
+        now[:] = [program.first]
         with pytest.raises(_WalkedError):
-            optima.run_solver(problem, *args) if isinstance(problem, flexopt.SelectionProblem) else problem.solve(*args)
-        if isinstance(problem, flexopt.SelectionProblem):
-            with pytest.raises(_WalkedError):
-                program_module.single(problem).climbed(*args, 1)
+            program.solve(*args)
+        with pytest.raises(_WalkedError):
+            program.climbed(*args, 1)
 
     yield go
     programs._confirmed.clear()
@@ -306,8 +307,11 @@ def own_functions(machine, problem, start):
         yield ca.Function("own", list(symbols.values()), [total], names, ["v"])
 
 
-@pytest.mark.parametrize("goal", ["worst", "weighted", "motion"])
-def test_several(walk, goal):
+GOALS = ("worst", "weighted", "motion")
+
+
+def several(goal):
+    """A program of two targets, and a point of it."""
     machine = flexopt.load("excavator")
     targets = np.array([(0.0, 1.6), (0.2, 1.5)])
     problems = build_problems("test", machine, targets, "targets", flexopt.SelectionOptions(), None)
@@ -315,8 +319,48 @@ def test_several(walk, goal):
         together = _along(problems, np.array([0.0, 1.0]), np.full(3, 0.5), None).kept(-0.1)
     else:
         together = one_placement(problems, np.array([0.3, 0.7]), weighted=goal == "weighted")
-    walk(together, together.packed([starting_points(problem)[0] for problem in problems]))
+    return together, together.packed([starting_points(problem)[0] for problem in problems])
+
+
+@pytest.mark.parametrize("goal", GOALS)
+def test_several(walk, goal):
+    walk(*several(goal))
     assert program_module.run is programs.run
+
+
+@pytest.mark.parametrize("goal", GOALS)
+def test_an_ascent_of_several(goal):
+    """What is put together of several configurations: sums and rows, their slopes, and those of the cones."""
+    program, x = several(goal)
+    (ascent, start), rng = program.ascent(x), np.random.default_rng(4)
+
+    def check(x):
+        at = ascent.at(x)
+        step = Step(np.full(x.size, 1e-9), 0.0, rng.uniform(0.5, 1.5, at.values.size),
+                    rng.uniform(-1, 1, at.rows.size), {}, np.eye(x.size), coupled=False)  # fmt: skip
+        second = ascent._second(at, step, 1e-9)
+        assert not second.cones
+
+        def lagrangian(y):
+            there = ascent.at(y)
+            return second.free @ (step.row_pulls @ there.row_slopes - step.pulls @ there.slopes)
+
+        along = differences(lagrangian, x) @ second.free.T
+        cones = np.vstack([cone.slopes for cone in at.cones])
+        sizes = np.linalg.norm(cones, axis=1, keepdims=True)
+        return {
+            "first": max(away(at.slopes, lambda y: ascent.at(y).values, x),
+                         away(at.row_slopes, lambda y: ascent.at(y).rows, x),
+                         away(ascent.rows(x)[1], lambda y: ascent.rows(y)[0], x)),
+            "second": float(np.abs(second.smooth - along).max() / max(1.0, np.abs(along).max())),
+            "cones": float(np.abs((cones - differences(
+                lambda y: np.concatenate([cone.value for cone in ascent.at(y).cones]), x)) / sizes).max()),
+        }  # fmt: skip
+
+    found = best_of(check, [start + 2e-2 * rng.uniform(-1, 1, start.size) for _ in range(POINTS)], FIRST, second=SECOND)
+    assert found["first"] < FIRST, found
+    assert found["second"] < SECOND, found
+    assert found["cones"] < FIRST, found
 
 
 @pytest.mark.parametrize(
