@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import flexopt
-from benchmarks.choice import FIRST, LEAST, LONGER, MOST, PARENTS, SHORTER, STEPS, Other, Row, chosen, compare
+from benchmarks.choice import FIRST, LEAST, LONGER, MOST, SHORTER, Other, Row, chosen, compare
 from flexopt.errors import FlexoptError, UnreachableTarget
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.program import Program
@@ -29,6 +29,7 @@ from flexopt.selection.several.standing import one_placement
 TARGETS, APART, SECONDS, RATE = 3, 1.0, 20.0, 0.1
 # Postures tried from each placement.
 POSTURES = 16
+PARENTS, STEPS = 48, 250
 
 
 class Together:

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.ascent_member import Member
+from flexopt.selection.ascent_member import AscentMember
 from flexopt.selection.ascent_model import DIFFERENCE, ROUNDING, Cone, Point, SecondOrder, Step, best_step
 from flexopt.selection.cones import SHARED, TINY, mode_cones
-from flexopt.selection.nlp import own_directions
+from flexopt.selection.coupling import own_directions
 from flexopt.selection.programs import Bounds
 
 # Distances, in scaled variables: of the first step, the greatest, and the one below which nothing is found.
@@ -61,7 +61,7 @@ class Ascent:
         sought: how many are sought: the smallest of them is climbed.
     """
 
-    members: tuple[Member, ...]
+    members: tuple[AscentMember, ...]
     mix: Vector
     least: Vector
     bounds: Bounds
@@ -122,7 +122,7 @@ class Ascent:
             sought=self.sought,
         )
 
-    def _wide(self, member: Member, slopes: Vector) -> Vector:
+    def _wide(self, member: AscentMember, slopes: Vector) -> Vector:
         """Slopes (…, n) by x of those by a configuration's own entries."""
         wide = np.zeros((*slopes.shape[:-1], self.bounds.x_lower.size))
         wide[..., list(member.place)] = slopes
@@ -135,7 +135,7 @@ class Ascent:
         return np.concatenate([*(rows for rows, _ in found), self.steps @ x]), np.vstack([*slopes, self.steps])
 
     def _factors(self, x: Vector) -> tuple[Vector, Vector, Vector]:
-        """As `Member.factors`, modes of all configurations in a row."""
+        """As `AscentMember.factors`, modes of all configurations in a row."""
         found = [member.factors(x) for member in self.members]
         f, f_z, same = zip(*found, strict=True)
         wide = [self._wide(member, own) for member, own in zip(self.members, f_z, strict=True)]

@@ -21,7 +21,7 @@ BESIDE = 1e-5
 
 
 @dataclass(frozen=True)
-class MemberPoint:
+class ConfigurationPoint:
     """A configuration at x.
 
     Attributes:
@@ -41,7 +41,7 @@ class MemberPoint:
 
 
 @dataclass(frozen=True)
-class Member:
+class AscentMember:
     """A configuration of an ascent.
 
     Attributes:
@@ -68,7 +68,7 @@ class Member:
         """How many rows it has."""
         return self.functions.rows.size1_out(0) + (0 if self.parallel is None else self.parallel.upper.size)
 
-    def at(self, x: Vector) -> MemberPoint:
+    def at(self, x: Vector) -> ConfigurationPoint:
         """The configuration at x."""
         last, g, last_x, g_x, epsilon_x = self._called(self.functions.model, x)
         n_rows, gap = self.functions.rows.size1_out(0), 0.0
@@ -83,7 +83,7 @@ class Member:
             f, f_z, _ = self.factors(x)
             rows = np.append(rows, self.parallel.values(f))
             row_slopes = np.vstack([row_slopes, self.parallel.slopes(f, f_z)])
-        return MemberPoint(rows, row_slopes, values[lowest], slopes[lowest], gap, epsilon_x, self._pulls(x))
+        return ConfigurationPoint(rows, row_slopes, values[lowest], slopes[lowest], gap, epsilon_x, self._pulls(x))
 
     def rows(self, x: Vector) -> tuple[Vector, Vector]:
         """All rows at x, and their slopes."""

@@ -13,9 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.check import FIRST_ORDER, STATIONARY_NEARLY, Proof, lagrangian_hessian, linearised, prove_program
+from flexopt.selection.check import FIRST_ORDER, STATIONARY_NEARLY, Proof, prove_program
+from flexopt.selection.first_order import linearised
 from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, multipliers_of
 from flexopt.selection.program import Program
+from flexopt.selection.second_order import lagrangian_hessian
 
 STEPS = 8
 # In scaled variables; from further away the active rows are not those of the optimum.

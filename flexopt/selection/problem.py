@@ -23,7 +23,9 @@ from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
-from flexopt.selection.nlp import Coupling, ObjectiveForm, alone, build_solver, parameters_of
+from flexopt.selection.coupling import Coupling, alone
+from flexopt.selection.member_graph import ObjectiveForm, parameters_of
+from flexopt.selection.nlp import build_solver
 from flexopt.selection.objective import Objective, Quantities, entry_names, quantities
 from flexopt.selection.own import OwnTerm
 from flexopt.selection.scan import Scan
@@ -335,7 +337,7 @@ class SelectionProblem:
         return build_solver(self.configuration, alone(self.scale.size), self.forms, "weighted", quick=quick)
 
     def solver_parameters(self) -> Vector:
-        """The numbers of this problem for `solver`, see `nlp.Parameters`."""
+        """The numbers of this problem for `solver`, see `SolverParameters`."""
         return packed_parameters((self,), alone(self.scale.size), np.ones(1), 0.0, self.shift)
 
     def to_dict(self) -> dict[str, Any]:
@@ -379,7 +381,7 @@ def packed_parameters(
     level: float,
     shift: tuple[Vector, Vector],
 ) -> Vector:
-    """The numbers of problems with the same machine, objective, scales and constraints, see `nlp.Parameters`.
+    """The numbers of problems with the same machine, objective, scales and constraints, see `SolverParameters`.
 
     `shift` of z and of the targets is as in `SelectionProblem.shift`.
     """

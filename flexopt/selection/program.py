@@ -17,10 +17,12 @@ from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.selection.ascent import STUCK, Ascent
-from flexopt.selection.ascent_member import Member
+from flexopt.selection.ascent_member import AscentMember
 from flexopt.selection.cones import Parallel
 from flexopt.selection.configuration import ConstraintRows
-from flexopt.selection.nlp import Coupling, Goal, alone, build_branched, build_solver, parameters_of, told_branches
+from flexopt.selection.coupling import Coupling, alone
+from flexopt.selection.member_graph import parameters_of
+from flexopt.selection.nlp import Goal, build_branched, build_solver, told_branches
 from flexopt.selection.objective import Objective
 from flexopt.selection.problem import ScaledConstraint, SelectionProblem, packed_parameters
 from flexopt.selection.programs import Bounds, Local, confirm_once, run
@@ -248,7 +250,7 @@ class Program:
             return each, least
         return np.concatenate([each[:before], np.eye(count)[-sought:, :, None] * self.share]), least
 
-    def _member(self, k: int, x0: Vector, bounds: Bounds, parallel: Parallel | None) -> Member:
+    def _member(self, k: int, x0: Vector, bounds: Bounds, parallel: Parallel | None) -> AscentMember:
         """Configuration k for an ascent from x0, whose slopes are confirmed there."""
         problem, place, shift = self.problems[k], self.coupling.places[k], self.shift
         own, count = list(place), len(problem.kept) + 1
@@ -279,7 +281,7 @@ class Program:
 
         alphas = np.array([objective.alpha for objective in objectives]) / sizes[:, None]
         kinks = np.array([objective.beta for objective in objectives]) / sizes
-        return Member(functions, place, parameters, alphas, without, kinks, margin, parallel)
+        return AscentMember(functions, place, parameters, alphas, without, kinks, margin, parallel)
 
     @cached_property
     def _compiles(self) -> bool:
@@ -292,7 +294,7 @@ class Program:
         return calls * evaluation_seconds(margin.gradients) > compilation_seconds(margin.compacted.gradients)
 
     def parameters(self) -> Vector:
-        """The numbers of this program for its solver, see `nlp.Parameters`."""
+        """The numbers of this program for its solver, see `SolverParameters`."""
         return packed_parameters(self.problems, self.coupling, self.share, self.level, self.shift)
 
     def _stated(self, x: Vector) -> Local:

@@ -11,7 +11,7 @@ import pytest
 import flexopt
 from flexopt.robustness.residues import rank_one_measure
 from flexopt.selection.ascent import DONE, Ascent
-from flexopt.selection.ascent_member import Member
+from flexopt.selection.ascent_member import AscentMember
 from flexopt.selection.check import prove
 from flexopt.selection.nlp import Branched
 from flexopt.selection.program import single
@@ -57,7 +57,7 @@ def toy(n: int, smooth: Entry, entries: tuple[Entry, Entry, Entry], row: Entry) 
     bounds = Bounds(np.full(n, -3.0), np.full(n, 3.0), np.zeros(1), np.zeros(1))
     alphas, of_margin = np.zeros((1, 1)), lambda at: margin.call([at])[0].full()
     place = tuple(range(n))
-    member = Member(functions, place, np.zeros(1), alphas, lambda _: np.zeros(1), np.ones(1), of_margin)
+    member = AscentMember(functions, place, np.zeros(1), alphas, lambda _: np.zeros(1), np.ones(1), of_margin)
     return Ascent((member,), np.ones((1, 1, 1)), np.zeros(0), bounds, np.zeros((0, n)))
 
 
@@ -85,7 +85,7 @@ def modes_toy(n: int, smooth: Entry, a: Entry, b: Entry, row: Entry) -> Ascent:
         return np.array([0.0 if i in modes else 1.0 for i in range(m)])
 
     none, place = np.zeros((3, n)), tuple(range(n))
-    member = Member(functions, place, np.ones(m), np.ones((1, m)), without, np.zeros(1), lambda _: none)
+    member = AscentMember(functions, place, np.ones(m), np.ones((1, m)), without, np.zeros(1), lambda _: none)
     return Ascent((member,), np.ones((1, 1, 1)), np.zeros(0), bounds, np.zeros((0, n)))
 
 

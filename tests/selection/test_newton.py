@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.selection.check import FIRST_ORDER, linearised, prove, prove_program
+from flexopt.selection.check import FIRST_ORDER, prove, prove_program
+from flexopt.selection.first_order import linearised
 from flexopt.selection.multipliers import multipliers_of
 from flexopt.selection.newton import polished
 from flexopt.selection.program import Program, single

@@ -31,7 +31,7 @@ from flexopt.model.targets import RATES, TIMES
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import only_notes
-from flexopt.selection.nlp import Coupling
+from flexopt.selection.coupling import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program, values_of
 from flexopt.selection.several.postures import Reached, reached_from

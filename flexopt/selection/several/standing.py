@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.nlp import Coupling
+from flexopt.selection.coupling import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached, reached_from

@@ -1,0 +1,190 @@
+"""How a program bends about a point: its curvature along what is free, and how many directions lead along optima.
+
+In: a program, a point and its multipliers. Out: second derivatives of the Lagrangian; the dimension of the optimal set.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flexopt.algebra.feasible import shortest_steps
+from flexopt.foundation.arrays import Vector
+from flexopt.selection.cones import SHARED, Parallel, smooth_slope
+from flexopt.selection.coupling import own_directions
+from flexopt.selection.first_order import TIP
+from flexopt.selection.multipliers import FirstOrderModel, Held
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import Program
+from flexopt.selection.programs import Local
+
+# How far a point may be off the rows that it is moved onto.
+LANDED = 1e-8
+CURVATURE_TOLERANCE = 1e-6
+CURVATURE_STEP = 1e-5
+# Steps along a direction of positive curvature, in scaled variables, that are looked at for a larger V.
+PROBES = (1e-2, 1e-3, 1e-4)
+# Steps back onto the active rows, and how near they lead: what is left is taken off what V gains.
+CORRECTIONS, ON_ROWS = 8, 1e-14
+# Singular values of rows below this share of the largest are rounding.
+DEPENDENT = 1e-9
+# Slopes of the equations of a_i parallel to b_i, in scaled variables, that count as none.
+VANISHING = 1e-7
+# A gain below this share of V's and the multipliers' size is rounding.
+NOISE = 1e-12
+
+
+def surface_at(problem: SelectionProblem, z: Vector) -> Parallel | None:
+    """The equations, about z, of what makes V = 0 there: a_i parallel to b_i; None where both of a mode vanish."""
+    modes = tuple(i for i, alpha in enumerate(problem.objective.alpha) if alpha > 0)
+    if not modes:
+        return None
+    f, f_z, same = problem.factors(z)
+    slopes = f_z * problem.scale
+    reach = np.linalg.norm(slopes, 2, axis=(2, 3))
+    sizes = np.maximum(np.linalg.norm(f, axis=2), reach)
+    away = (np.linalg.norm(f, axis=2) > TIP * reach).any(axis=1)
+    told = sizes.prod(axis=1) * np.array(problem.objective.alpha) > TIP * problem.objective_scale
+    if not all(same[i] < SHARED and away[i] and told[i] for i in modes):
+        return None
+    return Parallel.at(f, slopes, modes)
+
+
+def dimension_of(program: Program, x: Vector, local: FirstOrderModel) -> int | None:
+    """Of the set V = 0 about x, which inequalities may bound: V's own slope and curvature vanish along it."""
+    if program.first.kept or program.coupling.count > 1:
+        return None
+    surface = surface_at(program.first, x)
+    if surface is None:
+        return None
+    f, f_z, _ = program.first.factors(x)
+    equations = np.ones(len(local.equalities), dtype=bool)
+    for kink in local.kinks:
+        equations[kink.rows] = False
+    across = surface.slopes(f, f_z * program.first.scale)[: surface.equations]
+    # Where equations lose their slopes, as on an edge in a plane of symmetry, sets may cross.
+    if np.linalg.svd(across, compute_uv=False)[-1] <= VANISHING:
+        return None
+    return x.size - _rank(np.vstack([local.equalities[equations], across]))
+
+
+def _rank(rows: Vector) -> int:
+    singular = np.linalg.svd(rows, compute_uv=False)
+    return int(np.sum(singular > DEPENDENT * singular[0])) if singular.size else 0
+
+
+def largest_curvature(
+    program: Program, x: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int]
+) -> tuple[float, int | None]:
+    """Largest curvature of V − λᵀ c on the null space of the active rows, by central differences of exact gradients.
+
+    0 where nothing is free, at a kink, where the branches change places within the step, and where no point nearby
+    along that direction is better: differences mislead where second derivatives change within the step. And along how
+    many directions there is none; None at a kink of ε_max.
+    """
+    rows = local.rows(list(range(len(local.inequalities))))
+    _, singular, directions = np.linalg.svd(rows)
+    free = directions[int(np.sum(singular > DEPENDENT * singular[0])) :] if len(rows) else np.eye(local.gradient.size)
+    if any(kink.number is None for kink in local.kinks):
+        return 0.0, None
+    if not free.size:
+        return 0.0, 0
+    weights, held = local.weights(multipliers, kept), local.held(multipliers, kept)
+    values, vectors = np.linalg.eigh(lagrangian_hessian(program, x, free, weights, held))
+    largest, flat = float(values[-1]), int(np.sum(values >= -CURVATURE_TOLERANCE))
+    if largest > CURVATURE_TOLERANCE and not _rises(program, x, local, free.T @ vectors[:, -1], weights, largest):
+        return 0.0, flat
+    return largest, flat
+
+
+def lagrangian_hessian(program: Program, x: Vector, free: Vector, weights: Vector, held: Held) -> Vector:
+    """Second derivatives of V − weightsᵀ c along the rows of `free` (d, n_x), scaled variables, (d, d).
+
+    `held`, from `FirstOrderModel.held`: where w_i have kinks what is left of them that is smooth.
+    """
+    hessian = np.zeros((len(free), len(free)))
+    for k, place in enumerate(program.coupling.places):
+        # What the others do does not matter to this one's second derivatives, and it has few directions of its own.
+        along, basis = own_directions(free, place)
+        hessian += along @ _second_derivatives(program, k, program.of(x, k), basis, weights, held) @ along.T
+    if program.goal == "motion":
+        steps = free @ program.coupling.steps(free.shape[1]).T
+        hessian -= steps @ steps.T
+    return (hessian + hessian.T) / 2
+
+
+def _second_derivatives(program: Program, k: int, z: Vector, basis: Vector, weights: Vector, held: Held) -> Vector:
+    """Second derivatives of configuration k's share in the Lagrangian along a basis (d, n_z) of z / scale, (d, d)."""
+    count, kept, n_rows = program.coupling.count, len(program.first.kept), len(program.first.constraints)
+    before = n_rows * count + len(program.coupling.pairs)
+    weighted = before + kept * count == weights.size
+    of_value = program.share[k] if weighted else -weights[before + kept * count + k]
+
+    tips = {number: pull for (member, number), pull in held.items() if member == k}
+    smooth = program.without_modes({number // 2 for number in tips})
+
+    def pull(there: Vector) -> Vector:
+        row_slopes, _, slopes = smooth.slopes_of(k, there)
+        total = of_value * slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ row_slopes
+        for j in range(kept):
+            total = total - weights[before + j * count + k] * slopes[j][0]
+        if tips:
+            f, f_z, _ = program.problems[k].factors(there)
+            total = total + smooth_slope(f, f_z * program.first.scale, tips)
+        return total
+
+    second = np.zeros((len(basis), len(basis)))
+    for row, direction in enumerate(basis):
+        step = CURVATURE_STEP * direction * program.first.scale
+        second[row] = basis @ (pull(z + step) - pull(z - step)) / (2 * CURVATURE_STEP)
+    return second
+
+
+def _rises(
+    program: Program, x: Vector, local: FirstOrderModel, direction: Vector, weights: Vector, curvature: float
+) -> bool:
+    """Whether V is larger at some point near x along a direction, moved back onto the active rows.
+
+    What V gains by being a rounding error off these rows, whose multipliers are `weights`, is taken off: what narrow
+    slacks of earlier objectives allow is dear.
+    Where earlier objectives are kept their derivatives may jump, so that no such point is found: nothing is known then.
+    """
+    constraints = program.constraints()
+    numbers = [*local.equal, *(k for k, _ in local.active)]
+    wanted = np.array([row.lower if value - row.lower <= row.upper - value else row.upper
+                       for row, value in zip(constraints, local.g, strict=True)])[numbers]  # fmt: skip
+    before = len(program.first.constraints) * program.coupling.count + len(program.coupling.pairs)
+    kept = any(before <= k < before + len(program.first.kept) * program.coupling.count for k, _ in local.active)
+    n_x = x.size
+
+    def there(y: Vector) -> Local:
+        at = y[:n_x] * program.scale
+        return program.local(at, program.linear(at), float(y[-1]))
+
+    tips = [kink for kink in local.kinks if kink.number is not None]
+
+    def linear(y: Vector) -> tuple[Vector, Vector]:
+        at = there(y)
+        values, slopes = [at.g[numbers] - wanted], [at.jacobian[numbers]]
+        z = [program.of(y[:n_x] * program.scale, k) for k in range(program.coupling.count)]
+        factors = {k: program.problems[k].factors(z[k]) for k in {kink.member for kink in tips}}
+        for kink in tips:
+            (f, f_z, _), (i, side) = factors[kink.member], divmod(kink.number or 0, 2)
+            own = f_z[i, side] * program.first.scale
+            size = float(np.linalg.norm(own, 2))
+            values.append(kink.axes @ f[i, side] / size)
+            wide = np.zeros((kink.rows.stop - kink.rows.start, y.size))
+            wide[:, list(program.coupling.places[kink.member])] = kink.axes @ own / size
+            slopes.append(wide)
+        return np.concatenate(values), np.vstack(slopes)
+
+    landed, start = False, np.append(x / program.scale, local.level)[: local.gradient.size]
+    for step in PROBES:
+        for sign in (1.0, -1.0):
+            near = start + sign * step * local.moving * direction
+            y, error = shortest_steps(linear, near, local.moving, ON_ROWS, steps=CORRECTIONS)
+            if error <= LANDED:
+                landed, at = True, there(y)
+                better = -at.f - local.value - weights[numbers] @ (at.g[numbers] - wanted)
+                if better > max(0.1 * curvature * step**2, NOISE * (abs(at.f) + float(np.abs(weights).sum()))):
+                    return True
+    return kept and not landed
