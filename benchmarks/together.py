@@ -87,23 +87,22 @@ class Together:
             x[place] = z[:, np.arange(samples) * POSTURES + best]
         return x
 
-    def best(self, samples: int, parents: int, steps: int) -> tuple[float, Vector]:
-        """The largest value that is found, and where; −∞ where no sample keeps everything."""
-        x = self.sampled(samples)
-        return self.improved(x, parents, steps)
+    def beside(self, x: Vector, size: Vector | float) -> Vector:
+        """Points (n_x, N) moved at random by so much, in scaled variables, and back onto the targets."""
+        ahead = x + size * self.moving * self.rng.standard_normal(x.shape)
+        return self.onto(np.clip(ahead, self.lower, self.upper))
 
-    def improved(self, x: Vector, parents: int, steps: int, first: float = FIRST) -> tuple[float, Vector]:
-        """The best that steps at random lead to from the best of some points (n_x, N)."""
+    def best(self, samples: int, parents: int, steps: int) -> tuple[float, Vector]:
+        """The largest value that steps at random lead to, and where; −∞ where no sample keeps everything."""
+        x = self.sampled(samples)
         values = self.values(x)
         good = np.isfinite(values)
         if not good.any():
             return -math.inf, np.full(len(x), np.nan)
         order = np.argsort(-values[good])[:parents]
-        x, values, step = x[:, good][:, order], values[good][order], np.full(len(order), first)
+        x, values, step = x[:, good][:, order], values[good][order], np.full(len(order), FIRST)
         for _ in range(steps):
-            child = self.onto(
-                np.clip(x + step * self.moving * self.rng.standard_normal(x.shape), self.lower, self.upper)
-            )
+            child = self.beside(x, step)
             new = self.values(child)
             better = new > values
             x, values = np.where(better, child, x), np.where(better, new, values)
@@ -112,12 +111,11 @@ class Together:
         return float(values[top]), x[:, top]
 
 
-def asked(name: str, number: int) -> tuple[Any, Vector, dict[str, Any]]:
+def asked(name: str, number: int, count: int = TARGETS) -> tuple[Any, Vector, dict[str, Any]]:
     """A machine, targets on a random line, and options of `select_stand` and `plan_base`."""
     machine, target, options = chosen(name, number)
-    rng = np.random.default_rng([number, TARGETS])
-    way = rng.standard_normal(target.size)
-    targets = target + np.outer(np.arange(TARGETS) - (TARGETS - 1) / 2, APART * way / np.linalg.norm(way))
+    way = np.random.default_rng([number, count]).standard_normal(target.size)
+    targets = target + np.outer(np.arange(count) - (count - 1) / 2, APART * way / np.linalg.norm(way))
     return machine, targets, options
 
 
