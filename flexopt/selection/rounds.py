@@ -1,6 +1,6 @@
 """Starts of a further round, where those before leave it open what is best.
 
-In: a problem, and its optima so far. Out: starts that lie between and beside the best optima, or come from the sample,
+In: a problem, and its optima so far. Out: starts that lie between and beside the best optima, or are drawn anew,
 after random steps. Two good optima often share what makes them good: with one's placement and the other's posture, or
 a joint turned anew, a better one is found in a tenth of the time that fresh starts take.
 """
@@ -17,7 +17,7 @@ from flexopt.selection.starts import FEASIBLE, apart, bounds, climbed, onto_targ
 # Chance that more starts would show other values from which on rounds follow the first starts; after how many in a row
 # that found nothing better they end, and how many there are at most.
 LEFT_OPEN, IN_VAIN, ROUNDS = 0.5, 4, 24
-# Points of a round, how many of them come from the sample, their random steps, and starts taken of the better half.
+# Points of a round, how many of them are drawn anew, their random steps, and starts taken of the better half.
 POINTS, FRESH, STEPS, STARTS = 96, 24, 30, 8
 # Optima that points lie between and beside, and from where on two count as one, in scaled variables.
 PARENTS, SAME_PARENT = 12, 0.05
@@ -43,7 +43,7 @@ def _parents(problem: SelectionProblem, optima: list[Vector]) -> Vector:
 
 
 def _drawn(problem: SelectionProblem, parents: Vector, number: int) -> Vector:
-    """Points (n_z, N) near the target: of the sample, entry by entry of two parents, and a parent with some moved."""
+    """Points (n_z, N): anywhere, entry by entry of one of two parents, and a parent with some moved."""
     rng = np.random.default_rng([problem.seed, number, POINTS])
     lower, upper, free, scale = (x[:, None] for x in bounds(problem))
     shape, count = (parents.shape[0], POINTS), parents.shape[1]
@@ -53,8 +53,6 @@ def _drawn(problem: SelectionProblem, parents: Vector, number: int) -> Vector:
     far = rng.choice(DISTANCES, POINTS) * (rng.random(shape) < MOVED)
     beside = parents[:, first] + far * scale * free * rng.standard_normal(shape)
     z = np.where(rng.random(POINTS) < 1 / 2, mixed, beside) + NOISE * scale * free * rng.standard_normal(shape)
-    scan = problem.scan
-    sample = np.vstack([scan.base, scan.posture])[:, scan.violation <= FEASIBLE]
-    if sample.size:
-        z[:, :FRESH] = sample[:, rng.integers(0, sample.shape[1], FRESH)]
+    low, high = problem.region.low[:, None], problem.region.high[:, None]
+    z[:, :FRESH] = low + (high - low) * rng.random((shape[0], FRESH))
     return np.clip(z, lower, upper)
