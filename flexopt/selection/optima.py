@@ -271,10 +271,15 @@ def _finish(problem: SelectionProblem, starts: list[Vector], number: int) -> Sol
 
 def finished(program: Program, start: Vector) -> SolveOutcome:
     """A start's solution; where derivatives jump, by an ascent from there on."""
-    z, proof, iterations, status = _proved(program, *program.solve(start))
+    z, proof, iterations, status = solved_once(program, start)
     if proof is None or proof.holds or any(form.kinks for form in program.first.forms):
         return z, proof, iterations, status
     return climbed_from(program, z, iterations, status)
+
+
+def solved_once(program: Program, start: Vector) -> SolveOutcome:
+    """Where the solver leads from a start."""
+    return _proved(program, *program.solve(start))
 
 
 def climbed_from(program: Program, z: Vector, iterations: int = 0, status: str = CUT_SHORT) -> SolveOutcome:
@@ -324,23 +329,31 @@ def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Sol
 
 
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: float) -> list[int]:
-    """Numbers of the starts that were cut short and may still lead to more than the best optimum found.
+    """As `promising`, of the starts that were cut short."""
+    short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
+    return promising(single(problem), solved, short, known) if _hurried(problem) else []
+
+
+def promising(program: Program, solved: list[SolveOutcome], short: list[int], known: float = -np.inf) -> list[int]:
+    """Numbers of those starts, of some that are not done, that may still lead to more than the best optimum found.
 
     Those that are ahead of it, and of first starts the best few of the others, which may be on a long way; all where
     no optimum is known.
     """
-    if not _hurried(problem):
-        return []
-    good = [z for z, proof, _, status in solved if proof is not None and accepted(single(problem), proof, status)]
-    best = max((value_at(problem, z) for z in good), default=known)
-    short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
-    near = [k for k in short if np.abs(beyond_bounds(problem, solved[k][0])).max() <= NEARLY]
+    good = [z for z, proof, _, status in solved if proof is not None and accepted(program, proof, status)]
+    best = max((program.worth(z) for z in good), default=known)
     if best == -np.inf:
         return short
-    values = {k: value_at(problem, solved[k][0]) for k in near}
-    order = sorted(near, key=lambda k: -values[k])
+    values = {k: program.worth(solved[k][0]) for k in short if nearly_feasible(program, solved[k][0])}
+    order = sorted(values, key=lambda k: -values[k])
     behind = BEHIND if known == -np.inf else 0
     return [k for number, k in enumerate(order) if values[k] > max(best, known) or number < behind]
+
+
+def nearly_feasible(program: Program, x: Vector) -> bool:
+    """Whether rows are so little off that the objective tells something."""
+    each = enumerate(program.problems)
+    return all(np.abs(beyond_bounds(problem, program.of(x, k))).max() <= NEARLY for k, problem in each)
 
 
 def next_stage(problem: SelectionProblem, found: list[Found]) -> tuple[SelectionProblem, Kept]:

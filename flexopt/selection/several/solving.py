@@ -16,7 +16,16 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import infeasible
-from flexopt.selection.optima import Progress, SolveOutcome, accepted, climbed_from, finished
+from flexopt.selection.optima import (
+    Progress,
+    SolveOutcome,
+    accepted,
+    climbed_from,
+    finished,
+    nearly_feasible,
+    promising,
+    solved_once,
+)
 from flexopt.selection.program import SOLVED, Program
 from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import TargetConfiguration
@@ -44,20 +53,47 @@ class End:
 
 
 def ends_from(program: Program, starts: list[Vector], workers: int, progress: Progress | None) -> list[End]:
-    """One end for each start, in order."""
+    """One end for each start, in order; those that pass no proof are climbed from where they may lead to more."""
 
     def tell(done: int) -> None:
         if progress is not None:
             progress(done, len(starts))
 
-    def lost(number: int, sentence: str) -> End:
-        return End(starts[number], {"solver": np.inf}, np.inf, {}, sentence)
+    def lost(number: int, sentence: str) -> SolveOutcome:
+        return starts[number], None, 0, sentence
 
-    return in_parallel(partial(_numbered, program, starts), len(starts), workers, tell, lost=lost)
+    solved = in_parallel(partial(_solved, program, starts), len(starts), workers, tell, lost=lost)
+    stopped = list[int]()
+    for k, (x, proof, iterations, status) in enumerate(solved):
+        if proof is not None and not proof.holds:
+            stopped.append(k)
+            # A solver may leave what was feasible.
+            if not nearly_feasible(program, x) and nearly_feasible(program, starts[k]):
+                solved[k] = starts[k], proof, iterations, status
+    chosen = promising(program, solved, stopped)
+    points = [solved[k][0] for k in chosen]
+
+    def left(number: int, _: str) -> SolveOutcome:
+        return solved[chosen[number]]
+
+    climbed = in_parallel(partial(_climbed, program, points), len(points), workers, lost=left)
+    for k, found in zip(chosen, climbed, strict=True):
+        solved[k] = found
+    return [_told(program, found) for found in solved]
 
 
-def _numbered(program: Program, starts: list[Vector], number: int) -> End:
-    return end_from(program, starts[number])
+def _solved(program: Program, starts: list[Vector], number: int) -> SolveOutcome:
+    """Where the solver leads; once more from there where only itself accepts it."""
+    found = solved_once(program, starts[number])
+    x, proof, _, status = found
+    if proof is None or proof.holds or status not in SOLVED:
+        return found
+    again = solved_once(program, x)
+    return again if again[1] is not None and again[1].holds else found
+
+
+def _climbed(program: Program, points: list[Vector], number: int) -> SolveOutcome:
+    return climbed_from(program, points[number])
 
 
 def end_from(program: Program, start: Vector) -> End:
