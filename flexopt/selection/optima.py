@@ -184,14 +184,16 @@ def _attempted(
     # What candidates are evaluated by is built while others solve.
     meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
     lost = partial(_lost, starts)
-    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile, lost)
+    at_once = climbs(problem)
+    if at_once:
+        single(problem).build()
+    task = partial(solve, problem, starts)
+    solved = in_parallel(task, len(starts), workers, done, meanwhile, lost, at_once=at_once)
     unfinished = _promising(problem, solved, known)
     points = [solved[number][0] for number in unfinished]
-    for number, (z, proof, more, status) in zip(
-        unfinished,
-        in_parallel(partial(_resume, problem, points), len(points), workers, lost=partial(_lost, points)),
-        strict=True,
-    ):
+    task, lost = partial(_resume, problem, points), partial(_lost, points)
+    resumed = in_parallel(task, len(points), workers, lost=lost, at_once=at_once)
+    for number, (z, proof, more, status) in zip(unfinished, resumed, strict=True):
         solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
         outcome, value = f"solver: {status}", None
