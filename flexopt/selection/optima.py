@@ -32,8 +32,8 @@ NEARLY = 1e-3
 # From how many starts, the best ones, it is climbed at once: a step costs more than one of a solver, but never leads
 # down and knows of kinks, on which the best optima often stand.
 CLIMBED = 8
-# How many of those that were cut short below the best optimum are taken up again, too.
-BEHIND = 4
+# How many of those that were cut short below the best optimum are taken up again, too: one may be on a long way.
+BEHIND = 1
 # How often an ascent that rounding stopped short of an optimum is begun anew from where it came to: multipliers of what
 # is kept are large, and the step's predicted gain is less than rounding before the slope is gone.
 AGAIN = 3
@@ -324,7 +324,7 @@ def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Sol
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: float) -> list[int]:
     """Numbers of the starts that were cut short and may still lead to more than the best optimum found.
 
-    Those that are ahead of it, and of first starts the best few of the others, which may be on a long way; all where
+    Those that are ahead of it, and of first starts the best of the others, which may be on a long way; all where
     no optimum is known.
     """
     if not _hurried(problem):
