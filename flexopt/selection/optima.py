@@ -32,8 +32,8 @@ NEARLY = 1e-3
 # From how many starts, the best ones, it is climbed at once: a step costs more than one of a solver, but never leads
 # down and knows of kinks, on which the best optima often stand.
 CLIMBED = 8
-# How many of those that were cut short below the best optimum are taken up again, too.
-BEHIND = 4
+# How many of those that were cut short below the best optimum are taken up again, too: one may be on a long way.
+BEHIND = 1
 # How often an ascent that rounding stopped short of an optimum is begun anew from where it came to: multipliers of what
 # is kept are large, and the step's predicted gain is less than rounding before the slope is gone.
 AGAIN = 3
@@ -184,14 +184,16 @@ def _attempted(
     # What candidates are evaluated by is built while others solve.
     meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
     lost = partial(_lost, starts)
-    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile, lost)
+    at_once = climbs(problem)
+    if at_once:
+        single(problem).build()
+    task = partial(solve, problem, starts)
+    solved = in_parallel(task, len(starts), workers, done, meanwhile, lost, at_once=at_once)
     unfinished = _promising(problem, solved, known)
     points = [solved[number][0] for number in unfinished]
-    for number, (z, proof, more, status) in zip(
-        unfinished,
-        in_parallel(partial(_resume, problem, points), len(points), workers, lost=partial(_lost, points)),
-        strict=True,
-    ):
+    task, lost = partial(_resume, problem, points), partial(_lost, points)
+    resumed = in_parallel(task, len(points), workers, lost=lost, at_once=at_once)
+    for number, (z, proof, more, status) in zip(unfinished, resumed, strict=True):
         solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
         outcome, value = f"solver: {status}", None
@@ -337,7 +339,7 @@ def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: flo
 def promising(program: Program, solved: list[SolveOutcome], short: list[int], known: float = -np.inf) -> list[int]:
     """Numbers of those starts, of some that are not done, that may still lead to more than the best optimum found.
 
-    Those that are ahead of it, and of first starts the best few of the others, which may be on a long way; all where
+    Those that are ahead of it, and of first starts the best of the others, which may be on a long way; all where
     no optimum is known.
     """
     good = [z for z, proof, _, status in solved if proof is not None and accepted(program, proof, status)]

@@ -178,6 +178,12 @@ class Program:
         reached = run(solver, self._stated, x0, self.parameters(), bounds)
         return self.told(reached.x[: self.coupling.n_x]), reached.iterations, reached.status
 
+    def build(self) -> None:
+        """Build the graphs that solves from many starts use: processes that are forked then inherit them."""
+        first = self.first
+        build_branched(first.configuration, first.forms, compiled=self._compiles)
+        build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=True)
+
     def climbed(
         self,
         start: Vector,

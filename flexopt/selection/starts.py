@@ -252,7 +252,7 @@ def climbed(
         for first in range(0, z.shape[1], BLOCK)
     ]
     task = partial(_block, [problem for problem, _ in sets], blocks, values_at, steps)
-    ends = in_parallel(task, len(blocks), workers)
+    ends = in_parallel(task, len(blocks), workers, at_once=True)
     found: list[Vector] = []
     for k, (_, z) in enumerate(sets):
         ours = [out for (number, _, _), out in zip(blocks, ends, strict=True) if number == k]
