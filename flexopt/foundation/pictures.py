@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from flexopt.foundation.boundary import public
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 C = TypeVar("C", bound=Callable[..., Any])
 
@@ -27,3 +33,19 @@ def drawn(result: object, *arguments: Any, form: str = "picture", **options: Any
     """What the function for that result makes of it."""
     import_module(ROOM)
     return _DRAWN[type(result), form](result, *arguments, **options)
+
+
+class Pictured:
+    """A result with one picture; its own class says what is on it."""
+
+    @public()
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw it; what the picture shows, the class says.
+
+        Args:
+            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
+
+        Returns:
+            A matplotlib Figure.
+        """
+        return drawn(self, path)

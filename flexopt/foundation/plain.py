@@ -54,7 +54,10 @@ class _Reader:
 
     def __init__(self, *, tuples: bool = False, most: int = PARTS_MAX) -> None:
         self.tuples, self.most = tuples, most
-        self.inside, self.seen, self.parts = set[int](), set[int](), 0
+        self.inside, self.parts = set[int](), 0
+        # Of every list and table: itself, so that its id stays its own; of lists what they read as, at which depth, in
+        # how many parts. One that is met again is not read again; tables are, so that each is a table of its own.
+        self.seen: dict[int, tuple[Any, Any, int, int]] = {}
         self.sentences: list[str] = []
 
     def read(self, value: Any) -> Any:
@@ -91,18 +94,26 @@ class _Reader:
         own = id(value)
         if own in self.inside:
             return self._unreadable("contains itself")
-        self.parts += 1
-        self.seen.add(own)
+        _, known, depth, size = self.seen.get(own, (None, None, -1, 1))
+        again, before = len(self.inside) <= depth, self.parts
+        self.parts += size if again else 1
+        self.seen.setdefault(own, (value, None, -1, 1))
         if len(self.inside) == DEPTH_MAX or self.parts > min(self.most, len(self.seen) + REPEATS_MAX):
             raise _TooMuchError
+        if again:
+            return known
         self.inside.add(own)
         try:
-            if table:
-                return self._table(dict(value))
-            parts = [part if type(part) in NUMBERS_AND_TEXTS else self.read(part) for part in value]
-            return parts if isinstance(value, list) and not self.tuples else tuple(parts)
+            found = self._table(dict(value)) if table else self._list(value)
         finally:
             self.inside.remove(own)
+        if not table:
+            self.seen[own] = value, found, len(self.inside), self.parts - before
+        return found
+
+    def _list(self, value: Any) -> Any:
+        parts = [part if type(part) in NUMBERS_AND_TEXTS else self.read(part) for part in value]
+        return parts if isinstance(value, list) and not self.tuples else tuple(parts)
 
     def _table(self, table: dict[Any, Any]) -> Any:
         for key in table:

@@ -7,25 +7,20 @@ another timing.
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
-from flexopt.foundation.pictures import drawn
+from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class Stop(Enum):
@@ -52,8 +47,10 @@ class Descent:
 
 
 @dataclass(frozen=True)
-class BaseTrajectory(Result):
+class BaseTrajectory(Pictured, Result):
     """A motion of base and arm that climbs V while the end-point stays put. N samples; SI and rad.
+
+    Its picture: the machine at start and end, and the base's position and rate and V over time.
 
     The base is meant piecewise linear in time: base[k + 1] = base[k] + base_rate[k] (time[k + 1] − time[k]).
 
@@ -109,18 +106,6 @@ class BaseTrajectory(Result):
     def status(self) -> str:
         """Why it ends, a sentence."""
         return self.stop.value
-
-    @public()
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the machine at start and end, and the base's position and rate and V over time.
-
-        Args:
-            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
-
-        Returns:
-            A matplotlib Figure.
-        """
-        return drawn(self, path)
 
     def __repr__(self) -> str:
         point = ", ".join(f"{x:.4g}" for x in self.target)

@@ -1,27 +1,33 @@
 """The last steps onto an optimum, by Newton's method on the conditions that the proof asks for.
 
-In: a program and a point near an optimum, where only the first-order condition fails. Out: a point where it holds, with
-its proof, or the point as it was. A solver that works in doubles stops short where multipliers are large: what an
-earlier objective may give up is little, so its multiplier is large, and the rounding of ε_max's gradient times it is
-more than the condition allows. Here that gradient comes in extended precision.
+In: a program and a point near an optimum. Out: the optimum, with its proof, or the point as it was.
+
+`polished` is for points where only the first-order condition fails. A solver that works in doubles stops short where
+multipliers are large: what an earlier objective may give up is little, so its multiplier is large, and the rounding of
+ε_max's gradient times it is more than the condition allows. Here that gradient comes in extended precision.
+
+`settled` is for proven ones: a flat optimum is stationary to the solver's tolerance far around, and where in there a
+solve stopped is chance. What rounding leaves is less by orders of magnitude.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.check import FIRST_ORDER, STATIONARY_NEARLY, Proof, prove_program
+from flexopt.selection.check import FIRST_ORDER, STATIONARY_NEARLY, Proof, infeasible, prove_program
 from flexopt.selection.first_order import linearised
 from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, multipliers_of
 from flexopt.selection.program import Program
-from flexopt.selection.second_order import lagrangian_hessian
+from flexopt.selection.second_order import CURVATURE_STEP, lagrangian_hessian
 
 STEPS = 8
 # In scaled variables; from further away the active rows are not those of the optimum.
 LONGEST = 1e-2
+# Steps of `settled`: the first has the error of the second derivatives, the next that of rounding.
+LAST = 3
 
 
 def polished(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
@@ -38,28 +44,68 @@ def polished(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
         if np.linalg.norm(off) <= STATIONARITY_TOLERANCE / 10:
             found = prove_program(exact, there)
             return (there, found) if found.holds else (x, proof)
-        step = _step(exact, there, local, multipliers, kept, off)
+        bend = _Bend.at(exact, there, local, multipliers, kept)
+        step = None if bend is None else bend.step(exact, there, local, kept, off)
         if step is None:
             break
         there = np.clip(there + step[: x.size] * exact.scale, *exact.bounds())
     return x, proof
 
 
-def _step(
-    program: Program, x: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int], off: Vector
-) -> Vector | None:
-    """Onto the active rows and, along them, to where the Lagrangian's quadratic model is largest."""
-    rows = local.rows(kept)
-    _, singular, directions = np.linalg.svd(rows)
-    free = directions[int(np.sum(singular > 1e-9 * singular[0])) :]
-    bent = lagrangian_hessian(program, x, free, local.weights(multipliers, kept), local.held(multipliers, kept))
-    if not np.all(np.isfinite(bent)) or (free.size and np.linalg.eigvalsh(bent)[-1] >= 0.0):
-        return None
-    step = -np.linalg.pinv(rows) @ _beyond(program, local, kept) - free.T @ np.linalg.solve(bent, free @ off)
-    return step if np.abs(step).max() <= LONGEST else None
+def settled(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
+    """An optimum that is a point, and its proof, up to what rounding leaves; others as they are."""
+    if proof.dimension != 0 or not proof.holds:
+        return x, proof
+    bend: _Bend | None = None
+    first, best, least, there = proof, x, np.inf, x
+    for number in range(LAST + 1):
+        local = linearised(program, there)
+        multipliers, kept = multipliers_of(local)
+        off = local.gradient - multipliers @ local.rows(kept)
+        bend = bend or _Bend.at(program, x, local, multipliers, kept)
+        step = None if bend is None else bend.step(program, there, local, kept, off)
+        if step is None:
+            break
+        size = float(np.max(np.abs(step)))
+        if size < least:
+            best, least, proof = there, size, replace(first, stationarity=float(np.linalg.norm(off)))
+        elif number > 1:
+            break
+        there = np.clip(there + step[: x.size] * program.scale, *program.bounds())
+    if best is x:
+        return x, first
+    if np.abs((best - x) / program.scale).max() > CURVATURE_STEP:
+        # So far away second derivatives are to be asked for again.
+        proof = prove_program(program, best)
+        return (best, proof) if proof.holds else (x, first)
+    return (x, first) if infeasible(program, best) else (best, proof)
 
 
-def _beyond(program: Program, local: FirstOrderModel, kept: list[int]) -> Vector:
+@dataclass(frozen=True)
+class _Bend:
+    """Second derivatives of a Lagrangian, (d, d), along the directions that active rows leave free, (d, n)."""
+
+    free: Vector
+    hessian: Vector
+
+    @staticmethod
+    def at(program: Program, x: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int]) -> _Bend | None:
+        """Those at a point; None where it is no strict maximum along the rows."""
+        _, singular, directions = np.linalg.svd(local.rows(kept))
+        free = directions[int(np.sum(singular > 1e-9 * singular[0])) :]
+        bent = lagrangian_hessian(program, x, free, local.weights(multipliers, kept), local.held(multipliers, kept))
+        if not np.all(np.isfinite(bent)) or (free.size and np.linalg.eigvalsh(bent)[-1] >= 0.0):
+            return None
+        return _Bend(free, bent)
+
+    def step(self, program: Program, x: Vector, local: FirstOrderModel, kept: list[int], off: Vector) -> Vector | None:
+        """Onto the active rows and, along them, to where the Lagrangian's quadratic model is largest."""
+        onto = -np.linalg.pinv(local.rows(kept)) @ _beyond(program, x, local, kept)
+        step = onto - self.free.T @ np.linalg.solve(self.hessian, self.free @ off)
+        return step if np.abs(step).max() <= LONGEST else None
+
+
+def _beyond(program: Program, x: Vector, local: FirstOrderModel, kept: list[int]) -> Vector:
     """By how much the active rows are off their bounds, in the order of `FirstOrderModel.rows`."""
     constraints = program.constraints()
     equal = [local.g[k] - constraints[k].lower for k in local.equal]
@@ -67,5 +113,10 @@ def _beyond(program: Program, local: FirstOrderModel, kept: list[int]) -> Vector
         local.g[k] - constraints[k].lower if sense > 0 else constraints[k].upper - local.g[k]
         for k, sense in local.active
     ]
+    # Then variables at their bounds, a unit vector into the range each.
+    for row in local.inequalities[len(active) :, : x.size]:
+        i = int(np.argmax(np.abs(row)))
+        lower, upper = (bound[i] for bound in program.bounds())
+        active.append(float(x[i] - lower if row[i] > 0 else upper - x[i]) / float(program.scale[i]))
     others = len(local.equalities) - len(equal)
-    return np.array([*equal, *[0.0] * others, *(active[j] if j < len(active) else 0.0 for j in kept)])
+    return np.array([*equal, *[0.0] * others, *(active[j] for j in kept)])

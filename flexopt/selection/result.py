@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import public
 from flexopt.foundation.documents import json_ready
-from flexopt.foundation.pictures import drawn
+from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.continua import travel
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SHOWN = 12
 # Optima whose V differs by less, as a share of the scale, are of one value.
@@ -141,8 +136,10 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Selection(Result):
+class Selection(Pictured, Result):
     """The answer to a configuration problem.
+
+    Its picture: the machine in the chosen and the initial posture beside w along the redundancy.
 
     Attributes:
         best: the first of the candidates.
@@ -191,18 +188,6 @@ class Selection(Result):
         of one degree of redundancy that was seen whole: there `flexopt.certify` proves what is best.
         """
         return missed_chance(self.problem, self.attempts)
-
-    @public()
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the machine in the chosen and the initial posture beside w along the redundancy.
-
-        Args:
-            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
-
-        Returns:
-            A matplotlib Figure.
-        """
-        return drawn(self, path)
 
     @property
     def decided_by(self) -> str:

@@ -24,9 +24,11 @@ from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.check import prove
 from flexopt.selection.continua import grouped, nearest, same, travel
+from flexopt.selection.newton import settled
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, Progress, first_optima, later_optima, next_stage
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.program import single
 from flexopt.selection.result import TIE_TOLERANCE, Candidate, ConstraintValue, Kept, Selection
 from flexopt.selection.starts import starting_points
 from flexopt.selection.surfaces import Best, along_surfaces
@@ -121,6 +123,9 @@ def solved(
 def _candidate(problem: SelectionProblem, group: list[Best]) -> Candidate:
     """The first of a continuum, its base as near as it may stand, and where it stands in the others."""
     z, proof, iterations = group[0].found
+    # With one degree of redundancy solves end there anyway.
+    if problem.redundancy > 1:
+        z, proof = settled(single(problem), z, proof)
     places = [best.found[0] for best in group]
     near = nearest(problem, z)
     if near is not z and (turned := prove(problem, near)).holds:

@@ -14,7 +14,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, path, public
 from flexopt.foundation.documents import write_netcdf
-from flexopt.foundation.pictures import drawn
+from flexopt.foundation.pictures import Pictured, drawn
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine
@@ -25,7 +25,6 @@ from flexopt.simulation.verdict import Ended, Judgement, Verdict, judge
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
 
 
 def _as_many(arguments: Arguments, given: Mapping[str, Any]) -> None:
@@ -35,8 +34,10 @@ def _as_many(arguments: Arguments, given: Mapping[str, Any]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory(Result):
+class Trajectory(Pictured, Result):
     """A closed-loop run. K samples from the start to the end; SI and rad.
+
+    Its picture: end-point error, base oscillation and torques over time.
 
     Attributes:
         machine, control, coordinates, joints: names.
@@ -231,18 +232,6 @@ class Trajectory(Result):
         lines = [",".join(names)]
         lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
         write_file(path, "\n".join(lines) + "\n")
-
-    @public()
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw end-point error, base oscillation and torques over time.
-
-        Args:
-            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
-
-        Returns:
-            A matplotlib Figure.
-        """
-        return drawn(self, path)
 
     def animate(self, path: str | os.PathLike[str], *, speed: float = 1.0, magnify: float = 1.0) -> None:
         """Write a moving picture of the machine: `.gif` or `.html`, which open anywhere.

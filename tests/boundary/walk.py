@@ -1,7 +1,7 @@
 """Every argument of every public name is given the bad list: `python -m tests.boundary.walk [NAME …] [--out FILE]`.
 
 What a call does with a bad value is an outcome: `refused` (a FlexoptError), `raw` (any other exception) or `accepted`.
-A call that does not end in time ends the process with a traceback of where it hangs. Runs in a folder of its own.
+An argument that is not done in time ends the process with a traceback of where it hangs. Runs in a folder of its own.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ import flexopt
 from tests.boundary.bad_values import BAD
 from tests.boundary.calls import CONSTRUCTORS, FUNCTIONS, LONG, METHODS, OBJECTS
 
-# Longer than any call of the list takes, on a busy machine, too.
-SECONDS_MAX = 60
+# Longer than all bad values of an argument take, on a busy machine, too.
+SECONDS_MAX = 120
 
 
 class Call(NamedTuple):
@@ -118,7 +118,6 @@ def cases(call: Call) -> Iterator[tuple[str, dict[str, Any], Callable[[Any], dic
 
 def outcome(call: Call, given: Mapping[str, Any]) -> tuple[str, str]:
     """What becomes of a call, and the message."""
-    faulthandler.dump_traceback_later(SECONDS_MAX, exit=True)
     try:
         run(call, given)
     except flexopt.FlexoptError as error:
@@ -126,7 +125,6 @@ def outcome(call: Call, given: Mapping[str, Any]) -> tuple[str, str]:
     except BaseException as error:  # any other is what this looks for
         return "raw", f"{type(error).__name__}: {error!s}"[:300]
     finally:
-        faulthandler.cancel_dump_traceback_later()
         _remove(Path(BAD["text"]()))
     return "accepted", ""
 
@@ -143,18 +141,21 @@ def walk(names: list[str]) -> Iterator[dict[str, str]]:
     for call in calls():
         if names and call.name not in names and call.name.partition(".")[0] not in names:
             continue
+        faulthandler.dump_traceback_later(SECONDS_MAX, exit=True)
         if call.name not in LONG:
             # Unless the good call is taken, a refusal says nothing.
             given = {key: value for key, value in call.good().items() if value is not None}
             kind, message = outcome(call, given)
             yield {"call": call.name, "argument": "", "bad": "nothing", "outcome": kind, "message": message}
         for argument, others, put in cases(call):
+            faulthandler.dump_traceback_later(SECONDS_MAX, exit=True)
             parameter = signature(call).get(argument)
             for bad, make in BAD.items():
                 if bad == "None" and parameter is not None and parameter.default is None:
                     continue  # left out, as by default
                 kind, message = outcome(call, {**others, **put(make())})
                 yield {"call": call.name, "argument": argument, "bad": bad, "outcome": kind, "message": message}
+    faulthandler.cancel_dump_traceback_later()
 
 
 def main() -> None:

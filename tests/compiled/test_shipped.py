@@ -11,7 +11,7 @@ from dataclasses import replace
 import pytest
 
 import flexopt
-from flexopt.compiled import Batch, batch, find_compiler, recurrence
+from flexopt.compiled import Batch, batch, find_compiler, lanes, recurrence
 from flexopt.model import AnyMachine, shipped_names
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
@@ -33,6 +33,13 @@ BATCHED: dict[str, Callable[[AnyMachine], Batch]] = {
     "measures of maps": lambda machine: batch(points._measure_function(flexopt.build_measures(machine))),
     "task at rest": follow._task_at_rest,
 }
+
+
+@pytest.fixture(autouse=True)
+def _quickly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is too long for a compiler stays it; the rest, but for the excavator's, is compiled without optimisation."""
+    if request.node.callspec.params["name"] != "excavator":
+        monkeypatch.setattr(lanes, "LEVELS", tuple((most, ("-O0",)) for most, _ in lanes.LEVELS))
 
 
 @pytest.mark.parametrize("name", MACHINES)

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import warnings
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -26,7 +27,7 @@ import flexopt
 from flexopt.cli.bundles import export_command
 from flexopt.compiled import compilers
 from flexopt.errors import CompilerNotFound, InputError, NoSolutionFound, SingularPosture
-from flexopt.export.fmu import FmuReport
+from flexopt.export.fmu import FmuReport, package
 from flexopt.export.fmu.units import unit_of
 from flexopt.model import Machine, machine_from_dict
 from flexopt.simulation.scenario import build_scenario, checked_options
@@ -89,8 +90,16 @@ def export(folder: Path, machine: Machine = EXCAVATOR, name: str = "model", **op
     return flexopt.export_fmu(machine, folder / f"{name}.fmu", **{"posture": POSTURE, **options})
 
 
+@pytest.fixture(autouse=True, scope="module")
+def quick() -> Iterator[None]:
+    """Libraries without optimisation: they compute the same, and most of the time here is the compiler's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(package, "level_for", lambda _: ("-O0",))
+        yield
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(quick: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("fmu")
 
 

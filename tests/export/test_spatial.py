@@ -242,22 +242,20 @@ def test_ranges_of_parameters(name: str, value: float, unit: str, low: float, hi
 
 
 # Two passive and four actuated joints, placed by x, y and yaw: C of a third of the size that a tracked machine's has.
+# The host compiles it nine times, so one joint less.
 # Of a whole one, `flexopt export c slewing-excavator` and `flexopt verify` show the same.
-def small_tree() -> Tree:
-    return tree_from_dict(random_tree(17, counts=(2, 4)))
+def small_tree(actuated: int = 4) -> Tree:
+    return tree_from_dict(random_tree(17, counts=(2, actuated)))
 
 
 @HOST
 @pytest.mark.parametrize(
-    ("make", "real", "parts"),
-    [
-        (small_tree, "double", ["kinematics", "controller", "measures"]),
-        (lambda: flexopt.load("slewing-excavator"), "float", ["kinematics", "simulator"]),
-    ],
-    ids=["small tree", "slewing excavator"],
+    ("real", "parts"),
+    [("double", ["kinematics", "controller", "measures"]), ("float", ["kinematics", "simulator"])],
+    ids=["double", "float"],
 )
-def test_everything_holds_on_the_host(make, real, parts: list[str], tmp_path: Path) -> None:
-    folder = export_c(make(), tmp_path / "b", real=real, parts=parts).folder
+def test_everything_holds_on_the_host(real, parts: list[str], tmp_path: Path) -> None:
+    folder = export_c(small_tree(3), tmp_path / "b", real=real, parts=parts).folder
     result = verify_bundle(folder, target="host", inputs=1000, fuzz_calls=2_000)
     assert result.passed and result.complete, repr(result)  # noqa: PT018
 

@@ -16,12 +16,15 @@ import flexopt
 from flexopt.errors import FlexoptError, FlexoptWarning
 from flexopt.model import AnyMachine, machine_from_dict
 from flexopt.model.robots import robot_from_dict
+from flexopt.selection.check import prove
+from flexopt.selection.newton import settled
+from flexopt.selection.program import single
 from tests.export.bundle_library import BundleLibrary
 from tests.oracles.machines import NumpySource, Structure, draw_machine, draw_structure
 
 Data = dict[str, Any]
 Results = dict[str, tuple[Any, Any]]  # by name: values, and what their differences are relative to
-CONDITION = 100.0
+CONDITION, TOLERANCE = 100.0, 1e-12
 SLIDES = {"x": "1 0 0", "y": "0 0 1"}
 
 
@@ -180,7 +183,7 @@ def differences(data: Data, folder: Path, *, seed: int, searches: bool = True) -
             here = np.asarray(values, dtype=float)
             assert there.shape == here.shape, key
             np.testing.assert_array_equal(np.isnan(there), np.isnan(here), err_msg=key)
-            away = float(np.nanmax(np.abs(there - here), initial=0.0)) / (float(size) or 1.0)
+            away = float(np.nanmax(np.abs(there - here) / np.where(np.equal(size, 0.0), 1.0, size), initial=0.0))
             largest[key] = max(largest.get(key, 0.0), away)
     return largest
 
@@ -248,11 +251,24 @@ def selection(machine: AnyMachine, rng: np.random.Generator) -> Results:
         return best
     z = np.array([c.z for c in found.candidates])
     sines = plant.singularity_sine_squared(z[:, :1].T, z[:, 1:].T, plant.parameter_values).full()
+    told = np.array([[_rounded(found.problem, each)] for each in z])
     return best | {
-        "candidates": (z, 1.0),
+        "candidates": (z, told),
         "objectives": (np.array([c.objective for c in found.candidates]), scale),
-        "margins": (np.sqrt(sines), 1.0),
+        "margins": (np.sqrt(sines), told.T),
     }
+
+
+def _rounded(problem: flexopt.SelectionProblem, z: np.ndarray) -> float:
+    """What 1e-12 of an optimum is told in: 1, or more where it is so flat that rounding alone moves it further.
+
+    By how far apart Newton's steps end that begin within the last digits. Files round a machine's numbers, too, each its
+    own way, hence three times that.
+    """
+    rng, program, proof = np.random.default_rng(0), single(problem), prove(problem, z)
+    near = [z + 1e-12 * rng.standard_normal(z.size) * problem.scale for _ in range(8)]
+    ends = [settled(program, each, proof)[0] for each in near]
+    return max(1.0, 3 * float(np.ptp(ends, axis=0).max()) / TOLERANCE)
 
 
 def simulation(machine: AnyMachine, rng: np.random.Generator) -> Results:

@@ -163,7 +163,7 @@ def test_every_builder_agrees_with_the_plant(structure, seed):
     check_everything(case_of(structure, seed))
 
 
-@settings(derandomize=True, deadline=None, max_examples=80)
+@settings(derandomize=True, deadline=None, max_examples=40)
 @given(drawn=machines(), seed=seeds)
 def test_every_builder_of_any_machine(drawn, seed):
     check_everything(Case(*drawn, np.random.default_rng(seed)))

@@ -11,9 +11,9 @@ import flexopt
 from flexopt.selection.check import FIRST_ORDER, prove, prove_program
 from flexopt.selection.first_order import linearised
 from flexopt.selection.multipliers import multipliers_of
-from flexopt.selection.newton import polished
+from flexopt.selection.newton import polished, settled
 from flexopt.selection.program import Program, single
-from tests.oracles.machines import arm_at_rest, random_machine, regular_posture
+from tests.oracles.machines import Structure, arm_at_rest, random_machine, regular_posture
 
 EXCAVATOR = flexopt.load("excavator")
 
@@ -51,6 +51,24 @@ def test_an_optimum_that_doubles_do_not_tell_is_found() -> None:
     program = single(replace(selection.problem, kept=tuple(kept.at_least for kept in selection.kept)))
     assert _off(program, selection.best.z) <= 1e-6
     assert selection.best.evaluation.epsilon_max >= selection.kept[0].at_least * (1 - 1e-9)
+
+
+def test_where_a_solve_stops_near_a_flat_optimum_decides_nothing() -> None:
+    _, machine = random_machine(np.random.default_rng(8), Structure(4, ("x", "y", "rotation"), (1,)))
+    target = arm_at_rest(machine, np.array([0.7, -1.1, 0.6]))[1]
+    selection = flexopt.select(
+        machine, target, objective="V", weights=[1.0] * 4, base_range=(-2.0, 2.0), starts=4, workers=1
+    )
+    program, rng = single(selection.problem), np.random.default_rng(1)
+    points = [candidate.z for candidate in selection.candidates if candidate.dimension == 0]
+    assert points
+    for z in points:
+        proof = prove(selection.problem, z)
+        bent = 1e-7 * rng.standard_normal((6, z.size)) * program.scale
+        ends = [settled(program, z + each, proof) for each in bent]
+        # Newton's steps leave the square of 1e-7, and rounding over the least curvature.
+        assert np.ptp([end for end, _ in ends], axis=0).max() <= 1e-9
+        assert all(found.holds and found.stationarity <= 1e-9 for _, found in ends)
 
 
 def test_what_fails_otherwise_is_left_as_it_is() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +23,11 @@ def pipe_laying(**changes: Any) -> flexopt.SelectionProblem:
     return flexopt.build_selection(**flexopt.load_problem("pipe-laying").select_arguments() | changes)
 
 
+@functools.cache
+def pipe_laid(seed: int) -> flexopt.Selection:
+    return flexopt.solve_selection(pipe_laying(seed=seed))
+
+
 def no_better_nearby(problem: flexopt.SelectionProblem, z: np.ndarray, seed: int) -> int:
     """Random points about z on the rows, by steps that know no V: none is better. How many there were."""
     rng, best, compared = np.random.default_rng(seed), value_at(problem, z), 0
@@ -37,7 +43,7 @@ def no_better_nearby(problem: flexopt.SelectionProblem, z: np.ndarray, seed: int
 
 @pytest.mark.parametrize("seed", [0, 7])
 def test_the_best_of_pipe_laying_stands_on_a_kink(seed: int) -> None:
-    selection = flexopt.solve_selection(pipe_laying(seed=seed))
+    selection = pipe_laid(seed)
     best, problem = selection.best, selection.problem
     assert best.objective / problem.objective_scale >= WORTH - 1e-4
     np.testing.assert_allclose(best.z, FOUND, atol=2e-3)
@@ -64,8 +70,7 @@ def test_an_optimum_at_a_equal_to_zero() -> None:
 
 def test_a_kink_does_not_prove_what_can_be_left_upwards() -> None:
     """With other weights the same point has multipliers that are too large, or a gradient along the kink."""
-    problem = pipe_laying()
-    best = flexopt.solve_selection(problem).best.z
+    problem, best = pipe_laid(0).problem, pipe_laid(0).best.z
     assert prove(problem, best).holds
     for mode in (0, 1, 4):
         alpha = tuple(5.0 if i == mode else a for i, a in enumerate(problem.objective.alpha))
@@ -77,10 +82,11 @@ def test_a_kink_does_not_prove_what_can_be_left_upwards() -> None:
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_method_without_slopes_finds_nothing_better(number: int) -> None:
+    """`python -m benchmarks.choice` tries more."""
     name = ("slewing-excavator", "truck-crane", "mobile-manipulator")[number]
     machine, target, options = chosen(name, number)
     selection = flexopt.select(machine, target, **options)
-    value, _ = Other(selection.problem, number).best(200, 40, 80)
+    value, _ = Other(selection.problem, number).best(100, 20, 60)
     assert value <= selection.best.objective + 1e-4 * selection.problem.objective_scale
 
 

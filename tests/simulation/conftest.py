@@ -13,11 +13,3 @@ def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FLEXOPT_COMPILE", "0")
     for name in ("_runner", "_baked_runner", "_singularity"):
         monkeypatch.setattr(run, name, lru_cache(getattr(run, name).__wrapped__))
-
-
-@pytest.fixture(params=["compiled", "interpreted"])
-def way(request: pytest.FixtureRequest) -> str:
-    """Both ways of running a loop."""
-    if request.param == "interpreted":
-        request.getfixturevalue("interpreted")
-    return request.param

@@ -121,6 +121,8 @@ def test_order_with_a_held_command(method, parts):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
+# Eight samples: to compile their loop takes longer.
+@pytest.mark.usefixtures("interpreted")
 def test_accurate_methods_meet_the_ode_on_random_machines(seed, control):
     """At their default steps of 0.7 radians of the fastest mode."""
     structures = [Structure(2, ("y",), ()), Structure(3, ("rotation",), (0,)), Structure(4, ("x", "y"), ()),

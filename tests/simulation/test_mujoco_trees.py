@@ -81,7 +81,8 @@ def test_under_gravity(seed, counts, rows, compensation):
 
 
 @pytest.mark.parametrize(("seed", "counts", "rows"), TREES[:2])
-def test_both_ways_of_running(seed, counts, rows, way):
+def test_compiled(seed, counts, rows):
+    """What `test_under_gravity` runs in the virtual machine."""
     compare(stable_tree(seed, counts, "inverse", rows, samples=STEPS, gravity=True))
 
 

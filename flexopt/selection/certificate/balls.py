@@ -139,14 +139,25 @@ def total(terms: Any) -> Number:
 
 
 def dot(x: Vector, y: Vector) -> Number:
-    """Σ x_i y_i."""
-    return total(times(a, b) for a, b in zip(x, y, strict=True))
+    """Σ x_i y_i; polynomials are brought back to their degree once, in the end."""
+    found: Any = 0
+    cell: Cell | None = None
+    for a, b in zip(x, y, strict=True):
+        if zero(a) or zero(b):
+            continue
+        p, q = a, b
+        if isinstance(a, Cell):
+            cell, p = a, a.polynomial
+        if isinstance(b, Cell):
+            cell, q = b, b.polynomial
+        found = p * q if zero(found) else found + p * q
+    return found if cell is None else Cell(found, cell.h)
 
 
 def product(x: Matrix, y: Matrix) -> Matrix:
     """X Y."""
-    columns = list(zip(*y, strict=True))
-    return [[dot(row, list(column)) for column in columns] for row in x]
+    columns = transposed(y)
+    return [[dot(row, column) for column in columns] for row in x]
 
 
 def added(x: Matrix, y: Matrix) -> Matrix:
@@ -179,20 +190,32 @@ def numbers(x: list[float]) -> Vector:
     return [number(each) for each in x]
 
 
-def solved(a: Matrix, b: Matrix) -> tuple[Matrix, Vector]:
-    """A⁻¹ B by elimination along the diagonal, and the pivots, whose product is det A."""
-    a, b = [list(row) for row in a], [list(row) for row in b]
-    pivots: Vector = []
-    for k in range(len(a)):
-        pivots.append(a[k][k])
-        over = inverted(a[k][k])
-        a[k], b[k] = [times(x, over) for x in a[k]], [times(x, over) for x in b[k]]
-        for i in range(len(a)):
-            share = a[i][k]
-            if i != k and not zero(share):
-                a[i] = [minus(x, times(share, y)) for x, y in zip(a[i], a[k], strict=True)]
-                b[i] = [minus(x, times(share, y)) for x, y in zip(b[i], b[k], strict=True)]
-    return b, pivots
+def solved(a: Matrix, b: Matrix) -> Matrix:
+    """A⁻¹ B by elimination along the diagonal."""
+    n = len(a)
+    rows = [[*left, *right] for left, right in zip(a, b, strict=True)]
+    for k in range(n):
+        over = inverted(rows[k][k])
+        # Columns up to the k-th are done with.
+        rows[k][k + 1 :] = ahead = [times(x, over) for x in rows[k][k + 1 :]]
+        for i in range(n):
+            if i != k and not zero(share := rows[i][k]):
+                rows[i][k + 1 :] = [minus(x, times(share, y)) for x, y in zip(rows[i][k + 1 :], ahead, strict=True)]
+    return [row[n:] for row in rows]
+
+
+def pivots_of(a: Matrix) -> Vector:
+    """The pivots of A by elimination downwards alone, whose product is det A."""
+    rest, pivots = a, list[Number]()
+    while len(rest) > 1:
+        (pivot, *first), *others = rest
+        pivots.append(pivot)
+        over = inverted(pivot)
+        rest = [
+            [minus(x, times(share, y)) for x, y in zip(row, first, strict=True)]
+            for share, row in ((times(head, over), row) for head, *row in others)
+        ]
+    return [*pivots, rest[0][0]]
 
 
 def inverse_of_lower(k: Matrix) -> Matrix:

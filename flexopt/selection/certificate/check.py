@@ -38,6 +38,7 @@ from flexopt.selection.certificate.balls import (
     minus,
     number,
     numbers,
+    pivots_of,
     plus,
     product,
     root,
@@ -170,7 +171,7 @@ class LoggedMachine:
         of_tip = moved(self.index[self.tip["body"]], tip)[0]
         mass = added(mass, product([[times(self.payload, a) for a in row] for row in of_tip], transposed(of_tip)))
         inner, coupling = [row[m:] for row in mass[m:]], [row[:m] for row in mass[m:]]
-        follow = [[times(-1, a) for a in row] for row in solved(inner, coupling)[0]]
+        follow = [[times(-1, a) for a in row] for row in solved(inner, coupling)]
         reduced = added([row[:m] for row in mass[:m]], product(transposed(coupling), follow))
         jacobian = transposed([[column[row] for row in self.rows] for column in of_tip])
         jv = [row[m:] for row in jacobian]
@@ -187,25 +188,25 @@ def task_map(jv: Matrix, control: str) -> Matrix:
     if control.startswith("damped"):
         square = arb(float(control.partition(":")[2])) ** 2
         gram = added(product(jv, transposed(jv)), [[times(square, x) for x in row] for row in identity(len(jv))])
-        return solved(gram, jv)[0]
+        return solved(gram, jv)
     (p, q), (r, s) = jv
     over = inverted(minus(times(p, s), times(q, r)))
     return [[times(s, over), times(times(-1, r), over)], [times(times(-1, q), over), times(p, over)]]
 
 
-def eliminated(c: Matrix, z: Number, i: int) -> tuple[Number, Vector, Vector, Vector]:
-    """Of z I − C what is left of its i-th diagonal entry, the other pivots, and v and u with v_i = u_i = 1.
+def shifted(c: Matrix, z: Number, order: list[int]) -> Matrix:
+    """Rows and columns of z I − C, in an order."""
+    return [[minus(z if j == k else 0, c[j][k]) for k in order] for j in order]
 
-    The product of the former is p(z) = det (z I − C); where it is 0, C v = z v and Cᵀ u = z u.
-    """
+
+def eigenvectors(c: Matrix, z: Number, i: int) -> tuple[Vector, Vector]:
+    """V and u with C v = z v, Cᵀ u = z u and v_i = u_i = 1."""
     others = [j for j in range(len(c)) if j != i]
-    block = [[minus(z if j == k else 0, c[j][k]) for k in others] for j in others]
-    column, row = [[c[j][i]] for j in others], [[c[i][j]] for j in others]
-    right, pivots = solved(block, column)
-    left = solved(transposed(block), row)[0]
+    block = shifted(c, z, others)
+    right = solved(block, [[c[j][i]] for j in others])
+    left = solved(transposed(block), [[c[i][j]] for j in others])
     v, u = ([x for (x,) in each] for each in (right, left))
-    rest = minus(minus(z, c[i][i]), dot([x for (x,) in row], v))
-    return rest, pivots, [*v[:i], arb(1), *v[i:]], [*u[:i], arb(1), *u[i:]]
+    return [*v[:i], arb(1), *v[i:]], [*u[:i], arb(1), *u[i:]]
 
 
 def eigenvalues(c: Matrix, h: arb) -> Vector:
@@ -220,7 +221,8 @@ def eigenvalues(c: Matrix, h: arb) -> Vector:
     def corrections() -> Vector:
         steps: Vector = []
         for i, value in enumerate(found):
-            rest, pivots, *_ = eliminated(c, value, i)
+            # The i-th last: its pivot is what vanishes.
+            *pivots, rest = pivots_of(shifted(c, value, [*(j for j in range(n) if j != i), i]))
             others = (value - other for j, other in enumerate(found) if j != i)
             for pivot, away in zip(pivots, others, strict=True):
                 rest = times(rest, times(pivot, inverted(away)))
@@ -259,7 +261,7 @@ def objective(terms: Terms, h: arb, weights: list[float]) -> Number:
     for i, mu in enumerate(eigenvalues(c, h)):
         if not weights[i]:
             continue
-        _, _, v, u = eliminated(c, mu, i)
+        v, u = eigenvectors(c, mu, i)
         aa, bb, ab = (
             total(times(dot(p, v), dot(q, u)) for p, q in zip(right, left, strict=True))
             for right, left in ((a_right, a_left), (b_right, b_left), (a_right, b_left))

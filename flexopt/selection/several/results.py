@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import public
 from flexopt.foundation.documents import json_ready
-from flexopt.foundation.pictures import drawn
+from flexopt.foundation.pictures import Pictured
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import ConstraintValue
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -101,8 +96,10 @@ class ConfigurationSet:
 
 
 @dataclass(frozen=True)
-class Stand(ConfigurationSet):
+class Stand(Pictured, ConfigurationSet):
     """One placement for several targets, and a posture for each; see `ConfigurationSet`.
+
+    Its picture: the machine at every target, and V and w at each.
 
     Attributes:
         worth: what was maximised: the worst V, or Σ share_k V_k.
@@ -128,18 +125,6 @@ class Stand(ConfigurationSet):
         own = {"base": self.base, "worth": self.worth, "alternatives": others}
         return self._document(self.status, own, "targets")
 
-    @public()
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the machine at every target, and V and w at each.
-
-        Args:
-            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
-
-        Returns:
-            A matplotlib Figure.
-        """
-        return drawn(self, path)
-
     def __repr__(self) -> str:
         names = self.places[0].evaluation.base_coordinates
         base = ", ".join(f"{name} = {x:.4f}" for name, x in zip(names, self.base, strict=True))
@@ -162,8 +147,10 @@ class FixedPlacement:
 
 
 @dataclass(frozen=True)
-class BasePlan(ConfigurationSet):
+class BasePlan(Pictured, ConfigurationSet):
     """A motion of base and arm along a path of targets that keeps the worst V as high as possible.
+
+    Its picture: the machine at every target; over time V, moving and standing still, and the placement.
 
     See `ConfigurationSet`.
 
@@ -222,18 +209,6 @@ class BasePlan(ConfigurationSet):
         own |= {"between": {"V": self.between[0], "time": self.between[1]}}
         own |= {"travelled": {"m": self.travelled[0], "rad": self.travelled[1]}}
         return self._document(self.status, own, "path")
-
-    @public()
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the machine at every target; over time V, moving and standing still, and the placement.
-
-        Args:
-            path: file to write, `.png`, `.svg` or `.pdf`; none by default.
-
-        Returns:
-            A matplotlib Figure.
-        """
-        return drawn(self, path)
 
     def __repr__(self) -> str:
         still = "no placement reaches them all" if self.still is None else f"{self.standing:.4e} standing still"
