@@ -58,7 +58,8 @@ TEXTS = {
     "nullspace_damping": ("C", "Damping of a redundant arm's self-motion, N m s/rad or N s/m."),
     "sensor": (
         "NAME=VALUE",
-        "Of the measurement, may be repeated: noise, rate_noise, resolution, rate_resolution, m and m/s; delay, s.",
+        "Of the measurement, may be repeated: noise, rate_noise, resolution, rate_resolution, m and m/s; delay, s; "
+        "filter_hz.",
     ),
     "actuator": (
         "NAME=VALUE[,…]",
