@@ -81,9 +81,14 @@ def _exponential(flow: bytes, drive: bytes, n: int, m: int, span: float) -> tupl
     return whole[:n, :n], whole[:n, n:]
 
 
+def graphs_about_rest(structure: LoopStructure) -> tuple[ca.Function, ca.Function]:
+    """What `tangent` evaluates: between the samples, and at a sample's start."""
+    return _between(structure), _at(structure)
+
+
 def tangent(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> Tangent:
     """The linear loop about a state x (n_x,), with signals e and constants c."""
-    between, at = _between(structure), _at(structure)
+    between, at = graphs_about_rest(structure)
     command, kept, waiting, by_command, by_kept, by_waiting = (np.array(m) for m in at.call([x, e, c])[:6])
     rates, flow, drive = (np.array(m) for m in between.call([x[: flow_size(structure)], command, e, c]))
     n = len(flow)
