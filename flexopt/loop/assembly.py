@@ -138,7 +138,7 @@ class Assembly:
     def all_slopes(self, by_open: Vector, by_into: Vector, by_force: Vector) -> Slopes:
         """The like from derivatives by Φ₀, Γ and F, each of its own; by the dead time NaN unless `differentiable`."""
         p, (s, law, oldest, _), (of_state, of_force) = self.parts, self._places, self._measured
-        (span, held, push), (part, held_part, push_part) = self._spans
+        (span, _, push), (part, held_part, push_part) = self._spans
         k = len(p.law)
         asked, drawn = p.law[:, k:], p.force[:, k:]
         by_law = np.hstack([by_open[law, law], by_open[law, s] @ of_state.T + by_open[law, oldest] @ of_force.T])
@@ -173,5 +173,5 @@ def _through_exponential(
     n, m = drive.shape
     block, by = np.zeros((n + m, n + m)), np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:], by[:n, :n], by[:n, n:] = flow, drive, by_held, by_push
-    found: Vector = span * expm_frechet(span * block.T, by, compute_expm=False, check_finite=False)
+    found: Vector = np.real(expm_frechet(span * block.T, by, compute_expm=False, check_finite=False)) * span
     return found[:n, :n], found[:n, n:]

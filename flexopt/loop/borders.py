@@ -39,9 +39,7 @@ def stable_intervals(
     return tuple(zip(ends[::2], ends[1::2], strict=True))
 
 
-def _with_narrow(
-    growth: Callable[[float], float], grid: list[float], values: list[float]
-) -> list[tuple[float, float]]:
+def _with_narrow(growth: Callable[[float], float], grid: list[float], values: list[float]) -> list[tuple[float, float]]:
     """Exponents and growth rates, ascending, with the extremes between them that change the sign.
 
     An interval narrower than the grid shows as a valley above zero, or a gap as a hill below it.

@@ -161,7 +161,7 @@ class Outcome:
         from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  (loads slowly)
 
         balanced, scale = balance(self.sample.matrix)
-        values, vectors = np.linalg.eig(balanced)
+        values, vectors = (np.asarray(x, dtype=np.complex128) for x in np.linalg.eig(balanced))
         n = len(mass)
         # An oscillation above half the sampling rate is seen as a real multiplier below zero.
         known = np.array([np.min(np.abs(self.loop.multipliers - value)) <= SAME for value in values])
@@ -274,9 +274,12 @@ class Outcome:
 
         def eigenvalues(angles: Vector) -> Complex:
             z = np.exp(1j * angles)[:, None, None]
-            loop = -force @ np.linalg.solve(z * np.eye(len(opened)) - opened, np.broadcast_to(into, (len(z), *into.shape)))
+            loop = -force @ np.linalg.solve(
+                z * np.eye(len(opened)) - opened, np.broadcast_to(into, (len(z), *into.shape))
+            )
             found = np.linalg.eigvals(loop)
-            return np.take_along_axis(found, np.argsort(np.abs(found), axis=1), axis=1)
+            order = np.argsort(np.abs(found), axis=1)
+            return np.asarray(np.take_along_axis(found, order, axis=1), dtype=np.complex128)
 
         poles = np.concatenate([np.linalg.eigvals(matrix) for matrix in (opened, balanced)])
         near = np.abs(np.angle(poles))[:, None] + np.abs(1 - np.abs(poles))[:, None] * NEAR
@@ -316,9 +319,11 @@ class Outcome:
         value, frequency = hinf_peak(StateSpace(system.A, system.B, sign * system.C, feed * identity, system.dt))
         z, smooth = np.exp(1j * frequency * self.period), self.smooth
         try:
-            resolvent: Complex = np.linalg.inv(z * np.eye(len(smooth.matrix)) - smooth.matrix)
+            pencil: Complex = z * np.eye(len(smooth.matrix)) - smooth.matrix
+            inverse = np.linalg.solve(pencil, np.eye(len(pencil)))
         except np.linalg.LinAlgError:
             return Measured(value)
+        resolvent: Complex = np.asarray(inverse, dtype=np.complex128)
         u, sizes, vh = np.linalg.svd(feed * identity + sign * smooth.force @ resolvent @ smooth.into)
         left, right = sign * u[:, 0].conj(), vh[0].conj()
         row, column = left @ smooth.force @ resolvent, resolvent @ smooth.into @ right

@@ -23,8 +23,8 @@ from flexopt.model.loop import Drive, Loop, drive_of, rate_of
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
 
-# Of velocity-served joints, where no gain is given: that of teleoperated excavators, 1/s. How often other gains' corner is
-# halved in search of a stable loop.
+# Of velocity-served joints, where no gain is given: that of teleoperated excavators, 1/s. How often the corner of other
+# gains is halved in search of a stable loop.
 VELOCITY_KP = 1.0
 HALVINGS = 6
 
@@ -103,15 +103,21 @@ def _numbers(values: Vector) -> str:
     return listed[0] if len(set(listed)) == 1 else f"[{', '.join(listed)}]"
 
 
-def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation) -> LoopSettings:
+def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool = False) -> LoopSettings:
     """The numbers of a loop that is known to be good, in a configuration that was evaluated.
 
     Args:
         machine: the machine.
         loop: its `[loop]`.
         stand: the configuration, and the control that was evaluated.
+        gravity: whether under static deflection.
     """
-    rows, drive, rate, sources = len(machine.task_rows), drive_of(loop, machine), rate_of(loop, machine), dict[str, str]()
+    rows, drive, rate, sources = (
+        len(machine.task_rows),
+        drive_of(loop, machine),
+        rate_of(loop, machine),
+        dict[str, str](),
+    )
     if loop.drive is None:
         sources["drive"] = _why_drive(loop, drive)
     if loop.rate is None:
@@ -156,15 +162,17 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation) -> LoopSet
         nullspace_damping=loop.nullspace_damping,
         sources=sources,
     )
-    return found if drive == "velocity" or len(chosen) < 2 else _stable(machine, found, loop, stand)
+    return found if drive == "velocity" or len(chosen) < 2 else _stable(machine, found, loop, stand, gravity=gravity)
 
 
-def _stable(machine: AnyMachine, settings: LoopSettings, loop: Loop, stand: Evaluation) -> LoopSettings:
+def _stable(
+    machine: AnyMachine, settings: LoopSettings, loop: Loop, stand: Evaluation, *, gravity: bool
+) -> LoopSettings:
     """The settings with a corner that is halved until the loop is stable; as they are where it never is."""
     for halvings in range(HALVINGS + 1):
         gains = _suiting(machine, stand, settings.rate, loop, {}, 0.5**halvings)
         tried = replace(settings, **{name: np.full(len(machine.task_rows), value) for name, value in gains.items()})
-        if tried.outcome(machine, stand.base, stand.posture, gravity=bool(np.any(stand.static_deflection))).loop.stable:
+        if tried.outcome(machine, stand.base, stand.posture, gravity=gravity).loop.stable:
             note = f", halved {halvings} times until it is stable" if halvings else ""
             return replace(tried, sources={x: w + note if x in gains else w for x, w in settings.sources.items()})
     return settings
@@ -172,7 +180,11 @@ def _stable(machine: AnyMachine, settings: LoopSettings, loop: Loop, stand: Eval
 
 def _why_drive(loop: Loop, drive: Drive) -> str:
     if drive == "velocity":
-        return "there is a servo gain" if loop.servo_gain is not None else "the machine names its drives' efforts and speeds"
+        return (
+            "there is a servo gain"
+            if loop.servo_gain is not None
+            else "the machine names its drives' efforts and speeds"
+        )
     if loop.kp is not None or loop.kv is not None:
         return "gains without a drive are those of torques"
     if loop.control == "transpose":

@@ -165,7 +165,9 @@ class SmallMotions:
         """(inputs, ∂V/∂ each field of `Parts` as `by_…`) -> ∂V/∂ each of `INPUTS` as `V_…`."""
         s, graphs = self.symbols, self._graphs
         pulls = {f"by_{name}": ca.SX.sym(f"by_{name}", *graph.shape) for name, graph in graphs.items()}
-        total = sum((ca.dot(pull, graph) for pull, graph in zip(pulls.values(), graphs.values(), strict=True)), ca.SX(0))
+        total = sum(
+            (ca.dot(pull, graph) for pull, graph in zip(pulls.values(), graphs.values(), strict=True)), ca.SX(0)
+        )
         slopes = [ca.densify(ca.gradient(total, s[name])) for name in INPUTS]
         given, names = s | pulls, [f"V_{name}" for name in INPUTS]
         return ca.Function("small_motion_slopes", list(given.values()), slopes, list(given), names, {"cse": True})

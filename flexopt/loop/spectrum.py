@@ -153,7 +153,8 @@ def spectrum(
     removed = len(matrix) - len(held)
     if excess > 0 and removed < 2 * excess:
         values, vectors = np.linalg.eig(held)
-        drifting = own().drifting(values, scale[:, None] * (kept.T @ vectors), 2 * excess - removed)
+        lifted = np.asarray(scale[:, None] * (kept.T @ vectors), dtype=np.complex128)
+        drifting = own().drifting(np.asarray(values, dtype=np.complex128), lifted, 2 * excess - removed)
     else:
         values = np.asarray(np.linalg.eigvals(held), dtype=complex)
         drifting = np.zeros(len(values), dtype=bool)

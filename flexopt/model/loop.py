@@ -15,6 +15,8 @@ from flexopt.model.file_model import BuiltByCall
 Numbers = tuple[float, ...]
 Drive = Literal["torque", "velocity"]
 DELAY_MAX = 100  # samples
+# In place of a table: everything follows from the machine.
+DEFAULT_LOOP = "default"
 # Where none is given: the article's, and that of hydraulic excavators.
 RATES: dict[Drive, float] = {"torque": 200.0, "velocity": 100.0}
 LOOP_GAIN = Quantity("N/m and the like", low=0.0, high=1e15)
