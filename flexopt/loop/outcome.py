@@ -42,6 +42,8 @@ SLOWEST, NEAR = 1e-5, np.concatenate([-np.geomspace(0.01, 30.0, 24), np.zeros(1)
 # Relative distance up to which an eigenvalue is one of those that are known.
 SAME = 1e-6
 DEAD_TIME = "dead_time"
+# Peaks of feed · I + sign · F (zI − Φ)⁻¹ Γ, by sign and feed.
+PEAKS = {"sensitivity_peak": (1.0, 1.0), "complementary_peak": (-1.0, 0.0), "disk_margin": (1.0, 0.5)}
 
 
 class Measured(NamedTuple):
@@ -310,14 +312,24 @@ class Outcome:
         into, force = kept @ (sample.into / scale[:, None]), (sample.force * scale) @ kept.T
         return StateSpace(matrix, into, force, np.zeros((len(force), len(force))), self.period)
 
-    def _peak(self, sign: float, feed: float) -> Measured:
-        """The largest singular value of feed · I + sign · F (zI − Φ)⁻¹ Γ over the unit circle."""
+    def peak_angle(self, name: str) -> float:
+        """Where a measure in `PEAKS` is attained, rad in a sample; NaN where there is none."""
+        return self._peak_at(*PEAKS[name])[1]
+
+    def _peak_at(self, sign: float, feed: float) -> tuple[float, float]:
+        """The largest singular value of feed · I + sign · F (zI − Φ)⁻¹ Γ over the unit circle, and where."""
         system = self._reduced
         if system is None:
+            return math.nan, math.nan
+        feeding = feed * np.eye(len(system.D))
+        value, frequency = hinf_peak(StateSpace(system.A, system.B, sign * system.C, feeding, system.dt))
+        return value, frequency * self.period
+
+    def _peak(self, sign: float, feed: float) -> Measured:
+        value, angle = self._peak_at(sign, feed)
+        if not math.isfinite(value):
             return UNDEFINED
-        identity = np.eye(len(system.D))
-        value, frequency = hinf_peak(StateSpace(system.A, system.B, sign * system.C, feed * identity, system.dt))
-        z, smooth = np.exp(1j * frequency * self.period), self.smooth
+        z, smooth, identity = np.exp(1j * angle), self.smooth, np.eye(len(self.parts.force))
         try:
             pencil: Complex = z * np.eye(len(smooth.matrix)) - smooth.matrix
             inverse = np.linalg.solve(pencil, np.eye(len(pencil)))
@@ -336,11 +348,11 @@ class Outcome:
 
     def sensitivity_peak(self) -> Measured:
         """‖S‖∞ of S = (I + L)⁻¹."""
-        return self._peak(1.0, 1.0)
+        return self._peak(*PEAKS["sensitivity_peak"])
 
     def complementary_peak(self) -> Measured:
         """‖T‖∞ of T = L (I + L)⁻¹ = I − S."""
-        return self._peak(-1.0, 0.0)
+        return self._peak(*PEAKS["complementary_peak"])
 
     def disk_margin(self) -> Measured:
         """α = 1 / ‖S − I/2‖∞, at most 2: gains may vary by (2 − α)/(2 + α) … (2 + α)/(2 − α), phases by 2 atan(α/2).
@@ -349,7 +361,7 @@ class Outcome:
 
         Source: Seiler, Packard and Gahinet, IEEE Control Systems Magazine 40(5), 2020.
         """
-        peak = self._peak(1.0, 0.5)
+        peak = self._peak(*PEAKS["disk_margin"])
         if not math.isfinite(peak.value):
             return UNDEFINED
         return Measured(1 / peak.value, peak.slopes and peak.slopes * (-1 / peak.value**2))
