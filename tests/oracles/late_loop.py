@@ -1,4 +1,4 @@
-"""A late sampled loop by another way than flexopt's: ball arithmetic of 256 bits, and nonlinear runs written out.
+"""A late sampled loop by another way than flexopt's: ball arithmetic of 420 bits, and nonlinear runs written out.
 
 The plant is M, K, D, J and Jv at rest; the command is late, x⁺ = e^{AT} x + B₀ f_{k−l} + B₁ f_{k−l−1} for a dead time of
 l T + δ, behind it servos of first order. Nothing of `flexopt.loop` takes part.
@@ -13,15 +13,13 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
-import flint
 import numpy as np
 from flint import acb, acb_mat, arb, arb_mat
 
 from flexopt import build_plant
 from flexopt.model import AnyMachine
-from tests.oracles.high_precision import balls, evaluate_graph
+from tests.oracles.high_precision import BITS, balls, evaluate_graph
 
-BITS = 256
 STEP = arb(10) ** -30
 
 
