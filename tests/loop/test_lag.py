@@ -107,8 +107,7 @@ def test_the_generalised_measure_is_an_eigenvalue():
             assert value == pytest.approx(expected, abs=1e-12 * np.abs(residue).max())
 
 
-@pytest.mark.parametrize("gravity", [False, True])
-@pytest.mark.parametrize("name", list(STANDS))
+@pytest.mark.parametrize(("name", "gravity"), [("boom-stick-bucket", True), ("slewing-excavator", False)])
 def test_gradients(name, gravity):
     """Beside differences of sixth order, each input in units of its own size."""
     _, settings, outcome = stand(name, gravity=gravity)
