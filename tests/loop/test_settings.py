@@ -8,10 +8,8 @@ import warnings
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import flexopt
-from flexopt.cli import main
 from flexopt.errors import FlexoptWarning, InputError, ModelError
 from flexopt.loop.settings import loop_settings
 from flexopt.model.loop import drive_of, rate_of
@@ -182,20 +180,3 @@ def test_of_modes_that_share_a_frequency_nothing_is_said_one_by_one():
     assert found.clusters
     shared = list(found.clusters[0])
     assert np.all(np.isnan(found.loop.allowance[shared]))
-
-
-def test_the_command():
-    posture = ",".join(map(str, POSTURE_B))
-    run = CliRunner().invoke
-    words = ["evaluate", "excavator", "--posture", posture, "--json"]
-    done = run(main, [*words, "--loop", "kp=1e4", "--loop", "kv=1e3,1e3", "--loop", "dead_time=0.0031"])
-    assert done.exit_code == 0, done.output
-    expected = flexopt.evaluate(EXCAVATOR, POSTURE_B, loop=GAINS).to_dict()["loop"]
-    assert json.loads(done.stdout)["loop"]["decay"] == expected["decay"]
-    default = run(main, [*words[:-1], "--loop", "default"])
-    assert "suits the arm's masses" in default.output
-    assert "loop" not in json.loads(run(main, words).stdout)
-    for given, sentence in ((("kp",), "NAME=VALUE"), (("kp=1", "kp=2"), "given twice"), (("kz=1",), "unknown key")):
-        refused = run(main, [*words, *(part for entry in given for part in ("--loop", entry))])
-        assert refused.exit_code == 2
-        assert sentence in refused.stderr
