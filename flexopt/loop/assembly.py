@@ -35,7 +35,7 @@ class Slopes:
 
 
 @dataclass(frozen=True)
-class Assembly:
+class OneSample:
     """One sample of a loop, states x = [s, law, forces on their way, oldest first].
 
     Dead time stands behind the law: what is delayed is its force f, which commutes with a law that does not change.
@@ -127,7 +127,7 @@ class Assembly:
         """Φ (n_x, n_x)."""
         return self.open + self.into @ self.force
 
-    def later(self, dead_time: float) -> Assembly:
+    def later(self, dead_time: float) -> OneSample:
         """The same loop with another dead time."""
         return replace(self, dead_time=dead_time)
 

@@ -18,7 +18,7 @@ import numpy as np
 from flexopt.coprime import StateSpace
 from flexopt.coprime.norms import hinf_peak
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.assembly import Assembly, Slopes
+from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.small_motions import INPUTS, Parts, SmallMotions
 from flexopt.loop.spectrum import (
@@ -88,14 +88,14 @@ class Outcome:
         return self.motions.parts(self.numbers)
 
     @cached_property
-    def sample(self) -> Assembly:
+    def sample(self) -> OneSample:
         """One sample of it."""
-        return Assembly(self.parts, self.period, self.dead_time)
+        return OneSample(self.parts, self.period, self.dead_time)
 
     @cached_property
-    def smooth(self) -> Assembly:
+    def smooth(self) -> OneSample:
         """The same, as derivatives are taken of it."""
-        return Assembly(self.parts, self.period, self.dead_time, differentiable=True)
+        return OneSample(self.parts, self.period, self.dead_time, differentiable=True)
 
     @property
     def _excess(self) -> int:

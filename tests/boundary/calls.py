@@ -350,7 +350,14 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
     "SimulationOptions": lambda: (
         {key: value for key, value in SIMULATE.items() if key != "options"} | {"posture": POSTURE}
     ),
-    "Sensor": lambda: {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0, "delay": 0.0},
+    "Sensor": lambda: {
+        "noise": 0.0,
+        "rate_noise": 0.0,
+        "resolution": 0.0,
+        "rate_resolution": 0.0,
+        "delay": 0.0,
+        "filter_hz": 20.0,
+    },
     "StateSpace": lambda: STATE_SPACE,
     "Tree": lambda: (
         {
@@ -360,6 +367,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
             "gravity": 9.81,
             "capsules": (),
             "cylinders": (),
+            "loop": {"rate": 100.0},
             "stiffness_matrix": None,
             "damping_matrix": None,
             "payload": {"mass": 0.0},

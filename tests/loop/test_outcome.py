@@ -10,7 +10,7 @@ import pytest
 
 import flexopt
 from flexopt.errors import InputError
-from flexopt.loop.assembly import Assembly
+from flexopt.loop.assembly import OneSample
 from flexopt.loop.functions import BY, outcome_function
 from flexopt.loop.outcome import MEASURES, Outcome
 from flexopt.loop.small_motions import small_motions
@@ -203,5 +203,5 @@ def test_functions_for_solvers(name):
 def test_dead_times_beside_whole_samples():
     """What is a whole number of samples but for rounding is one."""
     parts = outcome(EXCAVATOR, POSTURE_B).parts
-    assert Assembly(parts, 0.005, 0.015 + 1e-12).waiting == (3, 0.0)
-    assert Assembly(parts, 0.005, 0.0151).waiting == (4, pytest.approx(1e-4))
+    assert OneSample(parts, 0.005, 0.015 + 1e-12).waiting == (3, 0.0)
+    assert OneSample(parts, 0.005, 0.0151).waiting == (4, pytest.approx(1e-4))
