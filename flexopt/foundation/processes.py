@@ -47,10 +47,13 @@ def in_parallel(
     done: Done | None = None,
     meanwhile: Callable[[], None] | None = None,
     lost: Callable[[int, str], T] | None = None,
+    *,
+    at_once: bool = False,
 ) -> list[T]:
     """[task(0), …, task(count − 1)].
 
-    Numbers are worked off here, one by one, until it shows that processes would be worth their start.
+    Numbers are worked off here, one by one, until it shows that processes would be worth their start; `at_once` that is
+    known before, of processes that can be forked.
 
     Args:
         task: a function that depends on its number only; picklable where processes cannot be forked.
@@ -70,18 +73,18 @@ def in_parallel(
     worth = WORTH_FORKING if method == "fork" else WORTH_SPAWNING
     begin = time.perf_counter()
     while len(results) < count:
-        results.append(task(len(results)))
-        if done is not None:
-            done(len(results))
         left = count - len(results)
-        slow = (time.perf_counter() - begin) / len(results) * left > worth
-        if workers > 1 and left > 1 and slow and not _is_worker():
+        known = (time.perf_counter() - begin) / len(results) * left > worth if results else at_once and method == "fork"
+        if workers > 1 and left > 1 and known and not _is_worker():
             numbers = list(range(len(results), count))
             context = multiprocessing.get_context(method)
             rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile, lost)
             if rest is not None:
                 return results + rest
             workers = 1
+        results.append(task(len(results)))
+        if done is not None:
+            done(len(results))
     return results
 
 

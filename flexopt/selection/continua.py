@@ -68,13 +68,19 @@ def turns(problem: SelectionProblem) -> bool:
 
 def travel(problem: SelectionProblem, z: Vector) -> float:
     """How far z is from the present configuration, or from zeros, Σ ((z − now) / scale)²."""
-    return float(np.sum(between(problem, _now(problem), z) ** 2))
+    return float(_travels(problem, z))
+
+
+def _travels(problem: SelectionProblem, z: Vector) -> Vector:
+    """The same of each z (…, n_z)."""
+    far: Vector = np.sum(between(problem, _now(problem), z) ** 2, axis=-1)
+    return far
 
 
 def between(problem: SelectionProblem, z: Vector, other: Vector) -> Vector:
-    """From z to the other, (n_z,) in scaled variables, the short way round for angles without limits."""
+    """From z to the other, (…, n_z) in scaled variables, the short way round for angles without limits."""
     away, turning = other - z, problem.turning
-    away[turning] = (away[turning] + math.pi) % math.tau - math.pi
+    away[..., turning] = (away[..., turning] + math.pi) % math.tau - math.pi
     scaled: Vector = away / problem.scale
     return scaled
 
@@ -157,9 +163,9 @@ def _turned(problem: SelectionProblem, z: Vector) -> Vector:
         angles = angle + np.linspace(-span, span, count + 1)
         places = turned(angles)
         inside = np.all((places >= problem.lower[:, None]) & (places <= problem.upper[:, None]), axis=0)
-        far = [travel(problem, place) for place in places.T]
         kept = inside & (violated(problem, places) <= ON_ROWS)
-        angle, span = float(angles[int(np.argmin(np.where(kept, far, np.inf)))]), 2 * span / count
+        far = np.where(kept, _travels(problem, places.T), np.inf)
+        angle, span = float(angles[int(np.argmin(far))]), 2 * span / count
     place = turned(np.array([angle]))[:, 0]
     nearer = travel(problem, place) < travel(problem, z) - ALIKE
     return place if nearer and _as_good(problem, z, place) else z

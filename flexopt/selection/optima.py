@@ -21,8 +21,10 @@ from flexopt.selection.check import FIRST_ORDER, Proof, prove
 from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, single
-from flexopt.selection.result import Attempt, Kept
+from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance
+from flexopt.selection.rounds import IN_VAIN, LEFT_OPEN, ROUNDS, further_starts
 from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
+from flexopt.selection.starts import climbs
 
 SAME_POINT = 1e-4
 # Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
@@ -30,8 +32,8 @@ NEARLY = 1e-3
 # From how many starts, the best ones, it is climbed at once: a step costs more than one of a solver, but never leads
 # down and knows of kinks, on which the best optima often stand.
 CLIMBED = 8
-# How many of those that were cut short below the best optimum are taken up again, too.
-BEHIND = 4
+# How many of those that were cut short below the best optimum are taken up again, too: one may be on a long way.
+BEHIND = 1
 # How often an ascent that rounding stopped short of an optimum is begun anew from where it came to: multipliers of what
 # is kept are large, and the step's predicted gain is less than rounding before the slope is gone.
 AGAIN = 3
@@ -63,7 +65,33 @@ def first_optima(
         NoSolutionFound: there is none, or none as good as a feasible point of the scan.
     """
     found, attempts, failures = _attempted(problem, starts, workers, progress, _solve_start)
-    return _not_below_seen(problem, found, attempts, failures)
+    found, attempts = _not_below_seen(problem, found, attempts, failures)
+    return _in_rounds(problem, found, attempts, workers, progress)
+
+
+def _in_rounds(
+    problem: SelectionProblem, found: list[Found], attempts: list[Attempt], workers: int, progress: Progress | None
+) -> tuple[list[Found], list[Attempt]]:
+    """The optima and attempts with those of further rounds; there are none where a number of starts is asked for."""
+    left_open = (missed_chance(problem, attempts) or 0.0) > LEFT_OPEN
+    best, in_vain = max(value_at(problem, z) for z, _, _ in found), 0
+    for number in range(ROUNDS if left_open and problem.starts is None and climbs(problem) else 0):
+        if in_vain == IN_VAIN or any(proof.unsurpassed for _, proof, _ in found):
+            break
+        ranked = sorted(found, key=lambda item: -value_at(problem, item[0]))
+        starts = further_starts(problem, [z for z, _, _ in ranked], number, workers)
+        told = partial(_told_of_all, progress, len(attempts)) if progress is not None else None
+        more, others, _ = _attempted(problem, starts, workers, told, _solve_start, best)
+        found = found + [item for item in more if _is_new(problem, item[0], found)]
+        attempts = attempts + others
+        better = max((value_at(problem, z) for z, _, _ in more), default=-np.inf)
+        in_vain = 0 if better > best + SAME_VALUE * problem.objective_scale else in_vain + 1
+        best = max(best, better)
+    return found, attempts
+
+
+def _told_of_all(progress: Progress, before: int, done: int, count: int) -> None:
+    progress(before + done, before + count)
 
 
 def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) -> tuple[list[Found], list[Attempt]]:
@@ -142,8 +170,9 @@ def _attempted(
     workers: int,
     progress: Progress | None,
     solve: Callable[[SelectionProblem, list[Vector], int], SolveOutcome],
+    known: float = -np.inf,
 ) -> tuple[list[Found], list[Attempt], list[tuple[Vector, Proof]]]:
-    """The same, and the points that failed the proof; there may be no optimum."""
+    """The same, and the points that failed the proof; there may be no optimum. `known`: the best value before."""
     found: list[Found] = []
     failures: list[tuple[Vector, Proof]] = []
     attempts: list[Attempt] = []
@@ -155,14 +184,16 @@ def _attempted(
     # What candidates are evaluated by is built while others solve.
     meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
     lost = partial(_lost, starts)
-    solved = in_parallel(partial(solve, problem, starts), len(starts), workers, done, meanwhile, lost)
-    unfinished = _promising(problem, solved)
+    at_once = climbs(problem)
+    if at_once:
+        single(problem).build()
+    task = partial(solve, problem, starts)
+    solved = in_parallel(task, len(starts), workers, done, meanwhile, lost, at_once=at_once)
+    unfinished = _promising(problem, solved, known)
     points = [solved[number][0] for number in unfinished]
-    for number, (z, proof, more, status) in zip(
-        unfinished,
-        in_parallel(partial(_resume, problem, points), len(points), workers, lost=partial(_lost, points)),
-        strict=True,
-    ):
+    task, lost = partial(_resume, problem, points), partial(_lost, points)
+    resumed = in_parallel(task, len(points), workers, lost=lost, at_once=at_once)
+    for number, (z, proof, more, status) in zip(unfinished, resumed, strict=True):
         solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
         outcome, value = f"solver: {status}", None
@@ -290,22 +321,24 @@ def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Sol
     return _further(problem, points[number], 0)
 
 
-def _promising(problem: SelectionProblem, solved: list[SolveOutcome]) -> list[int]:
+def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: float) -> list[int]:
     """Numbers of the starts that were cut short and may still lead to more than the best optimum found.
 
-    Those that are ahead of it, and the best few of the others, which may be on a long way; all where none was found.
+    Those that are ahead of it, and of first starts the best of the others, which may be on a long way; all where
+    no optimum is known.
     """
     if not _hurried(problem):
         return []
     good = [z for z, proof, _, status in solved if proof is not None and _accepted(problem, proof, status)]
-    best = max((value_at(problem, z) for z in good), default=-np.inf)
+    best = max((value_at(problem, z) for z in good), default=known)
     short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
     near = [k for k in short if np.abs(beyond_bounds(problem, solved[k][0])).max() <= NEARLY]
-    if not good:
+    if best == -np.inf:
         return short
     values = {k: value_at(problem, solved[k][0]) for k in near}
     order = sorted(near, key=lambda k: -values[k])
-    return [k for number, k in enumerate(order) if values[k] > best or number < BEHIND]
+    behind = BEHIND if known == -np.inf else 0
+    return [k for number, k in enumerate(order) if values[k] > max(best, known) or number < behind]
 
 
 def next_stage(problem: SelectionProblem, found: list[Found]) -> tuple[SelectionProblem, Kept]:

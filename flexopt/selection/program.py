@@ -182,6 +182,12 @@ class Program:
             x = self.packed(list(first.wrapped(np.array([self.of(x, k) for k in range(self.coupling.count)]))))
         return np.clip(x, *self.bounds()), reached.iterations, reached.status
 
+    def build(self) -> None:
+        """Build the graphs that solves from many starts use: processes that are forked then inherit them."""
+        first = self.first
+        build_branched(first.configuration, first.forms, compiled=self._compiles)
+        build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=True)
+
     def climbed(
         self,
         start: Vector,

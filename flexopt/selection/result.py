@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -185,18 +185,12 @@ class Selection(Result):
         """Estimated chance that one more start would end at an optimum of a value that none has ended at.
 
         Of n starts that ended at an optimum, as many values as were found once, divided by n (Good and Turing; I. J.
-        Good, Biometrika 40, 1953): what another draw would show that those before did not. Starts are spread, not drawn
-        independently, and what is missed may be worse, so that it tells whether more starts are worth their time, and
-        no more. None where no start ended at an optimum, and of one degree of redundancy that was seen whole: there
-        `flexopt.certify` proves what is best.
+        Good, Biometrika 40, 1953): what another draw would show that those before did not. Starts are spread, and those
+        of further rounds lie about what was found; they are not drawn independently, and what is missed may be worse.
+        So it tells whether more starts are worth their time, and no more. None where no start ended at an optimum, and
+        of one degree of redundancy that was seen whole: there `flexopt.certify` proves what is best.
         """
-        problem = self.problem
-        values = np.sort([attempt.value for attempt in self.attempts if attempt.value is not None])
-        if not values.size or (problem.redundancy < 2 and problem.measures.plant.closed_form):
-            return None
-        apart = np.diff(values) > SAME_VALUE * problem.first_scale
-        alone = np.concatenate([[True], apart]) & np.concatenate([apart, [True]])
-        return float(alone.sum() / values.size)
+        return missed_chance(self.problem, self.attempts)
 
     @public()
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -282,6 +276,16 @@ class Selection(Result):
             e = self.initial
             lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + _measures(e, equal))
         return "\n".join(lines)
+
+
+def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> float | None:
+    """As `Selection.missed_chance`, of these attempts."""
+    values = np.sort([attempt.value for attempt in attempts if attempt.value is not None])
+    if not values.size or (problem.redundancy < 2 and problem.measures.plant.closed_form):
+        return None
+    apart = np.diff(values) > SAME_VALUE * problem.first_scale
+    alone = np.concatenate([[True], apart]) & np.concatenate([apart, [True]])
+    return float(alone.sum() / values.size)
 
 
 def _measures(evaluation: Evaluation, equal: float) -> str:

@@ -58,7 +58,7 @@ Values = Callable[[SelectionProblem, Vector], Vector]
 Seed = tuple[int, ...]
 
 
-def _bounds(problem: SelectionProblem) -> tuple[Vector, Vector, Vector, Vector]:
+def bounds(problem: SelectionProblem) -> tuple[Vector, Vector, Vector, Vector]:
     """What `feasible_steps` takes of z: bounds, what is free, scales."""
     lower, upper = problem.lower, problem.upper
     return lower, upper, (lower < upper).astype(float), problem.scale
@@ -71,7 +71,7 @@ def moved(problem: SelectionProblem, z: Vector, enough: int) -> tuple[Vector, Ve
     """
     others = [problem.measures.plant.parameter_values, problem.constants]
     steps = problem.configuration.feasible
-    return repeated(steps, z, _bounds(problem), problem.row_bounds, others, FEASIBLE / 100, ROUNDS, enough)
+    return repeated(steps, z, bounds(problem), problem.row_bounds, others, FEASIBLE / 100, ROUNDS, enough)
 
 
 def onto_target(problem: SelectionProblem, z: Vector) -> tuple[Vector, Vector]:
@@ -79,7 +79,7 @@ def onto_target(problem: SelectionProblem, z: Vector) -> tuple[Vector, Vector]:
     n_task, others = problem.target.size, [problem.measures.plant.parameter_values]
     lower, upper, scale = (x[:n_task] for x in problem.row_bounds)
     steps = reach_steps(problem.machine)
-    return repeated(steps, z, _bounds(problem), (lower, upper, scale), others, FEASIBLE / 100, ROUNDS)
+    return repeated(steps, z, bounds(problem), (lower, upper, scale), others, FEASIBLE / 100, ROUNDS)
 
 
 def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan, float]:
@@ -167,20 +167,26 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
         return points[: problem.starts or STARTS_OF_SCAN]
     # What breaks a constraint is started from only where nothing else is left.
     count, good = problem.starts or STARTS, scan.violation <= 0
-    order = np.lexsort([-scan.objective, scan.violation])
+    cost = problem.travel_cost(problem.sought[0], z.T)[0]
+    order = np.lexsort([cost - scan.objective, scan.violation])
     order = order[good[order]] if good.any() else order
     best = z[:, order[: max(count, round(BEST_SHARE * order.size))]]
-    if not good.any() or problem.sought[0].has_kinks or problem.redundancy < 2:
-        return _apart(problem, best, count)
+    if not good.any() or not climbs(problem):
+        return apart(problem, best, count)
     return _in_turn(problem, best[:, : CLIMBING * count], count, values_of, workers)
+
+
+def climbs(problem: SelectionProblem) -> bool:
+    """Whether points climb at random: not for ε_max, which costs more, and not along curves, which are seen whole."""
+    return problem.redundancy > 1 and not problem.measures.plant.closed_form and not problem.sought[0].has_kinks
 
 
 def _in_turn(problem: SelectionProblem, z: Vector, count: int, values_at: Values, workers: int) -> list[Vector]:
     """Where the points lead that climb at random, freely and in the planes of symmetry, in turn, the best first."""
     sets = [(problem, z), *((plane, _into(plane, z[:, ::2])) for plane in _planes(problem))]
-    first, *others = _climbed(sets, values_at, workers)
-    free = _apart(problem, first, count)
-    inside = [point for points in others for point in _apart(problem, points, INSIDE)]
+    first, *others = climbed(sets, values_at, workers)
+    free = apart(problem, first, count)
+    inside = [point for points in others for point in apart(problem, points, INSIDE)]
     pairs = zip_longest(free[: len(inside)], inside)
     return [*(start for pair in pairs for start in pair if start is not None), *free[len(inside) :]][:count]
 
@@ -236,30 +242,33 @@ def _worst(problem: SelectionProblem, z: Vector) -> Vector:
     return least
 
 
-def _climbed(sets: list[tuple[SelectionProblem, Vector]], values_at: Values, workers: int) -> list[Vector]:
+def climbed(
+    sets: list[tuple[SelectionProblem, Vector]], values_at: Values, workers: int, steps: int = STEPS, seed: Seed = ()
+) -> list[Vector]:
     """Of every problem its points (n_z, N) after random steps, the best first; in blocks, over processes."""
     blocks = [
-        (k, z[:, first : first + BLOCK], (problem.seed, k, first))
+        (k, z[:, first : first + BLOCK], (problem.seed, *seed, k, first))
         for k, (problem, z) in enumerate(sets)
         for first in range(0, z.shape[1], BLOCK)
     ]
-    climbed = in_parallel(partial(_block, [problem for problem, _ in sets], blocks, values_at), len(blocks), workers)
+    task = partial(_block, [problem for problem, _ in sets], blocks, values_at, steps)
+    ends = in_parallel(task, len(blocks), workers, at_once=True)
     found: list[Vector] = []
     for k, (_, z) in enumerate(sets):
-        ours = [out for (number, _, _), out in zip(blocks, climbed, strict=True) if number == k]
+        ours = [out for (number, _, _), out in zip(blocks, ends, strict=True) if number == k]
         points, values = (np.concatenate(each, axis=-1) for each in zip((z[:, :0], np.zeros(0)), *ours, strict=True))
         found.append(points[:, np.argsort(-values, kind="stable")])
     return found
 
 
 def _block(
-    problems: list[SelectionProblem], blocks: list[tuple[int, Vector, Seed]], values_at: Values, number: int
+    problems: list[SelectionProblem], blocks: list[tuple[int, Vector, Seed]], values_at: Values, steps: int, number: int
 ) -> tuple[Vector, Vector]:
     k, z, seed = blocks[number]
-    return _climbing(problems[k], z, values_at, seed)
+    return _climbing(problems[k], z, values_at, steps, seed)
 
 
-def _climbing(problem: SelectionProblem, z: Vector, values_at: Values, seed: Seed) -> tuple[Vector, Vector]:
+def _climbing(problem: SelectionProblem, z: Vector, values_at: Values, steps: int, seed: Seed) -> tuple[Vector, Vector]:
     """The points (n_z, N) after random steps along the target, taken where they keep all constraints and V grows.
 
     No slope is asked for, so that kinks and narrow valleys stop it less than a solver. `values_at`: of the problem and
@@ -269,9 +278,9 @@ def _climbing(problem: SelectionProblem, z: Vector, values_at: Values, seed: See
         The points, and what grew there (N,).
     """
     rng, none = np.random.default_rng(seed), np.full(z.shape[1], -np.inf)
-    lower, upper, free, scale = (x[:, None] for x in _bounds(problem))
+    lower, upper, free, scale = (x[:, None] for x in bounds(problem))
     values, step = _feasible(problem, z, values_at, none), np.full(z.shape[1], STEP)
-    for _ in range(STEPS):
+    for _ in range(steps):
         there = np.clip(z + step * rng.standard_normal(z.shape) * scale * free, lower, upper)
         there, off = onto_target(problem, there)
         found = _feasible(problem, there, values_at, np.where(off <= FEASIBLE, values, np.inf))
@@ -318,7 +327,7 @@ def idle_joints(problem: SelectionProblem, z: Vector) -> list[int]:
     return found
 
 
-def _apart(problem: SelectionProblem, z: Vector, count: int) -> list[Vector]:
+def apart(problem: SelectionProblem, z: Vector, count: int) -> list[Vector]:
     """Up to `count` of the columns, which come in order of preference, as far apart as that many can be found.
 
     What counts is the posture: to turn or shift machine and target together changes no measure, nor do whole turns of

@@ -13,7 +13,7 @@ from benchmarks.choice import chosen
 from benchmarks.dimensions import cases, examined
 from flexopt.selection.cones import Parallel, split_factors
 from flexopt.selection.continua import nearest, travel
-from flexopt.selection.starts import _apart, idle_joints
+from flexopt.selection.starts import apart, idle_joints
 from tests.oracles.machines import random_machine
 
 
@@ -200,4 +200,4 @@ def test_starts_apart_are_no_copies_by_whole_turns_or_idle_joints() -> None:
     columns[8, 3] = 3.0
     columns[:3, 4] += 0.5
     columns[5, 5] += 0.2
-    assert [tuple(start) for start in _apart(problem, columns, 2)] == [tuple(z), tuple(columns[:, 5])]
+    assert [tuple(start) for start in apart(problem, columns, 2)] == [tuple(z), tuple(columns[:, 5])]
