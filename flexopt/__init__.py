@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from flexopt.model import load_problem as load_problem
     from flexopt.model import machine_from_dict as machine_from_dict
     from flexopt.model import tree_from_dict as tree_from_dict
+    from flexopt.model.loop import Loop as Loop
     from flexopt.model.own import Constraint as Constraint
     from flexopt.model.robots import load_robot as load_robot
     from flexopt.model.simulation import Experiment as Experiment
@@ -109,6 +110,7 @@ __all__ = [
     "Hydraulics",
     "ImplausibleMachine",
     "InputError",
+    "Loop",
     "Machine",
     "MarginNotComputed",
     "Measures",
@@ -182,6 +184,7 @@ _LATER = {
     "model": (
         "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"
     ),
+    "model.loop": "Loop",
     "model.own": "Constraint",
     "model.robots": "load_robot",
     "model.simulation": "Experiment SimulationOptions",

@@ -29,6 +29,7 @@ from flexopt.cli.common import (
     progress_bar,
     read,
     say,
+    table,
     typed,
     value,
     warnings_to_stderr,
@@ -40,6 +41,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine, load, load_any
 from flexopt.model.choices import ELBOWS
+from flexopt.model.loop import DEFAULT_LOOP
 from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import evaluate
 
@@ -65,17 +67,34 @@ def ranges(text: str) -> Any:
 @GAIN
 @option("--damped", is_flag=True, help="Measures of the damped plant.")
 @GRAVITY
+@value(
+    "--loop",
+    "NAME=VALUE|default",
+    "Of the real controller, may be repeated: kp, kv, rate, dead_time and the other keys of a machine file's [loop], "
+    "in place of the file's; default: all follows from the machine.",
+    multiple=True,
+)
 @JSON
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
         posture = _posture(loaded, options)
-        result = evaluate(loaded, posture, **given(options, "base", "control", "gain", "damped", "gravity"))
+        loop = _loop(loaded, options.pop("loop"))
+        result = evaluate(loaded, posture, loop=loop, **given(options, "base", "control", "gain", "damped", "gravity"))
     if as_json:
         print_json(result.to_dict())
     else:
         say(repr(result))
+
+
+def _loop(machine: AnyMachine, entries: tuple[str, ...]) -> dict[str, Any] | None:
+    """The table that was given, on top of the machine's; None where none was."""
+    asked = table("--loop", tuple(entry for entry in entries if entry != DEFAULT_LOOP))
+    if not entries:
+        return None
+    own = machine.loop.model_dump(exclude_unset=True) if machine.loop and DEFAULT_LOOP not in entries else {}
+    return own | (asked or {})
 
 
 def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:

@@ -201,6 +201,19 @@ def names(text: str) -> list[str]:
     return [part.strip() for part in text.split(",")]
 
 
+def table(name: str, entries: tuple[str, ...]) -> dict[str, Any] | None:
+    """`("delay=0.02", "noise=1e-3")` as a table, numbers as numbers; None where nothing was given."""
+    found: dict[str, Any] = {}
+    for entry in entries:
+        key, equals, value = entry.partition("=")
+        if not equals or not key.strip():
+            raise InputError(f"{name} = {entry!r}: must be NAME=VALUE")
+        if key.strip() in found:
+            raise InputError(f"{name} = {entry!r}: {key.strip()} is given twice")
+        found[key.strip()] = placement(value)
+    return found or None
+
+
 JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 CONTROL = option(
     "--control", metavar="|".join((*CONTROLS, f"{DAMPED}:LAMBDA")),

@@ -21,10 +21,10 @@ from flexopt.cli.common import (
     numbers,
     option,
     option_names,
-    placement,
     print_json,
     read,
     say,
+    table,
     value,
     warnings_to_stderr,
     whole,
@@ -58,7 +58,8 @@ TEXTS = {
     "nullspace_damping": ("C", "Damping of a redundant arm's self-motion, N m s/rad or N s/m."),
     "sensor": (
         "NAME=VALUE",
-        "Of the measurement, may be repeated: noise, rate_noise, resolution, rate_resolution, m and m/s; delay, s.",
+        "Of the measurement, may be repeated: noise, rate_noise, resolution, rate_resolution, m and m/s; delay, s; "
+        "filter_hz.",
     ),
     "actuator": (
         "NAME=VALUE[,…]",
@@ -153,16 +154,3 @@ def simulate_arguments(options: dict[str, Any]) -> dict[str, Any]:
     asked |= {name: table(f"--{name}", entries) for name, entries in asked.items() if name in ("sensor", "actuator")}
     asked |= {name: False for name, word in NEGATED.items() if options[word]}
     return {name: value for name, value in asked.items() if value is not None}
-
-
-def table(name: str, entries: tuple[str, ...]) -> dict[str, Any] | None:
-    """`("delay=0.02", "noise=1e-3")` as a table, numbers as numbers; None where nothing was given."""
-    found: dict[str, Any] = {}
-    for entry in entries:
-        key, equals, value = entry.partition("=")
-        if not equals or not key.strip():
-            raise InputError(f"{name} = {entry!r}: must be NAME=VALUE")
-        if key.strip() in found:
-            raise InputError(f"{name} = {entry!r}: {key.strip()} is given twice")
-        found[key.strip()] = placement(value)
-    return found or None

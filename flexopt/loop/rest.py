@@ -34,16 +34,17 @@ def placed(motion: Motion, base: ca.SX) -> ca.SX:
 def state_at_rest(loop: ClosedLoop, plant: Plant, motion: Motion, q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
     """State x (n_x,) at rest in q.
 
-    Servos start with the torque that carries the weight, measurements on their way show the start.
+    Servos start with the torque that carries the weight; filters and measurements on their way show the start.
     """
     parts = {name: ca.SX.zeros(size, 1) for name, size in loop.states.sizes.items()}
     parts["u"] = ca.solve(ca.SX(motion.to_q), q - motion.origin(base))
     if loop.structure.compensated and loop.structure.lagging:
         parts["torque"] = plant.gravity(q, base, p)[plant.n_passive :]
-    if loop.structure.delay:
-        measured = plant.end_point(q, base, p) - placed(motion, base)
-        still = ca.SX.zeros(plant.n_task, 1)
-        parts["queue"] = ca.repmat(ca.vertcat(measured, still), loop.structure.delay, 1)
+    point = plant.end_point(q, base, p) - placed(motion, base)
+    measured = ca.vertcat(point, ca.SX.zeros(plant.n_task, 1))
+    parts["queue"] = ca.repmat(measured, loop.structure.delay, 1)
+    if loop.structure.filtered:
+        parts["filter"] = measured
     return ca.vertcat(*parts.values())
 
 

@@ -127,7 +127,17 @@ class Sample(SampleModel):
             rounded = size * ca.floor(fresh / ca.if_else(size > 0, size, 1) + 0.5)
             fresh = ca.if_else(size > 0, rounded, fresh)
         self.fresh = fresh
-        return self.x["queue"][: 2 * self.s.n_task] if self.s.delay else fresh
+        arrived = self.x["queue"][: 2 * self.s.n_task] if self.s.delay else fresh
+        if not self.s.filtered:
+            return arrived
+        # The low-pass ẏ = ω (m − y) over one sample, m held.
+        kept = ca.exp(-self.of["filter"] * self.period)
+        return arrived + kept * (self.x["filter"] - arrived)
+
+    @property
+    def period(self) -> ca.SX:
+        """Of a sample, s."""
+        return self.s.substeps * self.of["h"]
 
     @property
     def error(self) -> tuple[ca.SX, ca.SX]:
@@ -135,21 +145,24 @@ class Sample(SampleModel):
         r = self.s.n_task
         return self.target - self.measured[:r], self.target_rate - self.measured[r:]
 
-    def command(self) -> ca.SX:
-        """Joint torques asked for, dead band of the actuators included."""
-        e, e_rate = self.error
-        force = self.law.force(e, e_rate, self.x["law"], self.of)
-        return self.through_dead_band(self.torque_for(force, self.x["u"], self.x["w"], self.along, self.base))
+    def force(self) -> ca.SX:
+        """What the law asks for at the end-point."""
+        return self.law.force(*self.error, self.x["law"], self.of)
+
+    def command(self, force: ca.SX | None = None) -> ca.SX:
+        """Joint torques asked for, dead band of the actuators included; of the law's force, or of another."""
+        asked = self.force() if force is None else force
+        return self.through_dead_band(self.torque_for(asked, self.x["u"], self.x["w"], self.along, self.base))
 
     def applied(self, command: ca.SX) -> ca.SX:
         """Torques that act."""
         return self.x["torque"] if self.s.lagging else command
 
     def successors(self) -> tuple[ca.SX, ca.SX]:
-        """States of a sampled law and of the queue at the next sample."""
-        period = self.s.substeps * self.of["h"]
+        """States of a sampled law and its filter, and of the queue, at the next sample."""
         e, _ = self.error
-        law = self.law.successor(e, self.x["law"], period, self.of) if self.s.sampled else ca.SX.zeros(0, 1)
+        law = self.law.successor(e, self.x["law"], self.period, self.of) if self.s.sampled else ca.SX.zeros(0, 1)
+        law = ca.vertcat(law, self.measured) if self.s.filtered else law
         queue = ca.vertcat(self.x["queue"][2 * self.s.n_task :], self.fresh) if self.s.delay else ca.SX.zeros(0, 1)
         return law, queue
 

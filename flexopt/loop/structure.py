@@ -35,7 +35,7 @@ class LoopStructure:
         method, substeps, iterations: integration; iterations of the implicit method.
         gravity, compensated: whether weight acts, and whether the command carries the arm's.
         delay: whole samples between measurement and command.
-        quantised, noisy: of the measurement.
+        quantised, noisy, filtered: of the measurement.
         limited, lagging, rate_limited, dead_band: of the actuators.
         nullspace_damped: whether a damper acts on the arm's self-motion.
         moving_base, moving_target: whether they come as signals instead of constants.
@@ -58,6 +58,7 @@ class LoopStructure:
     delay: int = 0
     quantised: bool = False
     noisy: bool = False
+    filtered: bool = False
     limited: bool = False
     lagging: bool = False
     rate_limited: bool = False
@@ -129,6 +130,7 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
     sizes |= law.constants
     sizes |= {"resolution": s.n_task, "rate_resolution": s.n_task} if s.quantised else {}
     for part, name, size in (
+        (s.filtered, "filter", 1),
         (s.limited, "torque_limit", n),
         (s.dead_band, "dead_band", n),
         (s.lagging, "bandwidth", n),
@@ -142,10 +144,12 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
 
 
 def state_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:
-    """Entries of x: u, w, torque of lagging actuators, states of the law, measurements on their way."""
+    """Entries of x: u, w, torque of lagging actuators, states of the law, what a filter has, what is on its way."""
     s, shape = structure, motion_of(structure.motion, {})
     n, torques = shape.n, shape.n_joints if s.lagging else 0
-    return {"u": n, "w": n, "torque": torques, "law": law.n_states, "queue": 2 * s.n_task * s.delay}
+    measured = 2 * s.n_task
+    sizes = {"u": n, "w": n, "torque": torques, "law": law.n_states}
+    return sizes | {"filter": measured * s.filtered, "queue": measured * s.delay}
 
 
 def signal_sizes(structure: LoopStructure) -> dict[str, int]:

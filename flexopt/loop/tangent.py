@@ -81,10 +81,15 @@ def _exponential(flow: bytes, drive: bytes, n: int, m: int, span: float) -> tupl
     return whole[:n, :n], whole[:n, n:]
 
 
+def graphs_about_rest(structure: LoopStructure) -> tuple[ca.Function, ca.Function]:
+    """What `tangent` evaluates: between the samples, and at a sample's start."""
+    return _between(structure), _at(structure)
+
+
 def tangent(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> Tangent:
     """The linear loop about a state x (n_x,), with signals e and constants c."""
-    between, at = _between(structure), _at(structure)
-    command, kept, waiting, by_command, by_kept, by_waiting = (np.array(m) for m in at.call([x, e, c]))
+    between, at = graphs_about_rest(structure)
+    command, kept, waiting, by_command, by_kept, by_waiting = (np.array(m) for m in at.call([x, e, c])[:6])
     rates, flow, drive = (np.array(m) for m in between.call([x[: flow_size(structure)], command, e, c]))
     n = len(flow)
     period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
@@ -146,12 +151,19 @@ def _between(structure: LoopStructure) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def _at(structure: LoopStructure) -> ca.Function:
-    """Command, the law's states and the queue after a sample's start, and their derivatives by x. Inputs x, e, c."""
+    """Command, the law's states and the queue after a sample's start, and their derivatives by x. Inputs x, e, c.
+
+    Then how the command is made of the law's force f: ∂f/∂x, ∂command/∂f, and ∂command/∂x of a force that stays.
+    """
     loop: ClosedLoop = closed_loop(structure)
     x, e, c = (ca.SX.sym(n, part.total) for n, part in (("x", loop.states), ("e", loop.signals), ("c", loop.constants)))
     at = Sample(structure, loop.layouts, x, e, c, Computed(loop.shape.angles(loop.states.split(x)["u"])))
     command = at.command() if structure.sampled else ca.SX.zeros(0, 1)
     values = [command, *at.successors()]
-    outputs = [ca.densify(value) for value in (*values, *(ca.jacobian(value, x) for value in values))]
-    names = ["command", "law", "queue", "by_command", "by_law", "by_queue"]
+    asked, force = at.force(), ca.SX.sym("f", structure.n_task)
+    of_force = at.command(force)
+    made = ca.substitute([ca.jacobian(of_force, force), ca.jacobian(of_force, x)], [force], [asked])
+    slopes = [*(ca.jacobian(value, x) for value in values), ca.jacobian(asked, x), *made]
+    outputs = [ca.densify(value) for value in (*values, *slopes)]
+    names = ["command", "law", "queue", "by_command", "by_law", "by_queue", "by_force", "spread", "direct"]
     return ca.Function("at_sample", [x, e, c], outputs, ["x", "e", "c"], names, {"cse": True})

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.errors import ModelError
+from flexopt.errors import InputError, ModelError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE, Check, by, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
@@ -24,6 +24,8 @@ from flexopt.model.choices import (
     check_objective,
     check_weights,
 )
+from flexopt.model.file_model import read_table, validated
+from flexopt.model.loop import DEFAULT_LOOP, Loop, loop_faults
 from flexopt.model.machine import AnyMachine
 
 
@@ -77,9 +79,23 @@ def _constraints(arguments: Arguments, field: str, value: Any) -> Any:
     return arguments.collect(field, lambda: read_constraints(value))
 
 
+def _loop(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
+    def read() -> Loop:
+        given: Any = dict[str, Any]() if isinstance(value, str) and value == DEFAULT_LOOP else value
+        if isinstance(given, Loop):
+            found = given
+        else:
+            found = validated(Loop, read_table(given, field, "[loop]", InputError), field, (), InputError)
+        raise_if_any(InputError, field, loop_faults(found, machine))
+        return found
+
+    return arguments.collect(field, read)
+
+
 TABLE.update(
     {
         "machine": _machine,
+        "loop": of_machine(_loop),
         "elbow": words(*ELBOWS),
         "gain": by(GAIN),
         "singularity_margin_deg": by(MARGIN_DEG),

@@ -19,6 +19,7 @@ from flexopt.foundation.quantities import (
 from flexopt.model.file_model import BuiltByCall, Described
 from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.kinematic_tree import KinematicTree, units_of
+from flexopt.model.loop import Loop, loop_faults
 from flexopt.model.strokes import CylinderTravel, usable_range
 from flexopt.model.tables import Capsule
 from flexopt.model.tree_quantities import axes_about, snapped_rows
@@ -41,6 +42,7 @@ class AnyMachine(BuiltByCall, Described):
     gravity: Acceleration = 9.81
     capsules: tuple[Capsule, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
+    loop: Loop | None = None
 
     @abstractmethod
     def build_tree(self) -> KinematicTree:
@@ -135,9 +137,12 @@ class AnyMachine(BuiltByCall, Described):
             for index, cylinder in enumerate(self.cylinders)
         )
 
-    def stroke_faults(self) -> list[Fault]:
-        """What is wrong with the cylinders' strokes."""
-        return [fault for _, faults in self.stroke_ranges for fault in faults]
+    def part_faults(self) -> list[Fault]:
+        """What is wrong with the cylinders' strokes, and what of the loop does not go with the machine."""
+        found = [fault for _, faults in self.stroke_ranges for fault in faults]
+        if self.loop is None:
+            return found
+        return found + [Fault(f"loop.{f.field}", f.sentence, f.value) for f in loop_faults(self.loop, self)]
 
     @property
     def efforts(self) -> tuple[float, ...]:
@@ -194,7 +199,8 @@ class AnyMachine(BuiltByCall, Described):
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the validated content: the same for two descriptions that say the same."""
-        return hashlib.sha256(self.model_dump_json(by_alias=True).encode()).hexdigest()
+        absent = {"loop"} if self.loop is None else set[str]()
+        return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
     def to_dict(self) -> dict[str, Any]:
         """The machine as a dictionary, keys at their defaults left out: what it was validated from takes it back."""

@@ -91,7 +91,8 @@ class Machine(AnyMachine):
     Units are SI and angles radians. Bodies are rigid; each joint has one degree of freedom and is passive (spring,
     damper, rest value) or actuated. The placement coordinate is the position x of the undercarriage. In a file, tables
     [[capsules]] (`Capsule`; `body` is "base" or a link's name) say what the bodies fill, [[cylinders]] (`Cylinder`)
-    what drives the joints, and [support] span = [rear, front] what the undercarriage stands on.
+    what drives the joints, [support] span = [rear, front] what the undercarriage stands on, and [loop] (`Loop`) the
+    controller.
     """
 
     base: Base
@@ -103,7 +104,7 @@ class Machine(AnyMachine):
 
     def structural_faults(self) -> list[Fault]:
         """As of a file."""
-        return machine_faults(self.to_dict()) or self.stroke_faults()
+        return machine_faults(self.to_dict()) or self.part_faults()
 
     @property
     def free_base_directions(self) -> tuple[Literal["x", "y", "rotation"], ...]:

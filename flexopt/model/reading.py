@@ -110,7 +110,7 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
     """
     named = _with_link_names(read_table(data, origin, "a machine file"))
     machine = validated(Machine, named, origin, machine_faults(named))
-    raise_if_any(ModelError, origin, machine.stroke_faults())
+    raise_if_any(ModelError, origin, machine.part_faults())
     return machine
 
 

@@ -26,25 +26,16 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, GAIN, SEED, Elbow, check_objective, check_weights
 from flexopt.model.file_model import BuiltByCall, FileModel
+from flexopt.model.loop import BANDWIDTH, DEAD_TIME, LOOP_GAIN, RATE, SERVO_GAIN, Bandwidths, Gains, Numbers, Torques
 from flexopt.model.machine import AnyMachine, OnMachine
 from flexopt.model.targets import TIMES
 
 Feedback = Literal["pd", "pid", "robust", "none"]
 Method = Literal["rk4", "dop853", "gauss"]
 SAMPLES_MAX = 10_000_000
-DELAY_MAX = 100  # samples
 PART_OF_SAMPLE = 1e-6  # below this share of a sample a dead time is a whole number of them
-LOOP_GAIN = Quantity("N/m and the like", low=0.0, high=1e15)
-TORQUE = Quantity("N m or N", low=0.0, high=1e12)
-BANDWIDTH = Quantity("Hz", low=1e-3, high=1e6)
-SERVO_GAIN = Quantity(JOINT_DAMPING.unit, above=0.0, high=1e12)
 NOISE, RATE_NOISE = (Quantity(unit, low=0.0, high=1e3) for unit in ("m", "m/s"))
 
-Numbers = tuple[float, ...]
-
-
-Gains = Annotated[Numbers, numbers_in(LOOP_GAIN)]
-Torques = Annotated[Numbers, numbers_in(TORQUE)]
 # Which of them are angles, and how many there must be, is the machine's to say.
 Coordinates = Annotated[Numbers, numbers_in(JOINT_VALUE)]
 _POINT = numbers_in(COORDINATE["m"])
@@ -58,13 +49,15 @@ class Sensor(BuiltByCall):
         noise, rate_noise: standard deviation of white noise on each sample of position, m, and rate, m/s.
         resolution, rate_resolution: steps to which they are rounded, m and m/s; 0: not rounded.
         delay: from measurement to command, s; a whole number of samples.
+        filter_hz: corner of a first-order low-pass that the samples run through, Hz; none by default.
     """
 
     noise: Annotated[float, NOISE] = 0.0
     rate_noise: Annotated[float, RATE_NOISE] = 0.0
     resolution: Annotated[float, NOISE] = 0.0
     rate_resolution: Annotated[float, RATE_NOISE] = 0.0
-    delay: Annotated[float, Quantity("s", low=0.0, high=10.0)] = 0.0
+    delay: Annotated[float, DEAD_TIME] = 0.0
+    filter_hz: Annotated[float, BANDWIDTH] | None = None
 
 
 class Actuator(BuiltByCall):
@@ -85,7 +78,7 @@ class Actuator(BuiltByCall):
 
     torque_limit: Torques | None = None
     dead_band: Torques | None = None
-    bandwidth_hz: Annotated[Numbers, numbers_in(BANDWIDTH)] | None = None
+    bandwidth_hz: Bandwidths | None = None
     rate_limit: Torques | None = None
     levers: Literal["each", "uniform"] | None = None
     servo_gain: Annotated[float, SERVO_GAIN] = 1.0
@@ -171,7 +164,7 @@ class SimulationOptions(BuiltByCall):
     gain: Annotated[float, GAIN] = 5e5
     offset: Coordinates | None = None
     duration: Annotated[float, DURATION] = 10.0
-    rate: Annotated[float, Quantity("Hz", above=0.0, high=1e6)] = 200.0
+    rate: Annotated[float, RATE] = 200.0
     hold: bool = True
     integrator: Method = "rk4"
     substeps: Annotated[int, whole_number(1, 1000)] | None = None

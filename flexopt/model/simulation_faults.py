@@ -5,12 +5,11 @@ from __future__ import annotations
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.coordinates import check_task
+from flexopt.model.loop import DELAY_MAX, length_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.simulation import (
-    DELAY_MAX,
     PART_OF_SAMPLE,
     SAMPLES_MAX,
-    Numbers,
     Path,
     Sensor,
     SimulationOptions,
@@ -49,16 +48,7 @@ def _posture_faults(options: SimulationOptions, machine: AnyMachine) -> list[Fau
 
 
 def _controller_faults(options: SimulationOptions, machine: AnyMachine) -> list[Fault]:
-    n, found, axes = len(machine.joints), list[Fault](), len(machine.task_rows)
-    for name, gains in (("kp", options.kp), ("kv", options.kv), ("ki", options.ki)):
-        if len(gains) not in (1, axes):
-            sentence = f"must be one number, or one for each of the {axes} task axes"
-            found.append(Fault(name, sentence, str(list(gains))))
-    wanted = f"must be one number, or one for each actuated joint ({', '.join(machine.joints)})"
-    for name in ("torque_limit", "dead_band", "bandwidth_hz", "rate_limit"):
-        value: Numbers | None = getattr(options.actuator, name)
-        if value is not None and len(value) not in (1, n):
-            found.append(Fault(f"actuator.{name}", wanted, str(list(value))))
+    found = length_faults(options, machine) + length_faults(options.actuator, machine, "actuator.")
     if options.actuator.rate_limit is not None and options.actuator.bandwidth_hz is None:
         sentence = "needs actuator.bandwidth_hz: it limits how fast the servo's torque changes"
         found.append(Fault("actuator.rate_limit", sentence))
@@ -92,7 +82,7 @@ def _time_faults(options: SimulationOptions, any_delay: bool) -> list[Fault]:
         sentence += "; sampled_loop and stability_border take any time"
         found.append(Fault("sensor.delay", sentence, f"{options.sensor.delay:g}"))
     if not options.hold and options.sensor != Sensor():
-        sentence = "noise, resolution and delay belong to a sampled controller: give hold = true"
+        sentence = "noise, resolution, delay and filter belong to a sampled controller: give hold = true"
         found.append(Fault("sensor", sentence))
     return found
 

@@ -42,7 +42,7 @@ class Tree(AnyMachine):
 
     def structural_faults(self) -> list[Fault]:
         """As of `tree_from_dict`."""
-        return tree_faults(self.to_dict()) or self.stroke_faults()
+        return tree_faults(self.to_dict()) or self.part_faults()
 
     @property
     def passive_bodies(self) -> tuple[TreeBody, ...]:
@@ -152,5 +152,5 @@ def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
     """
     frozen = read_table(data, origin, "flexopt.Tree")
     tree = validated(Tree, frozen, origin, tree_faults(frozen))
-    raise_if_any(ModelError, origin, tree.stroke_faults())
+    raise_if_any(ModelError, origin, tree.part_faults())
     return tree

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 import warnings as python_warnings
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from flexopt.coprime.margin import with_bound
-from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
+from flexopt.errors import Fault, FlexoptWarning, InputError, NoSolutionFound, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.later import later
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop, loop_faults
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
@@ -109,6 +112,7 @@ class Evaluation(Result):
         damped_difference: largest |w_damped − w_undamped| / (|a||b|), where damping was asked for.
         skeleton: points to draw, a column each, m, inertial frame, as in `Plant.skeleton`.
         cylinders: hydraulic cylinders in this posture, of a machine that has some.
+        loop: what the controller does, `flexopt.loop.evaluation.LoopEvaluation`, where one is known.
         warnings: sentences about repeated frequencies and the like.
     """
 
@@ -116,7 +120,7 @@ class Evaluation(Result):
     machine control base base_coordinates base_units posture joints joint_units end_point[m] frequencies_hz[Hz]
     damping_ratios w scale rigid in_phase in_phase_strict epsilon_max epsilon_max_error epsilon_max_status
     epsilon_max_residual gain gradient residues.R0=rigid_residue residues.R=residues clusters condition
-    static_deflection self_motion_unstabilised damped=_damped warnings provenance cylinders=_cylinders
+    static_deflection self_motion_unstabilised damped=_damped warnings provenance cylinders=_cylinders loop
     """
 
     machine: str
@@ -153,11 +157,12 @@ class Evaluation(Result):
     warnings: tuple[str, ...]
     cylinders: tuple[CylinderState, ...]
     provenance: dict[str, Any] = field(repr=False)
+    loop: Result | None = None
 
     def document(self) -> dict[str, Any]:
-        """Values by their keys; the cylinders only of a machine that has some."""
-        document = super().document()
-        return document if self.cylinders else {key: x for key, x in document.items() if key != "cylinders"}
+        """Values by their keys; cylinders and loop only where there are some."""
+        absent = {"cylinders"} - {"cylinders" for _ in self.cylinders} | ({"loop"} if self.loop is None else set[str]())
+        return {key: x for key, x in super().document().items() if key not in absent}
 
     @property
     def _cylinders(self) -> list[dict[str, Any]]:
@@ -198,6 +203,7 @@ class Evaluation(Result):
                 f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|"
             )
         lines += [f"  {cylinder}" for cylinder in self.cylinders]
+        lines += [] if self.loop is None else repr(self.loop).splitlines()
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
@@ -216,10 +222,11 @@ def evaluate(
     posture: Any,
     *,
     base: Any = None,
-    control: Control = "inverse",
+    control: Control | None = None,
     gain: float = 5e5,
     damped: bool = False,
     gravity: bool = False,
+    loop: Loop | Mapping[str, Any] | str | None = None,
 ) -> Evaluation:
     """Frequencies, residues, measures w_i and their exact gradients at one posture.
 
@@ -229,13 +236,15 @@ def evaluate(
         machine: from `flexopt.load`.
         posture: actuated joints (n,), rad or m.
         base: placement (n_b,), m or rad: of a planar machine x alone; the origin by default.
-        control: Jacobian `"inverse"` (the Moore–Penrose inverse for a redundant arm), `"transpose"`, or
+        control: Jacobian `"inverse"` (the default; the Moore–Penrose inverse for a redundant arm), `"transpose"`, or
             `"damped:LAMBDA"`, the inverse Jvᵀ (Jv Jvᵀ + λ² I)⁻¹ with λ in the unit of Jv's entries, which singular
             postures have too.
         gain: servo gain kr of the margin ε_max.
         damped: measures, their gradients, residues, scale and phases from the numerators N0 of the damped plant instead
             of R_i; only the rigid residue stays that of the undamped one.
         gravity: solve for the static deflection.
+        loop: the real controller, `flexopt.Loop` or a table of its keys, of which those left out follow from the
+            machine, or `"default"`: what it allows and does is then evaluated, too. By default the machine's `[loop]`.
 
     Raises:
         InputError: an argument has the wrong shape, is not finite or is out of range (all faults in one message); under
@@ -248,7 +257,25 @@ def evaluate(
     """
     warn_implausible(machine)
     placement = np.zeros(len(machine.base_coordinates)) if base is None else base
-    return evaluate_checked(machine, posture, placement, control=control, gain=gain, damped=damped, gravity=gravity)
+    real = cast("Loop | None", machine.loop if loop is None else loop)
+    chosen = control or (real and real.control) or "inverse"
+    found = evaluate_checked(machine, posture, placement, control=chosen, gain=gain, damped=damped, gravity=gravity)
+    return found if real is None else _with_loop(machine, real, found, gravity=gravity)
+
+
+def _with_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool) -> Evaluation:
+    """The same with what the loop does."""
+    if loop.control not in (None, stand.control):
+        fault = Fault("loop.control", f"is not the control that is evaluated, {stand.control}", repr(loop.control))
+        raise_if_any(InputError, "evaluate", [fault])
+    loop = loop.model_copy(update={"control": stand.control})
+    faults = [Fault(f"loop.{f.field}", f.sentence, f.value) for f in loop_faults(loop, machine)]
+    raise_if_any(InputError, "evaluate", faults)
+    # The loop's room is built on this one.
+    evaluate_loop = cast("Callable[..., Result]", later("flexopt.loop", evaluation="evaluate_loop")("evaluate_loop"))
+    done = evaluate_loop(machine, loop, stand, gravity=gravity)
+    options = stand.provenance["options"] | {"loop": loop.model_dump(exclude_unset=True)}
+    return replace(stand, loop=done, provenance=stand.provenance | {"options": options})
 
 
 def prepare(machine: AnyMachine, control: Control, *, gravity: bool) -> None:

@@ -229,6 +229,7 @@ def build_scenario(
     parts |= {JACOBIAN_DAMPING: control_damping(options.control) or 0.0}
     parts |= {"resolution": [options.sensor.resolution] * rows}
     parts |= {"rate_resolution": [options.sensor.rate_resolution] * rows}
+    parts |= {"filter": 2 * math.pi * (options.sensor.filter_hz or 0.0)}
     actuator = options.actuator
     for name, value in (
         ("torque_limit", actuator.torque_limit),
@@ -360,6 +361,7 @@ def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, i
         delay=dead_time(options)[0],
         quantised=bool(sensor.resolution or sensor.rate_resolution),
         noisy=bool(sensor.noise or sensor.rate_noise),
+        filtered=sensor.filter_hz is not None,
         limited=actuator.torque_limit is not None,
         lagging=actuator.bandwidth_hz is not None,
         rate_limited=actuator.rate_limit is not None,

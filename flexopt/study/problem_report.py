@@ -44,7 +44,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Loop:
+class ReportLoop:
     """The closed loop in one configuration: the nonlinear run, and the poles of the sampled linear loop."""
 
     run: Trajectory
@@ -85,7 +85,7 @@ class Report:
     selection: Selection = field(repr=False)
     map: WorkspaceMap | None = field(repr=False)
     marks: dict[str, tuple[float, float]]
-    loops: dict[str, Loop] = field(repr=False)
+    loops: dict[str, ReportLoop] = field(repr=False)
     simulation: dict[str, Any]
     borders: tuple[BorderRow, ...]
     notes: tuple[str, ...]
@@ -265,11 +265,11 @@ def report(
     drawn = _attempt(notes, "the map", lambda: surroundings(selection, size))
     stages.next()
     given = _with_gains(machine, selection.best.evaluation, given)
-    stands, loops = stands_of(selection), dict[str, Loop]()
+    stands, loops = stands_of(selection), dict[str, ReportLoop]()
     for name, stand in stands.items():
         run = _attempt(notes, f"the closed loop, {name}", lambda s=stand: _run(machine, s, given))
         if run is not None:
-            loops[name] = Loop(run)
+            loops[name] = ReportLoop(run)
             notes += _undecided(name, run)
     stages.next()
     borders: list[BorderRow] = []

@@ -152,7 +152,9 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     "certify": lambda: {"selection": selection(), "gap": 1e-5},
     "build_selection": lambda: _machine(target=TARGET, gain=5e5, elbow="up", slack=1e-6, **SELECT),
     "check": lambda: {"machine_or_path": excavator()},
-    "evaluate": lambda: _machine(posture=POSTURE, base=0.0, control="inverse", gain=5e5, damped=False, gravity=False),
+    "evaluate": lambda: _machine(
+        posture=POSTURE, base=0.0, control="inverse", gain=5e5, damped=False, gravity=False, loop={"kp": 1e4, "kv": 1e3}
+    ),
     "evaluate_w": lambda: {
         "measures": flexopt.build_measures(excavator()),
         "bases": [0.0],
@@ -295,6 +297,24 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
         "nullspace": None,
     },
     "Hydraulics": lambda: {"plant": flexopt.build_plant(hydraulic())},
+    "Loop": lambda: {
+        "control": "inverse",
+        "feedback": "pid",
+        "kp": 1e4,
+        "kv": [1e3, 1e3],
+        "ki": 10.0,
+        "kp_range": [1.0, 1e6],
+        "kv_range": [1.0, 1e6],
+        "rate": 100.0,
+        "dead_time": 0.0131,
+        "filter_hz": 20.0,
+        "bandwidth_hz": 5.0,
+        "drive": "velocity",
+        "servo_gain": 1e4,
+        "torque_limit": 1e4,
+        "rate_limit": 1e5,
+        "nullspace_damping": 0.0,
+    },
     "Machine": lambda: (
         {
             "schema": 1,
@@ -303,6 +323,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
             "gravity": 9.81,
             "capsules": (),
             "cylinders": (),
+            "loop": {"rate": 100.0},
             "payload": {"mass": 0.0},
             "support": None,
         }
@@ -329,7 +350,14 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
     "SimulationOptions": lambda: (
         {key: value for key, value in SIMULATE.items() if key != "options"} | {"posture": POSTURE}
     ),
-    "Sensor": lambda: {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0, "delay": 0.0},
+    "Sensor": lambda: {
+        "noise": 0.0,
+        "rate_noise": 0.0,
+        "resolution": 0.0,
+        "rate_resolution": 0.0,
+        "delay": 0.0,
+        "filter_hz": 20.0,
+    },
     "StateSpace": lambda: STATE_SPACE,
     "Tree": lambda: (
         {
@@ -339,6 +367,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
             "gravity": 9.81,
             "capsules": (),
             "cylinders": (),
+            "loop": {"rate": 100.0},
             "stiffness_matrix": None,
             "damping_matrix": None,
             "payload": {"mass": 0.0},

@@ -46,6 +46,8 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("Constraint", "unit", TEXTS, "any text"),
     ("*", "sensor", ("empty dict",), "the defaults of flexopt.Sensor"),
     ("*", "actuator", ("empty dict",), "the defaults of flexopt.Actuator"),
+    ("*", "loop", ("empty dict",), "all of it follows from the machine"),
+    ("Loop", "*", ("wrong length",), "how many there must be is the machine's to say, in flexopt.evaluate"),
     ("report", "simulation", ("empty dict",), "the defaults of flexopt.simulate"),
     ("check", "machine_or_path", ("text", "million *"), "a file that is not there is a fault in the result"),
     ("SelectionProblem.given_up", "best", ("2**63",), "a value up to 1e100"),

@@ -46,6 +46,7 @@ class Loop:
     bandwidth: Any = None  # rad/s
     rate_limit: Any = np.inf
     delay: int = 0
+    filter: float | None = None  # rad/s
     resolution: float = 0.0
     rate_resolution: float = 0.0
     noise: Vector | None = None
@@ -194,7 +195,8 @@ class Loop:
         n_q, lag = len(q), len(torque)
         states = [y[: 2 * n_q]]
         self.torques: list[Vector] = []  # that act at the start of each sample
-        waiting = [(self.tip(q, self.base_at(0.0))[0], np.zeros(2))] * self.delay
+        smooth = (self.tip(q, self.base_at(0.0))[0], np.zeros(2))
+        waiting = [smooth] * self.delay
         for k in range(samples):
             t = k * period
             here, base_rate, target_rate = self._within(t, period)
@@ -208,6 +210,9 @@ class Loop:
                     point, rate = point + self.noise[k, :2], rate + self.noise[k, 2:]
                 waiting.append((_rounded(point, self.resolution), _rounded(rate, self.rate_resolution)))
                 point, rate = waiting.pop(0)
+                if self.filter is not None:
+                    new = 1 - np.exp(-self.filter * period)
+                    smooth = point, rate = tuple(y + new * (m - y) for y, m in zip(smooth, (point, rate), strict=True))
                 e = target - point
                 held = self.command(self.force(e, target_rate - rate, z), q, v)
                 self.torques.append(torque if lag else held)

@@ -15,6 +15,10 @@ import pytest
 import flexopt
 from flexopt.export.context import build_context
 from flexopt.export.optimiser_kernels import build_optimiser_kernels
+from flexopt.loop.functions import BY, outcome_function
+from flexopt.loop.lag import lagged_modes
+from flexopt.loop.outcome import MEASURES
+from flexopt.loop.settings import loop_settings
 from flexopt.model.constraints import Constraints
 from flexopt.model.own import check_function
 from flexopt.plant.inverse_kinematics import reach_steps
@@ -48,6 +52,8 @@ ASKED = {("selection/nlp.py", "build_solver")}
 # Where derivatives are taken of what a solver or a climb is given: the test that walks them.
 TAKEN = {
     ("algebra/feasible.py", "feasible_steps"): "test_steps_onto_rows",
+    ("loop/lag.py", "slopes"): "test_what_modes_get_to_feel",
+    ("loop/small_motions.py", "slopes"): "test_the_real_loop",
     ("robustness/atlas/fields.py", "_function"): "test_the_atlas",
     ("robustness/expansion.py", "_machine_slope"): "test_single",
     ("robustness/expansion.py", "_machine_curvature"): "test_single",
@@ -73,6 +79,9 @@ ROOMS = (
     "selection",
     "algebra",
     "robustness",
+    "loop/small_motions.py",
+    "loop/lag.py",
+    "loop/functions.py",
     "plant/inverse_kinematics.py",
     "export/optimiser_kernels.py",
     "export/optimiser.py",
@@ -513,3 +522,64 @@ def test_all_solvers_were_walked(walk):
     for stage, start in every_stage(maximising(problem, (1.0, 0.0), (0.0, 1.0))):
         walk(stage, start)
     assert walked >= {"selection IpoptInterface", "model MXFunction", "several IpoptInterface"}
+
+
+@pytest.mark.parametrize(("name", "measures"), [("excavator", tuple(MEASURES)), ("slewing-excavator", ("decay",))])
+def test_the_real_loop(name, measures):
+    """Outcome measures as Functions by everything they depend on."""
+    machine, rng = flexopt.load(name), np.random.default_rng(5)
+    posture = np.array([sum(ends) / 2 if np.isfinite(ends).all() else 0.4 for ends in machine.limits])
+    stand = flexopt.evaluate(machine, posture)
+    loop = flexopt.Loop(dead_time=0.0137, rate=100.0, bandwidth_hz=8.0, filter_hz=30.0, drive="torque", feedback="pd")
+    settings = loop_settings(machine, loop, stand)
+    here = settings.outcome(machine, stand.base, stand.posture, gravity=False)
+    given = dict(here.numbers) | {"dead_time": np.array([settings.dead_time])}
+    for measure in measures:
+        function = outcome_function(here.motions, measure, settings.rate)
+        derivative = function.jacobian()
+        inputs = [given[by] for by in BY]
+        size = float(function.call(inputs)[0])
+        if not np.isfinite(size):
+            continue
+        slopes = derivative.call([*inputs, ca.DM(size)])
+        for k, by in enumerate(BY):
+            # In units of each input's own size.
+            scale = np.abs(inputs[k]) if by != "posture" else np.ones(inputs[k].size)
+
+            def values(x, k=k, scale=scale, function=function, inputs=inputs, size=size):
+                moved = [*inputs[:k], inputs[k] + scale * x, *inputs[k + 1 :]]
+                return function.call(moved)[0].full().ravel() / size
+
+            # 1e-3 of a size is far for an eigenvalue: differences of sixth order over 1e-4.
+            chosen = rng.permutation(inputs[k].size)[:2]
+            along = np.eye(inputs[k].size)[chosen]
+            expected = differences(lambda t, v=values, a=along: v(t @ a), np.zeros(len(chosen)), 1e-4)
+            found = slopes[k].full() * scale / size
+            np.testing.assert_allclose(
+                found @ along.T, expected, atol=FIRST * max(1.0, np.abs(expected).max(initial=0))
+            )
+
+
+def test_what_modes_get_to_feel():
+    """Allowances, lag and first-order decay by everything they depend on."""
+    machine, rng = flexopt.load("excavator"), np.random.default_rng(6)
+    stand = flexopt.evaluate(machine, (0.3, -1.7))
+    settings = loop_settings(machine, flexopt.Loop(kp=3e2, kv=30.0, dead_time=0.0137, bandwidth_hz=8.0), stand)
+    here = settings.outcome(machine, stand.base, stand.posture, gravity=False)
+    modes = lagged_modes(here.motions)
+    given = dict(here.numbers) | {"dead_time": np.array([settings.dead_time])}
+    values, slopes = modes.at(here.numbers, settings.dead_time)
+    for by in BY:
+        scale = np.abs(given[by]) if by != "posture" else np.ones(2)
+        along = np.eye(scale.size)[rng.permutation(scale.size)[:3]]
+        for k, (name, value) in enumerate(values.items()):
+            known = np.isfinite(value)
+            size = np.abs(value[known]).max(initial=1e-300)
+
+            def moved(t, by=by, k=k, along=along, scale=scale, size=size, known=known):
+                at = [given[x] + (scale * (t @ along) if x == by else 0) for x in modes.values.name_in()]
+                return modes.values.call(at)[k].full().ravel()[known] / size
+
+            expected = differences(moved, np.zeros(len(along)), 1e-4)
+            found = (slopes[name][by] * scale / size)[known] @ along.T
+            np.testing.assert_allclose(found, expected, atol=FIRST * max(1.0, np.abs(expected).max(initial=0)))

@@ -81,6 +81,8 @@ PARTS = {
     ),
     "delay of one sample": ({"sensor": {"delay": 0.005}}, {"delay": 1}),
     "delay of three": ({"sensor": Sensor(delay=0.015)}, {"delay": 3}),
+    "filter": ({"sensor": {"filter_hz": 8.0}}, {"filter": HZ * 8.0}),
+    "filter after a delay": ({"sensor": {"filter_hz": 8.0, "delay": 0.01}}, {"filter": HZ * 8.0, "delay": 2}),
     "quantised position": ({"sensor": {"resolution": 2e-3}}, {"resolution": 2e-3}),
     "quantised rate": ({"sensor": {"rate_resolution": 0.01}}, {"rate_resolution": 0.01}),
     "noise": (

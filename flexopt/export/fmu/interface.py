@@ -204,7 +204,8 @@ class Interface:
                 Variable(f"state.torque.{joint}", EFFORT[unit][1], f"{joint}: {EFFORT[unit][0]} of the servo")
                 for joint, unit in zip(machine.joints, machine.joint_units, strict=True)
             ]
-        for name, text in (("law", "of the feedback law"), ("queue", "measurement on its way")):
+        kinds = {"law": "of the feedback law", "filter": "filtered measurement", "queue": "measurement on its way"}
+        for name, text in kinds.items():
             found += [Variable(f"state.{name}[{k + 1}]", "", f"state {k + 1} {text}") for k in range(sizes[name])]
         return tuple(replace(v, nominal=size) for v, size in zip(found, self._nominals, strict=True))
 

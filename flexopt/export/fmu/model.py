@@ -70,6 +70,8 @@ class FmuModel(Interface):
         parts |= {name: of[name] for name in loop.constants.sizes if name in of}
         resolutions = {name: of[name] for name in ("resolution", "rate_resolution") if name in of}
         parts |= {name: ca.repmat(value, plant.n_task, 1) for name, value in resolutions.items()}
+        if "filter_hz" in of:
+            parts["filter"] = 2 * math.pi * of["filter_hz"]
         if "bandwidth_hz" in of:
             parts["bandwidth"] = 2 * math.pi * of["bandwidth_hz"]
         parts |= {name: ca.SX(s.parts[name]) for name in (*"ABCD", JACOBIAN_DAMPING) if name in loop.constants.sizes}

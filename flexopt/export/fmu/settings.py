@@ -12,7 +12,8 @@ from typing import Any, Literal
 from flexopt.export.fmu.variable import EFFORT, Variable, damper_unit, force_unit, gain_unit
 from flexopt.foundation.quantities import JOINT_DAMPING, coordinate_max
 from flexopt.loop.structure import LoopStructure
-from flexopt.model.simulation import BANDWIDTH, LOOP_GAIN, NOISE, RATE_NOISE, SERVO_GAIN, TORQUE
+from flexopt.model.loop import BANDWIDTH, LOOP_GAIN, SERVO_GAIN, TORQUE
+from flexopt.model.simulation import NOISE, RATE_NOISE
 from flexopt.simulation.scenario import Scenario
 
 Groups = dict[str, list[Variable]]
@@ -81,6 +82,10 @@ def _sensor(scenario: Scenario, structure: LoopStructure) -> Groups:
             text = f"step to which the measured {what} is rounded; 0: not rounded"
             value = float(getattr(scenario.options.sensor, name))
             found[name] = [Variable(f"sensor.{name}", quantity.unit, text, value, *quantity.range, True)]
+    corner = scenario.options.sensor.filter_hz
+    if corner is not None:
+        text = "corner of the low-pass that the measurement runs through"
+        found["filter_hz"] = [Variable("sensor.filter", "Hz", text, corner, *BANDWIDTH.range, True)]
     return found
 
 

@@ -85,6 +85,7 @@ class Assembly:
             "capsules": tuple(self._capsules),
             "cylinders": tuple(self._cylinders),
             "support": overlay.support and overlay.support.model_dump(),
+            "loop": overlay.loop and overlay.loop.model_dump(exclude_unset=True),
         } | self._matrices()
 
     def _subtree(self) -> list[RobotLink]:

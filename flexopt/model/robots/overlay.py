@@ -28,6 +28,7 @@ from flexopt.foundation.quantities import (
 from flexopt.model.file_model import Described, FileModel
 from flexopt.model.hydraulics import Cylinder
 from flexopt.model.kinematic_tree import UNTURNED, Placement, Row
+from flexopt.model.loop import Loop
 from flexopt.model.robots.elements import there_are
 from flexopt.model.tables import Payload, Polygon
 from flexopt.model.tree_quantities import (
@@ -136,6 +137,7 @@ class Overlay(Described):
     capsules: tuple[CapsuleTable, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
     support: Polygon | None = None
+    loop: Loop | None = None
 
     def faults(self) -> list[Fault]:
         """Faults that concern several keys."""

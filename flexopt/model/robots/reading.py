@@ -34,6 +34,9 @@ The machine file is TOML. An arm on an elastic undercarriage:
     [support]                         # what the undercarriage stands on: a convex polygon in the anchor frame, m
     polygon = [[-1.8, -1.3], [1.9, -1.3], [1.9, 1.3], [-1.8, 1.3]]
 
+    [loop]                            # the controller that the machine has; its keys are told in `flexopt.model.loop`
+    rate = 100.0
+
     [[capsules]]                      # what a link fills: ends in the link's frame, m; any number of them
     link = "tool0"
     start = [0.0, 0.0, 0.0]

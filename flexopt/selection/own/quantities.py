@@ -15,10 +15,10 @@ from types import MappingProxyType
 
 import casadi as ca
 
-from flexopt.algebra.expansion import expanded_vectors
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_hydraulics, build_plant
 from flexopt.robustness.measures import Measures
+from flexopt.robustness.modal import ModalGraphs
 from flexopt.selection.constraints.manipulability import squared_manipulability
 
 
@@ -81,17 +81,10 @@ class Sight:
         """How far the end-point does, (n_task,)."""
         return self.plant.end_point(*self.deflected) - self.plant.end_point(*self.rest)
 
-    @property
-    def frequencies(self) -> ca.SX:
-        """Rayleigh's quotients of the modes expanded to first order: exact to third, (m,)."""
-        expansion = self.measures.expansion
-        held, (stiffness, mass, _) = expansion.held_parts, expansion.graphs
-        modes, squares, m = held["modes"], held["omega_squared"], self.plant.n_passive
-        stiffness, mass = modes.T @ stiffness @ modes, modes.T @ mass @ modes
-        once, _ = expanded_vectors(stiffness - ca.diag(squares), mass - ca.SX.eye(m), squares, held["same"])
-        vectors = ca.SX.eye(m) + once
-        quotients = ca.diag(vectors.T @ stiffness @ vectors) / ca.diag(vectors.T @ mass @ vectors)
-        return ca.sqrt(quotients) / math.tau
+    @cached_property
+    def modal(self) -> ModalGraphs:
+        """The modes."""
+        return ModalGraphs(self.measures.expansion)
 
 
 @dataclass(frozen=True)
@@ -135,7 +128,13 @@ def known_quantities(machine: AnyMachine) -> Mapping[str, KnownQuantity]:
         KnownQuantity("w", "1/kg or 1/(kg m²), as R_i", m, "measures w_i of all modes, lowest frequency first",
                  modes=tuple(range(m)), modal=True),
         *(KnownQuantity(f"w{i + 1}", "as w", 1, f"w_{i + 1} alone", modes=(i,), modal=True) for i in range(m)),
-        KnownQuantity("frequencies", "Hz", m, "natural frequencies, ascending", lambda s: s.frequencies, modal=True),
+        KnownQuantity("frequencies", "Hz", m, "natural frequencies, ascending", lambda s: s.modal.omega / math.tau,
+                 modal=True),
+        KnownQuantity("damping_ratios", "", m, "of the modes, to first order in the damping", lambda s: s.modal.zeta,
+                 modal=True),
+        KnownQuantity("allowance", "N s/m and the like", m,
+                 "κ_i = 4 ζ_i ω_i / |w_i|: the largest velocity gain, whatever its directions, before mode i grows",
+                 lambda s: s.modal.allowance, modal=True),
         KnownQuantity("end_point", "m", plant.n_task, f"end-point r, inertial frame, {rest}",
                  lambda s: s.plant.end_point(*s.rest)),
         KnownQuantity("centre_of_mass", "m", dimension, f"of the whole machine, inertial frame, {rest}",

@@ -1,0 +1,64 @@
+"""Where a growth rate changes its sign: all stable intervals of a gain, narrow ones and gaps included.
+
+In: a growth rate as a function of the gain's exponent. Out: intervals of the exponent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+# Relative width to which a narrow interval between two gains is looked for, and exponents to which a border is found.
+NARROW, BORDER = 1e-3, 1e-10
+
+Interval = tuple[float, float]
+
+
+def stable_intervals(
+    growth: Callable[[float], float], low: float, high: float, points: int, known: list[float] | None = None
+) -> tuple[Interval, ...]:
+    """Intervals of the exponent in which `growth` is negative; ends of the search where it did not meet a border.
+
+    Args:
+        growth: of the exponent.
+        low, high, points: exponents searched, and how many of them at first.
+        known: growth at these, where it is known.
+    """
+    from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
+
+    exponents = np.linspace(low, high, points).tolist()
+    grid = _with_narrow(growth, exponents, [growth(x) for x in exponents] if known is None else known)
+    stable = np.array([value < 0 for _, value in grid])
+    edges = np.flatnonzero(stable[1:] != stable[:-1])
+    roots = [float(brentq(growth, grid[i][0], grid[i + 1][0], xtol=BORDER)) for i in edges.tolist()]
+    ends = ([low] if stable[0] else []) + roots + ([high] if stable[-1] else [])
+    return tuple(zip(ends[::2], ends[1::2], strict=True))
+
+
+def _with_narrow(growth: Callable[[float], float], grid: list[float], values: list[float]) -> list[tuple[float, float]]:
+    """Exponents and growth rates, ascending, with the extremes between them that change the sign.
+
+    An interval narrower than the grid shows as a valley above zero, or a gap as a hill below it.
+    """
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (loads slowly)
+
+    found = list(zip(grid, values, strict=True))
+    for before, here, after, left, right in zip(values, values[1:], values[2:], grid, grid[2:], strict=False):
+        sign = 1.0 if here > 0 else -1.0
+        # A valley of |growth|, all of one sign.
+        if sign * here <= sign * before and sign * here <= sign * after and sign * before > 0 and sign * after > 0:
+            best: Any = minimize_scalar(
+                partial(_times, sign, growth), bounds=(left, right), method="bounded",
+                options={"xatol": math.log10(1 + NARROW) / 10},
+            )  # fmt: skip
+            if best.fun < 0:
+                found.append((float(best.x), sign * float(best.fun)))
+    return sorted(found)
+
+
+def _times(sign: float, growth: Callable[[float], float], exponent: float) -> float:
+    return sign * growth(exponent)

@@ -1,0 +1,141 @@
+"""All that a loop does in one posture, as numbers: what `flexopt.evaluate` says of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.results import Result
+from flexopt.loop.lag import LaggedModes, lagged_modes
+from flexopt.loop.outcome import MEASURES, Outcome
+from flexopt.loop.settings import LoopSettings, loop_settings
+from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop
+from flexopt.robustness import Evaluation, build_measures
+
+# Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
+Slopes = Mapping[str, Mapping[str, Vector]]
+SCALARS = tuple(MEASURES)
+
+
+@dataclass(frozen=True)
+class LoopEvaluation(Result):
+    """What a loop does in one posture. m modes, ordered as those of the machine; NaN (JSON: null) where there is none.
+
+    Attributes:
+        settings: the loop's numbers, and where they come from.
+        allowance, allowance_isotropic: κ_i = 4 ζ_i ω_i / |w_i|, the largest velocity gain in any direction before mode
+            i grows, and 2 ζ_i ω_i / (−a_i·b_i), the same for Kv = kv I, (m,); infinite (JSON: null) where no gain does.
+        lag, reserve: (m,), rad; first_order_decay: (m,), 1/s; w_lagged: (m,), as w; see `LaggedModes`.
+        frequencies_hz, damping_ratios: of the oscillation that each mode has become in the sampled loop, (m,).
+        decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. frequency_hz: its frequency.
+        drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
+        allowed_gain: largest stable Kp along the present ratio of the gains; gain_intervals: all stable intervals of
+            it, (k, 2); see `Outcome.allowed_gain`.
+        delay_margin: dead time that may be added, s; see `Outcome.delay_margin`.
+        disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
+        gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
+            and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
+            time of whole samples those are of a longer one.
+    """
+
+    settings: LoopSettings
+    allowance: Vector
+    allowance_isotropic: Vector
+    lag: Vector
+    reserve: Vector
+    first_order_decay: Vector
+    w_lagged: Vector
+    frequencies_hz: Vector
+    damping_ratios: Vector
+    decay: float
+    frequency_hz: float
+    drift: tuple[float, ...]
+    allowed_gain: float
+    gain_intervals: tuple[tuple[float, float], ...]
+    delay_margin: float
+    disk_margin: float
+    sensitivity_peak: float
+    complementary_peak: float
+    gradient: Slopes
+
+    DOCUMENT = """
+    settings allowance allowance_isotropic lag[rad] reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
+    damping_ratios decay[1/s] frequency_hz[Hz] drift[1/s] allowed_gain gain_intervals delay_margin[s] disk_margin
+    sensitivity_peak complementary_peak gradient
+    """
+
+    def __repr__(self) -> str:
+        first, *sources = repr(self.settings).splitlines()
+        head = f"  {'mode':>4} {'κ':>11} {'κ, isotropic':>13} {'lag':>8} {'reserve':>8} {'1st order':>11}"
+        lines = [f"loop: {first}", *sources, f"{head} {'frequency':>12} {'damping':>10}"]
+        degrees = np.degrees([self.lag, self.reserve])
+        for i, allowed in enumerate(self.allowance):
+            lines.append(
+                f"  {i + 1:4d} {allowed:11.4g} {self.allowance_isotropic[i]:13.4g} {degrees[0, i]:7.1f}° "
+                f"{degrees[1, i]:7.1f}° {self.first_order_decay[i]:+7.4g} 1/s {self.frequencies_hz[i]:9.4f} Hz "
+                f"{self.damping_ratios[i]:10.3e}"
+            )
+        verb = "decays" if self.decay > 0 else "grows"
+        lines.append(f"  sampled loop: {verb} at {abs(self.decay):.4g}/s, {self.frequency_hz:.4g} Hz")
+        lines += [f"  the arm's self-motion drifts at {rate:+.3g}/s" for rate in self.drift if rate > 0]
+        stable = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in self.gain_intervals) or "none"
+        lines.append(f"  allowed gain Kp {_told(self.allowed_gain)} (stable: {stable})")
+        lines.append(
+            f"  delay margin {_told(1e3 * self.delay_margin)} ms; disk margin {_told(self.disk_margin)}; "
+            f"peak of S {_told(self.sensitivity_peak)}, of T {_told(self.complementary_peak)}"
+        )
+        return "\n".join(lines)
+
+
+def _told(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.4g}"
+
+
+def evaluate_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool) -> LoopEvaluation:
+    """What a loop that is known to be good does in a configuration that was evaluated."""
+    settings = loop_settings(machine, loop, stand, gravity=gravity)
+    outcome = settings.outcome(machine, stand.base, stand.posture, gravity=gravity)
+    of_modes: dict[str, Any]
+    of_modes, gradient = lagged_modes(outcome.motions).at(outcome.numbers, settings.dead_time)
+    alone = np.ones(len(stand.w), dtype=bool)
+    for cluster in stand.clusters:
+        alone[list(cluster)] = False
+    for name in LaggedModes.NAMES:
+        of_modes[name][~alone] = np.nan
+        for slopes in gradient[name].values():
+            slopes[~alone] = np.nan
+    modes, mass = _shapes(outcome)
+    poles = outcome.poles(modes, mass)
+    ratios = [outcome.damping_ratio(pole) for pole in poles.tolist()]
+    each = [outcome.gradient(ratio) for ratio in ratios]
+    gradient["damping_ratios"] = {by: np.array([found[by] for found in each]) for by in each[0]} if each else {}
+    scalars: dict[str, Any] = {name: measure(outcome) for name, measure in MEASURES.items()}
+    gradient |= {name: outcome.gradient(measured) for name, measured in scalars.items()}
+    kp = float(outcome.numbers["kp"][int(np.argmax(outcome.numbers["kp"] > 0))])
+    return LoopEvaluation(
+        settings=settings,
+        **of_modes,
+        frequencies_hz=np.abs(poles) / math.tau,
+        damping_ratios=np.array([ratio.value for ratio in ratios]),
+        frequency_hz=outcome.loop.frequency_hz,
+        drift=outcome.loop.drift,
+        gain_intervals=tuple((low * kp, high * kp) for low, high in outcome.gain_intervals),
+        gradient={name: {"parameters" if by == "p" else by: x for by, x in found.items()}
+                  for name, found in gradient.items()},
+        **{name: measured.value for name, measured in scalars.items()},
+    )  # fmt: skip
+
+
+def _shapes(outcome: Outcome) -> tuple[Vector, Vector]:
+    """The machine's modes (n_q, m), and M there."""
+    motions, of = outcome.motions, outcome.numbers
+    measures = build_measures(motions.machine, motions.control, motions.gravity)
+    at: dict[str, Any] = {name: of[name] for name in ("base", "posture", "p")}
+    modes: Vector = cast(Any, measures.values(**at))["modes"].full()
+    return modes, motions.plant.mass(outcome.configuration, of["base"], of["p"]).full()

@@ -1,0 +1,161 @@
+"""What each mode gets to feel of the real controller: allowances, lag at its frequency, first-order decay.
+
+In: the loop for small motions. Out: Functions of placement, posture, parameters, gains and dead time, with exact
+derivatives. The feedback that mode i sees is F(jω) = K(jω) H(jω) e^{−jω(d + T/2)} sinc(ωT/2), H of filter and servos.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.small_motions import INPUTS, SmallMotions
+from flexopt.plant.control import task_to_joints_transposed
+from flexopt.robustness.measures import Measures, build_measures
+from flexopt.robustness.modal import ModalGraphs
+
+BY = (*INPUTS, "dead_time")
+# Real and imaginary part.
+Pair = tuple[ca.SX, ca.SX]
+
+
+@dataclass(frozen=True)
+class LaggedModes:
+    """Functions of `INPUTS`, dead_time and period (1,), s; m modes.
+
+    Outputs, (m,) each: `allowance`, `allowance_isotropic`: see `ModalGraphs`. `lag` ψ_i, rad: of the feedback of the
+    end-point's rate behind the end-point's rate at ω_i, ω (d + T/2) + atan(Kp/(ω Kv)) and what filter and servos add;
+    gains that differ between rows, and servos between joints, by their means. `reserve`, rad: to the lag at which the
+    sign of what isotropic gains do to the mode turns, positive while they damp it. `first_order_decay`
+    ζω + Im(bᵀ F(jω) a) / (2ω), 1/s: half of 2ζω + Im(bᵀ F a) / ω. `w_lagged`: λmin of the Hermitian part of
+    2 e^{jψ} R_i, which is w_i without lag: a·b cos ψ − sqrt(|a|²|b|² − (a·b)² sin² ψ).
+    """
+
+    motions: SmallMotions
+
+    NAMES = ("allowance", "allowance_isotropic", "lag", "reserve", "first_order_decay", "w_lagged")
+
+    @property
+    def measures(self) -> Measures:
+        """Of the machine."""
+        return build_measures(self.motions.machine, self.motions.control, self.motions.gravity)
+
+    @cached_property
+    def _symbols(self) -> dict[str, ca.SX]:
+        of = self.motions.symbols
+        return {name: of[name] for name in (*INPUTS, "period")} | {"dead_time": ca.SX.sym("dead_time")}
+
+    @cached_property
+    def _graphs(self) -> dict[str, ca.SX]:
+        s, modal, plant = self._symbols, ModalGraphs(self.measures.expansion), self.motions.plant
+        (a, b), omega, gain = modal.factors, modal.omega, s["servo_gain"] if self.motions.served else 1
+        kp, kv, ki = (gain * s[name] for name in ("kp", "kv", "ki"))
+        lags, decays = list[ca.SX](), list[ca.SX]()
+        for i in range(plant.n_passive):
+            w = omega[i]
+            behind, size = self._behind(w)
+            servo = self._servo(w)
+            joints = modal.shapes[plant.n_passive :, i]
+            into = [
+                task_to_joints_transposed(modal.expansion.point.rigid_jacobian, self.motions.control, part * joints)
+                for part in servo
+            ]
+            # Kp + jω Kv + Ki / (jω)
+            law = kp, kv * w - (ki / w if self.motions.integral else 0)
+            late = size * ca.cos(behind), -size * ca.sin(behind)
+            _, imaginary = _product(_dot(into, _times(law, a[:, i])), late)
+            decays.append(modal.zeta[i] * w + imaginary / (2 * w))
+            mean = [ca.sum(x) / plant.n_task for x in (kp, law[1])]
+            lags.append(behind + ca.atan2(*mean) + ca.sum(ca.atan2(-servo[1], servo[0])) / plant.n_actuated)
+        lag = ca.vertcat(*lags)
+        product, lengths = ca.sum1(a * b).T, (ca.sum1(a**2) * ca.sum1(b**2)).T
+        wrapped = ca.fabs(lag - math.tau * ca.floor(lag / math.tau + 0.5))
+        reserve = (math.pi / 2 - wrapped) * ca.if_else(product < 0, -1, 1)
+        turned = 2 * product * ca.cos(lag)
+        if plant.n_task > 1:
+            turned = product * ca.cos(lag) - ca.sqrt(lengths - (product * ca.sin(lag)) ** 2)
+        values = (modal.allowance, modal.allowance_isotropic, lag, reserve, ca.vertcat(*decays), turned)
+        return dict(zip(self.NAMES, values, strict=True))
+
+    def _behind(self, w: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """By which angle dead time, hold and filter are behind, and what they leave of the size."""
+        s = self._symbols
+        half = w * s["period"] / 2
+        angle, size = w * s["dead_time"] + half, ca.sin(half) / half
+        if self.motions.filtered:
+            kept = ca.exp(-2 * math.pi * s["filter_hz"] * s["period"])
+            real, imaginary = 1 - kept * ca.cos(2 * half), kept * ca.sin(2 * half)
+            angle, size = angle + ca.atan2(imaginary, real), size * (1 - kept) / ca.sqrt(real**2 + imaginary**2)
+        return angle, size
+
+    def _servo(self, w: ca.SX) -> Pair:
+        """1 / (1 + jω/ω_s) of each joint, (n,)."""
+        n = self.motions.plant.n_actuated
+        if not self.motions.lagging:
+            return ca.SX.ones(n, 1), ca.SX.zeros(n, 1)
+        ratio = w / (2 * math.pi * self._symbols["bandwidth_hz"])
+        return 1 / (1 + ratio**2), -ratio / (1 + ratio**2)
+
+    def _function(self, name: str, outputs: Mapping[str, ca.SX]) -> ca.Function:
+        """A Function of the symbols alone: the modes are found, and held, within it."""
+        s, expansion = self._symbols, self.measures.expansion
+        served = self.motions.drive_damping * (s["servo_gain"] if self.motions.served else 0)
+        dense = [ca.densify(output) for output in outputs.values()]
+        inner = ca.Function("inner", [*s.values(), *expansion.held_parts.values()], dense)
+        given: dict[str, Any] = {name: ca.MX.sym(name, symbol.shape[0]) for name, symbol in s.items()}
+        braked = ca.Function("braked", [s["p"], s["servo_gain"]], [s["p"] + served])
+        inside = given | {"p": braked.call([given["p"], given["servo_gain"]])[0]}
+        held = expansion.parts(self.measures.hold.call([inside[x] for x in ("base", "posture", "p")])[0])
+        found = inner.call([*inside.values(), *held.values()])
+        return ca.Function(name, list(given.values()), found, list(given), list(outputs))
+
+    @cached_property
+    def values(self) -> ca.Function:
+        """-> the measures, by name."""
+        return self._function("lagged_modes", self._graphs)
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """-> the derivatives of each measure by each of `INPUTS` and dead_time: `allowance_posture` and the like."""
+        s, found = self._symbols, dict[str, ca.SX]()
+        chain = {name: s[name] for name in BY}
+        for name, graph in self._graphs.items():
+            found |= {f"{name}_{by}": ca.jacobian(graph, symbol) for by, symbol in chain.items()}
+            # A servo gain is a damper of the joints, too.
+            if self.motions.served:
+                found[f"{name}_servo_gain"] += found[f"{name}_p"] @ self.motions.drive_damping
+        return self._function("lagged_mode_slopes", found)
+
+    def at(
+        self, numbers: Mapping[str, Vector], dead_time: float
+    ) -> tuple[dict[str, Vector], dict[str, dict[str, Vector]]]:
+        """Measures (m,), and the derivative of each by each of `INPUTS` and dead_time, (m, size)."""
+        given = [dead_time if name == "dead_time" else numbers[name] for name in self._symbols]
+        values = {name: x.full().ravel() for name, x in zip(self.NAMES, self.values.call(given), strict=True)}
+        found = dict(zip(self.slopes.name_out(), self.slopes.call(given), strict=True))
+        return values, {name: {by: np.array(found[f"{name}_{by}"]) for by in BY} for name in self.NAMES}
+
+
+@lru_cache(maxsize=64)
+def lagged_modes(motions: SmallMotions) -> LaggedModes:
+    """The Functions of a loop (made once, and kept)."""
+    return LaggedModes(motions)
+
+
+def _times(x: Pair, y: ca.SX) -> Pair:
+    return x[0] * y, x[1] * y
+
+
+def _product(x: Pair, y: Pair) -> Pair:
+    return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]
+
+
+def _dot(x: Any, y: Pair) -> Pair:
+    return ca.dot(x[0], y[0]) - ca.dot(x[1], y[1]), ca.dot(x[0], y[1]) + ca.dot(x[1], y[0])

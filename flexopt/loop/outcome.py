@@ -1,0 +1,387 @@
+"""What a loop does in one configuration: how fast it decays, which gains and dead times it bears, how robust it is.
+
+In: the loop for small motions at numbers. Out: measures of the exact sampled loop, each with its exact derivative by
+placement, posture, parameters, gains and dead time: through eigenvectors and singular vectors, and `assembly`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flexopt.coprime import StateSpace
+from flexopt.coprime.norms import hinf_peak
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.assembly import OneSample, Slopes
+from flexopt.loop.borders import stable_intervals
+from flexopt.loop.small_motions import INPUTS, Parts, SmallMotions
+from flexopt.loop.spectrum import (
+    Complex,
+    OwnMotion,
+    SampledLoop,
+    balance,
+    eigenvectors,
+    neutral_directions,
+    spectrum,
+    without_neutral,
+)
+from flexopt.model.loop import DELAY_MAX
+
+# Multiples of the gains that are searched for borders, as exponents of 10, and how many at first.
+LOW, HIGH, POINTS = -4.0, 4.0, 241
+# Looks at longer dead times in a sample, and how many at most up to where the loop may be at a border.
+CLOSE, LOOKS = 4, 16
+# Slowest motion that is looked at, rad in a sample, and how near to a pole in units of its damping.
+SLOWEST, NEAR = 1e-5, np.concatenate([-np.geomspace(0.01, 30.0, 24), np.zeros(1), np.geomspace(0.01, 30.0, 24)])
+# Relative distance up to which an eigenvalue is one of those that are known.
+SAME = 1e-6
+DEAD_TIME = "dead_time"
+# Peaks of feed · I + sign · F (zI − Φ)⁻¹ Γ, by sign and feed.
+PEAKS = {"sensitivity_peak": (1.0, 1.0), "complementary_peak": (-1.0, 0.0), "disk_margin": (1.0, 0.5)}
+
+
+class Measured(NamedTuple):
+    """A measure and its derivative; NaN and None where it is not defined.
+
+    Attributes:
+        value: of it.
+        slopes: its derivative by what a sample is made of.
+        more: what is to be added to a derivative by one of `INPUTS`.
+    """
+
+    value: float
+    slopes: Slopes | None = None
+    more: Mapping[str, Vector] | None = None
+
+
+UNDEFINED = Measured(math.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A loop at numbers.
+
+    Attributes:
+        motions: its Functions.
+        numbers: their inputs, from `SmallMotions.numbers`.
+        dead_time: from measurement to command, s.
+    """
+
+    motions: SmallMotions
+    numbers: Mapping[str, Vector]
+    dead_time: float
+
+    @property
+    def period(self) -> float:
+        """Of a sample, s."""
+        return float(self.numbers["period"][0])
+
+    @cached_property
+    def parts(self) -> Parts:
+        """The linear loop about rest."""
+        return self.motions.parts(self.numbers)
+
+    @cached_property
+    def sample(self) -> OneSample:
+        """One sample of it."""
+        return OneSample(self.parts, self.period, self.dead_time)
+
+    @cached_property
+    def smooth(self) -> OneSample:
+        """The same, as derivatives are taken of it."""
+        return OneSample(self.parts, self.period, self.dead_time, differentiable=True)
+
+    @property
+    def _excess(self) -> int:
+        return self.motions.plant.n_actuated - self.motions.plant.n_task
+
+    @property
+    def _neutral(self) -> int:
+        plant = self.motions.plant
+        return neutral_directions(self.motions.structure, plant.n_actuated, self.numbers["kp"], self.numbers["ki"])
+
+    @cached_property
+    def configuration(self) -> Vector:
+        """All coordinates at rest (n_q,)."""
+        plant, of = self.motions.plant, self.numbers
+        q: Vector = plant.rest(of["base"], of["posture"], of["p"]).full().ravel()
+        q[: len(of["held"])] = of["held"]
+        return q
+
+    def _own(self) -> OwnMotion:
+        return OwnMotion.at(self.motions.plant, self.configuration, self.numbers["base"], self.motions.loop.to_q)
+
+    def spectrum_of(self, matrix: Vector) -> SampledLoop:
+        """Eigenvalues of a Φ of this loop."""
+        return spectrum(matrix, self.period, self._neutral, self._excess, self._own)
+
+    @cached_property
+    def loop(self) -> SampledLoop:
+        """Eigenvalues of Φ, what nothing holds left out."""
+        return self.spectrum_of(self.sample.matrix)
+
+    def gradient(self, measure: Measured) -> dict[str, Vector]:
+        """The derivative of a measure by each of `INPUTS` and by the dead time; NaN where there is none."""
+        if measure.slopes is None:
+            return {name: np.full(len(self.numbers[name]), np.nan) for name in INPUTS} | {DEAD_TIME: np.full(1, np.nan)}
+        found = self.motions.gradient(self.numbers, measure.slopes.parts)
+        found[DEAD_TIME] = np.array([measure.slopes.dead_time])
+        return found | {name: found[name] + more for name, more in (measure.more or {}).items()}
+
+    # Eigenvalues.
+
+    def _by_multiplier(self, value: complex, weight: Callable[[complex], complex], factor: float = 1.0) -> Any:
+        """The refined μ of Φ₀ + factor · Γ F, its vectors, and ∂Re(weight(μ) μ)/∂Φ."""
+        matrix = self.smooth.open + factor * self.smooth.into @ self.smooth.force
+        refined, y, x = eigenvectors(matrix, value)
+        return refined, np.outer(y.conj(), weight(refined) * x).real
+
+    def rate(self, branch: int = 0) -> Measured:
+        """−ln|μ| / T, 1/s, of the multipliers (one of each pair) by size, the slowest first: how fast it decays."""
+        upper = self.loop.multipliers[self.loop.multipliers.imag >= 0]
+        if branch >= len(upper):
+            return UNDEFINED
+        mu, by_matrix = self._by_multiplier(upper[branch], lambda mu: -1 / (mu * self.period))
+        slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
+        return Measured(-math.log(abs(mu)) / self.period, slopes)
+
+    def decay(self) -> Measured:
+        """How fast the loop's slowest motion decays, 1/s; negative where it grows."""
+        return self.rate()
+
+    def poles(self, modes: Vector, mass: Vector) -> Complex:
+        """Ln μ / T, rad/s, of the oscillation that each mode φ_i (n_q, m) has become; NaN where there is none.
+
+        Oscillations are given to modes so that the shares |φ_iᵀ M q|² / qᴴ M q of their shapes sum up to the most.
+        """
+        from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  (loads slowly)
+
+        balanced, scale = balance(self.sample.matrix)
+        values, vectors = (np.asarray(x, dtype=np.complex128) for x in np.linalg.eig(balanced))
+        n = len(mass)
+        # An oscillation above half the sampling rate is seen as a real multiplier below zero.
+        known = np.array([np.min(np.abs(self.loop.multipliers - value)) <= SAME for value in values])
+        chosen = np.flatnonzero(known & (values.imag >= 0) & ((values.imag > 0) | (values.real < 0)))
+        shapes = self.motions.loop.to_q @ (scale[:, None] * vectors)[:n, chosen]
+        whole = np.einsum("ik,ij,jk->k", shapes.conj(), mass, shapes).real
+        shares = np.abs(modes.T @ mass @ shapes) ** 2 / np.maximum(whole, np.finfo(float).tiny)
+        found = np.full(modes.shape[1], complex(math.nan, math.nan))
+        of_mode, of_value = linear_sum_assignment(-shares)
+        found[of_mode] = np.log(values[chosen][of_value].astype(complex)) / self.period
+        return found
+
+    def damping_ratio(self, pole: complex) -> Measured:
+        """−Re s/|s| of a pole s = ln μ / T."""
+        if not np.isfinite(pole):
+            return UNDEFINED
+
+        def weight(mu: complex) -> complex:
+            s = complex(np.log(mu)) / self.period
+            return (-1 / abs(s) + s.real * s.conjugate() / abs(s) ** 3) / (mu * self.period)
+
+        mu, by_matrix = self._by_multiplier(complex(np.exp(pole * self.period)), weight)
+        s = complex(np.log(mu)) / self.period
+        slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
+        return Measured(-s.real / abs(s), slopes)
+
+    # Gains and dead times that it bears.
+
+    def growth_at(self, exponent: float) -> float:
+        """Growth rate with all gains times 10^exponent, 1/s."""
+        sample = self.sample
+        return self.spectrum_of(sample.open + 10.0**exponent * sample.into @ sample.force).growth_rate
+
+    @cached_property
+    def gain_intervals(self) -> tuple[tuple[float, float], ...]:
+        """(lower, upper) of the factors by which all gains may be multiplied together, the loop stable."""
+        known = None
+        if not self._excess:
+            # One batch: there is no self-motion to be told apart.
+            exponents = np.linspace(LOW, HIGH, POINTS)
+            balanced, scale = balance(self.sample.matrix)
+            opened = self.sample.open / scale[:, None] * scale
+            _, kept = without_neutral(balanced, self._neutral)
+            each = opened + 10.0 ** exponents[:, None, None] * (balanced - opened)
+            radius = np.abs(np.linalg.eigvals(kept @ each @ kept.T)).max(axis=1)
+            known = (np.log(radius) / self.period).tolist()
+        found = stable_intervals(self.growth_at, LOW, HIGH, POINTS, known)
+        return tuple((10**low, 10**high) for low, high in found)
+
+    def allowed_gain(self) -> Measured:
+        """The largest Kp along the present ratio of all gains, N/m and the like: of the first row that has one.
+
+        The upper end of the interval in which the present gains lie; where they lie in none the largest one below, 0
+        where there is none. Where no border is met NaN.
+        """
+        intervals, kp = self.gain_intervals, self.numbers["kp"]
+        below = [(low, high) for low, high in intervals if low <= 1.0]
+        if not below:
+            return Measured(0.0)
+        factor = below[-1][1]
+        row = int(np.argmax(kp > 0))
+        if factor >= 10**HIGH or not kp[row]:
+            return UNDEFINED
+        matrix = self.sample.open + factor * self.sample.into @ self.sample.force
+        value = self.spectrum_of(matrix).multipliers[0]
+        _, by_matrix = self._by_multiplier(value, lambda mu: 1 / mu, factor)
+        by_factor = float(np.sum(by_matrix * (self.smooth.into @ self.smooth.force)))
+        more = np.zeros_like(kp)
+        more[row] = factor
+        if not math.isfinite(by_factor) or by_factor == 0:
+            return Measured(factor * float(kp[row]))
+        slopes = self.smooth.slopes(by_matrix, factor) * (-float(kp[row]) / by_factor)
+        return Measured(factor * float(kp[row]), slopes, {"kp": more})
+
+    def delay_margin(self) -> Measured:
+        """Dead time that may be added before the loop grows, s; NaN where it does already, or at no such time.
+
+        Looked for up to a dead time of 100 samples. Where it may be the frequency response says, to the error of a dead
+        time that is taken as a pure one; where it is exactly, the eigenvalues.
+        """
+        from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
+
+        def growth(more: float) -> float:
+            return self.spectrum_of(self.sample.later(self.dead_time + more).matrix).growth_rate
+
+        most = DELAY_MAX * self.period - self.dead_time
+        late = [more for more in self._late if 0 < more < most] if self.loop.stable else []
+        before = 0.0
+        for more in _between([0.0, *late, most], self.period / CLOSE) if late else []:
+            if growth(more) >= 0:
+                found = float(brentq(growth, before, more, xtol=1e-13 * self.period, rtol=1e-14))
+                slopes = Outcome(self.motions, self.numbers, self.dead_time + found).rate().slopes
+                # The dead time at the border stays, whatever the present one is.
+                by = None if slopes is None else slopes * (-1 / slopes.dead_time)
+                return Measured(found, by and Slopes(by.parts, -1.0))
+            before = more
+        return UNDEFINED
+
+    @cached_property
+    def _late(self) -> list[float]:
+        """Times by which the law's force may be late until the loop is at a border, ascending, s, nearly.
+
+        Where an eigenvalue λ of L(e^{jθ}) has modulus 1, λ e^{−jθΔ} = −1 after Δ samples.
+        """
+        from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
+
+        sample = self.sample
+        balanced, scale = balance(sample.matrix)
+        opened, into, force = sample.open / scale[:, None] * scale, sample.into / scale[:, None], sample.force * scale
+
+        def eigenvalues(angles: Vector) -> Complex:
+            z = np.exp(1j * angles)[:, None, None]
+            loop = -force @ np.linalg.solve(
+                z * np.eye(len(opened)) - opened, np.broadcast_to(into, (len(z), *into.shape))
+            )
+            found = np.linalg.eigvals(loop)
+            order = np.argsort(np.abs(found), axis=1)
+            return np.asarray(np.take_along_axis(found, order, axis=1), dtype=np.complex128)
+
+        poles = np.concatenate([np.linalg.eigvals(matrix) for matrix in (opened, balanced)])
+        near = np.abs(np.angle(poles))[:, None] + np.abs(1 - np.abs(poles))[:, None] * NEAR
+        angles = np.concatenate([np.geomspace(SLOWEST, math.pi, 500), near.ravel()])
+        angles = np.unique(angles[(angles >= SLOWEST) & (angles <= math.pi)])
+        sizes = np.log(np.abs(eigenvalues(angles)))
+        found: list[float] = []
+        for k, row in np.argwhere((sizes[1:] > 0) != (sizes[:-1] > 0)).tolist():
+
+            def size(angle: float, row: int = row) -> float:
+                return float(np.log(np.abs(eigenvalues(np.array([angle]))[0, row])))
+
+            angle = float(brentq(size, angles[k], angles[k + 1]))
+            phase = float(np.angle(eigenvalues(np.array([angle]))[0, row]))
+            found.append((phase + math.pi) % math.tau / angle * self.period)
+        return sorted(found)
+
+    # Peaks over frequency, the loop broken at the law's force.
+
+    @cached_property
+    def _reduced(self) -> StateSpace | None:
+        """From a force beside the law's to that of the law, what nothing holds left out; None of a loop that grows."""
+        if not self.loop.stable or any(rate >= 0 for rate in self.loop.drift):
+            return None
+        sample = self.sample
+        balanced, scale = balance(sample.matrix)
+        matrix, kept = without_neutral(balanced, self._neutral)
+        into, force = kept @ (sample.into / scale[:, None]), (sample.force * scale) @ kept.T
+        return StateSpace(matrix, into, force, np.zeros((len(force), len(force))), self.period)
+
+    def peak_angle(self, name: str) -> float:
+        """Where a measure in `PEAKS` is attained, rad in a sample; NaN where there is none."""
+        return self._peak_at(*PEAKS[name])[1]
+
+    def _peak_at(self, sign: float, feed: float) -> tuple[float, float]:
+        """The largest singular value of feed · I + sign · F (zI − Φ)⁻¹ Γ over the unit circle, and where."""
+        system = self._reduced
+        if system is None:
+            return math.nan, math.nan
+        feeding = feed * np.eye(len(system.D))
+        value, frequency = hinf_peak(StateSpace(system.A, system.B, sign * system.C, feeding, system.dt))
+        return value, frequency * self.period
+
+    def _peak(self, sign: float, feed: float) -> Measured:
+        value, angle = self._peak_at(sign, feed)
+        if not math.isfinite(value):
+            return UNDEFINED
+        z, smooth, identity = np.exp(1j * angle), self.smooth, np.eye(len(self.parts.force))
+        try:
+            pencil: Complex = z * np.eye(len(smooth.matrix)) - smooth.matrix
+            inverse = np.linalg.solve(pencil, np.eye(len(pencil)))
+        except np.linalg.LinAlgError:
+            return Measured(value)
+        resolvent: Complex = np.asarray(inverse, dtype=np.complex128)
+        u, sizes, vh = np.linalg.svd(feed * identity + sign * smooth.force @ resolvent @ smooth.into)
+        left, right = sign * u[:, 0].conj(), vh[0].conj()
+        row, column = left @ smooth.force @ resolvent, resolvent @ smooth.into @ right
+        if len(sizes) > 1 and sizes[0] - sizes[1] < SAME * sizes[0]:
+            return Measured(value)
+        by_matrix = np.outer(row, column).real
+        by_into = np.outer(row, right).real + by_matrix @ smooth.force.T
+        by_force = np.outer(left, column).real + smooth.into.T @ by_matrix
+        return Measured(value, smooth.all_slopes(by_matrix, by_into, by_force))
+
+    def sensitivity_peak(self) -> Measured:
+        """‖S‖∞ of S = (I + L)⁻¹."""
+        return self._peak(*PEAKS["sensitivity_peak"])
+
+    def complementary_peak(self) -> Measured:
+        """‖T‖∞ of T = L (I + L)⁻¹ = I − S."""
+        return self._peak(*PEAKS["complementary_peak"])
+
+    def disk_margin(self) -> Measured:
+        """α = 1 / ‖S − I/2‖∞, at most 2: gains may vary by (2 − α)/(2 + α) … (2 + α)/(2 − α), phases by 2 atan(α/2).
+
+        In all task rows at once and whatever they do to each other, which is more than each by itself.
+
+        Source: Seiler, Packard and Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+        """
+        peak = self._peak(*PEAKS["disk_margin"])
+        if not math.isfinite(peak.value):
+            return UNDEFINED
+        return Measured(1 / peak.value, peak.slopes and peak.slopes * (-1 / peak.value**2))
+
+
+def _between(times: list[float], step: float) -> list[float]:
+    """The times but the first, with a few between them, `step` apart or more, and after the last but one."""
+    found: list[float] = []
+    for before, after in pairwise(times):
+        count = min(LOOKS, max(2, math.ceil((after - before) / step)))
+        found += np.linspace(before, after, count + 1)[1:].tolist()
+    return found
+
+
+# Measures by name, each one number.
+MEASURES: dict[str, Callable[[Outcome], Measured]] = {
+    "decay": Outcome.decay,
+    "allowed_gain": Outcome.allowed_gain,
+    "delay_margin": Outcome.delay_margin,
+    "disk_margin": Outcome.disk_margin,
+    "sensitivity_peak": Outcome.sensitivity_peak,
+    "complementary_peak": Outcome.complementary_peak,
+}

@@ -1,0 +1,211 @@
+"""From a `[loop]` table to numbers: what it leaves out follows from the machine, and every source is named.
+
+In: a machine, its `Loop`, a configuration. Out: `LoopSettings`, the numbers that the loop for small motions takes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
+from flexopt.foundation.results import Result
+from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
+from flexopt.loop.levers import servo_gain_of_efforts
+from flexopt.loop.outcome import Outcome
+from flexopt.loop.small_motions import SmallMotions, small_motions
+from flexopt.model import AnyMachine
+from flexopt.model.loop import Drive, Loop, drive_of, rate_of
+from flexopt.plant import build_plant
+from flexopt.robustness import Evaluation
+
+# Of velocity-served joints, where no gain is given: that of teleoperated excavators, 1/s. How often the corner of other
+# gains is halved in search of a stable loop.
+VELOCITY_KP = 1.0
+HALVINGS = 6
+
+
+@dataclass(frozen=True)
+class LoopSettings(Result):
+    """A loop's numbers. r task rows, n joints; SI, what a loop lacks is None.
+
+    Attributes:
+        control, feedback, drive: as in `flexopt.model.Loop`.
+        kp, kv, ki: (r,).
+        rate: Hz;  dead_time: s;  filter_hz: Hz;  bandwidth_hz: (n,), Hz.
+        servo_gain: N m s/rad or N s/m, of velocity-served joints.
+        nullspace_damping: N m s/rad or N s/m.
+        sources: where each value comes from that `[loop]` does not give, in words.
+    """
+
+    control: Control
+    feedback: str
+    drive: Drive
+    kp: Vector
+    kv: Vector
+    ki: Vector
+    rate: float
+    dead_time: float
+    filter_hz: float | None
+    bandwidth_hz: Vector | None
+    servo_gain: float | None
+    nullspace_damping: float
+    sources: Mapping[str, str]
+
+    DOCUMENT = """
+    control feedback drive kp kv ki rate[Hz] dead_time[s] filter_hz[Hz] bandwidth_hz[Hz] servo_gain nullspace_damping
+    sources
+    """
+
+    def motions(self, machine: AnyMachine, *, gravity: bool) -> SmallMotions:
+        """The Functions of this loop."""
+        return small_motions(
+            machine, self.control, gravity=gravity, integral=self.feedback == "pid",
+            filtered=self.filter_hz is not None, lagging=self.bandwidth_hz is not None,
+            damped=self.nullspace_damping > 0, served=self.drive == "velocity",
+        )  # fmt: skip
+
+    @property
+    def numbers(self) -> dict[str, Vector]:
+        """Inputs of the Functions but those of the configuration."""
+        given = {name: getattr(self, name) for name in ("kp", "kv", "ki", "nullspace_damping")}
+        given |= {"period": 1 / self.rate, "servo_gain": self.servo_gain, "filter_hz": self.filter_hz}
+        given["bandwidth_hz"] = self.bandwidth_hz
+        return {name: np.atleast_1d(np.asarray(x, dtype=np.float64)) for name, x in given.items() if x is not None}
+
+    def outcome(self, machine: AnyMachine, base: Vector, posture: Vector, *, gravity: bool) -> Outcome:
+        """This loop in a configuration."""
+        motions = self.motions(machine, gravity=gravity)
+        p = build_plant(machine).parameter_values.full().ravel()
+        numbers = motions.numbers(self.numbers | {"base": base, "posture": posture, "p": p})
+        return Outcome(motions, numbers, self.dead_time)
+
+    def __repr__(self) -> str:
+        units = ("1/s", "", "1/s²") if self.drive == "velocity" else ("",) * 3
+        gains = [f"{name} {_numbers(getattr(self, name.lower()))}{unit and ' ' + unit}"
+                 for name, unit in zip(("Kp", "Kv", "Ki"), units, strict=True)
+                 if name != "Ki" or self.feedback == "pid"]  # fmt: skip
+        served = "" if self.servo_gain is None else f" (servo gain {self.servo_gain:.4g})"
+        parts = [f"{self.drive}-served joints{served}", *gains, f"{self.rate:g} Hz", f"dead time {self.dead_time:g} s"]
+        parts += [] if self.filter_hz is None else [f"filter {self.filter_hz:g} Hz"]
+        parts += [] if self.bandwidth_hz is None else [f"servo {_numbers(self.bandwidth_hz)} Hz"]
+        lines = [f"{self.feedback.upper()}, Jacobian {self.control} control, {', '.join(parts)}"]
+        return "\n".join(lines + [f"  {name}: {source}" for name, source in self.sources.items()])
+
+
+def _numbers(values: Vector) -> str:
+    """One number where all are the same."""
+    listed = [f"{x:.4g}" for x in values]
+    return listed[0] if len(set(listed)) == 1 else f"[{', '.join(listed)}]"
+
+
+def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool = False) -> LoopSettings:
+    """The numbers of a loop that is known to be good, in a configuration that was evaluated.
+
+    Args:
+        machine: the machine.
+        loop: its `[loop]`.
+        stand: the configuration, and the control that was evaluated.
+        gravity: whether under static deflection.
+    """
+    rows, drive, rate, sources = (
+        len(machine.task_rows),
+        drive_of(loop, machine),
+        rate_of(loop, machine),
+        dict[str, str](),
+    )
+    if loop.drive is None:
+        sources["drive"] = _why_drive(loop, drive)
+    if loop.rate is None:
+        sources["rate"] = "that of hydraulic excavators" if drive == "velocity" else "the article's"
+    gain = loop.servo_gain
+    if drive == "velocity" and gain is None:
+        gain = servo_gain_of_efforts(machine, stand.posture)
+        sources["servo_gain"] = "the largest at which no full lever asks a joint here for more than its effort"
+    gains: dict[str, float] = {}
+    for name in ("kp", "kv"):
+        given, allowed = getattr(loop, name), getattr(loop, f"{name}_range")
+        if given is None and allowed is not None:
+            gains[name] = _middle(allowed)
+            sources[name] = f"the middle of {name}_range"
+    chosen = {name for name in ("kp", "kv") if getattr(loop, name) is None and name not in gains}
+    usual = {"kp": VELOCITY_KP, "kv": 0.0} if drive == "velocity" else _suiting(machine, stand, rate, loop, gains, 1.0)
+    gains |= {name: usual[name] for name in chosen}
+    why = "usual of velocity-served joints"
+    if drive == "torque":
+        why = f"suits the arm's masses: corner at {SHARE:g} of the lowest mode, damping ratio {DAMPING_RATIO:g} on a "
+        why += "rigid base"
+    sources |= dict.fromkeys(sorted(chosen), why)
+    if "dead_time" not in loop.model_fields_set:
+        sources["dead_time"] = "none is given"
+
+    def spread(name: str, size: int) -> Vector:
+        value = getattr(loop, name)
+        return np.broadcast_to(gains[name] if value is None else value, size).astype(np.float64)
+
+    found = LoopSettings(
+        control=stand.control,
+        feedback=loop.feedback,
+        drive=drive,
+        kp=spread("kp", rows),
+        kv=spread("kv", rows),
+        ki=spread("ki", rows),
+        rate=rate,
+        dead_time=loop.dead_time,
+        filter_hz=loop.filter_hz,
+        bandwidth_hz=None if loop.bandwidth_hz is None else spread("bandwidth_hz", len(machine.joints)),
+        servo_gain=gain if drive == "velocity" else None,
+        nullspace_damping=loop.nullspace_damping,
+        sources=sources,
+    )
+    return found if drive == "velocity" or len(chosen) < 2 else _stable(machine, found, loop, stand, gravity=gravity)
+
+
+def _stable(
+    machine: AnyMachine, settings: LoopSettings, loop: Loop, stand: Evaluation, *, gravity: bool
+) -> LoopSettings:
+    """The settings with a corner that is halved until the loop is stable; as they are where it never is."""
+    for halvings in range(HALVINGS + 1):
+        gains = _suiting(machine, stand, settings.rate, loop, {}, 0.5**halvings)
+        tried = replace(settings, **{name: np.full(len(machine.task_rows), value) for name, value in gains.items()})
+        if tried.outcome(machine, stand.base, stand.posture, gravity=gravity).loop.stable:
+            note = f", halved {halvings} times until it is stable" if halvings else ""
+            return replace(tried, sources={x: w + note if x in gains else w for x, w in settings.sources.items()})
+    return settings
+
+
+def _why_drive(loop: Loop, drive: Drive) -> str:
+    if drive == "velocity":
+        return (
+            "there is a servo gain"
+            if loop.servo_gain is not None
+            else "the machine names its drives' efforts and speeds"
+        )
+    if loop.kp is not None or loop.kv is not None:
+        return "gains without a drive are those of torques"
+    if loop.control == "transpose":
+        return "transpose control asks for torques"
+    return "the machine does not name the efforts and speeds of its drives"
+
+
+def _middle(allowed: tuple[float, float]) -> float:
+    """The geometric mean of a range; half of one that starts at 0."""
+    low, high = allowed
+    return math.sqrt(low * high) if low > 0 else high / 2
+
+
+def _suiting(
+    machine: AnyMachine, stand: Evaluation, rate: float, loop: Loop, gains: Mapping[str, float], share: float
+) -> dict[str, float]:
+    """Gains of the arm's masses; beside one that is given the other of the same damping ratio."""
+    found = rigid_gains(machine, stand, rate, share)
+    kp, kv = (gains.get(name) if given is None else max(given) for name, given in (("kp", loop.kp), ("kv", loop.kv)))
+    if kp is not None:
+        found["kv"] *= math.sqrt(kp / found["kp"])
+    elif kv is not None:
+        found["kp"] *= (kv / found["kv"]) ** 2
+    return {name: found[name] for name in ("kp", "kv")}

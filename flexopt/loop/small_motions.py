@@ -1,0 +1,206 @@
+"""The loop for small motions as Functions of placement, posture, parameters and gains, with exact derivatives.
+
+In: a machine and which parts its loop has. Out: the matrices that `assembly` makes one sample of, from the graphs of
+the loop that is simulated, at any configuration, and what a derivative by these matrices is by all that they depend on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control, control_damping, control_method
+from flexopt.loop.closed import ClosedLoop, closed_loop
+from flexopt.loop.rest import design_constants, placed, state_at_rest
+from flexopt.loop.structure import JACOBIAN_DAMPING, LoopStructure
+from flexopt.loop.tangent import flow_size, graphs_about_rest
+from flexopt.model import AnyMachine
+from flexopt.plant import Plant, build_plant
+from flexopt.plant.machine_motion import constants_at, full_structure, motion_of
+
+# What the matrices depend on, and are differentiated by; `held` is the static deflection.
+INPUTS = (
+    "base", "posture", "p", "kp", "kv", "ki", "nullspace_damping", "servo_gain", "filter_hz", "bandwidth_hz",
+)  # fmt: skip
+PARTS = ("flow", "drive", "direct", "spread", "force", "law", "measured")
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The linear loop about rest, or what a derivative is by each of its matrices.
+
+    n_s continuous states s = [u, w, torques of servos], k of the sampled law and its filter, r task rows, n joints.
+
+    Attributes:
+        flow, drive: A (n_s, n_s) and B (n_s, n) of ṡ = A s + B τ.
+        direct, spread: τ = G s + E f, (n, n_s) and (n, r): what the command takes from the joints themselves, and what
+            it makes of the law's force f.
+        force: f = F [law; m], (r, k + 2r), m the end-point and its rate as measured.
+        law: the law's states at the next sample, of [law; m], (k, k + 2r).
+        measured: m = C s, (2r, n_s).
+    """
+
+    flow: Vector
+    drive: Vector
+    direct: Vector
+    spread: Vector
+    force: Vector
+    law: Vector
+    measured: Vector
+
+
+@dataclass(frozen=True)
+class SmallMotions:
+    """Functions of `INPUTS` (base (n_b,), posture (n,), p (n_par,), kp, kv, ki (n_task,), nullspace_damping,
+    servo_gain, filter_hz (1,), bandwidth_hz (n,)), period (1,) and held (m or 0,); of what a loop lacks any numbers.
+
+    Attributes:
+        machine, control, gravity: as of `flexopt.evaluate`.
+        integral, filtered, lagging, damped: whether the law has an integral, measurements a filter, joints a servo, the
+            self-motion a damper.
+        served: whether joints are velocity-served: gains then ask for rates, and servo_gain damps the joints.
+    """  # noqa: D205
+
+    machine: AnyMachine
+    control: Control
+    gravity: bool = False
+    integral: bool = False
+    filtered: bool = False
+    lagging: bool = False
+    damped: bool = False
+    served: bool = False
+
+    @property
+    def plant(self) -> Plant:
+        """The machine's."""
+        return build_plant(self.machine)
+
+    @property
+    def structure(self) -> LoopStructure:
+        """Of a loop with one measurement on its way, so that it can be told from what joints measure at once."""
+        return LoopStructure(
+            full_structure(self.machine),
+            control=control_method(self.control),
+            law="pid" if self.integral else "pd",
+            delay=1,
+            filtered=self.filtered,
+            gravity=self.gravity,
+            compensated=self.gravity,
+            lagging=self.lagging,
+            nullspace_damped=self.damped,
+        )
+
+    @property
+    def loop(self) -> ClosedLoop:
+        """Its graphs."""
+        return closed_loop(self.structure)
+
+    @cached_property
+    def symbols(self) -> dict[str, ca.SX]:
+        """Of `INPUTS`, the period and what is held."""
+        plant = self.plant
+        g, r, n = plant.graph, plant.n_task, plant.n_actuated
+        sizes = dict.fromkeys(INPUTS, 1) | dict.fromkeys(("kp", "kv", "ki"), r) | {"bandwidth_hz": n}
+        sizes |= {"period": 1, "held": plant.n_passive if self.gravity else 0}
+        return {name: ca.SX.sym(name, size) for name, size in sizes.items()} | {
+            "base": g.base, "posture": g.posture, "p": g.p,
+        }  # fmt: skip
+
+    @cached_property
+    def hold(self) -> ca.Function:
+        """(base, posture, p) -> held, the static deflection by iteration, no derivative; empty without gravity."""
+        g, plant = self.plant.graph, self.plant
+        found = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX(0, 1)
+        names, options = ["base", "posture", "p"], {"is_diff_out": [False], "never_inline": True}
+        return ca.Function("hold", [g.base, g.posture, g.p], [found], names, ["held"], options)
+
+    @cached_property
+    def drive_damping(self) -> Vector:
+        """∂p/∂(servo gain), (n_par,): where among the parameters the actuated joints' damping stands."""
+        names, entries = list(self.plant.parameter_names), self.machine.kinematic_tree.entries
+        skeleton = full_structure(self.machine)
+        found = np.zeros(len(names))
+        found[[names.index(entries[f"damping{i}.{i}"]) for i in skeleton.actuated]] = 1.0
+        return found
+
+    @cached_property
+    def _graphs(self) -> dict[str, ca.SX]:
+        s, plant, structure, loop = self.symbols, self.plant, self.structure, self.loop
+        gain, p = (s["servo_gain"], s["p"] + self.drive_damping * s["servo_gain"]) if self.served else (1, s["p"])
+        at = plant.operating_point(s["base"], s["posture"], p, s["held"] if self.gravity else None)
+        own = constants_at(self.machine, p)
+        motion = motion_of(structure.motion, own)
+        x = state_at_rest(loop, plant, motion, at.q, s["base"], p)
+        values = own | design_constants(motion, at.q[: plant.n_passive], s["base"])
+        values |= {name: gain * s[name] for name in ("kp", "kv", "ki")}
+        values |= {
+            "h": s["period"], "target": at.end_point - placed(motion, s["base"]), "integral_limit": ca.SX.inf(),
+            "nullspace_damping": s["nullspace_damping"], "filter": 2 * math.pi * s["filter_hz"],
+            "bandwidth": 2 * math.pi * s["bandwidth_hz"], JACOBIAN_DAMPING: ca.SX(control_damping(self.control) or 0.0),
+        }  # fmt: skip
+        sizes = loop.constants.sizes
+        c = ca.vertcat(*(values.get(name, ca.SX.zeros(size, 1)) for name, size in sizes.items()))
+        between, at_sample = graphs_about_rest(structure)
+        e, n = ca.SX(0, 1), flow_size(structure)
+        here = dict(zip(at_sample.name_out(), at_sample.call([x, e, c]), strict=True))
+        _, flow, drive = between.call([x[:n], here["command"], e, c])
+        found = (flow, drive, here["direct"][:, :n], here["spread"], here["by_force"][:, n:], here["by_law"][:, n:])
+        return dict(zip(PARTS, (*found, here["by_queue"][:, :n]), strict=True))
+
+    @cached_property
+    def matrices(self) -> ca.Function:
+        """-> the fields of `Parts`, by name."""
+        s, graphs = self.symbols, self._graphs
+        dense = [ca.densify(graph) for graph in graphs.values()]
+        return ca.Function("small_motions", list(s.values()), dense, list(s), list(graphs), {"cse": True})
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """(inputs, ∂V/∂ each field of `Parts` as `by_…`) -> ∂V/∂ each of `INPUTS` as `V_…`."""
+        s, graphs = self.symbols, self._graphs
+        pulls = {f"by_{name}": ca.SX.sym(f"by_{name}", *graph.shape) for name, graph in graphs.items()}
+        total = sum(
+            (ca.dot(pull, graph) for pull, graph in zip(pulls.values(), graphs.values(), strict=True)), ca.SX(0)
+        )
+        slopes = [ca.densify(ca.gradient(total, s[name])) for name in INPUTS]
+        given, names = s | pulls, [f"V_{name}" for name in INPUTS]
+        return ca.Function("small_motion_slopes", list(given.values()), slopes, list(given), names, {"cse": True})
+
+    def numbers(self, given: Mapping[str, Vector]) -> dict[str, Vector]:
+        """All inputs as arrays, what is left out 0, and what is held."""
+        numbers = {name: np.zeros(symbol.shape[0]) for name, symbol in self.symbols.items()}
+        numbers |= {name: np.asarray(value, dtype=np.float64).ravel() for name, value in given.items()}
+        held = self.hold.call([numbers["base"], numbers["posture"], numbers["p"]])[0]
+        return numbers | {"held": held.full().ravel()}
+
+    def parts(self, numbers: Mapping[str, Vector]) -> Parts:
+        """The matrices at `numbers`."""
+        return Parts(*(matrix.full() for matrix in self.matrices.call([numbers[name] for name in self.symbols])))
+
+    def gradient(self, numbers: Mapping[str, Vector], by: Parts) -> dict[str, Vector]:
+        """The derivative by each of `INPUTS`, from that by the matrices."""
+        pulls = [getattr(by, name) for name in PARTS]
+        found = self.slopes.call([*(numbers[name] for name in self.symbols), *pulls])
+        return {name: slope.full().ravel() for name, slope in zip(INPUTS, found, strict=True)}
+
+
+@lru_cache(maxsize=64)
+def small_motions(
+    machine: AnyMachine,
+    control: Control,
+    *,
+    gravity: bool = False,
+    integral: bool = False,
+    filtered: bool = False,
+    lagging: bool = False,
+    damped: bool = False,
+    served: bool = False,
+) -> SmallMotions:
+    """The Functions of a loop with these parts (made once, and kept)."""
+    return SmallMotions(machine, control, gravity, integral, filtered, lagging, damped, served)

@@ -1,0 +1,211 @@
+"""Eigenvalues of one sample of a linear loop: what nothing holds taken out, growth rate, eigenvectors for derivatives.
+
+In: Φ of x_{k+1} = Φ x_k. Out: `SampledLoop`, its multipliers, and of any of them the left and right eigenvectors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.errors import InputError
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.structure import LoopStructure
+from flexopt.plant import Plant
+
+EXACT = "exact"
+# Share of the largest singular value of Φ − 1 below which a direction stays where it is.
+INVARIANT = 1e-10
+# Share of its kinetic energy in the self-motion above which a motion is that.
+OWN = 0.9
+# Of unit eigenvectors, |yᴴx| below which two eigenvalues meet: there is no derivative.
+MEETING = 1e-7
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """The linear loop x_{k+1} = Φ x_k about equilibrium.
+
+    Attributes:
+        multipliers: eigenvalues of Φ, largest first; what nothing holds left out.
+        period: of a sample, s.
+        neutral: how many eigenvalues 1 were taken out, of what nothing drives or brakes: the self-motion of a redundant
+            arm, and directions without gain.
+        drift: growth rates of the self-motion where weight or damping act on it, 1/s; taken out, too: an arm that
+            drifts while its end-point stays is no oscillation.
+        integrator: how the plant is advanced between samples: `"exact"`, or the method asked for.
+        rounding: of a growth rate, 1/s: what is nearer to zero is neither growth nor decay.
+    """
+
+    multipliers: Complex
+    period: float
+    neutral: int = 0
+    drift: tuple[float, ...] = ()
+    integrator: str = EXACT
+    rounding: float = 0.0
+
+    @property
+    def growth_rate(self) -> float:
+        """Max ln|μ| / T, 1/s: below 0 the loop is stable."""
+        return float(np.log(np.abs(self.multipliers[0])) / self.period)
+
+    @property
+    def poles(self) -> Complex:
+        """Ln μ / T, rad/s, imaginary parts up to the Nyquist frequency."""
+        return cast(Complex, np.log(self.multipliers) / self.period)
+
+    @property
+    def frequency_hz(self) -> float:
+        """Of the pole nearest to instability, Hz."""
+        return abs(float(np.angle(self.multipliers[0]))) / (2 * np.pi * self.period)
+
+    @property
+    def stable(self) -> bool:
+        """Whether all multipliers lie inside the unit circle."""
+        return bool(np.abs(self.multipliers[0]) < 1.0)
+
+    def __repr__(self) -> str:
+        word = "stable" if self.stable else "unstable"
+        how = "" if self.integrator == EXACT else f" by {self.integrator}"
+        return (
+            f"SampledLoop({word}{how}: {self.growth_rate:+.4g}/s at {self.frequency_hz:.4g} Hz, "
+            f"{len(self.multipliers)} multipliers)"
+        )
+
+
+@dataclass(frozen=True)
+class OwnMotion:
+    """The self-motion of an arm with more joints than task rows, in a configuration.
+
+    Attributes:
+        directions: orthonormal in the joints, in all coordinates, (n_q, n − n_task).
+        mass: M (n_q, n_q).
+        to_q: q = A u + constant, (n_q, n_q).
+    """
+
+    directions: Vector
+    mass: Vector
+    to_q: Vector
+
+    @classmethod
+    def at(cls, plant: Plant, q: Vector, base: Vector, to_q: Vector) -> OwnMotion:
+        """Of a machine in a configuration."""
+        p, m = plant.parameter_values, plant.n_passive
+        joints = np.linalg.svd(plant.rigid_jacobian(q, base, p).full())[2][plant.n_task :].T
+        own = np.vstack([np.zeros((m, joints.shape[1])), joints])
+        return cls(own, plant.mass(q, base, p).full(), to_q)
+
+    def drifting(self, values: Complex, vectors: Complex, most: int) -> NDArray[np.bool_]:
+        """Which eigenvalues belong to an arm that drifts along it: real, and its the kinetic energy.
+
+        Weight makes the self-motion of an arm on a base that gives no longer neutral, nor does damping of it.
+        """
+        n, own = len(self.to_q), self.directions
+        rates = np.asarray(self.to_q @ vectors[n : 2 * n], dtype=np.complex128)
+        along: Complex = own.T @ self.mass @ rates
+        part = np.einsum("ik,ik->k", along.conj(), np.linalg.solve(own.T @ self.mass @ own, along)).real
+        whole = np.einsum("ik,ij,jk->k", rates.conj(), self.mass, rates).real
+        share = np.where((values.imag == 0) & (values.real > 0), part / np.maximum(whole, np.finfo(float).tiny), 0.0)
+        drifting = share > OWN
+        drifting[np.argsort(-share)[most:]] = False
+        return drifting
+
+
+def neutral_directions(structure: LoopStructure, joints: int, kp: Any, ki: Any) -> int:
+    """In how many directions the loop may rest elsewhere: self-motion, and task rows that no gain holds."""
+    if structure.law == "none":
+        return joints
+    free, rows = joints - structure.n_task, structure.n_task
+    if structure.law not in ("pd", "pid"):
+        return free
+    unheld = np.broadcast_to(kp, rows) == 0
+    if structure.law == "pid":
+        without = np.broadcast_to(ki, rows) == 0
+        # An integral without gain keeps what it has; a row without either gain rests anywhere.
+        return free + int(np.count_nonzero(without)) + int(np.count_nonzero(unheld & without))
+    return free + int(np.count_nonzero(unheld))
+
+
+def spectrum(
+    matrix: Vector, period: float, most: int, excess: int, own: Callable[[], OwnMotion], integrator: str = EXACT
+) -> SampledLoop:
+    """The eigenvalues of Φ.
+
+    Args:
+        matrix: Φ (n, n).
+        period: of a sample, s.
+        most: see `neutral_directions`.
+        excess: joints beyond the task rows.
+        own: gives their self-motion, where it has to be told apart.
+        integrator: see `SampledLoop`.
+
+    Raises:
+        InputError: Φ overflows.
+    """
+    balanced, scale = balance(matrix)
+    held, kept = without_neutral(balanced, most)
+    removed = len(matrix) - len(held)
+    if excess > 0 and removed < 2 * excess:
+        values, vectors = np.linalg.eig(held)
+        lifted = np.asarray(scale[:, None] * (kept.T @ vectors), dtype=np.complex128)
+        drifting = own().drifting(np.asarray(values, dtype=np.complex128), lifted, 2 * excess - removed)
+    else:
+        values = np.asarray(np.linalg.eigvals(held), dtype=complex)
+        drifting = np.zeros(len(values), dtype=bool)
+    rounding = 10 * len(matrix) * np.finfo(float).eps * float(np.linalg.norm(balanced))
+    values = np.asarray(values, dtype=np.complex128)
+    apart, values = np.real(values[drifting]), values[~drifting]
+    values = values[np.argsort(-np.abs(values))]
+    drift = tuple(sorted((np.log(apart) / period).tolist(), reverse=True))
+    return SampledLoop(values, period, removed, drift, integrator, rounding / period)
+
+
+def balance(matrix: Vector) -> tuple[Vector, Vector]:
+    """D⁻¹ Φ D and the diagonal of D."""
+    from scipy.linalg import matrix_balance  # noqa: PLC0415  (loads slowly)
+
+    if not np.all(np.isfinite(matrix)):
+        raise InputError("the linear loop grows beyond the largest number within one sample; give lower gains")
+    balanced, (scale, _) = matrix_balance(matrix, permute=False, separate=True)
+    return np.asarray(balanced, dtype=np.float64), np.asarray(scale, dtype=np.float64)
+
+
+def without_neutral(matrix: Vector, most: int) -> tuple[Vector, Vector]:
+    """Φ on what is left when states that stay where they are, then rates that nothing changes, are divided out.
+
+    Both are kernels of Φ − 1, the second of what the first leaves; together a double eigenvalue 1 for each direction.
+
+    Returns:
+        The matrix U Φ Uᵀ that is left, and U, orthonormal rows.
+    """
+    basis = np.eye(len(matrix))
+    for _ in range(2):
+        if not most:
+            break
+        _, sizes, rows = np.linalg.svd(matrix - np.eye(len(matrix)))
+        most = int(np.count_nonzero(sizes[-most:] < INVARIANT * sizes[0]))
+        kept = rows[: len(matrix) - most]
+        # Φ v = v on the kernel: in this basis the matrix is block triangular, with 1 in the lower block.
+        matrix, basis = np.asarray(kept @ matrix @ kept.T), kept @ basis
+    return matrix, basis
+
+
+def eigenvectors(matrix: Vector, value: complex) -> tuple[complex, Complex, Complex]:
+    """The eigenvalue of Φ next to `value`, refined, and vectors y, x with yᴴ Φ = μ yᴴ, Φ x = μ x, yᴴ x = 1.
+
+    dμ = yᴴ dΦ x. Where two eigenvalues meet there is no derivative, and y is NaN.
+    """
+    balanced, scale = balance(matrix)
+    left, _, right = np.linalg.svd(balanced - value * np.eye(len(matrix)))
+    y, x = np.asarray(left[:, -1], dtype=np.complex128), np.asarray(right[-1].conj(), dtype=np.complex128)
+    product = complex(np.vdot(y, x))
+    if abs(product) < MEETING:
+        return value, np.full_like(y, np.nan), x
+    refined = complex(np.vdot(y, balanced @ x)) / product
+    return refined, y / np.conj(product) / scale, scale * x

@@ -1,0 +1,141 @@
+"""The real controller as data: law, gains, sampling, dead time, filters and drives, the table `[loop]` of a machine.
+
+In: a table. Out: a frozen `Loop`, and what of it does not go together or not with its machine.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from flexopt.errors import Fault
+from flexopt.foundation.control import Control, check_control
+from flexopt.foundation.quantities import JOINT_DAMPING, Quantity, numbers_in, pair
+from flexopt.model.file_model import BuiltByCall
+
+Numbers = tuple[float, ...]
+Drive = Literal["torque", "velocity"]
+DELAY_MAX = 100  # samples
+# In place of a table: everything follows from the machine.
+DEFAULT_LOOP = "default"
+# Where none is given: the article's, and that of hydraulic excavators.
+RATES: dict[Drive, float] = {"torque": 200.0, "velocity": 100.0}
+LOOP_GAIN = Quantity("N/m and the like", low=0.0, high=1e15)
+TORQUE = Quantity("N m or N", low=0.0, high=1e12)
+BANDWIDTH = Quantity("Hz", low=1e-3, high=1e6)
+SERVO_GAIN = Quantity(JOINT_DAMPING.unit, above=0.0, high=1e12)
+RATE = Quantity("Hz", above=0.0, high=1e6)
+DEAD_TIME = Quantity("s", low=0.0, high=10.0)
+Gains = Annotated[Numbers, numbers_in(LOOP_GAIN)]
+GainRange = Annotated[tuple[float, float], pair(LOOP_GAIN, allow_equal=True)]
+Torques = Annotated[Numbers, numbers_in(TORQUE)]
+Bandwidths = Annotated[Numbers, numbers_in(BANDWIDTH)]
+
+
+class Loop(BuiltByCall):
+    """The controller that a machine has: the keys of a file's `[loop]`, and the argument `loop` of calls.
+
+    What is left out follows from the machine; `flexopt.evaluate` names each value's source.
+
+    Attributes:
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.
+        feedback: `"pd"` or `"pid"`.
+        kp, kv, ki: gains, one number or one for each task row: N/m, N s/m, N/(m s) for transpose control. Of
+            velocity-served joints 1/s, 1 and 1/s², from the end-point's error to the rate asked for.
+        kp_range, kv_range: (lower, upper) between which all entries of a gain may be chosen.
+        rate: of the samples, Hz.
+        dead_time: from measurement to command, s; any time, not only whole samples.
+        filter_hz: corner of a first-order low-pass that the sampled measurement runs through, Hz.
+        bandwidth_hz: of a first-order servo, Hz; a number, or one for each actuated joint.
+        drive: `"torque"`: joints are asked for torques; `"velocity"`: for rates, which drives with levers serve by the
+            torque servo_gain · (rate asked for − rate).
+        servo_gain: of velocity-served joints, N m s/rad or N s/m; by default the largest at which no full lever asks a
+            joint for more than its effort.
+        torque_limit, rate_limit: of the drives, as in `flexopt.Actuator`; small motions do not feel them.
+        nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad or N s/m.
+    """
+
+    control: Annotated[Control, check_control] | None = None
+    feedback: Literal["pd", "pid"] = "pd"
+    kp: Gains | None = None
+    kv: Gains | None = None
+    ki: Gains = (0.0,)
+    kp_range: GainRange | None = None
+    kv_range: GainRange | None = None
+    rate: Annotated[float, RATE] | None = None
+    dead_time: Annotated[float, DEAD_TIME] = 0.0
+    filter_hz: Annotated[float, BANDWIDTH] | None = None
+    bandwidth_hz: Bandwidths | None = None
+    drive: Drive | None = None
+    servo_gain: Annotated[float, SERVO_GAIN] | None = None
+    torque_limit: Torques | None = None
+    rate_limit: Torques | None = None
+    nullspace_damping: Annotated[float, JOINT_DAMPING] = 0.0
+
+    def structural_faults(self) -> list[Fault]:
+        """What does not fit together, whatever the machine."""
+        found: list[Fault] = []
+        if self.drive == "velocity" and self.control == "transpose":
+            sentence = 'asks for torques, and velocity-served joints want rates; use control = "inverse"'
+            found.append(Fault("control", sentence, repr(self.control)))
+        if self.drive == "torque" and self.servo_gain is not None:
+            found.append(Fault("servo_gain", 'goes with drive = "velocity"', f"{self.servo_gain:g}"))
+        if self.rate_limit is not None and self.bandwidth_hz is None:
+            found.append(Fault("rate_limit", "needs bandwidth_hz: it limits how fast the servo's torque changes"))
+        if self.feedback == "pd" and any(self.ki):
+            found.append(Fault("ki", 'goes with feedback = "pid"', str(list(self.ki))))
+        for name, gains, allowed in (("kp", self.kp, self.kp_range), ("kv", self.kv, self.kv_range)):
+            if gains is not None and allowed is not None and not allowed[0] <= min(gains) <= max(gains) <= allowed[1]:
+                sentence = f"must lie in {name}_range, [{allowed[0]:g}, {allowed[1]:g}]"
+                found.append(Fault(name, sentence, str(list(gains))))
+        return found
+
+
+def loop_faults(loop: Loop, machine: Any) -> list[Fault]:
+    """What does not go together in a loop, or not with its machine."""
+    found = loop.structural_faults() + length_faults(loop, machine)
+    missing, rate = machine.joints_without_speed, rate_of(loop, machine)
+    if loop.dead_time * rate > DELAY_MAX:
+        sentence = f"must be at most {DELAY_MAX} samples of {1 / rate:g} s"
+        found.append(Fault("dead_time", sentence, f"{loop.dead_time:g}"))
+    if loop.drive == "velocity" and loop.servo_gain is None and (missing or not any_effort(machine)):
+        lacking = f"no speed of {', '.join(missing)}" if missing else "no effort of any joint"
+        sentence = f'drive = "velocity" needs it: {machine.name} names {lacking}, from which it would follow'
+        found.append(Fault("servo_gain", sentence))
+    return found
+
+
+def length_faults(table: Any, machine: Any, prefix: str = "") -> list[Fault]:
+    """Lists of gains that are not as long as the task, lists of drives' numbers not as long as the arm."""
+    joints, axes = machine.joints, len(machine.task_rows)
+    of_rows = (axes, f"must be one number, or one for each of the {axes} task axes")
+    of_joints = (len(joints), f"must be one number, or one for each actuated joint ({', '.join(joints)})")
+    lengths = dict.fromkeys(("kp", "kv", "ki"), of_rows)
+    lengths |= dict.fromkeys(("torque_limit", "dead_band", "bandwidth_hz", "rate_limit"), of_joints)
+    found: list[Fault] = []
+    for name, (size, sentence) in lengths.items():
+        value: Numbers | None = getattr(table, name, None)
+        if value is not None and len(value) not in (1, size):
+            found.append(Fault(f"{prefix}{name}", sentence, str(list(value))))
+    return found
+
+
+def any_effort(machine: Any) -> bool:
+    """Whether the machine says what any of its joints can give."""
+    return bool(machine.cylinders) or any(effort != float("inf") for effort in machine.efforts)
+
+
+def drive_of(loop: Loop, machine: Any) -> Drive:
+    """How the joints are driven: where nothing is said of gains either, by rates, of a machine that knows its drives'.
+
+    Gains without a drive are those of torques.
+    """
+    if loop.drive is not None:
+        return loop.drive
+    torque = loop.kp is not None or loop.kv is not None or loop.control == "transpose"
+    known = any_effort(machine) and not machine.joints_without_speed
+    return "velocity" if loop.servo_gain is not None or (known and not torque) else "torque"
+
+
+def rate_of(loop: Loop, machine: Any) -> float:
+    """Samples in a second, Hz."""
+    return RATES[drive_of(loop, machine)] if loop.rate is None else loop.rate

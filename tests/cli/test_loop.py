@@ -1,0 +1,43 @@
+"""`flexopt evaluate --loop`: the real controller from the command line, and from a machine file's [loop]."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import flexopt
+from tests.cli.command import Command
+
+WORDS = ("evaluate", "excavator", "--posture", "0.0448,-2.0499")
+GIVEN = ("--loop", "kp=1e4", "--loop", "kv=1e3,1e3", "--loop", "dead_time=0.0031")
+
+
+def test_values_are_those_of_python(command: Command) -> None:
+    loop = command(*WORDS, *GIVEN, "--json").document["loop"]
+    found = flexopt.evaluate(
+        flexopt.load("excavator"), (0.0448, -2.0499), loop={"kp": 1e4, "kv": 1e3, "dead_time": 0.0031}
+    )
+    assert loop == found.to_dict()["loop"]
+    assert "loop" not in command(*WORDS, "--json").document
+
+
+def test_all_from_the_machine(command: Command) -> None:
+    assert "suits the arm's masses" in command(*WORDS, "--loop", "default").stdout
+
+
+def test_options_on_top_of_a_file(command: Command) -> None:
+    machine = flexopt.load("excavator")
+    text = "\n".join(["[loop]", "kp = 1e4", "kv = 1e3", "rate = 100.0"])
+    source = Path(flexopt.__file__).parents[1] / "models" / "excavator.toml"
+    (command.folder / "own.toml").write_text(source.read_text(encoding="utf-8") + text, encoding="utf-8")
+    words = ("evaluate", "own.toml", *WORDS[2:], "--json")
+    assert command(*words).document["loop"]["settings"]["rate"] == 100.0
+    mixed = command(*words, "--loop", "rate=200").document["loop"]["settings"]
+    assert (mixed["rate"], mixed["kp"]) == (200.0, [1e4] * len(machine.task_rows))
+    assert "the article's" in command(*words[:-1], "--loop", "default").stdout
+
+
+def test_what_is_no_option(command: Command) -> None:
+    for given, sentence in ((("kp",), "NAME=VALUE"), (("kp=1", "kp=2"), "given twice"), (("kz=1",), "unknown key")):
+        refused = command(*WORDS, *(part for entry in given for part in ("--loop", entry)))
+        assert refused.code == 2
+        assert sentence in refused.stderr

@@ -1,0 +1,141 @@
+"""What modes get to feel of the real controller: against closed-loop eigenvalues, balls and differences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.loop.lag import BY, lagged_modes
+from flexopt.loop.settings import loop_settings
+from flexopt.model.loop import Loop
+from tests.oracles.slopes import differences
+from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
+
+STANDS = {
+    "excavator": (POSTURE_B, Loop(kp=300.0, kv=30.0, dead_time=0.0031)),
+    "boom-stick-bucket": ((-1.0, -1.2, -0.5), Loop(dead_time=0.1)),
+    "slewing-excavator": (
+        (0.2, 0.5, -1.2, -0.5),
+        Loop(kp=3e4, kv=6e3, bandwidth_hz=[3, 4, 5, 6], filter_hz=20.0, feedback="pid", ki=3e3, rate=100.0),
+    ),
+}
+
+
+def stand(name, *, gravity=False):
+    posture, loop = STANDS[name]
+    machine = flexopt.load(name)
+    evaluation = flexopt.evaluate(machine, posture, gravity=gravity)
+    settings = loop_settings(machine, loop, evaluation, gravity=gravity)
+    return evaluation, settings, settings.outcome(machine, evaluation.base, evaluation.posture, gravity=gravity)
+
+
+@pytest.mark.parametrize("posture", [POSTURE_A, POSTURE_B])
+def test_the_allowance_is_the_smallest_gain_that_excites(posture):
+    """Kv = κ n nᵀ, n the direction that R_i + R_iᵀ likes least: mode i of the continuous loop neither grows nor decays.
+
+    To first order in the gain, which at this damping is four digits where the mode stands alone.
+    """
+    found = flexopt.evaluate(EXCAVATOR, posture, control="transpose", loop={"kp": 1e4, "kv": 1e3})
+    plant = flexopt.build_plant(EXCAVATOR)
+    a, b, c = (x.full() for x in plant.linearisation("transpose").call([[0.0], posture, plant.parameter_values]))
+    rate = np.roll(c, -(len(a) // 2), axis=1)
+    for i in np.flatnonzero(found.loop.allowance < 500):
+        normal = np.linalg.eigh(found.residues[i] + found.residues[i].T)[1][:, :1]
+
+        def growth(kv, i=i, normal=normal):
+            poles = np.linalg.eigvals(a - kv * b @ normal @ normal.T @ rate)
+            return poles[np.argmin(np.abs(poles - 2j * math.pi * found.frequencies_hz[i]))].real
+
+        kappa = found.loop.allowance[i]
+        assert growth(0.998 * kappa) < 0 < growth(1.002 * kappa)
+
+
+def test_allowances_beside_each_other():
+    for name in STANDS:
+        loop = stand(name)[0]
+        found = flexopt.evaluate(flexopt.load(name), loop.posture, loop=STANDS[name][1]).loop
+        # In one direction is worse than in all alike.
+        assert np.all(found.allowance <= found.allowance_isotropic * (1 + 1e-12))
+        if found.settings.drive == "torque":
+            omega, a_b = 2 * math.pi * loop.frequencies_hz, np.trace(loop.residues, axis1=1, axis2=2)
+            expected = 4 * loop.damping_ratios * omega / np.abs(loop.w)
+            np.testing.assert_allclose(found.allowance, expected, rtol=1e-9)
+            harmless = a_b >= 0
+            assert np.all(np.isinf(found.allowance_isotropic[harmless]))
+            twin = (-2 * loop.damping_ratios * omega / a_b)[~harmless]
+            np.testing.assert_allclose(found.allowance_isotropic[~harmless], twin, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", list(STANDS))
+def test_first_order_decay_is_that_of_the_sampled_loop(name):
+    """Weak feedback: what the second order adds is small beside what feedback does."""
+    evaluation, settings, outcome = stand(name)
+    found = flexopt.evaluate(flexopt.load(name), evaluation.posture, loop=STANDS[name][1]).loop
+    exact = 2 * math.pi * found.frequencies_hz * found.damping_ratios
+    bound = {"excavator": 2e-3, "boom-stick-bucket": 0.25, "slewing-excavator": 2e-3}[name]
+    np.testing.assert_allclose(found.first_order_decay, exact, rtol=bound)
+    assert settings.dead_time == outcome.dead_time
+
+
+def test_lag_and_reserve():
+    """Ψ = ω (d + T/2) + atan(Kp / (ω Kv)); past 90° what damped a mode excites it, and the other way round."""
+    evaluation = flexopt.evaluate(EXCAVATOR, POSTURE_B)
+    omega = 2 * math.pi * evaluation.frequencies_hz
+    product = np.trace(evaluation.residues, axis1=1, axis2=2)
+    ratio = evaluation.damping_ratios * omega
+    for late in (0.0, 0.0031, 0.02, 0.05):
+        kp, kv = 0.01, 1e-3
+        found = flexopt.evaluate(EXCAVATOR, POSTURE_B, loop={"kp": kp, "kv": kv, "dead_time": late}).loop
+        expected = omega * (late + 0.0025) + np.arctan(kp / (omega * kv))
+        np.testing.assert_allclose(found.lag, expected, rtol=1e-12)
+        added = found.first_order_decay - ratio
+        assert np.all(np.sign(found.reserve) == np.sign(product * np.cos(expected)))
+        # The feedback's part is a millionth of the decay and less.
+        np.testing.assert_array_less(-1e-15, added * np.sign(found.reserve))
+
+
+def test_the_generalised_measure_is_an_eigenvalue():
+    """Λmin of the Hermitian part of 2 e^{jψ} R; without lag w."""
+    for name, (posture, loop) in STANDS.items():
+        found = flexopt.evaluate(flexopt.load(name), posture, loop=loop)
+        for lag, residue, value in zip(found.loop.lag, found.residues, found.loop.w_lagged, strict=True):
+            turned = np.exp(1j * lag) * residue
+            expected = np.linalg.eigvalsh(turned + turned.conj().T)[0]
+            assert value == pytest.approx(expected, abs=1e-12 * np.abs(residue).max())
+
+
+@pytest.mark.parametrize(("name", "gravity"), [("boom-stick-bucket", True), ("slewing-excavator", False)])
+def test_gradients(name, gravity):
+    """Beside differences of sixth order, each input in units of its own size."""
+    _, settings, outcome = stand(name, gravity=gravity)
+    modes = lagged_modes(outcome.motions)
+    at = dict(outcome.numbers) | {"dead_time": np.array([settings.dead_time])}
+    values, slopes = modes.at(outcome.numbers, settings.dead_time)
+    names = list(modes.values.name_in())
+    for by in BY:
+        size = (
+            np.where(np.abs(at[by]) > 0, np.abs(at[by]), 1.0) if by not in ("posture", "base") else np.ones(len(at[by]))
+        )
+        size = size if by != "p" else size * (np.abs(at[by]) > 0)
+
+        def moved(x, by=by, size=size):
+            given = [at[name] + (size * x if name == by else 0) for name in names]
+            found = np.concatenate([out.full().ravel() for out in modes.values.call(given)])
+            return np.where(np.isfinite(found), found, 0.0)
+
+        expected = differences(moved, np.zeros(len(size)), 1e-4)
+        given = np.vstack([slopes[name][by] * size for name in values])
+        scale = np.concatenate([np.full(len(x), np.abs(x[np.isfinite(x)]).max(initial=0)) for x in values.values()])
+        # Differences lose what rounding and the step to the sixth leave of each measure's size.
+        assert np.all(np.abs(given - expected) <= 2e-6 * (scale[:, None] + np.abs(expected))), by
+
+
+def test_names_of_inputs_and_outputs():
+    _, _, outcome = stand("excavator")
+    modes = lagged_modes(outcome.motions)
+    assert set(modes.values.name_in()) == {*BY, "period"}
+    assert tuple(modes.values.name_out()) == modes.NAMES
+    assert set(modes.slopes.name_out()) == {f"{name}_{by}" for name in modes.NAMES for by in BY}

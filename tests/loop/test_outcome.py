@@ -1,0 +1,207 @@
+"""Outcome measures of the sampled loop: against balls, nonlinear runs, the simulator's linear loop, and their meaning."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.errors import InputError
+from flexopt.loop.assembly import OneSample
+from flexopt.loop.functions import BY, outcome_function
+from flexopt.loop.outcome import MEASURES, Outcome
+from flexopt.loop.small_motions import small_motions
+from tests.oracles.late_cases import draw_case, nonlinear_growth, slopes_off
+from tests.oracles.late_loop import LateLoop
+from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
+
+DIGGER, STAND = flexopt.load("slewing-excavator"), (0.2, 0.5, -1.2, -0.5)
+THIRD = (0.992, -1.4056)
+
+
+def outcome(machine, posture, dead_time=0.0, *, kp=1e4, kv=1e3, rate=200.0, control="inverse", ki=0.0, **more):
+    """A loop at numbers; flags of `small_motions` and further numbers by name."""
+    flags = {
+        name: more.pop(name)
+        for name in ("gravity", "integral", "filtered", "lagging", "damped", "served")
+        if name in more
+    }
+    motions = small_motions(machine, control, **flags)
+    r = motions.plant.n_task
+    numbers = {"posture": posture, "p": motions.plant.parameter_values.full().ravel(), "period": [1 / rate]}
+    numbers |= {"kp": np.resize(kp, r), "kv": np.resize(kv, r), "ki": np.resize(ki, r)}
+    return Outcome(motions, motions.numbers(numbers | more), dead_time)
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_decay_of_random_loops(number):
+    """Machines in the plane and in space, dead times that are no multiples of the sample, servos; one of 500."""
+    case = draw_case(number)
+    ours, other = -case.outcome.decay().value, float(case.oracle.growth())
+    assert ours == pytest.approx(other, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("number", [2, 4, 7, 11])
+def test_nonlinear_runs_along_the_slowest_motion(number):
+    """A start of 1e-7 m or rad leaves what is nonlinear some 1e-7 of the rate."""
+    case = draw_case(number)
+    assert nonlinear_growth(case) == pytest.approx(-case.outcome.decay().value, rel=1e-3, abs=1e-4)
+
+
+def test_gradients_of_every_measure():
+    """Beside differences in balls; of 60 loops `benchmarks.outcome` tells."""
+    found = [each for number in (3, 7) for each in slopes_off(draw_case(number), np.random.default_rng(number))]
+    assert {by for _, by, _ in found} >= {"posture", "p", "kp", "kv", "dead_time"}
+    assert {name for name, _, _ in found} == set(MEASURES) | {"damping_ratio"}
+    assert max(off for _, _, off in found) < 1e-7, found
+
+
+LOOPS = {
+    "plain": ({}, {}, {}),
+    "weight and servos": (
+        {"gravity": True, "actuator": {"bandwidth_hz": [5.0, 9.0]}},
+        {"gravity": True, "lagging": True}, {"bandwidth_hz": [5.0, 9.0]},
+    ),
+    "pid and filter": (
+        {"feedback": "pid", "ki": 1e4, "sensor": {"filter_hz": 10.0}},
+        {"integral": True, "filtered": True, "ki": 1e4}, {"filter_hz": [10.0]},
+    ),
+    "transpose": ({"control": "transpose"}, {"control": "transpose"}, {}),
+    "damped": ({"control": "damped:0.3"}, {"control": "damped:0.3"}, {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0031, 0.005, 0.0213])
+@pytest.mark.parametrize("name", list(LOOPS))
+def test_the_loop_of_the_simulator(name, late):
+    """Eigenvalues as of `sampled_loop`, which delays the measurement and has no derivatives."""
+    options, flags, numbers = LOOPS[name]
+    ours = outcome(EXCAVATOR, POSTURE_B, late, **flags, **numbers)
+    sensor = options.get("sensor", {}) | {"delay": late}
+    other = flexopt.sampled_loop(EXCAVATOR, POSTURE_B, kp=1e4, kv=1e3, **options | {"sensor": sensor})
+    for matrix in (ours.sample.matrix, ours.smooth.matrix):
+        values = np.linalg.eigvals(matrix)
+        # A queue's zeros come out as roots of rounding.
+        large = other.multipliers[np.abs(other.multipliers) > 0.3]
+        assert max(np.abs(values - mu).min() for mu in large) < 1e-11
+    assert ours.loop.growth_rate == pytest.approx(other.growth_rate, abs=1e-10)
+
+
+def test_a_redundant_arm_with_a_damper_under_its_weight():
+    given = {"kp": 3e6, "kv": 6e5, "gravity": True}
+    ours = outcome(DIGGER, STAND, 0.0031, damped=True, nullspace_damping=[1e4], **given)
+    other = flexopt.sampled_loop(DIGGER, STAND, nullspace_damping=1e4, sensor={"delay": 0.0031}, **given)
+    assert ours.loop.growth_rate == pytest.approx(other.growth_rate, abs=1e-10)
+    assert (ours.loop.neutral, ours.loop.drift) == (other.neutral, pytest.approx(other.drift))
+
+
+def test_velocity_served_joints_are_damped_ones():
+    """Τ = k (q̇_ref − q̇): torques of gains k times as large, joints with friction k."""
+    gain, kp = 400.0, 1.5
+    ours = outcome(EXCAVATOR, POSTURE_B, 0.013, kp=kp, kv=0.0, rate=100.0, served=True, servo_gain=[gain])
+    names = ours.motions.plant.parameter_names
+    p = ours.numbers["p"] + gain * np.array([name.endswith("joint_damping") for name in names])
+    other = LateLoop(EXCAVATOR, POSTURE_B, "inverse", [gain * kp] * 2, [0.0] * 2, 0.01, 0.013, p=p)
+    assert ours.decay().value == pytest.approx(-float(other.growth()), abs=1e-10)
+    slope = ours.gradient(ours.decay())["servo_gain"][0]
+    near = [outcome(EXCAVATOR, POSTURE_B, 0.013, kp=kp, kv=0.0, rate=100.0, served=True, servo_gain=[gain + h]).decay().value
+            for h in (1e-2, -1e-2)]  # fmt: skip
+    assert slope == pytest.approx((near[0] - near[1]) / 2e-2, rel=1e-6)
+
+
+def test_by_a_dead_time_of_whole_samples_the_derivative_is_that_of_a_longer_one():
+    for late in (0.0, 0.01):
+        here, near, far = (outcome(EXCAVATOR, POSTURE_B, late + k * 1e-5) for k in range(3))
+        values = [each.decay().value for each in (here, near, far)]
+        slope = here.gradient(here.decay())["dead_time"][0]
+        assert slope == pytest.approx((4 * values[1] - 3 * values[0] - values[2]) / 2e-5, rel=1e-5)
+
+
+# Of an independent computation: posture, dead time, and stable Kp at Kv / Kp of 0.1 s.
+@pytest.mark.parametrize("late", [0.0, 0.005, 0.02])
+@pytest.mark.parametrize("posture", [POSTURE_A, POSTURE_B, THIRD])
+def test_allowed_gains_are_those_of_the_border(posture, late):
+    found = outcome(EXCAVATOR, posture, late)
+    border = flexopt.stability_border(EXCAVATOR, posture, kv=1e3, ratio=0.1, sensor={"delay": late})
+    inside = [(low, high) for low, high in found.gain_intervals if high * 1e4 > 10]
+    assert len(inside) == len(border.intervals)
+    for (low, high), expected in zip(inside, border.intervals, strict=True):
+        assert (max(1e4 * low, 10), 1e4 * high) == pytest.approx(expected, rel=1e-6)
+    allowed = found.allowed_gain().value
+    if allowed:
+        for factor, word in ((1 - 1e-6, True), (1 + 1e-6, False)):
+            gains = {"kp": factor * allowed, "kv": 0.1 * factor * allowed}
+            assert outcome(EXCAVATOR, posture, late, **gains).loop.stable == word
+    else:
+        assert all(low > 1 for low, _ in found.gain_intervals)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0031])
+def test_margins_say_when_the_loop_grows(late):
+    here = outcome(EXCAVATOR, POSTURE_B, late)
+    margin = here.delay_margin().value
+    assert outcome(EXCAVATOR, POSTURE_B, late + margin - 1e-7).loop.stable
+    assert not outcome(EXCAVATOR, POSTURE_B, late + margin + 1e-7).loop.stable
+    # No shorter one does.
+    assert all(outcome(EXCAVATOR, POSTURE_B, late + x).loop.stable for x in np.linspace(0, margin, 40)[:-1])
+    # The smallest gain factor 1 ± … that the disk allows is stable, in both rows alike and opposed.
+    alpha = here.disk_margin().value
+    low, high = (2 - alpha) / (2 + alpha), (2 + alpha) / (2 - alpha)
+    for factors in ((low, low), (high, high), (low, high), (high, low)):
+        gains = {"kp": 1e4 * np.array(factors), "kv": 1e3 * np.array(factors)}
+        assert outcome(EXCAVATOR, POSTURE_B, late, **gains).loop.stable
+
+
+def test_peaks_over_a_fine_grid():
+    """‖S‖ and ‖T‖ from the response of the loop's parts, point by point."""
+    here = outcome(DIGGER, STAND, 0.017, kp=3e6, kv=6e5, rate=100.0)
+    sample, angles = here.sample, np.linspace(1e-4, math.pi, 4001)
+    z = np.exp(1j * angles)[:, None, None]
+    loop = -sample.force @ np.linalg.solve(z * np.eye(len(sample.open)) - sample.open, sample.into + 0j * z)
+    identity = np.eye(loop.shape[1])
+    s = np.linalg.inv(identity + loop)
+    for found, response in ((here.sensitivity_peak(), s), (here.complementary_peak(), identity - s)):
+        largest = np.linalg.norm(response, 2, axis=(1, 2)).max()
+        assert found.value == pytest.approx(largest, rel=1e-3)
+        assert found.value > largest * (1 - 1e-9)
+
+
+def test_what_is_not_defined_is_nan():
+    grows = outcome(EXCAVATOR, POSTURE_A)
+    assert grows.decay().value < 0
+    for name in ("delay_margin", "disk_margin", "sensitivity_peak", "complementary_peak"):
+        measured = MEASURES[name](grows)
+        assert math.isnan(measured.value)
+        assert all(np.isnan(slope).all() for slope in grows.gradient(measured).values())
+    # Weaker feedback leaves the base's own damping.
+    assert 0 < grows.allowed_gain().value < grows.numbers["kp"][0]
+
+
+@pytest.mark.parametrize("name", list(MEASURES))
+def test_functions_for_solvers(name):
+    """Named inputs and outputs, values and derivatives as of `Outcome`, and in a graph of CasADi's."""
+    here = outcome(EXCAVATOR, POSTURE_B, 0.0031)
+    function = outcome_function(here.motions, name, 200.0)
+    assert (function.name_in(), function.name_out()) == (list(BY), [name])
+    given = [0.0031 if by == "dead_time" else here.numbers[by] for by in BY]
+    measured = MEASURES[name](here)
+    assert float(function.call(given)[0]) == measured.value
+    posture, scale = ca.MX.sym("posture", 2), ca.MX.sym("scale")
+    called = function.call([posture if by == "posture" else scale * x if by == "kp" else x
+                            for by, x in zip(BY, map(ca.DM, given), strict=True)])[0]  # fmt: skip
+    slope = ca.Function("slope", [posture, scale], [ca.jacobian(called**2, ca.vertcat(posture, scale))])
+    gradient = here.gradient(measured)
+    expected = 2 * measured.value * np.append(gradient["posture"], gradient["kp"] @ here.numbers["kp"])
+    np.testing.assert_allclose(slope(POSTURE_B, 1.0).full().ravel(), expected, rtol=1e-12)
+    with pytest.raises(InputError, match="must be decay"):
+        outcome_function(here.motions, "speed", 200.0)
+
+
+def test_dead_times_beside_whole_samples():
+    """What is a whole number of samples but for rounding is one."""
+    parts = outcome(EXCAVATOR, POSTURE_B).parts
+    assert OneSample(parts, 0.005, 0.015 + 1e-12).waiting == (3, 0.0)
+    assert OneSample(parts, 0.005, 0.0151).waiting == (4, pytest.approx(1e-4))
