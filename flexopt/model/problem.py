@@ -87,8 +87,9 @@ class SelectionOptions(BuiltByCall):
         assume: what holds where nothing else is asked for: `"everything"`, `"nothing"`, or some of
             `"ground,limits,reach"`, see `flexopt.selection.assumed`. `"ground"`: above the ground on which the machine
             stands all keeps that joints move, the end-point's body and targets below ground aside; `"limits"`: joints
-            keep the limits of the machine's file; `"reach"`: from a present placement `base` no coordinate moves
-            farther than the arm reaches. What was assumed is named in the result.
+            keep the limits of the machine's file; `"reach"`: from the present placement `base`, or zeros of a
+            machine on the ground, no coordinate moves farther than the arm reaches. What was assumed is named in the
+            result.
         slack: of a single target: what an objective may give up for the next one, as a share of its best value, or of
             Σ αi |a_i||b_i| where that is more: w_i are best at 0. 1e-5 lets a_i and b_i of w_i turn by 0.3° from each
             other.

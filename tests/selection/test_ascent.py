@@ -200,7 +200,7 @@ def test_no_point_nearby_is_better(machine: str, target: tuple[float, ...]) -> N
 def test_what_is_on_the_way_is_not_proved() -> None:
     """V bends little here, so that branches far apart in place are near in value: no reason to take a mean of both."""
     problem = flexopt.build_selection(flexopt.load("slewing-excavator"), (3.5, 1.0, 1.2), objective="epsilon_max",
-                                      starts=2)  # fmt: skip
+                                      starts=2, assume="ground,limits")  # fmt: skip
     program, proved = single(problem), 0
     for start in starting_points(problem):
         there = [program.climbed(start, steps) for steps in (2, 4, 6, 8, 10, 40)]

@@ -33,7 +33,8 @@ PUBLIC = {
 
 def of(machine, targets, *, assume="everything", constraints=None, present=None, bounded=()):
     points = np.array(targets, dtype=float)
-    return assumed(build_plant(machine), assume, points, constraints or Constraints(), present, frozenset(bounded))
+    kept, known = constraints or Constraints(), present is not None
+    return assumed(build_plant(machine), assume, points, kept, present, frozenset(bounded), given=known)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -149,10 +150,17 @@ def test_how_far_to_drive():
     far = flexopt.build_selection(machine, (40.0, 1.0, 1.0), base=(1.0, 2.0, 0.3), starts=1)
     assert far.upper[0] == 40.0
     assert far.lower[0] == pytest.approx(40.0 - drive.value, rel=0.01)
-    # Where nothing is known of the present placement, or the range is given, nothing is claimed.
-    for given in ({}, {"base": (1.0, 2.0, 0.3), "base_range": {"x": (-50, 50), "y": (-50, 50)}}):
-        problem = flexopt.build_selection(machine, (7.0, 1.0, 1.0), starts=1, **given)
-        assert "reach" not in [each.name for each in problem.assumed]
+    # Without a present placement it stands at zeros, and the sentence says so.
+    at_zeros = flexopt.build_selection(machine, (7.0, 1.0, 1.0), starts=1)
+    assert at_zeros.upper[0] == drive.value
+    assert "from zeros" in at_zeros.assumed[-1].sentence
+    assert "from where it stands" in drive.sentence
+    # Where nothing stands on the ground zeros mean nothing, and where the range is given, nothing is claimed.
+    article = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), starts=1)
+    ranged = {"base": (1.0, 2.0, 0.3), "base_range": {"x": (-50, 50), "y": (-50, 50)}}
+    problem = flexopt.build_selection(machine, (7.0, 1.0, 1.0), starts=1, **ranged)
+    for each in (article, problem):
+        assert "reach" not in [assumption.name for assumption in each.assumed]
     assert problem.upper[0] == 50.0
     # One coordinate bounded, the other not.
     given = {"base": (1.0, 2.0, 0.3), "base_range": {"x": (-50, 50)}}

@@ -31,7 +31,9 @@ def free(**options) -> SelectionProblem:
     plant = flexopt.build_plant(tree)
     q = plant.rest(np.zeros(3), POSTURE, plant.parameter_values)
     point = plant.end_point(q, np.zeros(3), plant.parameter_values).full().ravel()
-    return flexopt.build_selection(tree, [4.0, 1.0, point[2]], objective="w1", starts=4, **options)
+    return flexopt.build_selection(
+        tree, [4.0, 1.0, point[2]], objective="w1", starts=4, assume="ground,limits", **options
+    )
 
 
 def test_a_turn_about_the_target_is_no_new_optimum() -> None:

@@ -128,7 +128,9 @@ def test_extents_hold_the_representatives() -> None:
 def test_nothing_that_is_alike_is_nearer(name: str) -> None:
     """Than what `nearest` gives: among random turns about the target, whole turns of joints, and rolls of a tool."""
     machine, target, options = chosen(name, 0)
-    problem = flexopt.build_selection(machine, target, objective="w1", control=options["control"])
+    problem = flexopt.build_selection(
+        machine, target, objective="w1", control=options["control"], assume="ground,limits"
+    )
     plant, rng = problem.measures.plant, np.random.default_rng(3)
     n_base, p = plant.n_base, plant.parameter_values
     z = np.concatenate([problem.scan.base[:, 0], problem.scan.posture[:, 0]])
