@@ -101,9 +101,9 @@ def _note(violations: dict[str, float], name: str, size: float, tolerance: float
         violations[name] = max(float(size), violations.get(name, 0.0))
 
 
-def infeasible(program: Program, x: Vector) -> dict[str, float]:
-    """Constraints and bounds that are violated beyond their tolerances at x, in their units."""
-    return _infeasible(program, x, linearised(program, x).g)
+def infeasible(program: Program, x: Vector, g: Vector | None = None) -> dict[str, float]:
+    """Constraints and bounds that are violated beyond their tolerances at x, in their units; g, the rows there."""
+    return _infeasible(program, x, linearised(program, x).g if g is None else g)
 
 
 def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:

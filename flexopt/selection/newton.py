@@ -26,8 +26,9 @@ from flexopt.selection.second_order import CURVATURE_STEP, lagrangian_hessian
 STEPS = 8
 # In scaled variables; from further away the active rows are not those of the optimum.
 LONGEST = 1e-2
-# Steps of `settled`: the first has the error of the second derivatives, the next that of rounding.
-LAST = 3
+# Steps of `settled`, of which the first leaves the error of the second derivatives and the next that of rounding; and
+# how long one is, in scaled variables, that rounding makes where optima are not flat.
+LAST, ROUNDING = 2, 1e-12
 
 
 def polished(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
@@ -57,8 +58,8 @@ def settled(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
     if proof.dimension != 0 or not proof.holds:
         return x, proof
     bend: _Bend | None = None
-    first, best, least, there = proof, x, np.inf, x
-    for number in range(LAST + 1):
+    first, best, least, there, g = proof, x, np.inf, x, np.zeros(0)
+    for _ in range(LAST + 1):
         local = linearised(program, there)
         multipliers, kept = multipliers_of(local)
         off = local.gradient - multipliers @ local.rows(kept)
@@ -68,8 +69,9 @@ def settled(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
             break
         size = float(np.max(np.abs(step)))
         if size < least:
-            best, least, proof = there, size, replace(first, stationarity=float(np.linalg.norm(off)))
-        elif number > 1:
+            best, least, g = there, size, local.g
+            proof = replace(first, stationarity=float(np.linalg.norm(off)))
+        if least <= ROUNDING:
             break
         there = np.clip(there + step[: x.size] * program.scale, *program.bounds())
     if best is x:
@@ -78,7 +80,7 @@ def settled(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
         # So far away second derivatives are to be asked for again.
         proof = prove_program(program, best)
         return (best, proof) if proof.holds else (x, first)
-    return (x, first) if infeasible(program, best) else (best, proof)
+    return (x, first) if infeasible(program, best, g) else (best, proof)
 
 
 @dataclass(frozen=True)
