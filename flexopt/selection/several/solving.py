@@ -17,6 +17,7 @@ from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import infeasible
 from flexopt.selection.optima import (
+    BEHIND,
     Progress,
     SolveOutcome,
     accepted,
@@ -70,7 +71,9 @@ def ends_from(program: Program, starts: list[Vector], workers: int, progress: Pr
             # A solver may leave what was feasible.
             if not nearly_feasible(program, x) and nearly_feasible(program, starts[k]):
                 solved[k] = starts[k], proof, iterations, status
-    chosen = promising(program, solved, stopped)
+    # Some lie off the rows, where the objective tells nothing: the first few are tried.
+    off = [k for k in stopped if not nearly_feasible(program, solved[k][0])]
+    chosen = sorted({*promising(program, solved, stopped), *off[:BEHIND]})
     points = [solved[k][0] for k in chosen]
 
     def left(number: int, _: str) -> SolveOutcome:
