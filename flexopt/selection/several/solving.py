@@ -17,7 +17,6 @@ from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import infeasible
 from flexopt.selection.optima import (
-    BEHIND,
     Progress,
     SolveOutcome,
     accepted,
@@ -32,8 +31,9 @@ from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import TargetConfiguration
 from flexopt.selection.solve import constraint_values
 
-# Points that were seen and are better than every optimum: how many are tried.
-TRIED = 4
+# Points that were seen and are better than every optimum: how many are tried. Ends that pass no proof, and are behind
+# the best optimum or off the rows: how many of either are climbed from.
+TRIED = BEHIND = 4
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def ends_from(program: Program, starts: list[Vector], workers: int, progress: Pr
                 solved[k] = starts[k], proof, iterations, status
     # Some lie off the rows, where the objective tells nothing: the first few are tried.
     off = [k for k in stopped if not nearly_feasible(program, solved[k][0])]
-    chosen = sorted({*promising(program, solved, stopped), *off[:BEHIND]})
+    chosen = sorted({*promising(program, solved, stopped, BEHIND), *off[:BEHIND]})
     points = [solved[k][0] for k in chosen]
 
     def left(number: int, _: str) -> SolveOutcome:
