@@ -331,16 +331,18 @@ def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Sol
 
 
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: float) -> list[int]:
-    """As `promising`, of the starts that were cut short."""
+    """As `promising`, of the starts that were cut short; of first starts one that is behind is taken up, too."""
     short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
-    return promising(single(problem), solved, short, known) if _hurried(problem) else []
+    behind = BEHIND if known == -np.inf else 0
+    return promising(single(problem), solved, short, behind, known) if _hurried(problem) else []
 
 
-def promising(program: Program, solved: list[SolveOutcome], short: list[int], known: float = -np.inf) -> list[int]:
+def promising(
+    program: Program, solved: list[SolveOutcome], short: list[int], behind: int, known: float = -np.inf
+) -> list[int]:
     """Numbers of those starts, of some that are not done, that may still lead to more than the best optimum found.
 
-    Those that are ahead of it, and of first starts the best of the others, which may be on a long way; all where
-    no optimum is known.
+    Those that are ahead of it, and the best `behind` of all, which may be on a long way; all where no optimum is known.
     """
     good = [z for z, proof, _, status in solved if proof is not None and accepted(program, proof, status)]
     best = max((program.worth(z) for z in good), default=known)
@@ -348,7 +350,6 @@ def promising(program: Program, solved: list[SolveOutcome], short: list[int], kn
         return short
     values = {k: program.worth(solved[k][0]) for k in short if nearly_feasible(program, solved[k][0])}
     order = sorted(values, key=lambda k: -values[k])
-    behind = BEHIND if known == -np.inf else 0
     return [k for number, k in enumerate(order) if values[k] > max(best, known) or number < behind]
 
 

@@ -31,8 +31,9 @@ from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import TargetConfiguration
 from flexopt.selection.solve import constraint_values
 
-# Points that were seen and are better than every optimum: how many are tried.
-TRIED = 4
+# Points that were seen and are better than every optimum: how many are tried. Ends that pass no proof, and are behind
+# the best optimum or off the rows: how many of either are climbed from.
+TRIED = BEHIND = 4
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,9 @@ def ends_from(program: Program, starts: list[Vector], workers: int, progress: Pr
             # A solver may leave what was feasible.
             if not nearly_feasible(program, x) and nearly_feasible(program, starts[k]):
                 solved[k] = starts[k], proof, iterations, status
-    chosen = promising(program, solved, stopped)
+    # Some lie off the rows, where the objective tells nothing: the first few are tried.
+    off = [k for k in stopped if not nearly_feasible(program, solved[k][0])]
+    chosen = sorted({*promising(program, solved, stopped, BEHIND), *off[:BEHIND]})
     points = [solved[k][0] for k in chosen]
 
     def left(number: int, _: str) -> SolveOutcome:
