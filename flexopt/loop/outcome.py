@@ -115,7 +115,8 @@ class Outcome:
         return q
 
     def _own(self) -> OwnMotion:
-        return OwnMotion.at(self.motions.plant, self.configuration, self.numbers["base"], self.motions.loop.to_q)
+        of, motions = self.numbers, self.motions
+        return OwnMotion.at(motions.plant, self.configuration, of["base"], of["p"], motions.loop.to_q)
 
     def spectrum_of(self, matrix: Vector) -> SampledLoop:
         """Eigenvalues of a Φ of this loop."""
