@@ -8,7 +8,8 @@ Three words (`SelectionOptions.assume`), each named in the result with its numbe
   Bodies from the end-point's on work where the target is, and targets below ground are dug for: neither is bound.
 - `limits`: joints keep the limits of the machine's file.
 - `reach`, where `base_range` does not bound a placement coordinate and the present placement is known: it changes by no
-  more than the arm reaches, or than the way to the target where that is farther.
+  more than the arm reaches, or than the way to the target where that is farther. A machine on the ground of which no
+  present placement is given stands at zeros.
 """
 
 from __future__ import annotations
@@ -67,6 +68,8 @@ def assumed(
     constraints: Constraints,
     present: Vector | None,
     bounded: frozenset[str],
+    *,
+    given: bool,
 ) -> Assumed:
     """What holds where nothing else is asked for.
 
@@ -75,8 +78,9 @@ def assumed(
         assume: the word, see `flexopt.model.choices.check_assume`.
         targets: all that are reached by one choice, (K, n_task), m.
         constraints: that were asked for.
-        present: placement (n_b,), m or rad, if it is known.
+        present: placement (n_b,), m or rad, if it is known, see `standing`.
         bounded: placement coordinates with a range of their own.
+        given: whether the present placement was.
     """
     machine, named = plant.machine, list[Assumption]()
     ground = _ground(plant, targets) if assumes(assume, "ground") and not _has_ground(constraints) else None
@@ -94,11 +98,21 @@ def assumed(
     if assumes(assume, "reach") and present is not None and free:
         drive = _drive(plant, targets, present)
         sentence = (
-            f"the base moves by no more than {drive:.4g} m along {' or '.join(free)} from where it stands: as far as "
-            "the arm reaches, or the target lies"
+            f"the base moves by no more than {drive:.4g} m along {' or '.join(free)} from "
+            f"{'where it stands' if given else 'zeros'}: as far as the arm reaches, or the target lies"
         )
         named.append(Assumption("reach", sentence, drive, "m"))
     return Assumed(ground if above else None, limits, drive, tuple(named))
+
+
+def standing(plant: Plant, given: Vector | None) -> Vector | None:
+    """The present placement (n_b,): as given, or zeros of a machine that stands on the ground."""
+    return np.zeros(plant.n_base) if given is None and _on_ground(plant) else given
+
+
+def _on_ground(plant: Plant) -> bool:
+    machine = plant.machine
+    return bool(machine.support_points) or {"x", "y"} <= set(machine.base_coordinates)
 
 
 def _has_ground(constraints: Constraints) -> bool:
@@ -108,7 +122,7 @@ def _has_ground(constraints: Constraints) -> bool:
 def _ground(plant: Plant, targets: Vector) -> float | None:
     """The height of the ground, m; None where it is not known, or a target lies below."""
     machine = plant.machine
-    if not machine.support_points and not {"x", "y"} <= set(machine.base_coordinates):
+    if not _on_ground(plant):
         return None
     ground = 0.0 if machine.support_points else min(0.0, above_ground(plant))
     up = machine.kinematic_tree.axes[-1]

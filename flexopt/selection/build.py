@@ -21,7 +21,7 @@ from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held
-from flexopt.selection.assumed import assumed
+from flexopt.selection.assumed import assumed, standing
 from flexopt.selection.constraints import build_constraints, constraint_faults
 from flexopt.selection.objective import Objective, Quantities, own_constraints, quantities, read_objectives
 from flexopt.selection.problem import DecisionVariable, Region, ScaledConstraint, SelectionProblem, TravelCost
@@ -116,8 +116,9 @@ def build_one(
 
     functions = quantities(machine, asked.control, asked.gravity, asked.gain)
     plant = functions.measures.plant
-    now = present if travel_now is None else travel_now[: len(names)]
-    beside = assumed(plant, asked.assume, targets, kept, now, frozenset(ranges))
+    told = present if travel_now is None else travel_now[: len(names)]
+    now = standing(plant, told)
+    beside = assumed(plant, asked.assume, targets, kept, now, frozenset(ranges), given=told is not None)
     rows = build_constraints(plant, kept, beside.ground)
     constraint_set = rows if len(rows) else None
     ranges, sampled, intervals = _placements(plant, target, ranges, margin, now, beside.drive)
