@@ -94,12 +94,13 @@ class OwnMotion:
     to_q: Vector
 
     @classmethod
-    def at(cls, plant: Plant, q: Vector, base: Vector, to_q: Vector) -> OwnMotion:
-        """Of a machine in a configuration."""
-        p, m = plant.parameter_values, plant.n_passive
-        joints = np.linalg.svd(plant.rigid_jacobian(q, base, p).full())[2][plant.n_task :].T
+    def at(cls, plant: Plant, q: Vector, base: Vector, p: Any, to_q: Vector) -> OwnMotion:
+        """Of a machine in a configuration, with parameters p (n_par,)."""
+        m = plant.n_passive
+        jacobian: Vector = plant.rigid_jacobian.call([q, base, p])[0].full()
+        joints = np.linalg.svd(jacobian)[2][plant.n_task :].T
         own = np.vstack([np.zeros((m, joints.shape[1])), joints])
-        return cls(own, plant.mass(q, base, p).full(), to_q)
+        return cls(own, plant.mass.call([q, base, p])[0].full(), to_q)
 
     def drifting(self, values: Complex, vectors: Complex, most: int) -> NDArray[np.bool_]:
         """Which eigenvalues belong to an arm that drifts along it: real, and its the kinetic energy.

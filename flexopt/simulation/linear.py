@@ -145,7 +145,8 @@ def exactly(scenario: Scenario, here: Tangent) -> SampledLoop:
 def _spectrum(scenario: Scenario, matrix: Vector, integrator: str) -> SampledLoop:
     s = scenario
     most = neutral_directions(s.loop.structure, s.loop.shape.n_joints, s.parts.get("kp"), s.parts.get("ki"))
-    own = partial(OwnMotion.at, build_plant(s.machine), s.q_design, s.base, s.loop.to_q)
+    plant = build_plant(s.machine)
+    own = partial(OwnMotion.at, plant, s.q_design, s.base, plant.parameter_values, s.loop.to_q)
     return spectrum(matrix, s.period, most, s.loop.shape.n_joints - s.loop.shape.n_task, own, integrator)
 
 

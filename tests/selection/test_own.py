@@ -322,6 +322,8 @@ def test_every_quantity_is_what_is_computed_elsewhere() -> None:
         "w": told.w,
         **{f"w{i + 1}": w for i, w in enumerate(told.w)},
         "frequencies": told.frequencies_hz,
+        "damping_ratios": told.damping_ratios,
+        "allowance": 8 * math.pi * told.damping_ratios * told.frequencies_hz / np.abs(told.w),
         "end_point": told.end_point,
         "centre_of_mass": plant.centre_of_mass(rest, base, p).full(),
         "torques": gravity_of(machine, z),
@@ -337,7 +339,7 @@ def test_every_quantity_is_what_is_computed_elsewhere() -> None:
             own = check_function(function("one", symbol, **{name: symbol}))
             graphs = OwnGraphs(flexopt.build_measures(machine, gravity=gravity), own)
             found = graphs.values_at(base, posture, p, 0, 0).full().ravel()
-            if gravity and name.startswith(("w", "f")):
+            if gravity and name.startswith(("w", "f", "damping", "allowance")):
                 continue
             np.testing.assert_allclose(found, np.ravel(wanted[name]), rtol=1e-7, atol=1e-11)
 
