@@ -42,14 +42,16 @@ class LaggedModes:
 
     NAMES = ("allowance", "allowance_isotropic", "lag", "reserve", "first_order_decay", "w_lagged")
 
-    @property
+    @cached_property
     def measures(self) -> Measures:
         """Of the machine."""
         return build_measures(self.motions.machine, self.motions.control, self.motions.gravity)
 
     @cached_property
     def _symbols(self) -> dict[str, ca.SX]:
-        of = self.motions.symbols
+        # Those of the measures' own plant: caches may have dropped the one that the motions were made of.
+        at = self.measures.plant.graph
+        of = self.motions.symbols | {"base": at.base, "posture": at.posture, "p": at.p}
         return {name: of[name] for name in (*INPUTS, "period")} | {"dead_time": ca.SX.sym("dead_time")}
 
     @cached_property
