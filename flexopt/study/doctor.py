@@ -52,7 +52,18 @@ class InstallationReport:
 
 def examine() -> InstallationReport:
     """Run every check."""
-    names = ("flexopt", "casadi", "numpy", "scipy", "matplotlib", "xarray", "pydantic", "click", "jinja2")
+    names = (
+        "flexopt",
+        "casadi",
+        "numpy",
+        "scipy",
+        "matplotlib",
+        "xarray",
+        "pydantic",
+        "click",
+        "jinja2",
+        "threadpoolctl",
+    )
     versions = ", ".join(f"{name} {package_version(name)}" for name in names)
     return InstallationReport(
         (
