@@ -27,7 +27,7 @@ def test_all_from_the_machine(command: Command) -> None:
 def test_options_on_top_of_a_file(command: Command) -> None:
     machine = flexopt.load("excavator")
     text = "\n".join(["[loop]", "kp = 1e4", "kv = 1e3", "rate = 100.0"])
-    source = Path(flexopt.__file__).parents[1] / "models" / "excavator.toml"
+    source = Path(__file__).parents[2] / "models" / "excavator.toml"
     (command.folder / "own.toml").write_text(source.read_text(encoding="utf-8") + text, encoding="utf-8")
     words = ("evaluate", "own.toml", *WORDS[2:], "--json")
     assert command(*words).document["loop"]["settings"]["rate"] == 100.0
