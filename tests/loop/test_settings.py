@@ -13,6 +13,7 @@ import flexopt
 from flexopt.errors import FlexoptWarning, InputError, ModelError
 from flexopt.loop.settings import loop_settings
 from flexopt.model.loop import drive_of, rate_of
+from tests.conftest import ROOT
 from tests.simulation.loops import EXCAVATOR, POSTURE_B
 
 GAINS = {"kp": 1e4, "kv": 1e3, "dead_time": 0.0031}
@@ -39,7 +40,7 @@ def test_a_machine_with_a_loop(machine):
 def test_files_of_both_kinds(tmp_path):
     table = "[loop]\nkp = 3e6\nkv = 6e5\ndead_time = 0.0131\n"
     for name in ("excavator", "slewing-excavator"):
-        source = next(path for path in (flexopt_models() / f"{name}.toml",))
+        source = ROOT / "models" / f"{name}.toml"
         text = source.read_text(encoding="utf-8").replace(
             'robot = "robots/', f'robot = "{source.parent.as_posix()}/robots/'
         )
@@ -52,13 +53,6 @@ def test_files_of_both_kinds(tmp_path):
         target.write_text(text + "\n" + table.replace("kv = 6e5", "kv = [1, 2, 3, 4, 5]"), encoding="utf-8")
         with pytest.raises(ModelError, match=r"loop\.kv = .* one for each of the \d task axes"):
             flexopt.load(target)
-
-
-def flexopt_models():
-    """Where the shipped machines are."""
-    from pathlib import Path  # noqa: PLC0415
-
-    return Path(__file__).parents[2] / "models"
 
 
 FAULTS = [

@@ -265,13 +265,11 @@ class NonlinearRun:
         y = np.concatenate([away[:n] + self.rest.full().ravel(), away[n : 2 * n], np.resize(away[2 * n :], joints) if lag else np.zeros(joints)])  # fmt: skip
         queue = list(forces)
         for _ in range(samples):
-            if not self.waiting:
+            if self.early <= 1e-12:
                 queue.append(self.force(y[:n], y[n : 2 * n]).full().ravel())
             command = self.spread(y[:n], queue.pop(0))
             for k, (many, count, span) in enumerate(self.spans):
                 y = many(y, command, span / count)[:, -1].full().ravel()
-                if self.waiting and k == 0 and self.early > 1e-12:
+                if k == 0 and self.early > 1e-12:
                     queue.append(self.force(y[:n], y[n : 2 * n]).full().ravel())
-            if self.waiting and self.early <= 1e-12:
-                raise NotImplementedError
         return np.concatenate([y[:n] - self.rest.full().ravel(), y[n : 2 * n], y[2 * n :] if lag else []]), queue

@@ -15,7 +15,7 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.check import infeasible
+from flexopt.selection.check import infeasible, prove_program
 from flexopt.selection.optima import (
     Progress,
     SolveOutcome,
@@ -70,7 +70,7 @@ def ends_from(program: Program, starts: list[Vector], workers: int, progress: Pr
             stopped.append(k)
             # A solver may leave what was feasible.
             if not nearly_feasible(program, x) and nearly_feasible(program, starts[k]):
-                solved[k] = starts[k], proof, iterations, status
+                solved[k] = starts[k], prove_program(program, starts[k]), iterations, status
     # Some lie off the rows, where the objective tells nothing: the first few are tried.
     off = [k for k in stopped if not nearly_feasible(program, solved[k][0])]
     chosen = sorted({*promising(program, solved, stopped, BEHIND), *off[:BEHIND]})
