@@ -19,7 +19,7 @@ from scipy.stats import spearmanr
 
 import flexopt
 from benchmarks.verdicts import DEAD_TIMES, HELD, POSTURES, intervals
-from flexopt.loop.outcome import Outcome
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.small_motions import small_motions
 from tests.oracles.late_cases import SEED, draw_case, nonlinear_growth, slopes_off
 
@@ -87,7 +87,7 @@ def decay(posture: Any, kp: float, kv: float, dead_time: float, base: float = 0.
     motions = small_motions(EXCAVATOR, "inverse")
     numbers = {"base": [base], "posture": posture, "p": motions.plant.parameter_values.full(), "kp": [kp] * 2}
     numbers |= {"kv": [kv] * 2, "period": [0.005]}
-    return Outcome(motions, motions.numbers(numbers), dead_time).decay().value
+    return LoopPoint(motions, motions.numbers(numbers), dead_time).decay().value
 
 
 def ranks(points: int) -> None:
@@ -120,7 +120,7 @@ def tables(points: int) -> None:
         exact = -decay(POSTURES["B"], 1e4, 1e3, late)
         print(f"  B, Kp 1e4, Kv 1e3, {1e3 * late:g} ms: growth {exact:+.5f}/s exactly, {by_rk4:+.5f}/s by RK4")
     digger, heavy = flexopt.load("slewing-excavator"), {"kp": 3e6, "kv": 6e5}
-    staying = flexopt.evaluate(digger, (0.2, 0.5, -1.2, -0.5), loop=heavy).loop
+    staying = flexopt.evaluate(digger, (0.2, 0.5, -1.2, -0.5), loop=heavy).outcome
     print(f"  slewing excavator as it stands, Kp 3e6, Kv 6e5: decay {staying.decay:.3f}/s")
 
 

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from flexopt.export import verify_bundle as verify_bundle
     from flexopt.export.fmu import FmuReport as FmuReport
     from flexopt.export.fmu import export_fmu as export_fmu
+    from flexopt.loop.evaluation import Outcome as Outcome
+    from flexopt.loop.evaluation import outcome as outcome
+    from flexopt.loop.region import Region as Region
+    from flexopt.loop.region import stable_region as stable_region
     from flexopt.model import Machine as Machine
     from flexopt.model import Problem as Problem
     from flexopt.model import SelectionOptions as SelectionOptions
@@ -46,6 +50,7 @@ if TYPE_CHECKING:
     from flexopt.model.robots import load_robot as load_robot
     from flexopt.model.simulation import Experiment as Experiment
     from flexopt.model.simulation import SimulationOptions as SimulationOptions
+    from flexopt.model.uncertainty import Uncertainty as Uncertainty
     from flexopt.plant import Hydraulics as Hydraulics
     from flexopt.plant import Plant as Plant
     from flexopt.plant import build_hydraulics as build_hydraulics
@@ -85,10 +90,12 @@ if TYPE_CHECKING:
     from flexopt.simulation import simulate_ensemble as simulate_ensemble
     from flexopt.simulation import stability_border as stability_border
     from flexopt.study import Report as Report
+    from flexopt.study import Verdict as Verdict
     from flexopt.study import WorkspaceMap as WorkspaceMap
     from flexopt.study import atlas as atlas
     from flexopt.study import map_workspace as map_workspace
     from flexopt.study import report as report
+    from flexopt.study import verdict as verdict
 
 __all__ = [
     "Actuator",
@@ -117,9 +124,11 @@ __all__ = [
     "ModelError",
     "NoSolutionFound",
     "NotStabilizable",
+    "Outcome",
     "Path",
     "Plant",
     "Problem",
+    "Region",
     "Report",
     "RobustMargin",
     "Selection",
@@ -132,7 +141,9 @@ __all__ = [
     "StateSpace",
     "Trajectory",
     "Tree",
+    "Uncertainty",
     "UnreachableTarget",
+    "Verdict",
     "Verification",
     "WorkspaceMap",
     "WriteError",
@@ -160,6 +171,7 @@ __all__ = [
     "nu_gap",
     "nullspace_trajectory",
     "optimal_controller",
+    "outcome",
     "plan_base",
     "report",
     "robust_margin",
@@ -172,7 +184,9 @@ __all__ = [
     "solve_problem",
     "solve_selection",
     "stability_border",
+    "stable_region",
     "tree_from_dict",
+    "verdict",
     "verify_bundle",
 ]
 
@@ -181,6 +195,8 @@ _LATER = {
     "coprime": "RobustMargin StateSpace gap ncf_margin nu_gap optimal_controller robust_margin",
     "export": "ExportReport Verification export_c verify_bundle",
     "export.fmu": "FmuReport export_fmu",
+    "loop.evaluation": "Outcome outcome",
+    "loop.region": "Region stable_region",
     "model": (
         "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"
     ),
@@ -188,6 +204,7 @@ _LATER = {
     "model.own": "Constraint",
     "model.robots": "load_robot",
     "model.simulation": "Experiment SimulationOptions",
+    "model.uncertainty": "Uncertainty",
     "plant": "Hydraulics Plant build_hydraulics build_plant inverse_kinematics",
     "robustness": "Evaluation Measures build_measures evaluate evaluate_w",
     "robustness.atlas": "Atlas",
@@ -200,7 +217,7 @@ _LATER = {
         "Actuator Ensemble Path Sensor Trajectory run_experiment sampled_loop simulate simulate_ensemble "
         "stability_border"
     ),
-    "study": "Report WorkspaceMap atlas map_workspace report",
+    "study": "Verdict Report WorkspaceMap atlas map_workspace report verdict",
 }
 _ROOMS = {module.partition(".")[0] for module in _LATER}
 _named = _later(__name__, **_LATER)

@@ -1,4 +1,4 @@
-"""The command `flexopt`: evaluate, select, simulate, map, atlas, report, reproduce, export, verify, check, doctor.
+"""The command `flexopt`: evaluate, select, verdict, simulate, map, atlas, report, export and others.
 
 In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
 go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
@@ -25,6 +25,7 @@ _COMMANDS = {
     "simulate": "simulation",
     "atlas": "atlas",
     "map": "studies",
+    "verdict": "judging",
     "report": "studies",
     "reproduce": "studies",
     "export": "bundles",

@@ -36,17 +36,18 @@ from flexopt.cli.common import (
     whole,
     write_output,
 )
+from flexopt.cli.judging import LOOP, RANGES, real_loop
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine, load, load_any
 from flexopt.model.choices import ELBOWS
-from flexopt.model.loop import DEFAULT_LOOP
 from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import evaluate
 
 if TYPE_CHECKING:
     from flexopt.selection import BasePlan, Selection, Stand
+    from flexopt.study import Verdict
 
 
 def ranges(text: str) -> Any:
@@ -67,34 +68,19 @@ def ranges(text: str) -> Any:
 @GAIN
 @option("--damped", is_flag=True, help="Measures of the damped plant.")
 @GRAVITY
-@value(
-    "--loop",
-    "NAME=VALUE|default",
-    "Of the real controller, may be repeated: kp, kv, rate, dead_time and the other keys of a machine file's [loop], "
-    "in place of the file's; default: all follows from the machine.",
-    multiple=True,
-)
+@LOOP
 @JSON
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
         posture = _posture(loaded, options)
-        loop = _loop(loaded, options.pop("loop"))
+        loop = real_loop(loaded.loop, options.pop("loop"))
         result = evaluate(loaded, posture, loop=loop, **given(options, "base", "control", "gain", "damped", "gravity"))
     if as_json:
         print_json(result.to_dict())
     else:
         say(repr(result))
-
-
-def _loop(machine: AnyMachine, entries: tuple[str, ...]) -> dict[str, Any] | None:
-    """The table that was given, on top of the machine's; None where none was."""
-    asked = table("--loop", tuple(entry for entry in entries if entry != DEFAULT_LOOP))
-    if not entries:
-        return None
-    own = machine.loop.model_dump(exclude_unset=True) if machine.loop and DEFAULT_LOOP not in entries else {}
-    return own | (asked or {})
 
 
 def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
@@ -151,6 +137,8 @@ def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
 @value("--workers", "N", "Processes at most (one for each core by default); the result is the same.", whole)
 @GAIN
 @GRAVITY
+@LOOP
+@RANGES
 @option("--certify", is_flag=True, help="Prove that no configuration is better; where the redundancy is one.")
 @value("--log", "PATH", "Write what the proof stands on, for another program to check: .json, with --certify.")
 @value("--plot", "PATH", "Draw the choice: .png, .svg or .pdf.")
@@ -166,7 +154,8 @@ def select_command(
     check_output("--plot", plot, PICTURES)
     check_output("--out", out, (".json",))
     check_output("--log", log, (".json",))
-    settings = _selection_settings(machine, options)
+    judged = {name: options.pop(name) for name in ("loop", "ranges")}
+    settings, own = _selection_settings(machine, options)
     if log is not None and not certify:
         raise InputError("select: --log goes with --certify", [Fault("--log", "goes with --certify", log)])
     if certify and "target" not in settings:
@@ -175,9 +164,12 @@ def select_command(
     with option_names(options), warnings_to_stderr(as_json), progress_bar() as progress:
         result = _solver(settings)(**settings, progress=progress)
     certificate = _certificate(result, log) if certify else None
+    with option_names(judged), warnings_to_stderr(as_json):
+        judgement = _judgement(result, own, **judged)
 
     def document() -> dict[str, Any]:
-        return result.to_dict() | ({} if certificate is None else {"certificate": certificate})
+        more = {} if certificate is None else {"certificate": certificate}
+        return result.to_dict() | more | ({} if judgement is None else {"verdict": judgement.to_dict()})
 
     if plot is not None:
         write_output("--plot", plot, lambda: result.plot(plot))
@@ -192,6 +184,8 @@ def select_command(
         say(_selection_text(result) if isinstance(result, Selection) else repr(result))
         if certificate is not None:
             say(f"\n{certificate['status']}")
+        if judgement is not None:
+            say(f"\n{judgement!r}")
     if certificate is not None and certificate["verdict"] != "proven":
         sys.exit(FAILED)
 
@@ -209,11 +203,35 @@ def _certificate(result: Any, log: str | None) -> dict[str, Any]:
     return certificate.to_dict()
 
 
-def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given."""
+def _judgement(
+    result: Selection | Stand | BasePlan, own: dict[str, Any], loop: tuple[str, ...], ranges: tuple[str, ...]
+) -> Verdict | None:
+    """The verdict on a selection, where a controller is known and a present placement; asked for, or of the files."""
+    from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
+    from flexopt.study import verdict  # noqa: PLC0415  (`evaluate` does not need it)
+
+    asked = loop or ranges
+    if not isinstance(result, Selection):
+        sentence = "goes with a single target: of several there is no verdict"
+        faults = [Fault(name, sentence) for name, given_ones in (("--loop", loop), ("--ranges", ranges)) if given_ones]
+        raise_if_any(InputError, "select", faults)
+        return None
+    if not asked and (own["loop"] is None or result.problem.present_base is None):
+        return None
+    ground = table("--ranges", ranges) or own["uncertainty"]
+    return verdict(result, loop=real_loop(own["loop"], loop) or own["loop"], ranges=ground)
+
+
+def _selection_settings(machine: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given.
+
+    Also the loop and the uncertainty of the file.
+    """
     from flexopt.model import Problem  # noqa: PLC0415  (`evaluate` does not need it)
 
     loaded = read(load_any, machine)
+    whose = loaded.loaded_machine if isinstance(loaded, Problem) else loaded
+    own = {name: getattr(loaded, name) or getattr(whose, name) or None for name in ("loop", "uncertainty")}
     settings: dict[str, Any] = loaded.select_arguments() if isinstance(loaded, Problem) else {"machine": loaded}
     if isinstance(loaded, Problem) and loaded.target.kind != "end_point":
         single = [name for name in ("end_point", "elbow", "gain", "slack") if options[name] is not None]
@@ -230,7 +248,7 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> dict[str, Any]
         raise InputError(
             f"select: a machine needs --end-point {rows} (m, inertial frame); a problem file brings its own"
         )
-    return settings
+    return settings, own
 
 
 def _solver(settings: dict[str, Any]) -> Callable[..., Selection | Stand | BasePlan]:

@@ -201,7 +201,7 @@ def names(text: str) -> list[str]:
     return [part.strip() for part in text.split(",")]
 
 
-def table(name: str, entries: tuple[str, ...]) -> dict[str, Any] | None:
+def table(name: str, entries: tuple[str, ...], read: Callable[[str], Any] = placement) -> dict[str, Any] | None:
     """`("delay=0.02", "noise=1e-3")` as a table, numbers as numbers; None where nothing was given."""
     found: dict[str, Any] = {}
     for entry in entries:
@@ -210,7 +210,7 @@ def table(name: str, entries: tuple[str, ...]) -> dict[str, Any] | None:
             raise InputError(f"{name} = {entry!r}: must be NAME=VALUE")
         if key.strip() in found:
             raise InputError(f"{name} = {entry!r}: {key.strip()} is given twice")
-        found[key.strip()] = placement(value)
+        found[key.strip()] = read(value)
     return found or None
 
 

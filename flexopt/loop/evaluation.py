@@ -10,13 +10,15 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
+from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
 from flexopt.loop.lag import LaggedModes, lagged_modes
-from flexopt.loop.outcome import MEASURES, Outcome
+from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
-from flexopt.robustness import Evaluation, build_measures
+from flexopt.robustness import Evaluation, build_measures, evaluate
 
 # Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
 Slopes = Mapping[str, Mapping[str, Vector]]
@@ -24,20 +26,21 @@ SCALARS = tuple(MEASURES)
 
 
 @dataclass(frozen=True)
-class LoopEvaluation(Result):
+class Outcome(Result):
     """What a loop does in one posture. m modes, ordered as those of the machine; NaN (JSON: null) where there is none.
 
     Attributes:
         settings: the loop's numbers, and where they come from.
         allowance, allowance_isotropic: κ_i = 4 ζ_i ω_i / |w_i|, the largest velocity gain in any direction before mode
             i grows, and 2 ζ_i ω_i / (−a_i·b_i), the same for Kv = kv I, (m,); infinite (JSON: null) where no gain does.
-        lag, reserve: (m,), rad; first_order_decay: (m,), 1/s; w_lagged: (m,), as w; see `LaggedModes`.
+        lag, lag_reserve: (m,), rad; first_order_decay: (m,), 1/s; w_lagged: (m,), as w; see `LaggedModes`.
         frequencies_hz, damping_ratios: of the oscillation that each mode has become in the sampled loop, (m,).
         decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. frequency_hz: its frequency.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
         allowed_gain: largest stable Kp along the present ratio of the gains; gain_intervals: all stable intervals of
-            it, (k, 2); see `Outcome.allowed_gain`.
-        delay_margin: dead time that may be added, s; see `Outcome.delay_margin`.
+            it, (k, 2); see `LoopPoint.allowed_gain`. Infinite (JSON: null) where no border was met.
+        delay_margin: dead time that may be added, s; see `LoopPoint.delay_margin`. Infinite (JSON: null) where no time
+            of up to 100 samples is too long; NaN of a loop that grows.
         disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
         gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
             and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
@@ -48,7 +51,7 @@ class LoopEvaluation(Result):
     allowance: Vector
     allowance_isotropic: Vector
     lag: Vector
-    reserve: Vector
+    lag_reserve: Vector
     first_order_decay: Vector
     w_lagged: Vector
     frequencies_hz: Vector
@@ -65,7 +68,7 @@ class LoopEvaluation(Result):
     gradient: Slopes
 
     DOCUMENT = """
-    settings allowance allowance_isotropic lag[rad] reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
+    settings allowance allowance_isotropic lag[rad] lag_reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
     damping_ratios decay[1/s] frequency_hz[Hz] drift[1/s] allowed_gain gain_intervals delay_margin[s] disk_margin
     sensitivity_peak complementary_peak gradient
     """
@@ -74,7 +77,7 @@ class LoopEvaluation(Result):
         first, *sources = repr(self.settings).splitlines()
         head = f"  {'mode':>4} {'κ':>11} {'κ, isotropic':>13} {'lag':>8} {'reserve':>8} {'1st order':>11}"
         lines = [f"loop: {first}", *sources, f"{head} {'frequency':>12} {'damping':>10}"]
-        degrees = np.degrees([self.lag, self.reserve])
+        degrees = np.degrees([self.lag, self.lag_reserve])
         for i, allowed in enumerate(self.allowance):
             lines.append(
                 f"  {i + 1:4d} {allowed:11.4g} {self.allowance_isotropic[i]:13.4g} {degrees[0, i]:7.1f}° "
@@ -86,18 +89,51 @@ class LoopEvaluation(Result):
         lines += [f"  the arm's self-motion drifts at {rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in self.gain_intervals) or "none"
         lines.append(f"  allowed gain Kp {_told(self.allowed_gain)} (stable: {stable})")
+        margin = f"{_told(1e3 * self.delay_margin)}{' ms' if math.isfinite(self.delay_margin) else ''}"
         lines.append(
-            f"  delay margin {_told(1e3 * self.delay_margin)} ms; disk margin {_told(self.disk_margin)}; "
+            f"  delay margin {margin}; disk margin {_told(self.disk_margin)}; "
             f"peak of S {_told(self.sensitivity_peak)}, of T {_told(self.complementary_peak)}"
         )
         return "\n".join(lines)
 
 
 def _told(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.4g}"
+    return "–" if math.isnan(value) else f"{value:.4g}" if math.isfinite(value) else "without border"
 
 
-def evaluate_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool) -> LoopEvaluation:
+@public()
+def outcome(
+    machine: AnyMachine,
+    posture: Any,
+    *,
+    base: Any = None,
+    control: Control | None = None,
+    gravity: bool = False,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+) -> Outcome:
+    """What the real controller allows and does in one posture: the `outcome` of `flexopt.evaluate`.
+
+    The sampled loop is exact, x_{k+1} = Φ x_k with matrix exponentials between the samples, at any dead time; so are
+    the derivatives.
+
+    Args:
+        machine, posture, base, control, gravity: as of `flexopt.evaluate`.
+        loop: as of `flexopt.evaluate`; by default the machine's `[loop]`, or where it has none what follows from it.
+
+    Raises:
+        InputError, SingularPosture, NoSolutionFound: as `flexopt.evaluate`.
+
+    Example:
+        >>> flexopt.outcome(flexopt.load("excavator"), (0.0448, -2.0499), loop={"kp": 1e4, "kv": 1e3}).decay > 0
+        True
+    """
+    asked = cast(Any, machine.loop or Loop() if loop is None else loop)
+    found = evaluate(machine, posture, base=base, control=control, gravity=gravity, loop=asked).outcome
+    assert isinstance(found, Outcome)
+    return found
+
+
+def evaluate_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool) -> Outcome:
     """What a loop that is known to be good does in a configuration that was evaluated."""
     settings = loop_settings(machine, loop, stand, gravity=gravity)
     outcome = settings.outcome(machine, stand.base, stand.posture, gravity=gravity)
@@ -118,7 +154,7 @@ def evaluate_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     scalars: dict[str, Any] = {name: measure(outcome) for name, measure in MEASURES.items()}
     gradient |= {name: outcome.gradient(measured) for name, measured in scalars.items()}
     kp = float(outcome.numbers["kp"][int(np.argmax(outcome.numbers["kp"] > 0))])
-    return LoopEvaluation(
+    return Outcome(
         settings=settings,
         **of_modes,
         frequencies_hz=np.abs(poles) / math.tau,
@@ -132,7 +168,7 @@ def evaluate_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     )  # fmt: skip
 
 
-def _shapes(outcome: Outcome) -> tuple[Vector, Vector]:
+def _shapes(outcome: LoopPoint) -> tuple[Vector, Vector]:
     """The machine's modes (n_q, m), and M there."""
     motions, of = outcome.motions, outcome.numbers
     measures = build_measures(motions.machine, motions.control, motions.gravity)

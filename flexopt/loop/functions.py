@@ -1,4 +1,4 @@
-"""Outcome measures as CasADi Functions, with exact derivatives: for solvers, and for whoever asks for one number.
+"""LoopPoint measures as CasADi Functions, with exact derivatives: for solvers, and for whoever asks for one number.
 
 In: a loop for small motions. Out: Functions of placement, posture, parameters, gains and dead time.
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.outcome import DEAD_TIME, MEASURES, Measured, Outcome
+from flexopt.loop.outcome import DEAD_TIME, MEASURES, LoopPoint, Measured
 from flexopt.loop.small_motions import INPUTS, SmallMotions
 
 BY = (*INPUTS, DEAD_TIME)
@@ -33,11 +33,11 @@ class _Measure:
     def sizes(self) -> list[int]:
         return [1 if name == DEAD_TIME else self.motions.symbols[name].shape[0] for name in BY]
 
-    def at(self, given: Sequence[Any]) -> tuple[Outcome, Measured]:
+    def at(self, given: Sequence[Any]) -> tuple[LoopPoint, Measured]:
         """The loop there, and the measure."""
         numbers = {name: ca.DM(x).full().ravel() for name, x in zip(BY, given, strict=False)}
         late = float(numbers.pop(DEAD_TIME)[0])
-        outcome = Outcome(self.motions, self.motions.numbers(numbers | {"period": np.array([self.period])}), late)
+        outcome = LoopPoint(self.motions, self.motions.numbers(numbers | {"period": np.array([self.period])}), late)
         return outcome, MEASURES[self.name](outcome)
 
 
@@ -128,7 +128,7 @@ def outcome_function(motions: SmallMotions, name: str, rate: float) -> ca.Functi
     Args:
         motions: from `small_motions` or `LoopSettings.motions`.
         name: `"decay"`, `"allowed_gain"`, `"delay_margin"`, `"disk_margin"`, `"sensitivity_peak"` or
-            `"complementary_peak"`; see `Outcome`.
+            `"complementary_peak"`; see `LoopPoint`.
         rate: of the samples, Hz.
 
     Returns:

@@ -32,15 +32,15 @@ class LaggedModes:
 
     Outputs, (m,) each: `allowance`, `allowance_isotropic`: see `ModalGraphs`. `lag` ψ_i, rad: of the feedback of the
     end-point's rate behind the end-point's rate at ω_i, ω (d + T/2) + atan(Kp/(ω Kv)) and what filter and servos add;
-    gains that differ between rows, and servos between joints, by their means. `reserve`, rad: to the lag at which the
-    sign of what isotropic gains do to the mode turns, positive while they damp it. `first_order_decay`
+    gains that differ between rows, and servos between joints, by their means. `lag_reserve`, rad: to the lag at which
+    the sign of what isotropic gains do to the mode turns, positive while they damp it. `first_order_decay`
     ζω + Im(bᵀ F(jω) a) / (2ω), 1/s: half of 2ζω + Im(bᵀ F a) / ω. `w_lagged`: λmin of the Hermitian part of
     2 e^{jψ} R_i, which is w_i without lag: a·b cos ψ − sqrt(|a|²|b|² − (a·b)² sin² ψ).
     """
 
     motions: SmallMotions
 
-    NAMES = ("allowance", "allowance_isotropic", "lag", "reserve", "first_order_decay", "w_lagged")
+    NAMES = ("allowance", "allowance_isotropic", "lag", "lag_reserve", "first_order_decay", "w_lagged")
 
     @cached_property
     def measures(self) -> Measures:

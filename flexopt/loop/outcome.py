@@ -66,7 +66,7 @@ UNDEFINED = Measured(math.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class LoopPoint:
     """A loop at numbers.
 
     Attributes:
@@ -220,7 +220,7 @@ class Outcome:
         """The largest Kp along the present ratio of all gains, N/m and the like: of the first row that has one.
 
         The upper end of the interval in which the present gains lie; where they lie in none the largest one below, 0
-        where there is none. Where no border is met NaN.
+        where there is none; infinite where no border is met.
         """
         intervals, kp = self.gain_intervals, self.numbers["kp"]
         below = [(low, high) for low, high in intervals if low <= 1.0]
@@ -228,8 +228,10 @@ class Outcome:
             return Measured(0.0)
         factor = below[-1][1]
         row = int(np.argmax(kp > 0))
-        if factor >= 10**HIGH or not kp[row]:
+        if not kp[row]:
             return UNDEFINED
+        if factor >= 10**HIGH:
+            return Measured(math.inf)
         matrix = self.sample.open + factor * self.sample.into @ self.sample.force
         value = self.spectrum_of(matrix).multipliers[0]
         _, by_matrix = self._by_multiplier(value, lambda mu: 1 / mu, factor)
@@ -242,7 +244,7 @@ class Outcome:
         return Measured(factor * float(kp[row]), slopes, {"kp": more})
 
     def delay_margin(self) -> Measured:
-        """Dead time that may be added before the loop grows, s; NaN where it does already, or at no such time.
+        """Dead time that may be added before the loop grows, s; NaN where it does already, infinite where at none.
 
         Looked for up to a dead time of 100 samples. Where it may be the frequency response says, to the error of a dead
         time that is taken as a pure one; where it is exactly, the eigenvalues.
@@ -258,12 +260,12 @@ class Outcome:
         for more in _between([0.0, *late, most], self.period / CLOSE) if late else []:
             if growth(more) >= 0:
                 found = float(brentq(growth, before, more, xtol=1e-13 * self.period, rtol=1e-14))
-                slopes = Outcome(self.motions, self.numbers, self.dead_time + found).rate().slopes
+                slopes = LoopPoint(self.motions, self.numbers, self.dead_time + found).rate().slopes
                 # The dead time at the border stays, whatever the present one is.
                 by = None if slopes is None else slopes * (-1 / slopes.dead_time)
                 return Measured(found, by and Slopes(by.parts, -1.0))
             before = more
-        return UNDEFINED
+        return Measured(math.inf) if self.loop.stable else UNDEFINED
 
     @cached_property
     def _late(self) -> list[float]:
@@ -403,11 +405,11 @@ def _between(times: list[float], step: float) -> list[float]:
 
 
 # Measures by name, each one number.
-MEASURES: dict[str, Callable[[Outcome], Measured]] = {
-    "decay": Outcome.decay,
-    "allowed_gain": Outcome.allowed_gain,
-    "delay_margin": Outcome.delay_margin,
-    "disk_margin": Outcome.disk_margin,
-    "sensitivity_peak": Outcome.sensitivity_peak,
-    "complementary_peak": Outcome.complementary_peak,
+MEASURES: dict[str, Callable[[LoopPoint], Measured]] = {
+    "decay": LoopPoint.decay,
+    "allowed_gain": LoopPoint.allowed_gain,
+    "delay_margin": LoopPoint.delay_margin,
+    "disk_margin": LoopPoint.disk_margin,
+    "sensitivity_peak": LoopPoint.sensitivity_peak,
+    "complementary_peak": LoopPoint.complementary_peak,
 }

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
 from flexopt.loop.levers import servo_gain_of_efforts
-from flexopt.loop.outcome import Outcome
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.small_motions import SmallMotions, small_motions
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Drive, Loop, drive_of, rate_of
@@ -27,6 +28,8 @@ from flexopt.robustness import Evaluation
 # gains is halved in search of a stable loop.
 VELOCITY_KP = 1.0
 HALVINGS = 6
+# What a loop may say of each joint's drive.
+OF_DRIVES = ("bandwidth_hz", "torque_limit", "rate_limit")
 
 
 @dataclass(frozen=True)
@@ -39,11 +42,12 @@ class LoopSettings(Result):
         rate: Hz;  dead_time: s;  filter_hz: Hz;  bandwidth_hz: (n,), Hz.
         servo_gain: N m s/rad or N s/m, of velocity-served joints.
         nullspace_damping: N m s/rad or N s/m.
+        torque_limit: N m or N, and rate_limit, N m/s or N/s, (n,): of the drives; small motions do not feel them.
         sources: where each value comes from that `[loop]` does not give, in words.
     """
 
     control: Control
-    feedback: str
+    feedback: Literal["pd", "pid"]
     drive: Drive
     kp: Vector
     kv: Vector
@@ -54,11 +58,13 @@ class LoopSettings(Result):
     bandwidth_hz: Vector | None
     servo_gain: float | None
     nullspace_damping: float
+    torque_limit: Vector | None
+    rate_limit: Vector | None
     sources: Mapping[str, str]
 
     DOCUMENT = """
     control feedback drive kp kv ki rate[Hz] dead_time[s] filter_hz[Hz] bandwidth_hz[Hz] servo_gain nullspace_damping
-    sources
+    torque_limit rate_limit sources
     """
 
     def motions(self, machine: AnyMachine, *, gravity: bool) -> SmallMotions:
@@ -77,12 +83,21 @@ class LoopSettings(Result):
         given["bandwidth_hz"] = self.bandwidth_hz
         return {name: np.atleast_1d(np.asarray(x, dtype=np.float64)) for name, x in given.items() if x is not None}
 
-    def outcome(self, machine: AnyMachine, base: Vector, posture: Vector, *, gravity: bool) -> Outcome:
-        """This loop in a configuration."""
+    def outcome(
+        self,
+        machine: AnyMachine,
+        base: Vector,
+        posture: Vector,
+        *,
+        gravity: bool,
+        parameters: Vector | None = None,
+        dead_time: float | None = None,
+    ) -> LoopPoint:
+        """This loop in a configuration; of the machine with other `parameters`, at another dead time."""
         motions = self.motions(machine, gravity=gravity)
-        p = build_plant(machine).parameter_values.full().ravel()
+        p = build_plant(machine).parameter_values.full().ravel() if parameters is None else parameters
         numbers = motions.numbers(self.numbers | {"base": base, "posture": posture, "p": p})
-        return Outcome(motions, numbers, self.dead_time)
+        return LoopPoint(motions, numbers, self.dead_time if dead_time is None else dead_time)
 
     def __repr__(self) -> str:
         units = ("1/s", "", "1/s²") if self.drive == "velocity" else ("",) * 3
@@ -157,7 +172,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
         rate=rate,
         dead_time=loop.dead_time,
         filter_hz=loop.filter_hz,
-        bandwidth_hz=None if loop.bandwidth_hz is None else spread("bandwidth_hz", len(machine.joints)),
+        **{name: None if getattr(loop, name) is None else spread(name, len(machine.joints)) for name in OF_DRIVES},
         servo_gain=gain if drive == "velocity" else None,
         nullspace_damping=loop.nullspace_damping,
         sources=sources,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,8 @@ from flexopt.errors import InputError, ModelError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE, Check, by, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
-from flexopt.foundation.quantities import entries
+from flexopt.foundation.plain import shown
+from flexopt.foundation.quantities import entries, several
 from flexopt.model.choices import (
     ELBOWS,
     GAIN,
@@ -27,6 +29,7 @@ from flexopt.model.choices import (
 from flexopt.model.file_model import read_table, validated
 from flexopt.model.loop import DEFAULT_LOOP, Loop, loop_faults
 from flexopt.model.machine import AnyMachine
+from flexopt.model.uncertainty import Uncertainty, kind_of, uncertainty_faults
 
 
 def targets(least: int) -> Check:
@@ -92,10 +95,33 @@ def _loop(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
     return arguments.collect(field, read)
 
 
+def _ranges(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
+    """A table from names to (lower, upper), or a list of `Uncertainty`s or of their tables."""
+    given: Any = arguments.checked(field, value, lambda v: v, [])
+    if isinstance(given, Mapping | list | tuple) and not given and not arguments.faulty(field):
+        arguments.note(field, "must not be empty", value)
+    named = cast(Mapping[Any, Any], given) if isinstance(given, Mapping) and "of" not in given else None
+    tables = {f"[{k}]": each for k, each in enumerate(several(given))}
+    if named is not None:
+        tables = {f"[{shown(name)}]": {"of": name, kind_of(name): ends} for name, ends in named.items()}
+    found = [arguments.collect(f"{field}{where}", lambda each=each: _uncertain(each)) for where, each in tables.items()]
+    known = tuple(each for each in found if each is not None)
+    if len(known) == len(tables):
+        arguments.faults += uncertainty_faults(known, machine, field)
+    return known
+
+
+def _uncertain(given: Any) -> Uncertainty:
+    if isinstance(given, Uncertainty):
+        return given
+    return validated(Uncertainty, read_table(given, "an entry", "[[uncertainty]]", InputError), "", (), InputError)
+
+
 TABLE.update(
     {
         "machine": _machine,
         "loop": of_machine(_loop),
+        "ranges": of_machine(_ranges),
         "elbow": words(*ELBOWS),
         "gain": by(GAIN),
         "singularity_margin_deg": by(MARGIN_DEG),

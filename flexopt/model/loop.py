@@ -90,8 +90,8 @@ class Loop(BuiltByCall):
         return found
 
 
-def loop_faults(loop: Loop, machine: Any) -> list[Fault]:
-    """What does not go together in a loop, or not with its machine."""
+def loop_faults(loop: Loop, machine: Any, prefix: str = "") -> list[Fault]:
+    """What does not go together in a loop, or not with its machine; `prefix` before the names of its keys."""
     found = loop.structural_faults() + length_faults(loop, machine)
     missing, rate = machine.joints_without_speed, rate_of(loop, machine)
     if loop.dead_time * rate > DELAY_MAX:
@@ -101,7 +101,7 @@ def loop_faults(loop: Loop, machine: Any) -> list[Fault]:
         lacking = f"no speed of {', '.join(missing)}" if missing else "no effort of any joint"
         sentence = f'drive = "velocity" needs it: {machine.name} names {lacking}, from which it would follow'
         found.append(Fault("servo_gain", sentence))
-    return found
+    return [Fault(f"{prefix}{fault.field}", fault.sentence, fault.value) for fault in found]
 
 
 def length_faults(table: Any, machine: Any, prefix: str = "") -> list[Fault]:

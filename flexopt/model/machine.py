@@ -23,6 +23,7 @@ from flexopt.model.loop import Loop, loop_faults
 from flexopt.model.strokes import CylinderTravel, usable_range
 from flexopt.model.tables import Capsule
 from flexopt.model.tree_quantities import axes_about, snapped_rows
+from flexopt.model.uncertainty import Uncertainty, uncertainty_faults
 
 
 class Parameter(NamedTuple):
@@ -43,6 +44,7 @@ class AnyMachine(BuiltByCall, Described):
     capsules: tuple[Capsule, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
     loop: Loop | None = None
+    uncertainty: tuple[Uncertainty, ...] = ()
 
     @abstractmethod
     def build_tree(self) -> KinematicTree:
@@ -138,11 +140,11 @@ class AnyMachine(BuiltByCall, Described):
         )
 
     def part_faults(self) -> list[Fault]:
-        """What is wrong with the cylinders' strokes, and what of the loop does not go with the machine."""
-        found = [fault for _, faults in self.stroke_ranges for fault in faults]
-        if self.loop is None:
-            return found
-        return found + [Fault(f"loop.{f.field}", f.sentence, f.value) for f in loop_faults(self.loop, self)]
+        """What is wrong with the cylinders' strokes, and what of loop and uncertainty does not go with the machine."""
+        found = [fault for _, faults in self.stroke_ranges for fault in faults] + uncertainty_faults(
+            self.uncertainty, self
+        )
+        return found if self.loop is None else found + loop_faults(self.loop, self, "loop.")
 
     @property
     def efforts(self) -> tuple[float, ...]:
@@ -199,7 +201,7 @@ class AnyMachine(BuiltByCall, Described):
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the validated content: the same for two descriptions that say the same."""
-        absent = {"loop"} if self.loop is None else set[str]()
+        absent = {name for name in ("loop", "uncertainty") if not getattr(self, name)}
         return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
     def to_dict(self) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from flexopt.foundation.quantities import (
     ACCELERATION,
     ANGLE,
@@ -14,7 +16,9 @@ from flexopt.foundation.quantities import (
     MASS,
     OFFSET,
 )
-from flexopt.model.machine import Parameter
+
+if TYPE_CHECKING:
+    from flexopt.model.machine import Parameter
 
 # By the last word of a name, as in a machine file.
 _QUANTITIES = {

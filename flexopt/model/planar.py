@@ -91,8 +91,8 @@ class Machine(AnyMachine):
     Units are SI and angles radians. Bodies are rigid; each joint has one degree of freedom and is passive (spring,
     damper, rest value) or actuated. The placement coordinate is the position x of the undercarriage. In a file, tables
     [[capsules]] (`Capsule`; `body` is "base" or a link's name) say what the bodies fill, [[cylinders]] (`Cylinder`)
-    what drives the joints, [support] span = [rear, front] what the undercarriage stands on, and [loop] (`Loop`) the
-    controller.
+    what drives the joints, [support] span = [rear, front] what the undercarriage stands on, [loop] (`Loop`) the
+    controller, [[uncertainty]] (`Uncertainty`) what nobody has measured.
     """
 
     base: Base

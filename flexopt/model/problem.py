@@ -33,9 +33,11 @@ from flexopt.model.choices import (
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.file_model import BuiltByCall
+from flexopt.model.loop import Loop
 from flexopt.model.machine import OnMachine
 from flexopt.model.own import check_objectives
 from flexopt.model.targets import KINDS, SOME_COORDINATES, SOME_SHARES, PathMotion, Target, TargetKind, problem_faults
+from flexopt.model.uncertainty import Uncertainty
 
 # What the calls that solve a problem name the keys of [target].
 TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "path"}
@@ -160,6 +162,8 @@ class Problem(OnMachine):
     motion: PathMotion | None = None
     selection: SelectionOptions = Field(default_factory=SelectionOptions)
     constraints: Constraints | None = None
+    loop: Loop | None = None
+    uncertainty: tuple[Uncertainty, ...] = ()
 
     def structural_faults(self) -> list[Fault]:
         """As of a file."""

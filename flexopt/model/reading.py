@@ -12,9 +12,11 @@ from flexopt.foundation.coordinates import check_placement, check_task
 from flexopt.foundation.quantities import entries
 from flexopt.model.file_model import Table, check_extent, read_table, table_of, validated
 from flexopt.model.files import KINDS, Source, read_source
+from flexopt.model.loop import loop_faults
 from flexopt.model.planar import Machine
 from flexopt.model.planar_faults import machine_faults
 from flexopt.model.tree import Tree
+from flexopt.model.uncertainty import uncertainty_faults
 
 if TYPE_CHECKING:
     from flexopt.model.problem import Problem
@@ -158,6 +160,10 @@ def _problem(source: Source) -> Problem:
         faults += _size_faults(source.data, machine)
     problem = validated(Problem, source.data, source.name, faults)
     assert machine is not None
+    own = uncertainty_faults(problem.uncertainty, machine)
+    if problem.loop is not None:
+        own += loop_faults(problem.loop, machine, "loop.")
+    raise_if_any(ModelError, source.name, own)
     return problem.with_machine(machine)
 
 

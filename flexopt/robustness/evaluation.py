@@ -112,7 +112,7 @@ class Evaluation(Result):
         damped_difference: largest |w_damped − w_undamped| / (|a||b|), where damping was asked for.
         skeleton: points to draw, a column each, m, inertial frame, as in `Plant.skeleton`.
         cylinders: hydraulic cylinders in this posture, of a machine that has some.
-        loop: what the controller does, `flexopt.loop.evaluation.LoopEvaluation`, where one is known.
+        outcome: what the controller does, `flexopt.Outcome`, where one is known.
         warnings: sentences about repeated frequencies and the like.
     """
 
@@ -120,7 +120,7 @@ class Evaluation(Result):
     machine control base base_coordinates base_units posture joints joint_units end_point[m] frequencies_hz[Hz]
     damping_ratios w scale rigid in_phase in_phase_strict epsilon_max epsilon_max_error epsilon_max_status
     epsilon_max_residual gain gradient residues.R0=rigid_residue residues.R=residues clusters condition
-    static_deflection self_motion_unstabilised damped=_damped warnings provenance cylinders=_cylinders loop
+    static_deflection self_motion_unstabilised damped=_damped warnings provenance cylinders=_cylinders outcome
     """
 
     machine: str
@@ -157,11 +157,12 @@ class Evaluation(Result):
     warnings: tuple[str, ...]
     cylinders: tuple[CylinderState, ...]
     provenance: dict[str, Any] = field(repr=False)
-    loop: Result | None = None
+    outcome: Result | None = None
 
     def document(self) -> dict[str, Any]:
-        """Values by their keys; cylinders and loop only where there are some."""
-        absent = {"cylinders"} - {"cylinders" for _ in self.cylinders} | ({"loop"} if self.loop is None else set[str]())
+        """Values by their keys; cylinders and outcome only where there are some."""
+        there = {"cylinders": bool(self.cylinders), "outcome": self.outcome is not None}
+        absent = {key for key, is_there in there.items() if not is_there}
         return {key: x for key, x in super().document().items() if key not in absent}
 
     @property
@@ -203,7 +204,7 @@ class Evaluation(Result):
                 f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|"
             )
         lines += [f"  {cylinder}" for cylinder in self.cylinders]
-        lines += [] if self.loop is None else repr(self.loop).splitlines()
+        lines += [] if self.outcome is None else repr(self.outcome).splitlines()
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
@@ -269,13 +270,12 @@ def _with_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: b
         fault = Fault("loop.control", f"is not the control that is evaluated, {stand.control}", repr(loop.control))
         raise_if_any(InputError, "evaluate", [fault])
     loop = loop.model_copy(update={"control": stand.control})
-    faults = [Fault(f"loop.{f.field}", f.sentence, f.value) for f in loop_faults(loop, machine)]
-    raise_if_any(InputError, "evaluate", faults)
+    raise_if_any(InputError, "evaluate", loop_faults(loop, machine, "loop."))
     # The loop's room is built on this one.
     evaluate_loop = cast("Callable[..., Result]", later("flexopt.loop", evaluation="evaluate_loop")("evaluate_loop"))
     done = evaluate_loop(machine, loop, stand, gravity=gravity)
     options = stand.provenance["options"] | {"loop": loop.model_dump(exclude_unset=True)}
-    return replace(stand, loop=done, provenance=stand.provenance | {"options": options})
+    return replace(stand, outcome=done, provenance=stand.provenance | {"options": options})
 
 
 def prepare(machine: AnyMachine, control: Control, *, gravity: bool) -> None:

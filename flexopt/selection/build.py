@@ -24,7 +24,7 @@ from flexopt.plant.statics import not_held
 from flexopt.selection.assumed import assumed, standing
 from flexopt.selection.constraints import build_constraints, constraint_faults
 from flexopt.selection.objective import Objective, Quantities, own_constraints, quantities, read_objectives
-from flexopt.selection.problem import DecisionVariable, Region, ScaledConstraint, SelectionProblem, TravelCost
+from flexopt.selection.problem import DecisionVariable, ScaledConstraint, SelectionProblem, StartRegion, TravelCost
 from flexopt.selection.scan import Scan, empty_scan, scan_redundancy
 from flexopt.selection.starts import STARTS, sample_configurations, with_kept
 
@@ -294,11 +294,11 @@ def _driven(span: Interval, present: Vector | None, k: int, drive: float | None)
     return max(span[0], float(present[k]) - drive), min(span[1], float(present[k]) + drive)
 
 
-def _region(machine: AnyMachine, length: float, sampled: Ranges, limits: Vector) -> Region:
+def _region(machine: AnyMachine, length: float, sampled: Ranges, limits: Vector) -> StartRegion:
     """Where configurations are looked for; `limits` (n, 2) are those of the joints."""
     inside = np.clip(sampled_ranges(machine, length), limits[:, :1], limits[:, 1:])
     ranges = np.vstack([np.array([sampled[name] for name in machine.base_coordinates]).reshape(-1, 2), inside])
-    return Region(ranges[:, 0], ranges[:, 1])
+    return StartRegion(ranges[:, 0], ranges[:, 1])
 
 
 def _nothing_found(

@@ -67,7 +67,7 @@ class TravelCost:
 
 
 @dataclass(frozen=True)
-class Region:
+class StartRegion:
     """Finite ranges of z that samples are taken from: from low to high, (n_z,) each, m or rad."""
 
     low: Vector
@@ -129,7 +129,7 @@ class SelectionProblem:
     travel: TravelCost | None
     objective_scales: tuple[float, ...]
     scan: Scan = field(repr=False)
-    region: Region = field(repr=False)
+    region: StartRegion = field(repr=False)
     present_base: Vector | None
     present_posture: Vector | None
     elbow: Elbow

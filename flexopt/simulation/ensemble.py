@@ -35,7 +35,7 @@ from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
 from flexopt.simulation.run import check_residual, moves, runners
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options, note_options
-from flexopt.simulation.verdict import Verdict, judge
+from flexopt.simulation.verdict import LoopVerdict, judge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,7 +44,7 @@ WINDOWS = 250  # at most, for the measures of a member
 GROUP = 512  # members that go through together on one core
 BYTES_MAX = 4e9  # of samples kept
 
-VERDICTS: tuple[Verdict, ...] = ("converges", "grows", "undecided")
+VERDICTS: tuple[LoopVerdict, ...] = ("converges", "grows", "undecided")
 WORDS = {"converges": "converge", "grows": "grow", "undecided": "undecided"}
 Progress = Callable[[int, int], None]
 
@@ -85,7 +85,7 @@ class Ensemble:
         return np.array([judge(run, loop).verdict for run, loop in zip(shown, self._loops, strict=True)])
 
     @public(verdict=words(*VERDICTS))
-    def share(self, verdict: Verdict) -> float:
+    def share(self, verdict: LoopVerdict) -> float:
         """Share of the members with a verdict."""
         return float(np.count_nonzero(self.verdict == verdict) / self.n_members)
 
@@ -134,7 +134,7 @@ class Ensemble:
         data = self.dataset.copy()
         data["grows"] = cast(Any, data["grows"]).astype("int8")
         data["linear_growth_rate"] = ("member", self.linear_growth_rate, {"units": "1/s"})
-        codes = [VERDICTS.index(cast(Verdict, str(word))) for word in self.verdict]
+        codes = [VERDICTS.index(cast(LoopVerdict, str(word))) for word in self.verdict]
         meanings = {"flag_values": list(range(len(VERDICTS))), "flag_meanings": " ".join(VERDICTS)}
         data["verdict"] = ("member", np.array(codes, dtype="int8"), meanings)
         data.attrs["flexopt"] = json.dumps(self.to_dict())

@@ -21,7 +21,7 @@ from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop
-from flexopt.simulation.verdict import Ended, Judgement, Verdict, judge
+from flexopt.simulation.verdict import Ended, Judgement, LoopVerdict, judge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -132,7 +132,7 @@ class Trajectory(Pictured, Result):
         return judge(self.run, self._linear, self.ended)
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> LoopVerdict:
         """See the class."""
         return self._judgement.verdict
 

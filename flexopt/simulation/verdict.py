@@ -23,7 +23,7 @@ from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly, linearised
 from flexopt.simulation.scenario import Scenario
 
-Verdict = Literal["converges", "grows", "undecided"]
+LoopVerdict = Literal["converges", "grows", "undecided"]
 NO_REST = "near its end the loop rests nowhere"
 
 
@@ -36,7 +36,7 @@ class Judgement:
         reason: both, in a sentence.
     """
 
-    verdict: Verdict
+    verdict: LoopVerdict
     reason: str
 
 
@@ -105,10 +105,10 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     """The verdict; with `ended` the reason can name an integrator that hides what the loop does."""
     said = f"the run of {run.duration:g} s {_words(run)}"
     if isinstance(linear, str):
-        word: Verdict = "undecided" if run.short or not run.significant else run.word
+        word: LoopVerdict = "undecided" if run.short or not run.significant else run.word
         return Judgement(word, f"{said}; there are no eigenvalues beside it: {linear}")
     rate, known = linear.growth_rate, abs(linear.growth_rate) > linear.rounding
-    eigenvalues: Verdict = ("grows" if rate > 0 else "converges") if known else "undecided"
+    eigenvalues: LoopVerdict = ("grows" if rate > 0 else "converges") if known else "undecided"
     verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
     other = f"the linear loop {verb} ({rate:+.4g}/s at {linear.frequency_hz:.4g} Hz)"
     other += "".join(f", the arm's self-motion drifts ({own:+.3g}/s)" for own in linear.drift[:1] if own > 0)

@@ -194,7 +194,7 @@ def machine_document(machine: AnyMachine) -> dict[str, Any]:
     }
 
 
-def _reported(arguments: Arguments, field: str, value: Any) -> Any:
+def reported(arguments: Arguments, field: str, value: Any) -> Any:
     """A problem of one target."""
     if isinstance(value, SelectionProblem):
         arguments.of = value.machine
@@ -223,7 +223,7 @@ def _other_experiment(arguments: Arguments, field: str, value: Any) -> Any:
 
 
 @public(
-    problem=_reported,
+    problem=reported,
     experiment=_other_experiment,
     simulation=table,
     points=whole(2, POINTS_MAX),

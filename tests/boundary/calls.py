@@ -233,6 +233,9 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         on_descent="stop",
     ),
     "optimal_controller": lambda: STATE_SPACE,
+    "outcome": lambda: _machine(
+        posture=POSTURE, base=0.0, control="inverse", gravity=False, loop={"kp": 1e4, "kv": 1e3}
+    ),
     "plan_base": lambda: _machine(
         path=[[0.0, 1.6], [0.1, 1.6]],
         times=[0.0, 5.0],
@@ -264,7 +267,30 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     "solve_problem": lambda: {"problem": problem(), **RUN},
     "solve_selection": lambda: {"problem": selection().problem, **RUN},
     "stability_border": lambda: _machine(posture=POSTURE, ratio=0.01, **SIMULATE),
+    "stable_region": lambda: _machine(
+        posture=POSTURE,
+        base=0.0,
+        control="inverse",
+        gravity=False,
+        loop={"kp": 1e4, "kv": 1e3},
+        ranges={"stiffness": [0.5, 2.0]},
+        points=2,
+    ),
     "tree_from_dict": lambda: {"data": tree().to_dict(), "origin": "here"},
+    "verdict": lambda: {
+        "problem": excavator(),
+        "target": TARGET,
+        **SELECT,
+        "base": [0.0],
+        "gain": 5e5,
+        "elbow": "up",
+        "slack": 1e-6,
+        "loop": {"kp": 1e4, "kv": 1e3},
+        "ranges": {"stiffness": [0.5, 2.0]},
+        "members": 2,
+        "runs": 1,
+        "duration": 0.1,
+    },
     "verify_bundle": lambda: {
         "folder": "bundle",
         "target": "host",
@@ -324,6 +350,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
             "capsules": (),
             "cylinders": (),
             "loop": {"rate": 100.0},
+            "uncertainty": [{"of": "payload.mass", "value": [0.0, 10.0]}],
             "payload": {"mass": 0.0},
             "support": None,
         }
@@ -342,7 +369,10 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
         "motion": None,
         "selection": {"starts": 1},
         "constraints": None,
+        "loop": {"rate": 100.0},
+        "uncertainty": [{"of": "payload.mass", "value": [0.0, 10.0]}],
     },
+    "Uncertainty": lambda: {"of": "stiffness", "factor": [0.5, 2.0], "value": None},
     "SelectionOptions": lambda: (
         {key: value for key, value in SELECT.items() if key not in ("constraints", "options")}
         | {"base": [0.0], "gain": 5e5, "elbow": "up", "slack": 1e-6, "combine": "worst", "shares": [1.0]}
@@ -368,6 +398,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
             "capsules": (),
             "cylinders": (),
             "loop": {"rate": 100.0},
+            "uncertainty": [{"of": "payload.mass", "value": [0.0, 10.0]}],
             "stiffness_matrix": None,
             "damping_matrix": None,
             "payload": {"mass": 0.0},

@@ -73,6 +73,8 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("Problem", "machine", TEXTS, "looked up where a file is loaded; without a machine nothing can be solved"),
     ("Experiment", "machine", TEXTS, "as of a problem"),
     ("*", "capsules", ("empty list", "empty array"), "none"),
+    ("*", "uncertainty", ("empty list", "empty array"), "none"),
+    ("Uncertainty", "of", ("text", "text in a list", "million slashes", "array of text"), "a name, looked up in calls"),
     ("*", "cylinders", ("empty list", "empty array"), "none"),
     ("*", "payload", ("empty dict",), "no mass"),
     ("Tree", "placement", ("empty list", "empty array"), "a machine that stands where it stands"),
@@ -88,8 +90,8 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
 # Classes whose objects come from functions alone, as the results of computing: nobody passes them numbers.
 RESULTS = {
     "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Ensemble", "Evaluation",
-    "ExportReport", "FmuReport", "Report", "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory",
-    "Verification", "WorkspaceMap",
+    "ExportReport", "FmuReport", "Outcome", "Region", "Report", "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory",
+    "Verdict", "Verification", "WorkspaceMap",
 }  # fmt: skip
 NAMES = [call.name for call in calls()]
 

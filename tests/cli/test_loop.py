@@ -12,12 +12,12 @@ GIVEN = ("--loop", "kp=1e4", "--loop", "kv=1e3,1e3", "--loop", "dead_time=0.0031
 
 
 def test_values_are_those_of_python(command: Command) -> None:
-    loop = command(*WORDS, *GIVEN, "--json").document["loop"]
+    loop = command(*WORDS, *GIVEN, "--json").document["outcome"]
     found = flexopt.evaluate(
         flexopt.load("excavator"), (0.0448, -2.0499), loop={"kp": 1e4, "kv": 1e3, "dead_time": 0.0031}
     )
-    assert loop == found.to_dict()["loop"]
-    assert "loop" not in command(*WORDS, "--json").document
+    assert loop == found.to_dict()["outcome"]
+    assert "outcome" not in command(*WORDS, "--json").document
 
 
 def test_all_from_the_machine(command: Command) -> None:
@@ -30,8 +30,8 @@ def test_options_on_top_of_a_file(command: Command) -> None:
     source = Path(__file__).parents[2] / "models" / "excavator.toml"
     (command.folder / "own.toml").write_text(source.read_text(encoding="utf-8") + text, encoding="utf-8")
     words = ("evaluate", "own.toml", *WORDS[2:], "--json")
-    assert command(*words).document["loop"]["settings"]["rate"] == 100.0
-    mixed = command(*words, "--loop", "rate=200").document["loop"]["settings"]
+    assert command(*words).document["outcome"]["settings"]["rate"] == 100.0
+    mixed = command(*words, "--loop", "rate=200").document["outcome"]["settings"]
     assert (mixed["rate"], mixed["kp"]) == (200.0, [1e4] * len(machine.task_rows))
     assert "the article's" in command(*words[:-1], "--loop", "default").stdout
 

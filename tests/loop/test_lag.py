@@ -44,21 +44,21 @@ def test_the_allowance_is_the_smallest_gain_that_excites(posture):
     plant = flexopt.build_plant(EXCAVATOR)
     a, b, c = (x.full() for x in plant.linearisation("transpose").call([[0.0], posture, plant.parameter_values]))
     rate = np.roll(c, -(len(a) // 2), axis=1)
-    for i in np.flatnonzero(found.loop.allowance < 500):
+    for i in np.flatnonzero(found.outcome.allowance < 500):
         normal = np.linalg.eigh(found.residues[i] + found.residues[i].T)[1][:, :1]
 
         def growth(kv, i=i, normal=normal):
             poles = np.linalg.eigvals(a - kv * b @ normal @ normal.T @ rate)
             return poles[np.argmin(np.abs(poles - 2j * math.pi * found.frequencies_hz[i]))].real
 
-        kappa = found.loop.allowance[i]
+        kappa = found.outcome.allowance[i]
         assert growth(0.998 * kappa) < 0 < growth(1.002 * kappa)
 
 
 def test_allowances_beside_each_other():
     for name in STANDS:
         loop = stand(name)[0]
-        found = flexopt.evaluate(flexopt.load(name), loop.posture, loop=STANDS[name][1]).loop
+        found = flexopt.evaluate(flexopt.load(name), loop.posture, loop=STANDS[name][1]).outcome
         # In one direction is worse than in all alike.
         assert np.all(found.allowance <= found.allowance_isotropic * (1 + 1e-12))
         if found.settings.drive == "torque":
@@ -75,7 +75,7 @@ def test_allowances_beside_each_other():
 def test_first_order_decay_is_that_of_the_sampled_loop(name):
     """Weak feedback: what the second order adds is small beside what feedback does."""
     evaluation, settings, outcome = stand(name)
-    found = flexopt.evaluate(flexopt.load(name), evaluation.posture, loop=STANDS[name][1]).loop
+    found = flexopt.evaluate(flexopt.load(name), evaluation.posture, loop=STANDS[name][1]).outcome
     exact = 2 * math.pi * found.frequencies_hz * found.damping_ratios
     bound = {"excavator": 2e-3, "boom-stick-bucket": 0.25, "slewing-excavator": 2e-3}[name]
     np.testing.assert_allclose(found.first_order_decay, exact, rtol=bound)
@@ -90,20 +90,20 @@ def test_lag_and_reserve():
     ratio = evaluation.damping_ratios * omega
     for late in (0.0, 0.0031, 0.02, 0.05):
         kp, kv = 0.01, 1e-3
-        found = flexopt.evaluate(EXCAVATOR, POSTURE_B, loop={"kp": kp, "kv": kv, "dead_time": late}).loop
+        found = flexopt.evaluate(EXCAVATOR, POSTURE_B, loop={"kp": kp, "kv": kv, "dead_time": late}).outcome
         expected = omega * (late + 0.0025) + np.arctan(kp / (omega * kv))
         np.testing.assert_allclose(found.lag, expected, rtol=1e-12)
         added = found.first_order_decay - ratio
-        assert np.all(np.sign(found.reserve) == np.sign(product * np.cos(expected)))
+        assert np.all(np.sign(found.lag_reserve) == np.sign(product * np.cos(expected)))
         # The feedback's part is a millionth of the decay and less.
-        np.testing.assert_array_less(-1e-15, added * np.sign(found.reserve))
+        np.testing.assert_array_less(-1e-15, added * np.sign(found.lag_reserve))
 
 
 def test_the_generalised_measure_is_an_eigenvalue():
     """Λmin of the Hermitian part of 2 e^{jψ} R; without lag w."""
     for name, (posture, loop) in STANDS.items():
         found = flexopt.evaluate(flexopt.load(name), posture, loop=loop)
-        for lag, residue, value in zip(found.loop.lag, found.residues, found.loop.w_lagged, strict=True):
+        for lag, residue, value in zip(found.outcome.lag, found.residues, found.outcome.w_lagged, strict=True):
             turned = np.exp(1j * lag) * residue
             expected = np.linalg.eigvalsh(turned + turned.conj().T)[0]
             assert value == pytest.approx(expected, abs=1e-12 * np.abs(residue).max())

@@ -1,4 +1,4 @@
-"""Outcome measures of the sampled loop: against balls, nonlinear runs, the simulator's linear loop, and their meaning."""
+"""LoopPoint measures of the sampled loop: against balls, nonlinear runs, the simulator's linear loop, and their meaning."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import flexopt
 from flexopt.errors import InputError
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.functions import BY, outcome_function
-from flexopt.loop.outcome import MEASURES, Outcome
+from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.small_motions import small_motions
 from tests.oracles.late_cases import draw_case, nonlinear_growth, slopes_off
 from tests.oracles.late_loop import LateLoop
@@ -33,7 +33,7 @@ def outcome(machine, posture, dead_time=0.0, *, kp=1e4, kv=1e3, rate=200.0, cont
     r = motions.plant.n_task
     numbers = {"posture": posture, "p": motions.plant.parameter_values.full().ravel(), "period": [1 / rate]}
     numbers |= {"kp": np.resize(kp, r), "kv": np.resize(kv, r), "ki": np.resize(ki, r)}
-    return Outcome(motions, motions.numbers(numbers | more), dead_time)
+    return LoopPoint(motions, motions.numbers(numbers | more), dead_time)
 
 
 @pytest.mark.parametrize("number", range(12))
@@ -182,7 +182,7 @@ def test_what_is_not_defined_is_nan():
 
 @pytest.mark.parametrize("name", list(MEASURES))
 def test_functions_for_solvers(name):
-    """Named inputs and outputs, values and derivatives as of `Outcome`, and in a graph of CasADi's."""
+    """Named inputs and outputs, values and derivatives as of `LoopPoint`, and in a graph of CasADi's."""
     here = outcome(EXCAVATOR, POSTURE_B, 0.0031)
     function = outcome_function(here.motions, name, 200.0)
     assert (function.name_in(), function.name_out()) == (list(BY), [name])

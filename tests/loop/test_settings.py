@@ -86,7 +86,7 @@ def test_control_is_one():
     with pytest.raises(InputError, match="velocity-served joints want rates"):
         flexopt.evaluate(DIGGER, STAND, control="transpose", loop={"drive": "velocity"})
     # What drives are taken for follows from the control, too.
-    assert flexopt.evaluate(DIGGER, STAND, control="transpose", loop={}).loop.settings.drive == "torque"
+    assert flexopt.evaluate(DIGGER, STAND, control="transpose", loop={}).outcome.settings.drive == "torque"
 
 
 def settings_of(machine, posture, **table):
@@ -135,16 +135,16 @@ def test_drive_and_rate():
 
 def test_an_evaluation_tells_it():
     plain = flexopt.evaluate(EXCAVATOR, POSTURE_B)
-    assert plain.loop is None
-    assert "loop" not in plain.to_dict()
+    assert plain.outcome is None
+    assert "outcome" not in plain.to_dict()
     found = flexopt.evaluate(EXCAVATOR, POSTURE_B, loop=GAINS)
     of_file = flexopt.evaluate(with_loop(EXCAVATOR, GAINS), POSTURE_B)
     document = found.to_dict()
-    assert json.loads(json.dumps(document["loop"], allow_nan=False)) == of_file.to_dict()["loop"]
+    assert json.loads(json.dumps(document["outcome"], allow_nan=False)) == of_file.to_dict()["outcome"]
     assert {key: document[key] for key in plain.to_dict() if key != "provenance"} == {
         key: value for key, value in plain.to_dict().items() if key != "provenance"
     }
-    loop = document["loop"]
+    loop = document["outcome"]
     assert loop["allowance_isotropic"][0] is None  # no gain that is the same in all directions excites the mode
     assert loop["settings"]["sources"] == {
         "drive": "gains without a drive are those of torques",
@@ -153,7 +153,7 @@ def test_an_evaluation_tells_it():
     parameters, m = len(flexopt.build_plant(EXCAVATOR).parameter_names), len(found.w)
     for name in ("decay", "allowed_gain", "delay_margin", "disk_margin", "sensitivity_peak", "complementary_peak"):
         assert np.shape(loop["gradient"][name]["parameters"]) == (parameters,)
-    for name in ("allowance", "lag", "reserve", "first_order_decay", "w_lagged", "damping_ratios"):
+    for name in ("allowance", "lag", "lag_reserve", "first_order_decay", "w_lagged", "damping_ratios"):
         assert np.shape(loop["gradient"][name]["posture"]) == (m, 2)
         assert len(loop[name]) == m
     text = repr(found)
@@ -173,4 +173,4 @@ def test_of_modes_that_share_a_frequency_nothing_is_said_one_by_one():
         found = flexopt.evaluate(machine, POSTURE_B, loop={"kp": 1e-6, "kv": 1e-6})
     assert found.clusters
     shared = list(found.clusters[0])
-    assert np.all(np.isnan(found.loop.allowance[shared]))
+    assert np.all(np.isnan(found.outcome.allowance[shared]))

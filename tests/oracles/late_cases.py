@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.verdicts import draw
-from flexopt.loop.outcome import Measured, Outcome
+from flexopt.loop.outcome import LoopPoint, Measured
 from flexopt.loop.small_motions import SmallMotions, small_motions
 from flexopt.loop.spectrum import eigenvectors
 from tests.oracles.late_loop import LateLoop, NonlinearRun, directional
@@ -32,9 +32,9 @@ class Case:
     oracle: LateLoop
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> LoopPoint:
         """What flexopt says of it."""
-        return Outcome(self.motions, self.motions.numbers(self.numbers), self.dead_time)
+        return LoopPoint(self.motions, self.motions.numbers(self.numbers), self.dead_time)
 
 
 def draw_case(number: int) -> Case:

@@ -526,7 +526,7 @@ def test_all_solvers_were_walked(walk):
 
 @pytest.mark.parametrize(("name", "measures"), [("excavator", tuple(MEASURES)), ("slewing-excavator", ("decay",))])
 def test_the_real_loop(name, measures):
-    """Outcome measures as Functions by everything they depend on."""
+    """LoopPoint measures as Functions by everything they depend on."""
     machine, rng = flexopt.load(name), np.random.default_rng(5)
     posture = np.array([sum(ends) / 2 if np.isfinite(ends).all() else 0.4 for ends in machine.limits])
     stand = flexopt.evaluate(machine, posture)

@@ -86,6 +86,7 @@ class Assembly:
             "cylinders": tuple(self._cylinders),
             "support": overlay.support and overlay.support.model_dump(),
             "loop": overlay.loop and overlay.loop.model_dump(exclude_unset=True),
+            "uncertainty": tuple(each.model_dump(exclude_unset=True) for each in overlay.uncertainty),
         } | self._matrices()
 
     def _subtree(self) -> list[RobotLink]:

@@ -37,6 +37,7 @@ from flexopt.model.tree_quantities import (
     Rotation,
     check_square,
 )
+from flexopt.model.uncertainty import Uncertainty
 
 DIRECTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
 Ignorable = Literal["armature", "equality", "tendon", "gravcomp", "unknown"]
@@ -138,6 +139,7 @@ class Overlay(Described):
     cylinders: tuple[Cylinder, ...] = ()
     support: Polygon | None = None
     loop: Loop | None = None
+    uncertainty: tuple[Uncertainty, ...] = ()
 
     def faults(self) -> list[Fault]:
         """Faults that concern several keys."""

@@ -37,6 +37,10 @@ The machine file is TOML. An arm on an elastic undercarriage:
     [loop]                            # the controller that the machine has; its keys are told in `flexopt.model.loop`
     rate = 100.0
 
+    [[uncertainty]]                   # what nobody has measured; its keys are told in `flexopt.model.uncertainty`
+    of = "stiffness"
+    factor = [0.5, 2.0]
+
     [[capsules]]                      # what a link fills: ends in the link's frame, m; any number of them
     link = "tool0"
     start = [0.0, 0.0, 0.0]

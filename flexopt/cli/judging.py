@@ -1,0 +1,111 @@
+"""`flexopt verdict`, and the options of the real controller and of what is uncertain."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from flexopt.cli.common import (
+    BASE,
+    CONTROL,
+    ELBOW,
+    JSON,
+    check_output,
+    given,
+    number,
+    numbers,
+    option_names,
+    print_json,
+    read,
+    say,
+    table,
+    typed,
+    value,
+    warnings_to_stderr,
+    whole,
+    write_output,
+)
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.writing import write_file
+from flexopt.model import AnyMachine, Problem, load_any
+from flexopt.model.loop import DEFAULT_LOOP, Loop
+
+LOOP = value(
+    "--loop",
+    "NAME=VALUE|default",
+    "Of the real controller, may be repeated: kp, kv, rate, dead_time and the other keys of a file's [loop], in place "
+    "of the file's; default: all follows from the machine.",
+    multiple=True,
+)
+RANGES = value(
+    "--ranges",
+    "NAME=LO,HI",
+    "What is known between two numbers only, may be repeated: stiffness or damping of all that gives, as factors "
+    "(stiffness=0.5,2), parameters (payload.mass=0,300), dead_time; in place of the file's [[uncertainty]].",
+    multiple=True,
+)
+
+
+def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | None:
+    """The table that was given, on top of the file's own; None where none was."""
+    asked = table("--loop", tuple(entry for entry in entries if entry != DEFAULT_LOOP))
+    if not entries:
+        return None
+    known = own.model_dump(exclude_unset=True) if own and DEFAULT_LOOP not in entries else {}
+    return known | (asked or {})
+
+
+@click.command("verdict", short_help="Does it pay to move, with this controller, on this ground?")
+@click.argument("problem")
+@value("--end-point", "X,Y[,Z]", "Of a machine: target of the end-point, inertial frame, m.", numbers)
+@value("--posture", "A,B,…", "Of a machine: how it is held now, rad (slides: m), with --base.", numbers)
+@BASE
+@ELBOW
+@CONTROL
+@value("--objective", "w1|w2|…|V|epsilon_max", "Of a machine: by what places are chosen (w1 by default).")
+@LOOP
+@RANGES
+@value("--members", "N", "Points of the uncertainty that decays are computed of (64 by default).", whole)
+@value("--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none).", whole)
+@value("--duration", "S", "Of a run, s (20 by default).", number)
+@value("--out", "PATH", "Write the JSON document to a file, too.")
+@JSON
+def verdict_command(as_json: bool, problem: str, out: str | None, **options: Any) -> None:
+    """Move, stay, change gains, or cannot tell: PROBLEM is a problem file, or a machine with --end-point and --base.
+
+    The present configuration beside the best ones found, with the controller of --loop, over all that is uncertain.
+    """
+    from flexopt.study import verdict  # noqa: PLC0415  (only this command needs it)
+
+    check_output("--out", out, (".json",))
+    with option_names(options), warnings_to_stderr(as_json):
+        asked, own = asked_problem("verdict", problem, options)
+        settings = given(options, "members", "runs", "duration")
+        ranges = table("--ranges", options["ranges"])
+        result = verdict(asked, loop=real_loop(own, options["loop"]), ranges=ranges, **settings)
+    if out is not None:
+        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
+        write_output("--out", out, lambda: write_file(out, text))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        say(repr(result))
+
+
+def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, Loop | None]:
+    """A problem file's problem, or that of a machine with a target; and the loop that belongs to it."""
+    from flexopt.selection import build_selection  # noqa: PLC0415  (`evaluate` does not need it)
+
+    loaded: AnyMachine | Problem = read(load_any, name)
+    own = tuple(word for word in ("end_point", "posture", "base", "elbow", "control", "objective") if word in options)
+    if isinstance(loaded, Problem):
+        sentence = "goes with a machine; the problem file brings its own"
+        faults = [Fault(f"--{word.replace('_', '-')}", sentence, typed(v)) for word, v in given(options, *own).items()]
+        raise_if_any(InputError, call, faults)
+        return loaded, loaded.loop or loaded.loaded_machine.loop
+    if options["end_point"] is None:
+        raise InputError(f"{call}: a machine needs --end-point (m, inertial frame); a problem file brings its own")
+    asked = given(options, *own)
+    return build_selection(loaded, asked.pop("end_point"), **asked), loaded.loop

@@ -1,0 +1,173 @@
+"""What a loop does where numbers of its machine, or its dead time, are known as intervals only.
+
+In: `Uncertainty`s, a loop in a configuration. Out: the members of a box, the decay of each, and the slowest decay that
+a search with exact gradients finds among all of them. What is searched is no proof: results say how many points they
+stand on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.outcome import DEAD_TIME, LoopPoint
+from flexopt.loop.settings import LoopSettings
+from flexopt.model import AnyMachine
+from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
+
+# Corners are members up to that many intervals; searches start at so many of the slowest, and take so many steps.
+CORNERED, SEARCHES, STEPS = 6, 2, 12
+
+
+@dataclass(frozen=True)
+class UncertaintyBox:
+    """All machines that the uncertainty allows: points u in [0, 1]^k, k intervals.
+
+    A factor runs from its lower to its upper end evenly in its logarithm, a value evenly.
+
+    Attributes:
+        machine: with the nominal numbers.
+        uncertainty: what is not known.
+        nominal_dead_time: of the loop, s, where it is known.
+    """
+
+    machine: AnyMachine
+    uncertainty: tuple[Uncertainty, ...]
+    nominal_dead_time: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the intervals."""
+        return tuple(each.name for each in self.uncertainty)
+
+    @cached_property
+    def nominal(self) -> Vector:
+        """The machine's own parameters (n_par,)."""
+        return np.array([parameter.value for parameter in self.machine.parameters])
+
+    @cached_property
+    def _entries(self) -> list[list[int]]:
+        return [list(parameters_of(each.of, self.machine)) for each in self.uncertainty]
+
+    def members(self, count: int, seed: int = 0) -> Vector:
+        """Points (n, k): the corners, of 6 intervals at most, then a scrambled Sobol sequence; `count` or more."""
+        from scipy.stats.qmc import Sobol  # noqa: PLC0415  (loads slowly)
+
+        k = len(self.uncertainty)
+        corners = np.array(list(product((0.0, 1.0), repeat=k))) if k <= CORNERED else np.zeros((0, k))
+        more = max(0, count - len(corners))
+        drawn = Sobol(k, seed=seed).random(1 << math.ceil(math.log2(max(more, 1))))[:more]
+        return np.concatenate([corners, drawn])
+
+    def numbers(self, u: Vector) -> tuple[Vector, float]:
+        """Parameters (n_par,) and dead time of a member."""
+        p, late = self.nominal.copy(), self.nominal_dead_time
+        for each, entries, x in zip(self.uncertainty, self._entries, u.tolist(), strict=True):
+            if each.of == (LATE,):
+                late = _between(each.value, x)
+            elif each.value is not None:
+                p[entries] = _between(each.value, x)
+            else:
+                p[entries] *= math.exp(_between(_logs(each.factor), x))
+        return p, late
+
+    def slopes(self, u: Vector, by_p: Vector, by_dead_time: float) -> Vector:
+        """A derivative by u (k,), from those by the parameters and the dead time."""
+        p, found = self.numbers(u)[0], list[float]()
+        for each, entries in zip(self.uncertainty, self._entries, strict=True):
+            if each.of == (LATE,):
+                found.append(by_dead_time * _width(each.value))
+            elif each.value is not None:
+                found.append(float(by_p[entries].sum()) * _width(each.value))
+            else:
+                found.append(float(by_p[entries] @ p[entries]) * _width(_logs(each.factor)))
+        return np.array(found)
+
+    def told(self, u: Vector) -> dict[str, float]:
+        """A member by the names of its intervals: factors and values."""
+        return {
+            each.name: math.exp(_between(_logs(each.factor), x)) if each.value is None else _between(each.value, x)
+            for each, x in zip(self.uncertainty, u.tolist(), strict=True)
+        }
+
+
+def _between(ends: tuple[float, float] | None, x: float) -> float:
+    low, high = ends or (0.0, 0.0)
+    return low + x * (high - low)
+
+
+def _width(ends: tuple[float, float] | None) -> float:
+    return _between(ends, 1.0) - _between(ends, 0.0)
+
+
+def _logs(ends: tuple[float, float] | None) -> tuple[float, float]:
+    low, high = ends or (1.0, 1.0)
+    return math.log(low), math.log(high)
+
+
+@dataclass(frozen=True)
+class UncertainLoop:
+    """One loop, the same numbers for all members, in one configuration.
+
+    Attributes:
+        settings: of the loop; the controller keeps them whatever the member.
+        base, posture: of the machine.
+        gravity: whether under static deflection.
+        box: what is not known.
+    """
+
+    settings: LoopSettings
+    base: Vector
+    posture: Vector
+    gravity: bool
+    box: UncertaintyBox
+
+    def outcome(self, u: Vector | None = None) -> LoopPoint:
+        """The loop of a member; the nominal one by default."""
+        p, late = (self.box.nominal, self.settings.dead_time) if u is None else self.box.numbers(u)
+        return self.settings.outcome(
+            self.box.machine, self.base, self.posture, gravity=self.gravity, parameters=p, dead_time=late
+        )
+
+    def decays(self, members: Vector) -> Vector:
+        """Of every member (n,), 1/s."""
+        return np.array([-self.outcome(u).loop.growth_rate for u in members])
+
+    def slowest(self, members: Vector, decays: Vector) -> tuple[float, Vector]:
+        """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients."""
+        from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
+
+        best = float(decays.min()), members[int(np.argmin(decays))]
+
+        def decay(u: Vector) -> tuple[float, Vector]:
+            outcome = self.outcome(np.clip(u, 0.0, 1.0))
+            measured = outcome.decay()
+            by = outcome.gradient(measured)
+            slopes = self.box.slopes(u, by["p"], float(by[DEAD_TIME][0]))
+            return measured.value, np.nan_to_num(slopes)
+
+        for start in members[np.argsort(decays, kind="stable")[:SEARCHES]]:
+            found: Any = minimize(
+                decay, start, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * len(start), options={"maxfun": STEPS}
+            )
+            if found.fun < best[0]:
+                best = float(found.fun), np.clip(found.x, 0.0, 1.0)
+        return best
+
+
+def matters_most(box: UncertaintyBox, members: Vector, values: Sequence[float]) -> tuple[str, float]:
+    """The interval that a value goes with most closely, and their rank correlation."""
+    from scipy.stats import spearmanr  # noqa: PLC0415  (loads slowly)
+
+    if np.ptp(values) == 0:
+        return "", 0.0
+    ranks = [float(spearmanr(column, values).statistic) if np.ptp(column) else 0.0 for column in members.T]
+    first = int(np.argmax(np.abs(ranks)))
+    return box.names[first], ranks[first]

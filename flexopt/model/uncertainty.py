@@ -1,0 +1,138 @@
+"""What nobody has measured, as data: numbers of a machine, and its loop's dead time, as intervals; `[[uncertainty]]`.
+
+In: tables. Out: frozen `Uncertainty`s, and what of them does not go with their machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from typing import Annotated, Any
+
+from flexopt.errors import Fault
+from flexopt.foundation.nearest import hint_or_list
+from flexopt.foundation.quantities import Checked, Quantity, pair, several
+from flexopt.model.file_model import BuiltByCall
+from flexopt.model.loop import DEAD_TIME
+from flexopt.model.parameter_ranges import parameter_range
+
+FACTOR = Quantity("", low=1e-3, high=1e3)
+VALUE = Quantity("", low=-1e15, high=1e15)
+# Words for what every machine has: springs and dampers of the passive coordinates, and the loop's dead time.
+SPRINGS, DAMPERS, LATE = "stiffness", "damping", "dead_time"
+WORDS = (SPRINGS, DAMPERS, LATE)
+UNCERTAIN_MAX, NAME_MAX = 8, 200
+
+
+@Checked
+def _check_names(value: Any) -> tuple[str, ...]:
+    """One name or several."""
+    names = several(value)
+    if not names or not all(
+        isinstance(name, str) and 0 < len(name) <= NAME_MAX and name.isprintable() for name in names
+    ):
+        listed = f"{', '.join(WORDS[:-1])} or {LATE}"
+        raise ValueError(f"must be names of parameters, of at most {NAME_MAX} letters, or {listed}")
+    return tuple(names)
+
+
+class Uncertainty(BuiltByCall):
+    """One thing that is not known: an entry of a file's `[[uncertainty]]`, and of the argument `ranges` of calls.
+
+    Attributes:
+        of: what it concerns, a name or several: parameters of the machine as `flexopt.check` lists them (`*` stands for
+            any letters), `"stiffness"` or `"damping"`, all springs or dampers of the passive coordinates, or
+            `"dead_time"`, that of the loop.
+        factor: (lower, upper) of one factor that multiplies all of them together, such as one of the soil's.
+        value: (lower, upper) of a single one, in its own unit: of a payload, or of the dead time, s.
+    """
+
+    of: Annotated[tuple[str, ...], _check_names]
+    factor: Annotated[tuple[float, float], pair(FACTOR, allow_equal=True)] | None = None
+    value: Annotated[tuple[float, float], pair(VALUE, allow_equal=True)] | None = None
+
+    @property
+    def name(self) -> str:
+        """What it concerns, in short."""
+        return ", ".join(self.of)
+
+    def structural_faults(self) -> list[Fault]:
+        """What does not fit together, whatever the machine."""
+        faults = list[Fault]()
+        if (self.factor is None) == (self.value is None):
+            faults.append(Fault("factor, value", "give one of the two"))
+        if LATE in self.of and len(self.of) > 1:
+            faults.append(Fault("of", "dead_time stands alone", self.name))
+        if self.of == (LATE,):
+            try:
+                pair(DEAD_TIME, allow_equal=True)(self.value)
+            except ValueError as error:
+                faults.append(Fault("value", str(error) if self.value else "dead_time needs it, (lower, upper) in s"))
+        return faults
+
+
+def kind_of(name: Any) -> str:
+    """Whether (lower, upper) of that name alone are of a factor, as of all springs, or of a value."""
+    return "factor" if isinstance(name, str) and name in (SPRINGS, DAMPERS) else "value"
+
+
+def parameters_of(names: Sequence[str], machine: Any) -> tuple[int, ...]:
+    """Which entries of the machine's p are meant by `names`, as `Uncertainty.of` has them, ascending."""
+    found = set[int]()
+    for word in names:
+        passive = _of_passive(machine, word) if word in (SPRINGS, DAMPERS) else set[str]()
+        listed = enumerate(parameter.name for parameter in machine.parameters)
+        found |= {k for k, name in listed if name in passive or fnmatchcase(name, word)}
+    return tuple(sorted(found))
+
+
+# What is taken where nothing is said of the ground: one factor of all springs.
+GROUND = (Uncertainty(of=(SPRINGS,), factor=(0.5, 2.0)),)
+
+
+def _of_passive(machine: Any, word: str) -> set[str]:
+    """Names of the parameters that are springs ("stiffness") or dampers ("damping") of passive coordinates."""
+    tree = machine.kinematic_tree
+    passive = {i for i, body in enumerate(tree.bodies) if body.joint.passive}
+    found = set[str]()
+    for key, name in tree.entries.items():
+        places = key.removeprefix(word).split(".")
+        if key.startswith(word) and all(int(place) in passive for place in places):
+            found.add(name)
+    return found
+
+
+def uncertainty_faults(uncertainty: Sequence[Uncertainty], machine: Any, field: str = "uncertainty") -> list[Fault]:
+    """What does not go together, or not with the machine."""
+    faults, seen = list[Fault](), dict[int, str]()
+    values = [parameter.value for parameter in machine.parameters]
+    if len(uncertainty) > UNCERTAIN_MAX:
+        faults.append(Fault(field or "uncertainty", f"may have at most {UNCERTAIN_MAX} entries", str(len(uncertainty))))
+    for k, each in enumerate(uncertainty):
+        where = f"{field}[{k}]"
+        faults += [Fault(f"{where}.{f.field}", f.sentence, f.value) for f in each.structural_faults()]
+        if each.of == (LATE,):
+            continue
+        chosen = parameters_of(each.of, machine)
+        for word in each.of:
+            if not parameters_of((word,), machine):
+                names = [*WORDS, *(parameter.name for parameter in machine.parameters)]
+                faults.append(
+                    Fault(f"{where}.of", f"{machine.name} has none such{hint_or_list(word, names, most=8)}", word)
+                )
+        both = sorted({seen[i] for i in chosen if i in seen})
+        if both:
+            sentence = f"concerns parameters that {', '.join(both)} concerns, too"
+            faults.append(Fault(f"{where}.of", sentence, each.name))
+        seen |= dict.fromkeys(chosen, each.name)
+        if each.value is not None and len(chosen) > 1:
+            faults.append(Fault(f"{where}.value", f"goes with one parameter; give factor for {len(chosen)} of them"))
+        if each.factor is not None and chosen and not any(values[i] for i in chosen):
+            faults.append(Fault(f"{where}.factor", "multiplies 0; give value, (lower, upper)", each.name))
+        if each.value is not None and len(chosen) == 1:
+            parameter = machine.parameters[chosen[0]]
+            low, high = parameter_range(parameter)
+            if not (low <= each.value[0] and each.value[1] <= high):
+                allowed = f"must lie between {low:g} and {high:g} {parameter.unit}".rstrip()
+                faults.append(Fault(f"{where}.value", allowed, str(list(each.value))))
+    return faults

@@ -1,0 +1,128 @@
+"""The word of a verdict by its stated rule: move, stay, change gains, cannot tell.
+
+In: decays of the present configuration and of others, on the same members of what is uncertain. Out: the word, and why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.foundation.arrays import Vector
+
+Word = Literal["move", "stay", "change gains", "cannot tell"]
+# By which share of its decay one is faster than the other, and in which share of the members it must be.
+FASTER, MOST = 0.1, 0.95
+
+RULE = (
+    f"One place is better than another on a ground where it decays by {100 * FASTER:.0f} % faster. "
+    "MOVE: a place is stable on every ground looked at, better than the present one on "
+    f"{100 * MOST:.0f} % of them and in its worst case, and {100 * MOST:.0f} % of the nonlinear runs confirm that it "
+    "settles. "
+    "CHANGE GAINS: other gains of those allowed do in the present place what no move does with these, or neither "
+    "place is stable on every ground and other gains make one so. "
+    "STAY: the present place is stable on every ground, runs confirm it, and no other is better on more than "
+    f"{100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else."
+)  # fmt: skip
+
+
+class Place(NamedTuple):
+    """One configuration: its name, decays (n,) on the members and the slowest that was found at all, 1/s, its drive."""
+
+    name: str
+    decays: Vector
+    slowest: float
+    drive: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is stable wherever that was looked at."""
+        return self.slowest > 0
+
+    def better_than(self, other: Place) -> float:
+        """Share of the members on which it decays faster, by a tenth."""
+        return float(np.mean(faster(self.decays, other.decays)))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The word, the place that it speaks of, and the reason in a sentence."""
+
+    word: Word
+    place: str
+    reason: str
+
+
+def faster(one: Vector, other: Vector) -> NDArray[np.bool_]:
+    """Where the one decays faster, by a tenth of the other's rate; whatever decays is faster than what grows."""
+    return (one - other > FASTER * np.abs(other)) | ((one > 0) & (other <= 0))
+
+
+def decide(
+    stay: Place | None, others: Sequence[Place], changed: Place | None = None, unconfirmed: Sequence[str] = ()
+) -> Decision:
+    """The word by `RULE`.
+
+    Args:
+        stay: the present configuration; None where it does not reach the target.
+        others: to which one may move.
+        changed: the present configuration, or the best other one, with the best gains of those allowed.
+        unconfirmed: names of places of which nonlinear runs do not confirm that they settle.
+    """
+    sound = [place for place in others if place.holds and place.name not in unconfirmed]
+    moves = [place for place in sound if stay is None or _pays(place, stay)]
+    best = _best(moves)
+    if changed is not None and (changed.holds and _spares(changed, stay, best)):
+        return Decision("change gains", changed.name, _why_gains(changed, stay, best))
+    if best is not None:
+        if stay is None:
+            reason = "the target is out of reach from the present placement"
+        else:
+            reason = f"better on {100 * best.better_than(stay):.0f} % of the grounds; "
+            reason += f"slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
+        return Decision("move", best.name, f"{reason}, for a drive of {best.drive:.3g} m")
+    if stay is not None and stay.holds and stay.name not in unconfirmed:
+        rivals = [(place.better_than(stay), place.name) for place in sound]
+        share, name = max(rivals, default=(0.0, ""))
+        if share <= 1 - MOST:
+            reason = "no place found is better" + (f" on more than {100 * share:.0f} % of the grounds" if share else "")
+            return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
+        return Decision("cannot tell", name, f"{name} is better on {100 * share:.0f} % of the grounds, worse on others")
+    doubted = [
+        place.name for place in ([stay] if stay else []) + list(others) if place.name in unconfirmed and place.holds
+    ]
+    if doubted:
+        return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm that {' and '.join(doubted)} settle")
+    return Decision("cannot tell", "", "no place found is stable on every ground with these gains, nor with others")
+
+
+def _pays(place: Place, stay: Place) -> bool:
+    return place.better_than(stay) >= MOST and bool(faster(np.array(place.slowest), np.array(stay.slowest)))
+
+
+def _best(moves: Sequence[Place]) -> Place | None:
+    """The least drive among those whose slowest decay is within a tenth of the best."""
+    if not moves:
+        return None
+    most = max(place.slowest for place in moves)
+    return min((place for place in moves if place.slowest >= (1 - FASTER) * most), key=lambda place: place.drive)
+
+
+def _spares(changed: Place, stay: Place | None, best: Place | None) -> bool:
+    """Whether other gains are worth more than what can be had with these."""
+    if best is not None:
+        return changed.slowest >= best.slowest and changed.drive < best.drive
+    return stay is None or not stay.holds or bool(faster(np.array(changed.slowest), np.array(stay.slowest)))
+
+
+def _why_gains(changed: Place, stay: Place | None, best: Place | None) -> str:
+    reason = f"with them the slowest decay at {changed.name} is {changed.slowest:.3g}/s"
+    if best is not None:
+        return f"{reason}, as much as {best.name} has with these, {best.slowest:.3g}/s"
+    if stay is not None and stay.holds:
+        return f"{reason}, with these {stay.slowest:.3g}/s"
+    return f"{reason}; with these no place found is stable on every ground"

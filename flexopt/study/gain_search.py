@@ -1,0 +1,77 @@
+"""The best gains of a loop in one configuration: those with which its slowest member decays fastest.
+
+In: a loop in a configuration, members, ranges of its gains. Out: the loop with other gains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.settings import LoopSettings
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.model.loop import Loop
+
+# Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
+# are tried where no range is given.
+GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
+# A range that begins at 0 is gone through over so many powers of ten below its upper end, 0 besides.
+DECADES = 3.0
+
+
+def best_gains(loop: UncertainLoop, asked: Loop, members: Vector) -> UncertainLoop:
+    """The loop with the best gains within `asked`'s ranges; with none, all gains times one factor, 0.01 to 10.
+
+    The criterion is the decay of the slowest of the members (n, k); they should be few.
+    """
+    from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
+
+    ranges = {name: given for name in ("kp", "kv") if (given := getattr(asked, f"{name}_range")) is not None}
+    axes = [_axis(*ends) for ends in ranges.values()] or [np.linspace(math.log(LEAST), math.log(MOST), 2 * GRID)]
+
+    def with_gains(x: Any) -> UncertainLoop:
+        return replace(loop, settings=_scaled(loop.settings, dict(zip(ranges, x, strict=True)) if ranges else x[0]))
+
+    def growth(x: Any) -> float:
+        return -float(with_gains(x).decays(members).min())
+
+    points = list(product(*(axis.tolist() for axis in axes)))
+    values = [growth(point) for point in points]
+    start = np.array(points[int(np.argmin(values))])
+    bounds = [(float(axis[0]), float(axis[-1])) for axis in axes]
+    # The slowest decay of several is not smooth.
+    found: Any = minimize(
+        growth, start, method="Nelder-Mead", bounds=bounds,
+        options={"maxfev": EVALUATIONS, "initial_simplex": _simplex(start, axes)},
+    )  # fmt: skip
+    return with_gains(found.x if found.fun < min(values) else start)
+
+
+def _axis(low: float, high: float) -> Vector:
+    """Logarithms of the gains tried first; −∞ is none of them: a range from 0 begins far below its upper end."""
+    return np.linspace(math.log(low if low > 0 else high * 10**-DECADES), math.log(high), GRID)
+
+
+def _simplex(start: Vector, axes: Sequence[Vector]) -> Vector:
+    """Corners one step of the grid away, inside."""
+    corners = [start]
+    for k, axis in enumerate(axes):
+        step = float(axis[1] - axis[0])
+        corner = start.copy()
+        corner[k] += step if start[k] + step <= axis[-1] else -step
+        corners.append(corner)
+    return np.array(corners)
+
+
+def _scaled(settings: LoopSettings, logs: dict[str, float] | float) -> LoopSettings:
+    if isinstance(logs, dict):
+        given = {name: np.full(len(settings.kp), math.exp(x)) for name, x in logs.items()}
+        return replace(settings, **given)
+    factor = math.exp(logs)
+    return replace(settings, kp=factor * settings.kp, kv=factor * settings.kv, ki=factor * settings.ki)

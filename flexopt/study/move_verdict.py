@@ -1,0 +1,449 @@
+"""Does it pay to move, with my controller, on ground I do not know? The present configuration beside those chosen.
+
+In: a configuration problem or its selection, a loop, what is uncertain. Out: a `Verdict`: for each configuration
+what the loop does over the uncertainty, nonlinear runs, the drive that it costs, and a word by a stated rule.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any, Unpack, cast
+
+import numpy as np
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import Keywords, number, public, whole
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.plain import shown
+from flexopt.foundation.results import Result
+from flexopt.loop.settings import LoopSettings, loop_settings
+from flexopt.loop.standard_move import standard_move
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
+from flexopt.model import AnyMachine, Problem
+from flexopt.model.constraints import AnyConstraints
+from flexopt.model.loop import Loop, loop_faults
+from flexopt.model.problem import SelectionKeywords, SelectionOptions
+from flexopt.model.uncertainty import GROUND, Uncertainty
+from flexopt.robustness import Evaluation
+from flexopt.selection import Selection, SelectionProblem, select, solve_selection
+from flexopt.study.confirmation import Runs, nonlinear_runs
+from flexopt.study.decision import MOST, RULE, Decision, Place, Word, decide, faster
+from flexopt.study.gain_search import best_gains
+from flexopt.study.problem_report import reported
+
+# Members that decays are computed of, nonlinear runs, and places besides the present one that are told.
+MEMBERS, RUNS, TOLD = 64, 16, 3
+# Members at whose corners gains, margins and moves are looked at: up to 2³ of them.
+CORNERED = 3
+# Length of the standard move, m, and of a nonlinear run, s.
+MOVE, DURATION = 0.1, 20.0
+STAY = "stay"
+
+
+@dataclass(frozen=True)
+class Band(Result):
+    """A measure at the machine's own numbers, and its least and greatest among the members looked at."""
+
+    nominal: float
+    least: float
+    greatest: float
+
+
+@dataclass(frozen=True)
+class PlaceVerdict(Result):
+    """What the loop does in one configuration.
+
+    Attributes:
+        name: `"stay"`, or `"candidate 1"` and so on, by rank of the selection.
+        base, posture: of the machine, m or rad;  w: measures w_i there.
+        drive, turn: from the present placement, m and rad; NaN where there is none.
+        decay: of the sampled loop, 1/s; its least is the slowest that a search with gradients found in the box, too.
+        stable_share: of the members.
+        slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency.
+        better: share of the members on which it decays a tenth faster than in the present place.
+        allowed_gain, delay_margin: as of `evaluate`; NaN where there is no border.
+        settling, swing: of the standard move, s, and the base's largest turn in it, rad (see `StandardMove`).
+        runs: nonlinear ones; None where none were asked for.
+    """
+
+    name: str
+    base: Vector
+    posture: Vector
+    w: Vector
+    drive: float
+    turn: float
+    decay: Band
+    stable_share: float
+    slowest_at: dict[str, float]
+    slowest_hz: float
+    better: float
+    allowed_gain: Band
+    delay_margin: Band
+    settling: Band
+    swing: Band
+    runs: Runs | None
+
+    DOCUMENT = """
+    name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] better allowed_gain
+    delay_margin[s] settling[s] swing[rad] runs
+    """
+
+
+@dataclass(frozen=True)
+class Verdict(Result):
+    """Whether it pays to move.
+
+    Attributes:
+        word: `"move"`, `"stay"`, `"change gains"` or `"cannot tell"`;  sentence: it, with where to and why.
+        place: which place it speaks of;  reason: why.
+        measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
+        gains: those to change to.
+        rule: by which the word was found.
+        places: the present one first, then the best others;  table: a row of numbers for each.
+        settings: of the loop, the same in every place.
+        uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
+            was found among these points, and by a search from the slowest ones.
+        selection: the problem's answer.
+    """
+
+    word: Word
+    place: str
+    reason: str
+    measure: str
+    gains: dict[str, list[float]]
+    places: tuple[PlaceVerdict, ...]
+    settings: LoopSettings
+    uncertainty: tuple[Uncertainty, ...]
+    members: int
+    selection: Selection = field(repr=False)
+    provenance: dict[str, Any] = field(repr=False)
+
+    DOCUMENT = """
+    word sentence place reason measure gains rule places settings uncertainty=_uncertainty members proven provenance
+    """
+
+    @property
+    def rule(self) -> str:
+        """See the class."""
+        return RULE
+
+    @property
+    def sentence(self) -> str:
+        """See the class."""
+        gains = ", ".join(f"{name} {values[0]:.4g}" for name, values in self.gains.items())
+        where = {"move": f" to {self.place}", "change gains": f" to {gains}, at {self.place}"}.get(self.word, "")
+        return f"{self.word}{where}: {self.reason}"
+
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        """See the class: name, drive (m), slowest decay (1/s), least allowed gain and delay margin (s), longest
+        settling (s) and largest turn (rad) over the uncertainty, share of nonlinear runs that settle.
+        """  # noqa: D205
+        return [
+            {
+                "place": place.name,
+                "drive": place.drive,
+                "decay": place.decay.least,
+                "allowed_gain": place.allowed_gain.least,
+                "delay_margin": place.delay_margin.least,
+                "settling": place.settling.greatest,
+                "turn": place.swing.greatest,
+                "converging": math.nan if place.runs is None else place.runs.converging,
+            }
+            for place in self.places
+        ]
+
+    @property
+    def proven(self) -> bool:
+        """See the class."""
+        return False
+
+    @property
+    def _drifts(self) -> bool:
+        machine = self.selection.problem.machine
+        return len(machine.joints) > len(machine.task_rows) and not self.settings.nullspace_damping
+
+    @property
+    def _uncertainty(self) -> list[dict[str, Any]]:
+        return [each.model_dump(exclude_none=True) for each in self.uncertainty]
+
+    def __repr__(self) -> str:
+        known = ", ".join(_interval(each) for each in self.uncertainty)
+        lines = [
+            f"{self.selection.problem.machine.name}: {repr(self.settings).splitlines()[0]}",
+            f"  uncertain: {known}; {self.members} members and a search, not a proof",
+            f"  {'place':12} {'drive':>8} {'decay, slowest':>20} {'allowed Kp':>12} {'delay margin':>13} "
+            f"{'settling':>10} {'turn':>11}   nonlinear runs",
+        ]
+        lines += [_row(place) for place in self.places]
+        if any(place.runs and place.runs.undecided for place in self.places) and self._drifts:
+            lines.append("  the arm's self-motion is not damped in these runs; loop.nullspace_damping brakes it")
+        lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
+        return "\n".join([*lines, *([self.measure] if self.measure else [])])
+
+
+def _interval(each: Uncertainty) -> str:
+    low, high = each.factor or each.value or (0.0, 0.0)
+    return f"{each.name} {'times ' if each.factor else ''}{low:g} to {high:g}"
+
+
+def _row(place: PlaceVerdict) -> str:
+    drive = "" if place.name == STAY else "–" if math.isnan(place.drive) else f"{place.drive:.2f} m"
+    decay = f"{place.decay.nominal:+.4g}, {place.decay.least:+.4g}/s"
+    runs = place.runs
+    shown = (
+        ""
+        if runs is None
+        else ", ".join(
+            f"{100 * share:.0f} % {what}"
+            for what, share in (("settle", runs.converging), ("grow", runs.growing), ("undecided", runs.undecided))
+            if share
+        )
+    )
+    return (
+        f"  {place.name:12} {drive:>8} {decay:>20} {_told(place.allowed_gain.least, 1, ''):>12} "
+        f"{_told(place.delay_margin.least, 1e3, ' ms'):>13} {_told(place.settling.greatest, 1, ' s'):>10} "
+        f"{_told(place.swing.greatest, 1e3, ' mrad'):>11}   {shown}"
+    )
+
+
+def _told(value: float, factor: float, unit: str) -> str:
+    if math.isnan(value):
+        return "–"
+    return f"{factor * value:.4g}{unit}" if math.isfinite(value) else "no border"
+
+
+def _judged(arguments: Arguments, field: str, value: Any) -> Any:
+    """A problem as for a report, its answer, or a machine."""
+    if isinstance(value, AnyMachine):
+        arguments.of = value
+    elif isinstance(value, Selection):
+        arguments.of = value.problem.machine
+    else:
+        return reported(arguments, field, value)
+    return value
+
+
+_KEYWORDS = Keywords(SelectionOptions, SelectionKeywords, together=True)
+
+
+@public(
+    problem=_judged,
+    members=whole(2, 100_000),
+    runs=whole(0, 100_000),
+    duration=number("s", above=0.0, high=1e4),
+    keywords=_KEYWORDS,
+)
+def verdict(
+    problem: Problem | SelectionProblem | Selection | AnyMachine,
+    target: Any = None,
+    *,
+    constraints: AnyConstraints | None = None,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
+    members: int = MEMBERS,
+    runs: int = RUNS,
+    duration: float = DURATION,
+    options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    **keywords: Unpack[SelectionKeywords],
+) -> Verdict:
+    """Whether it pays to move: the present configuration beside the best of a selection, over what is uncertain.
+
+    Args:
+        problem: from `flexopt.load_problem` or `flexopt.build_selection`, with the present placement as `base`; an
+            answer of `flexopt.select`; or a machine, with a target.
+        target, constraints, options, keywords: of a machine, as in `flexopt.build_selection`.
+        loop: the real controller, as of `flexopt.evaluate`; by default the problem's or machine's `[loop]`, or where
+            there is none what follows from the machine. It is the same in every place; what it leaves out follows from
+            the present one.
+        ranges: what is uncertain: a table from names to (lower, upper), of `"stiffness"` and `"damping"` factors of all
+            springs or dampers of passive coordinates, of `"dead_time"` s, of parameters in their own unit; or
+            `flexopt.Uncertainty`s. By default the problem's or machine's `[[uncertainty]]`, or where there is none one
+            factor ½ to 2 of all springs.
+        members: how many points of the uncertainty decays are computed of.
+        runs: how many of them are run nonlinearly in each place, too; 0 for none.
+        duration: of a run, s.
+
+    Raises:
+        InputError: arguments are not usable; the problem has several targets, or no present placement.
+        UnreachableTarget, NoSolutionFound: as `flexopt.select`.
+    """
+    selection = _selected(problem, target, constraints, {k: v for k, v in keywords.items() if v is not None})
+    solved = selection.problem
+    machine = solved.machine
+    asked, uncertain = _real(problem, machine, loop, ranges, solved.control)
+    stands = _stands(selection)
+    first = next(iter(stands.values()))
+    settings = loop_settings(machine, asked, first, gravity=solved.gravity)
+    box = UncertaintyBox(machine, uncertain, settings.dead_time)
+    points = box.members(members, solved.seed)
+    loops = {
+        name: UncertainLoop(settings, stand.base, stand.posture, solved.gravity, box) for name, stand in stands.items()
+    }
+    decays = {name: each.decays(points) for name, each in loops.items()}
+    others = sorted((name for name in stands if name != STAY), key=lambda name: -float(decays[name].min()))[:TOLD]
+    told = [name for name in (STAY, *others) if name in stands]
+    slowest = {name: loops[name].slowest(points, decays[name]) for name in told}
+    drives = {name: _drive(selection, stand) for name, stand in stands.items()}
+    shown = {name: nonlinear_runs(loops[name], points[:runs], duration) for name in told} if runs else {}
+    known = {name: Place(name, decays[name], slowest[name][0], drives[name][0]) for name in told}
+    stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
+    unconfirmed = [name for name, each in shown.items() if each.converging < MOST]
+    changed, gains = _changed(asked, known, loops, slowest, points, drives)
+    decision = decide(stay, rest, changed, unconfirmed)
+    places = tuple(
+        _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told
+    )
+    return Verdict(
+        word=decision.word,
+        place=decision.place,
+        reason=decision.reason,
+        measure=_measure(decision, box, points, decays, stay) if decision.word == "cannot tell" else "",
+        gains=gains if decision.word == "change gains" else {},
+        places=places,
+        settings=settings,
+        uncertainty=uncertain,
+        members=len(points),
+        selection=selection,
+        provenance=provenance(machine, members=members, runs=runs, duration=duration),
+    )
+
+
+def _selected(problem: Any, target: Any, constraints: Any, keywords: dict[str, Any]) -> Selection:
+    """The problem's answer, or that of a machine with a target."""
+    if isinstance(problem, AnyMachine):
+        if target is None:
+            raise_if_any(InputError, "verdict", [Fault("target", "is needed of a machine")])
+        found = select(problem, target, constraints=constraints, **keywords)
+    else:
+        brought = {"target": target, "constraints": constraints} | keywords
+        sentence = "goes with a machine; the problem brings its own"
+        faults = [Fault(name, sentence, shown(given)) for name, given in brought.items() if given is not None]
+        raise_if_any(InputError, "verdict", faults)
+        if isinstance(problem, Selection):
+            found = problem
+        elif isinstance(problem, SelectionProblem):
+            found = solve_selection(problem)
+        else:
+            found = select(**problem.select_arguments())
+    if found.problem.present_base is None:
+        fault = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
+        raise_if_any(InputError, "verdict", [fault])
+    return found
+
+
+def _real(
+    problem: Any, machine: AnyMachine, loop: Any, ranges: Any, control: Any
+) -> tuple[Loop, tuple[Uncertainty, ...]]:
+    """The loop with the problem's control, and what is uncertain; both from where they are first given."""
+    own = cast("Loop | None", loop or getattr(problem, "loop", None) or machine.loop) or Loop()
+    if own.control not in (None, control):
+        fault = Fault("loop.control", f"is not the control of the problem, {control}", repr(own.control))
+        raise_if_any(InputError, "verdict", [fault])
+    own = own.model_copy(update={"control": control})
+    raise_if_any(InputError, "verdict", loop_faults(own, machine, "loop."))
+    return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
+
+
+def _stands(selection: Selection) -> dict[str, Evaluation]:
+    """Configurations by name, the present one first where it reaches the target."""
+    found = {} if selection.initial is None else {STAY: selection.initial}
+    return found | {f"candidate {k}": each.evaluation for k, each in enumerate(selection.candidates[:12], start=1)}
+
+
+def _drive(selection: Selection, stand: Evaluation) -> tuple[float, float]:
+    """From the present placement, m and rad."""
+    now = selection.problem.present_base
+    assert now is not None
+    away = dict(zip(stand.base_coordinates, (stand.base - now).tolist(), strict=True))
+    turn = abs(math.remainder(away.pop("yaw", 0.0), math.tau))
+    return math.hypot(*away.values()), turn
+
+
+def _changed(
+    asked: Loop,
+    known: Mapping[str, Place],
+    loops: Mapping[str, UncertainLoop],
+    slowest: Mapping[str, tuple[float, Vector]],
+    points: Vector,
+    drives: Mapping[str, tuple[float, float]],
+) -> tuple[Place | None, dict[str, list[float]]]:
+    """The present place, or the best other one, with the best gains allowed: those of `[loop]`'s ranges.
+
+    Without ranges, all gains times a factor, where no place is stable on every ground.
+    """
+    ranged = asked.kp_range is not None or asked.kv_range is not None
+    if not ranged and any(place.holds for place in known.values()):
+        return None, {}
+    name = STAY if STAY in known else max(known, key=lambda each: known[each].slowest)
+    few = np.concatenate([_corners(loops[name].box), slowest[name][1][None]])
+    best = best_gains(loops[name], asked, few)
+    decays = best.decays(points)
+    found = {each: getattr(best.settings, each).tolist() for each in ("kp", "kv", "ki")}
+    return Place(name, decays, best.slowest(points, decays)[0], drives[name][0]), found
+
+
+def _corners(box: UncertaintyBox) -> Vector:
+    """Corners of the first intervals, the others in their middle."""
+    k = len(box.uncertainty)
+    found = np.full((2 ** min(k, CORNERED), k), 0.5)
+    found[:, :CORNERED] = list(product((0.0, 1.0), repeat=min(k, CORNERED)))
+    return found
+
+
+def _place(
+    name: str,
+    stand: Evaluation,
+    loop: UncertainLoop,
+    decays: Mapping[str, Vector],
+    slowest: tuple[float, Vector],
+    drive: tuple[float, float],
+    runs: Runs | None,
+) -> PlaceVerdict:
+    few = [None, *_corners(loop.box), slowest[1]]
+    outcomes = [loop.outcome(u) for u in few]
+    moves = [standard_move(outcome) for outcome in outcomes]
+    own = decays[name]
+    nominal = outcomes[0].decay().value
+    stay = decays.get(STAY)
+    return PlaceVerdict(
+        name=name,
+        base=stand.base,
+        posture=stand.posture,
+        w=stand.w,
+        drive=drive[0],
+        turn=drive[1],
+        decay=Band(nominal, min(slowest[0], nominal), max(nominal, float(own.max()))),
+        stable_share=float(np.mean(own > 0)),
+        slowest_at=loop.box.told(slowest[1]),
+        slowest_hz=outcomes[-1].loop.frequency_hz,
+        better=math.nan if stay is None else float(np.mean(faster(own, stay))),
+        allowed_gain=_band([outcome.allowed_gain().value for outcome in outcomes]),
+        delay_margin=_band([outcome.delay_margin().value for outcome in outcomes]),
+        settling=_band([move.settling for move in moves]),
+        swing=_band([MOVE * move.swing for move in moves]),
+        runs=runs,
+    )
+
+
+def _band(values: Sequence[float]) -> Band:
+    """NaN at an end where one of them is none: of a loop that grows there is no margin, and no settling."""
+    return Band(values[0], float(np.min(values)), float(np.max(values)))
+
+
+def _measure(
+    decision: Decision, box: UncertaintyBox, points: Vector, decays: Mapping[str, Vector], stay: Place | None
+) -> str:
+    """Which uncertain number decides."""
+    name = decision.place or max(decays, key=lambda each: float(decays[each].min()))
+    values = decays[name] - (0.0 if stay is None or name == stay.name else stay.decays)
+    which, rank = matters_most(box, points, values.tolist())
+    if not which:
+        return ""
+    what = "its decay" if stay is None or name == stay.name else "what is gained by moving there"
+    return f"to tell, measure {which}: at {name} {what} goes with it (rank correlation {rank:+.2f})"

@@ -1,0 +1,34 @@
+"""`flexopt verdict`, and the last lines of `flexopt select` where a controller is known."""
+
+from __future__ import annotations
+
+import flexopt
+from tests.cli.command import Command
+
+LOOP = {"kp": 1e4, "kv": 1e3}
+GROUND = {"stiffness": (0.5, 2.0)}
+
+
+def test_the_command_says_what_python_says(command: Command) -> None:
+    words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--ranges", "stiffness=0.5,2")
+    found = flexopt.verdict(flexopt.load_problem("article"), loop=LOOP, ranges=GROUND, runs=2)
+    document = command("verdict", "article", *words, "--runs", "2", "--json").document
+    assert document["word"] == found.word
+    assert document["places"] == found.to_dict()["places"]
+    assert found.reason in command("verdict", "article", *words, "--runs", "2").stdout
+    selected = command("select", "article", *words)
+    assert f"verdict: {found.word.upper()}" in selected.stdout
+    assert "verdict" not in command("select", "article", "--json").document
+
+
+def test_the_command_refuses(command: Command) -> None:
+    for words, sentence in (
+        (("verdict", "excavator"), "--end-point"),
+        (("verdict", "article", "--base", "1"), "brings its own"),
+        (("verdict", "stations"), "one target"),
+        (("verdict", "article", "--ranges", "mass=1,2"), "ranges[0].of"),
+        (("select", "stations", "--loop", "default"), "single target"),
+    ):
+        refused = command(*words)
+        assert refused.code == 2
+        assert sentence in refused.stderr

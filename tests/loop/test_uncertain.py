@@ -1,0 +1,125 @@
+"""Loops whose machine is known between two numbers: members, slopes, the slowest of the box."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.loop.outcome import DEAD_TIME
+from flexopt.loop.settings import loop_settings
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
+from flexopt.model.loop import Loop
+from flexopt.model.uncertainty import Uncertainty
+
+KNOWN = (
+    Uncertainty(of="stiffness", factor=(0.5, 2.0)),
+    Uncertainty(of="payload.mass", value=(0.0, 100.0)),
+    Uncertainty(of="dead_time", value=(0.0, 0.013)),
+)
+CASES = {
+    "excavator": ((0.992, -1.4056), {"kp": 1e4, "kv": 1e3}),
+    "slewing-excavator": ((0.2, 0.5, -1.2, -0.5), {"kp": 3e6, "kv": 6e5}),
+    "mobile-manipulator": ((0.1, -1.0, 1.2, 0.3, 0.4, 0.1), {"kp": 1e4, "kv": 1e3}),
+}
+
+
+def made(name: str) -> UncertainLoop:
+    posture, gains = CASES[name]
+    machine = flexopt.load(name)
+    stand = flexopt.evaluate(machine, posture)
+    settings = loop_settings(machine, Loop(control="inverse", **gains), stand)
+    return UncertainLoop(settings, stand.base, stand.posture, False, UncertaintyBox(machine, KNOWN, settings.dead_time))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_member_is_the_machine_with_these_numbers(name: str) -> None:
+    """Its file with the stiffness halved, evaluated by itself."""
+    loop, machine = made(name), flexopt.load(name)
+    u = np.array([0.0, 0.37, 0.61])
+    told = loop.box.told(u)
+    data = halved(machine.to_dict())
+    data["payload"] = dict(data.get("payload", {})) | {"mass": told["payload.mass"]}
+    other = type(machine).model_validate(data)
+    posture, gains = CASES[name]
+    found = flexopt.outcome(other, posture, loop=gains | {"dead_time": told["dead_time"]})
+    assert loop.outcome(u).decay().value == pytest.approx(found.decay, rel=1e-9, abs=1e-9)
+    assert told["stiffness"] == pytest.approx(0.5)
+
+
+def halved(data: dict) -> dict:
+    """Every spring of a passive coordinate, wherever a file has it."""
+    if data.get("stiffness_matrix"):
+        matrix = data["stiffness_matrix"]
+        data["stiffness_matrix"] = matrix | {"matrix": tuple(tuple(x / 2 for x in row) for row in matrix["matrix"])}
+    if "base" in data and "stiffness" in data["base"]:
+        springs = {name: x / 2 for name, x in data["base"]["stiffness"].items()}
+        data["base"] = data["base"] | {"stiffness": springs}
+    bodies = [
+        body | {"joint": body["joint"] | {"stiffness": body["joint"]["stiffness"] / 2}}
+        if body["joint"].get("passive") and body["joint"].get("stiffness") else body
+        for body in data.get("bodies", ())
+    ]  # fmt: skip
+    return data | ({"bodies": tuple(bodies)} if bodies else {})
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_slopes_by_the_box(name: str) -> None:
+    loop, u, step = made(name), np.array([0.31, 0.42, 0.33]), 1e-5
+    outcome = loop.outcome(u)
+    by = outcome.gradient(outcome.decay())
+    slopes = loop.box.slopes(u, by["p"], float(by[DEAD_TIME][0]))
+    central = [
+        (loop.outcome(u + step * e).decay().value - loop.outcome(u - step * e).decay().value) / (2 * step)
+        for e in np.eye(3)
+    ]
+    # Differences of second order at a step of 1e-5 keep some five digits.
+    assert slopes == pytest.approx(central, rel=1e-4, abs=1e-5 * max(1.0, float(np.abs(slopes).max())))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_no_member_is_slower_than_the_slowest(name: str) -> None:
+    loop = made(name)
+    members = loop.box.members(16)
+    assert len(members) == 16
+    slowest, where = loop.slowest(members, loop.decays(members))
+    assert slowest == pytest.approx(loop.outcome(where).decay().value, rel=1e-9)
+    assert slowest <= loop.decays(loop.box.members(200, seed=5)).min() + 1e-9
+
+
+def test_regions_end_where_the_loop_grows() -> None:
+    """Just inside its radius a box is stable wherever it is looked at, and just outside it grows at a named point."""
+    springs = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "rotation")]
+    ground = [*springs, {"of": "damping", "factor": (0.5, 2.0)}]
+    machine, posture, gains = flexopt.load("excavator"), (0.0448, -2.0499), {"kp": 1e4, "kv": 1e3}
+    found = flexopt.stable_region(machine, posture, loop=gains, ranges=ground)
+    assert found.stable
+    assert not found.guaranteed
+    assert 2.0 < found.radius < 10.0
+    inside = [entry | {"factor": (1.001 / found.radius, 0.999 * found.radius)} for entry in ground]
+    outside = [entry | {"factor": (0.998 / found.radius, 1.002 * found.radius)} for entry in ground]
+    assert flexopt.stable_region(machine, posture, loop=gains, ranges=inside, points=500).decay > 0
+    assert not flexopt.stable_region(machine, posture, loop=gains, ranges=outside).stable
+    p = {name: value for name, value, _ in machine.parameters}
+    factors = found.radius_critical
+    data = machine.to_dict()
+    data["base"]["stiffness"] = data["base"]["stiffness"] | {
+        name: p[f"base.stiffness.{name}"] * factors[f"base.stiffness.{name}"] for name in ("x", "rotation")
+    }
+    data["base"]["damping"] = {name: factors["damping"] * x for name, x in data["base"]["damping"].items()}
+    assert flexopt.outcome(flexopt.machine_from_dict(data), posture, loop=gains).decay < 0
+
+
+def test_a_radius_without_factors_is_none() -> None:
+    found = flexopt.stable_region(
+        flexopt.load("excavator"), (0.0448, -2.0499), loop={"kp": 1e4, "kv": 1e3}, ranges={"payload.mass": (0, 50)}
+    )
+    assert np.isnan(found.radius)
+    assert found.stable
+
+
+def test_what_matters_most() -> None:
+    loop = made("excavator")
+    members = loop.box.members(32)
+    assert matters_most(loop.box, members, (3 * members[:, 1] + 0.1 * members[:, 0]).tolist())[0] == "payload.mass"
+    assert matters_most(loop.box, members, [1.0] * 32) == ("", 0.0)

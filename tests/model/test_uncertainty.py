@@ -1,0 +1,80 @@
+"""What nobody has measured, as data: names, faults, files."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import flexopt
+from flexopt.model.uncertainty import GROUND, Uncertainty, parameters_of, uncertainty_faults
+
+SHIPPED = ("boom-stick-bucket", "excavator", "mobile-manipulator", "slewing-excavator", "truck-crane")
+FOLDER = Path(flexopt.__file__).parents[1] / "models"
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_ground_is_every_spring_of_a_passive_coordinate(name: str) -> None:
+    """Twice as stiff, and modes without weight are as many times faster."""
+    machine = flexopt.load(name)
+    plant = flexopt.build_plant(machine)
+    chosen, p = parameters_of(GROUND[0].of, machine), plant.parameter_values.full().ravel()
+    assert not uncertainty_faults(GROUND, machine)
+    before = plant.stiffness(p).full()
+    p[list(chosen)] *= 2
+    assert plant.stiffness(p).full() == pytest.approx(2 * before)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"of": "payload.mas", "value": (0, 1)}, "did you mean 'payload.mass'"),
+        ({"of": "payload.mass", "factor": (1, 2)}, "multiplies 0"),
+        ({"of": "base.stiffness.*", "value": (1, 2)}, "goes with one parameter"),
+        ({"of": "payload.mass", "value": (-1, 2)}, "must lie between 0 and"),
+    ],
+)
+def test_what_does_not_go_with_the_machine(given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(flexopt.InputError, match="ranges"):
+        flexopt.verdict(flexopt.load_problem("article"), ranges=[given])
+    faults = uncertainty_faults((Uncertainty(**given),), flexopt.load("excavator"))
+    assert sentence in faults[0].sentence
+
+
+def test_one_parameter_is_uncertain_once() -> None:
+    both = (Uncertainty(of="stiffness", factor=(1, 2)), Uncertainty(of="base.stiffness.x", factor=(1, 2)))
+    assert "stiffness concerns, too" in uncertainty_faults(both, flexopt.load("excavator"))[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"of": "stiffness"}, "give one of the two"),
+        ({"of": "stiffness", "factor": (1, 2), "value": (1, 2)}, "give one of the two"),
+        ({"of": "dead_time", "factor": (1, 2)}, "needs it"),
+        ({"of": ("dead_time", "stiffness"), "factor": (1, 2)}, "stands alone"),
+        ({"of": "dead_time", "value": (0, 11)}, "between 0 and 10 s"),
+        ({"of": "stiffness", "factor": (2, 1)}, "reversed"),
+    ],
+)
+def test_what_does_not_fit_together(given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(flexopt.InputError, match=sentence):
+        Uncertainty(**given)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_file_brings_its_own(name: str, tmp_path: Path) -> None:
+    text = (FOLDER / f"{name}.toml").read_text(encoding="utf-8")
+    own = '\n[[uncertainty]]\nof = "stiffness"\nfactor = [0.5, 2.0]\n'
+    shutil.copytree(FOLDER / "robots", tmp_path / "robots")
+    path = tmp_path / "own.toml"
+    path.write_text(text + own, encoding="utf-8")
+    machine, plain = flexopt.load(path), flexopt.load(name)
+    assert machine.uncertainty == GROUND
+    assert machine != plain
+    assert machine.model_copy(update={"uncertainty": ()}).parameters == plain.parameters
+    path.write_text(text + own.replace("stiffness", "stifness"), encoding="utf-8")
+    with pytest.raises(flexopt.ModelError, match="stifness"):
+        flexopt.load(path)

@@ -1,0 +1,69 @@
+"""The rule of a verdict, in cases that leave no doubt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexopt.study.decision import Place, decide, faster
+
+GROUNDS = np.linspace(0.5, 2.0, 40)
+
+
+def place(name: str, decays: np.ndarray, drive: float = 0.0) -> Place:
+    return Place(name, decays, float(decays.min()), drive)
+
+
+STAY = place("stay", GROUNDS)
+
+
+def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
+    word = decide(STAY, [place("far", 3 * GROUNDS, 9.0), place("near", 2.8 * GROUNDS, 2.0)])
+    assert (word.word, word.place) == ("move", "near")
+    assert "2 m" in word.reason
+
+
+def test_a_tenth_is_not_enough_when_it_is_not_a_tenth() -> None:
+    assert decide(STAY, [place("near", 1.05 * GROUNDS)]).word == "stay"
+    assert decide(STAY, [place("near", 1.15 * GROUNDS)]).word == "move"
+
+
+def test_what_grows_somewhere_is_no_place() -> None:
+    assert decide(STAY, [place("near", 3 * (GROUNDS - 0.6))]).word == "stay"
+    assert decide(place("stay", -GROUNDS), [place("near", 0.1 * GROUNDS)]).word == "move"
+    assert decide(place("stay", -GROUNDS), [place("near", -0.5 * GROUNDS)]).word == "cannot tell"
+
+
+def test_better_on_some_grounds_only() -> None:
+    mixed = np.where(np.arange(40) < 20, 2.0, 0.7) * GROUNDS
+    found = decide(STAY, [place("near", mixed)])
+    assert (found.word, found.place) == ("cannot tell", "near")
+    assert "50 % of the grounds" in found.reason
+
+
+def test_nothing_is_said_that_runs_do_not_confirm() -> None:
+    better = place("near", 2 * GROUNDS)
+    assert decide(STAY, [better], unconfirmed=["near"]).word == "stay"
+    assert decide(STAY, [], unconfirmed=["stay"]).word == "cannot tell"
+    assert decide(place("stay", -GROUNDS), [better], unconfirmed=["near"]).word == "cannot tell"
+
+
+def test_gains_that_spare_the_drive() -> None:
+    move = place("near", 2 * GROUNDS, 5.0)
+    assert decide(STAY, [move], place("stay", 2.5 * GROUNDS)).word == "change gains"
+    assert decide(STAY, [move], place("stay", 1.5 * GROUNDS)).word == "move"
+    assert decide(STAY, [], place("stay", 1.05 * GROUNDS)).word == "stay"
+    assert decide(place("stay", -GROUNDS), [], place("stay", 0.1 * GROUNDS)).word == "change gains"
+    assert decide(place("stay", -GROUNDS), [], place("stay", -GROUNDS)).word == "cannot tell"
+
+
+def test_out_of_reach_from_here() -> None:
+    assert decide(None, [place("near", GROUNDS)]).word == "move"
+    assert decide(None, [place("near", -GROUNDS)]).word == "cannot tell"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "is_faster"), [(1.2, 1.0, True), (1.05, 1.0, False), (-0.5, -1.0, True), (0.1, -0.1, True)]
+)
+def test_faster(one: float, other: float, is_faster: bool) -> None:
+    assert bool(faster(np.array(one), np.array(other))) is is_faster

@@ -1,0 +1,76 @@
+"""Does it pay to move? Verdicts on shipped problems, beside what their parts say by themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import flexopt
+
+ARTICLE = {"kp": 1e4, "kv": 1e3}
+
+
+def judged(name: str, **options: object) -> flexopt.Verdict:
+    return flexopt.verdict(flexopt.load_problem(name), **options)  # type: ignore[arg-type]
+
+
+def test_the_articles_machine_moves() -> None:
+    """Posture A grows with these gains; it drives off, and a nonlinear ensemble over its ground says the same."""
+    found = judged("article", loop=ARTICLE)
+    assert found.word == "move"
+    stay = found.places[0]
+    chosen = next(place for place in found.places if place.name == found.place)
+    assert stay.decay.greatest < 0 < chosen.decay.least
+    assert chosen.better == 1.0
+    assert chosen.runs is not None
+    assert chosen.runs.converging == 1.0
+    assert stay.runs is not None
+    assert stay.runs.growing == 1.0
+    factors = np.geomspace(0.5, 2.0, 40)
+    machine = flexopt.load("excavator")
+    springs = {name: factors * value for name, value, _ in machine.parameters if name.startswith("base.stiffness")}
+    ensemble = flexopt.simulate_ensemble(
+        machine, chosen.posture, base=chosen.base, vary=springs, integrator="gauss", duration=20.0, **ARTICLE
+    )
+    assert ensemble.share("converges") == 1.0
+    assert -ensemble.linear_growth_rate.max() == pytest.approx(chosen.decay.least, rel=1e-3)
+
+
+def test_values_are_those_of_evaluate() -> None:
+    found = judged("article", loop=ARTICLE, members=2, runs=0)
+    for place in found.places:
+        alone = flexopt.outcome(flexopt.load("excavator"), place.posture, base=place.base, loop=ARTICLE)
+        assert place.decay.nominal == pytest.approx(alone.decay)
+        assert place.allowed_gain.nominal == pytest.approx(alone.allowed_gain)
+        assert place.delay_margin.nominal == pytest.approx(alone.delay_margin, nan_ok=True)
+        assert place.runs is None
+
+
+def test_the_decision_is_the_same_for_the_selection_and_its_problem() -> None:
+    selection = flexopt.solve_problem(flexopt.load_problem("article"))
+    assert isinstance(selection, flexopt.Selection)
+    one, other = flexopt.verdict(selection, loop=ARTICLE, runs=0), judged("article", loop=ARTICLE, runs=0)
+    assert (one.word, one.place, one.reason) == (other.word, other.place, other.reason)
+
+
+def test_gains_are_changed_where_no_place_bears_them() -> None:
+    """At 20 ms of dead time no place found bears Kp 1e5 and Kv 2e3; smaller ones it does."""
+    found = judged("article", loop={"kp": 1e5, "kv": 2e3, "dead_time": 0.02}, runs=0)
+    assert found.word in {"change gains", "cannot tell"}
+    if found.word == "change gains":
+        assert found.gains["kp"][0] < 1e5
+
+
+def test_ranges_of_gains_spare_a_drive() -> None:
+    found = judged("article", loop=ARTICLE | {"kp_range": (1.0, 1e5), "kv_range": (1.0, 1e4)}, runs=0)
+    assert found.word in {"move", "change gains"}
+
+
+def test_what_is_asked_for_without_a_present_place() -> None:
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
+    with pytest.raises(flexopt.InputError, match="where the machine stands now"):
+        flexopt.verdict(problem)
+    with pytest.raises(flexopt.InputError, match="one target"):
+        flexopt.verdict(flexopt.load_problem("stations"))
+    with pytest.raises(flexopt.InputError, match="control of the problem"):
+        flexopt.verdict(flexopt.load_problem("article"), loop={"control": "transpose"})
