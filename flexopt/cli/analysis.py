@@ -41,7 +41,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine, load, load_any
-from flexopt.model.choices import ELBOWS
+from flexopt.model.choices import ELBOWS, OUTCOMES
 from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import evaluate
 
@@ -123,7 +123,11 @@ def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
     ranges,
 )
 @CONTROL
-@value("--objective", "w1|w2|…|V|epsilon_max", "What to maximise (w1 by default); several in order: w1,epsilon_max.")
+@value(
+    "--objective",
+    "w1|w2|…|V|epsilon_max|decay",
+    "What to maximise (w1 by default); several in order: w1,epsilon_max; of the loop (--loop): decay.",
+)
 @value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
 @value("--slack", "SHARE", "What an objective may give up for the next in order (1e-5 by default).", number)
 @value("--singularity-margin-deg", "DEG", "Distance from singular postures (10 by default).", number)
@@ -156,6 +160,9 @@ def select_command(
     check_output("--log", log, (".json",))
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
+    if settings.get("objective") in OUTCOMES:
+        settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
+        settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
     if log is not None and not certify:
         raise InputError("select: --log goes with --certify", [Fault("--log", "goes with --certify", log)])
     if certify and "target" not in settings:
@@ -210,7 +217,7 @@ def _judgement(
     from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
     from flexopt.study import verdict  # noqa: PLC0415  (`evaluate` does not need it)
 
-    asked = loop or ranges
+    asked = (loop or ranges) and (not isinstance(result, Selection) or result.measure is None)
     if not isinstance(result, Selection):
         sentence = "goes with a single target: of several there is no verdict"
         faults = [Fault(name, sentence) for name, given_ones in (("--loop", loop), ("--ranges", ranges)) if given_ones]
@@ -265,7 +272,7 @@ def _selection_text(result: Selection) -> str:
     angles = ", ".join(f"{name} {a:.4f} {unit}" for name, a, unit in held)
     stand = f"Stand at {base} and hold" if base else "Hold"
     lines = [repr(result), "", f"{stand} {angles}.", repr(best)]
-    if result.initial is not None:
+    if result.initial is not None and result.measure is None:
         first = problem.sought[0]
         before, after = (first.value(e.w, e.epsilon_max) for e in (result.initial, best))
         lines.append(f"{first.name}: {before:.5e} in the present posture, {after:.5e} in the chosen one")

@@ -32,7 +32,8 @@ def draws(kind: type, form: str = "picture") -> Callable[[C], C]:
 def drawn(result: object, *arguments: Any, form: str = "picture", **options: Any) -> Any:
     """What the function for that result makes of it."""
     import_module(ROOM)
-    return _DRAWN[type(result), form](result, *arguments, **options)
+    kind = next(kind for kind in type(result).__mro__ if (kind, form) in _DRAWN)
+    return _DRAWN[kind, form](result, *arguments, **options)
 
 
 class Pictured:

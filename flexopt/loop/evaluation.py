@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -135,7 +135,16 @@ def outcome(
 
 def evaluate_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool) -> Outcome:
     """What a loop that is known to be good does in a configuration that was evaluated."""
-    settings = loop_settings(machine, loop, stand, gravity=gravity)
+    return outcome_of(machine, loop_settings(machine, loop, stand, gravity=gravity), stand, gravity=gravity)
+
+
+def with_outcome(machine: AnyMachine, stand: Evaluation, settings: LoopSettings, *, gravity: bool) -> Evaluation:
+    """A configuration that was evaluated, with what a loop of these numbers does there."""
+    return replace(stand, outcome=outcome_of(machine, settings, stand, gravity=gravity))
+
+
+def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *, gravity: bool) -> Outcome:
+    """What a loop of these numbers does in a configuration that was evaluated."""
     outcome = settings.outcome(machine, stand.base, stand.posture, gravity=gravity)
     of_modes: dict[str, Any]
     of_modes, gradient = lagged_modes(outcome.motions).at(outcome.numbers, settings.dead_time)

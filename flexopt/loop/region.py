@@ -108,6 +108,11 @@ def _slowest(loop: UncertainLoop, points: int) -> tuple[float, Vector, int]:
     return found, at, len(members)
 
 
+def stability_radius(loop: UncertainLoop, points: int = POINTS) -> float:
+    """Radius of a loop's factors, as of `Region`."""
+    return _radius(loop, points)[0]
+
+
 def _radius(loop: UncertainLoop, points: int) -> tuple[float, dict[str, float], int]:
     """Radius, the factors just outside at which the loop grows, and how many points were looked at."""
     factors = tuple(each for each in loop.box.uncertainty if each.factor is not None)

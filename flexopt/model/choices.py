@@ -20,18 +20,23 @@ SINGULARITY_MARGIN_DEG = 10.0
 SLACK = 1e-5
 STARTS_MAX = 10_000
 TARGETS_MAX = 1000
+# Objectives that are what the real loop does, as of `flexopt.Outcome`.
+DECAY = "decay"
+OUTCOMES = (DECAY,)
 WEIGHT = Quantity("", low=0.0, high=1e6)
 BASE_RATE, BASE_ACCELERATION = Quantity("m/s", above=0.0, high=1e3), Quantity("m/s²", above=0.0, high=1e4)
 
 
 @Checked
 def check_objective(value: Any) -> str:
-    """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas."""
+    """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas; or one of `OUTCOMES`."""
+    if isinstance(value, str) and value in OUTCOMES:
+        return value
     words = value.replace(" ", "").split(",") if isinstance(value, str) else []
     if not words or not all(re.fullmatch(r"V|epsilon_max|w[1-9][0-9]?", word) for word in words):
         raise ValueError(
             "must be w1, w2, … (one mode), V (a weighted sum) or epsilon_max, or several of them in order of "
-            "importance, separated by commas"
+            f"importance, separated by commas; or, of a loop, one of {', '.join(OUTCOMES)}"
         )
     if len(set(words)) < len(words):
         raise ValueError("names the same objective twice")

@@ -21,6 +21,7 @@ from flexopt.model.choices import (
     EVERYTHING,
     GAIN,
     MARGIN_DEG,
+    OUTCOMES,
     SEED,
     SINGULARITY_MARGIN_DEG,
     SLACK,
@@ -175,6 +176,8 @@ class Problem(OnMachine):
         options = {name: getattr(self.selection, name) for name in SelectionOptions.of(kind)}
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
+        if kind == "end_point" and isinstance(self.selection.objective, str) and self.selection.objective in OUTCOMES:
+            options |= {"loop": self.loop, "ranges": self.uncertainty or None}
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options
 
 

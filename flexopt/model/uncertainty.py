@@ -43,7 +43,8 @@ class Uncertainty(BuiltByCall):
         of: what it concerns, a name or several: parameters of the machine as `flexopt.check` lists them (`*` stands for
             any letters), `"stiffness"` or `"damping"`, all springs or dampers of the passive coordinates, or
             `"dead_time"`, that of the loop.
-        factor: (lower, upper) of one factor that multiplies all of them together, such as one of the soil's.
+        factor: (lower, upper) of one factor that multiplies all of them together, such as one of the soil's. Factors of
+            several entries that concern one parameter multiply each other.
         value: (lower, upper) of a single one, in its own unit: of a payload, or of the dead time, s.
     """
 
@@ -104,7 +105,7 @@ def _of_passive(machine: Any, word: str) -> set[str]:
 
 def uncertainty_faults(uncertainty: Sequence[Uncertainty], machine: Any, field: str = "uncertainty") -> list[Fault]:
     """What does not go together, or not with the machine."""
-    faults, seen = list[Fault](), dict[int, str]()
+    faults, seen = list[Fault](), dict[int, Uncertainty]()
     values = [parameter.value for parameter in machine.parameters]
     if len(uncertainty) > UNCERTAIN_MAX:
         faults.append(Fault(field or "uncertainty", f"may have at most {UNCERTAIN_MAX} entries", str(len(uncertainty))))
@@ -120,11 +121,12 @@ def uncertainty_faults(uncertainty: Sequence[Uncertainty], machine: Any, field: 
                 faults.append(
                     Fault(f"{where}.of", f"{machine.name} has none such{hint_or_list(word, names, most=8)}", word)
                 )
-        both = sorted({seen[i] for i in chosen if i in seen})
+        # Factors of one parameter multiply each other, as a soil's and a spring's own.
+        both = sorted({seen[i].name for i in chosen if i in seen and None in (seen[i].factor, each.factor)})
         if both:
-            sentence = f"concerns parameters that {', '.join(both)} concerns, too"
+            sentence = f"concerns parameters that {', '.join(both)} concerns, too; only factors go together"
             faults.append(Fault(f"{where}.of", sentence, each.name))
-        seen |= dict.fromkeys(chosen, each.name)
+        seen |= dict.fromkeys(chosen, each)
         if each.value is not None and len(chosen) > 1:
             faults.append(Fault(f"{where}.value", f"goes with one parameter; give factor for {len(chosen)} of them"))
         if each.factor is not None and chosen and not any(values[i] for i in chosen):

@@ -14,6 +14,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
+from flexopt.model.choices import OUTCOMES
 from flexopt.model.constraints import Constraints
 from flexopt.model.own import Constraint as OwnConstraint
 from flexopt.model.own import OwnFunction
@@ -177,7 +178,10 @@ def read_objectives(
         arguments.note("weights", f"go with objective V only, not with {names}", list(weights))
     found = list[Objective]()
     for part in parts:
-        if isinstance(part, str):
+        if isinstance(part, str) and part in OUTCOMES:
+            sentence = "is for flexopt.select of one target, alone, or flexopt select: it wants a loop"
+            arguments.note("objective", sentence, part)
+        elif isinstance(part, str):
             found.append(_objective(arguments, machine, part, weights, m))
         else:
             faults = own_faults("objective", machine, part, scalar=True)

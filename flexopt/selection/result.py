@@ -171,6 +171,11 @@ class Selection(Pictured, Result):
         return True
 
     @property
+    def measure(self) -> str | None:
+        """Which of `flexopt.Outcome` was sought, where the objective is one of the loop; else None."""
+        return None
+
+    @property
     def status(self) -> str:
         """A sentence."""
         wide = sum(bool(candidate.continuum) for candidate in self.candidates)

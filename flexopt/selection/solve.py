@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 
-from flexopt.errors import FlexoptError
+from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords, instance, public
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.later import later
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
+from flexopt.model.choices import OUTCOMES
 from flexopt.model.constraints import AnyConstraints
+from flexopt.model.loop import Loop, loop_faults
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
+from flexopt.model.uncertainty import Uncertainty
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
@@ -40,12 +45,28 @@ Extent = dict[str, tuple[float, float]]
 REPRESENTATIVES = 5
 
 
-@public(together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
+def _notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """As of `build_selection`; an objective of the loop is not its to check."""
+    if given.get("objective") in OUTCOMES:
+        if given.get("weights") is not None:
+            arguments.note("weights", f"go with objective V only, not with {given['objective']}", given["weights"])
+        given = {**given, "objective": "w1", "weights": None}
+    else:
+        for name in ("loop", "ranges"):
+            if given.get(name) is not None:
+                sentence = f"goes with an objective of the loop, {', '.join(OUTCOMES)}; else see flexopt.verdict"
+                arguments.note(name, sentence, given[name])
+    only_notes(arguments, given)
+
+
+@public(together=_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
 def select(
     machine: AnyMachine,
     target: Any,
     *,
     constraints: AnyConstraints | None = None,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
@@ -54,7 +75,13 @@ def select(
     """Choose placement and posture: `build_selection` and `solve_selection` in one.
 
     Args:
-        machine, target, constraints, options, keywords: as in `flexopt.build_selection`.
+        machine, target, constraints, options, keywords: as in `flexopt.build_selection`. The objective of the
+            loop is `"decay"`, as of `flexopt.Outcome`, alone.
+        loop: of the loop's objective: the real controller, as of `flexopt.evaluate`; by default the machine's
+            `[loop]`, or where there is none what follows from the machine. Of gains with a range (`kp_range`,
+            `kv_range`) the best for each configuration are chosen.
+        ranges: of the loop's objective: what is uncertain, as of `flexopt.verdict`; the least over it counts. By
+            default the machine's own numbers alone.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -62,8 +89,25 @@ def select(
         InputError, UnreachableTarget: as `build_selection`.
         NoSolutionFound: as `solve_selection`.
     """
+    real, measure = cast("Loop | None", loop or machine.loop), keywords.get("objective")
+    if isinstance(measure, str) and measure in OUTCOMES:
+        # Its room is built on this one.
+        choose = later("flexopt.selection.outcomes", choice="outcome_selection")("outcome_selection")
+        problem = build_selection(machine, target, constraints=constraints, **keywords | {"objective": "w1"})
+        own = _suiting(machine, real or Loop(), problem)
+        return cast(Any, choose)(problem, measure, own, ranges or (), _initial(problem), workers, progress)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
+
+
+def _suiting(machine: AnyMachine, loop: Loop, problem: SelectionProblem) -> Loop:
+    """The loop with the problem's control."""
+    if loop.control not in (None, problem.control):
+        fault = Fault("loop.control", f"is not the control of the problem, {problem.control}", repr(loop.control))
+        raise_if_any(InputError, "select", [fault])
+    own = loop.model_copy(update={"control": problem.control})
+    raise_if_any(InputError, "select", loop_faults(own, machine, "loop."))
+    return own
 
 
 @public(problem=instance(SelectionProblem, "a SelectionProblem, from flexopt.build_selection"))

@@ -31,6 +31,7 @@ from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
+from flexopt.selection.outcomes.choice import OutcomeSelection
 from flexopt.study.confirmation import Runs, nonlinear_runs
 from flexopt.study.decision import MOST, RULE, Decision, Place, Word, decide, faster
 from flexopt.study.gain_search import best_gains
@@ -276,7 +277,7 @@ def verdict(
     selection = _selected(problem, target, constraints, {k: v for k, v in keywords.items() if v is not None})
     solved = selection.problem
     machine = solved.machine
-    asked, uncertain = _real(problem, machine, loop, ranges, solved.control)
+    asked, uncertain = _real(problem, selection, loop, ranges)
     stands = _stands(selection)
     first = next(iter(stands.values()))
     settings = loop_settings(machine, asked, first, gravity=solved.gravity)
@@ -337,15 +338,17 @@ def _selected(problem: Any, target: Any, constraints: Any, keywords: dict[str, A
     return found
 
 
-def _real(
-    problem: Any, machine: AnyMachine, loop: Any, ranges: Any, control: Any
-) -> tuple[Loop, tuple[Uncertainty, ...]]:
+def _real(problem: Any, selection: Selection, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...]]:
     """The loop with the problem's control, and what is uncertain; both from where they are first given."""
+    machine, control = selection.problem.machine, selection.problem.control
     own = cast("Loop | None", loop or getattr(problem, "loop", None) or machine.loop) or Loop()
     if own.control not in (None, control):
         fault = Fault("loop.control", f"is not the control of the problem, {control}", repr(own.control))
         raise_if_any(InputError, "verdict", [fault])
     own = own.model_copy(update={"control": control})
+    # Gains that were chosen with the best configuration are those that the machine would have.
+    gains = dict(selection.gains[0]) if isinstance(selection, OutcomeSelection) else dict[str, float]()
+    own = own.model_copy(update={name: (gain,) for name, gain in gains.items()})
     raise_if_any(InputError, "verdict", loop_faults(own, machine, "loop."))
     return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
 

@@ -43,9 +43,11 @@ def test_what_does_not_go_with_the_machine(given: dict[str, Any], sentence: str)
     assert sentence in faults[0].sentence
 
 
-def test_one_parameter_is_uncertain_once() -> None:
-    both = (Uncertainty(of="stiffness", factor=(1, 2)), Uncertainty(of="base.stiffness.x", factor=(1, 2)))
+def test_one_parameter_is_uncertain_once_but_for_factors() -> None:
+    both = (Uncertainty(of="stiffness", factor=(1, 2)), Uncertainty(of="base.stiffness.x", value=(1e6, 2e6)))
     assert "stiffness concerns, too" in uncertainty_faults(both, flexopt.load("excavator"))[0].sentence
+    factors = (both[0], Uncertainty(of="base.stiffness.x", factor=(0.5, 1)))
+    assert not uncertainty_faults(factors, flexopt.load("excavator"))
 
 
 @pytest.mark.parametrize(

@@ -110,6 +110,8 @@ class Certificate(Result):
 def _refuse(arguments: Arguments, given: Mapping[str, Any]) -> None:
     selection = given["selection"]
     why = None if selection is None or selection.best.unsurpassed else not_provable(selection.problem)
+    if selection is not None and selection.measure is not None:
+        why = f"maximises {selection.measure}, of which no bound over whole cells is known"
     if why is not None:
         arguments.faults.append(Fault("selection", why))
 

@@ -1,0 +1,4 @@
+"""Configurations, and gains, chosen by what the real loop does: by its decay.
+
+In: a `SelectionProblem`, a loop, what is uncertain. Out: an `OutcomeSelection`.
+"""

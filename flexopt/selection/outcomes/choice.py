@@ -1,0 +1,317 @@
+"""The choice by the decay of the loop: points are looked at, the best climb, what the uncertainty finds is added.
+
+In: a `SelectionProblem` whose own objective is not asked, a loop. Out: an `OutcomeSelection`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from flexopt.errors import NoSolutionFound
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.processes import in_parallel
+from flexopt.foundation.turns import available_cores
+from flexopt.loop.evaluation import with_outcome
+from flexopt.loop.region import stability_radius
+from flexopt.loop.settings import LoopSettings, loop_settings
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.choices import DECAY
+from flexopt.model.loop import Loop
+from flexopt.model.uncertainty import GROUND, Uncertainty
+from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.robustness import Evaluation
+from flexopt.selection.optima import SAME_POINT, Progress
+from flexopt.selection.outcomes.climb import Climbed, ahead, climbed
+from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.result import Attempt, Candidate, Selection
+from flexopt.selection.solve import constraint_values
+from flexopt.selection.starts import FEASIBLE
+
+# Points looked at, half a millisecond each.
+LOOKED = 1500
+# How far starts stand apart, in scaled variables; how many make how many steps before the best of them go on; and how
+# many climb to the end. Basins are narrow: few steps from many starts find more than many from few.
+APART, STAGES, CLIMBED = 0.5, ((96, 6), (32, 10)), 10
+# Points nearer than this after some steps are on their way to one optimum.
+ALIKE = 0.03
+# Points that a process looks at together.
+BLOCK = 50
+# Points of the uncertainty that are looked at behind a climb, and how often what they find is added and climbed again.
+MEMBERS, ROUNDS = 32, 4
+# Of the value, by which a member that is slower than those that were climbed with is new.
+NEW = 1e-3
+
+
+@dataclass(frozen=True, repr=False)
+class OutcomeSelection(Selection):
+    """The answer to a configuration problem by what the loop does.
+
+    Attributes:
+        sought: which is largest: `"decay"`, as of `flexopt.Outcome`; `Candidate.objective` is its value, 1/s, over the
+            uncertainty its least.
+        gains: kp and kv of each candidate, those that were chosen with the configuration.
+        radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
+            before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
+        uncertainty: what the worst case is taken over; empty: none.
+        others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
+    """
+
+    sought: str = DECAY
+    gains: tuple[Mapping[str, float], ...] = ()
+    radii: tuple[float, ...] = ()
+    settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
+    uncertainty: tuple[Uncertainty, ...] = ()
+
+    DOCUMENT = Selection.DOCUMENT + " measure gains radii uncertainty=_uncertainty"
+
+    @property
+    def measure(self) -> str:
+        """As `sought`."""
+        return self.sought
+
+    @property
+    def _uncertainty(self) -> list[dict[str, Any]]:
+        return [each.model_dump(exclude_none=True) for each in self.uncertainty]
+
+    @property
+    def decided_by(self) -> str:
+        """Empty: candidates are ranked by the measure alone."""
+        return ""
+
+    @property
+    def nothing_to_gain(self) -> str:
+        """A sentence where the present configuration has as much of the measure as the best; else empty."""
+        if self.initial is None or self.initial.outcome is None or self.uncertainty:
+            return ""
+        now = getattr(self.initial.outcome, self.measure)
+        if not now >= (1 - NEW) * self.best.objective:
+            return ""
+        return f"nothing to gain: the present configuration has as much {self.measure}"
+
+    def __repr__(self) -> str:
+        best = self.best.evaluation
+        names = (*best.base_coordinates, *best.joints)
+        over = f", worst over {', '.join(each.name for each in self.uncertainty)}" if self.uncertainty else ""
+        lines = [
+            f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in self.problem.target)}) m, Jacobian "
+            f"{best.control} control, objective {self.measure}{over}: {self.status}",
+            "  rank " + " ".join(f"{name:>9}" for name in names) + f" {self.measure + ' 1/s':>16} {'radius':>7}"
+            + "".join(f" {name:>10}" for name in self.gains[0]),
+        ]  # fmt: skip
+        each = zip(self.candidates, self.radii, self.gains, strict=True)
+        for rank, (candidate, radius, gains) in enumerate(each, start=1):
+            e = candidate.evaluation
+            numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
+            active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
+            chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
+            lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
+        lines += [f"  {sentence}" for sentence in (self.nothing_to_gain,) if sentence]
+        if self.initial is not None and self.initial.outcome is not None:
+            e, now = self.initial, getattr(self.initial.outcome, self.measure)
+            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}")
+        return "\n".join([*lines, *repr(self.settings[0]).splitlines()])
+
+
+def outcome_selection(
+    problem: SelectionProblem,
+    measure: str,
+    loop: Loop,
+    uncertainty: tuple[Uncertainty, ...],
+    initial: Evaluation | None,
+    workers: int | None,
+    progress: Progress | None,
+) -> OutcomeSelection:
+    """Local optima of the decay, verified to first order, the best first.
+
+    Args:
+        problem: from `build_selection`; its objective is not asked.
+        measure: which is sought, see `OutcomeSelection`.
+        loop: known to be good for the machine; gains that it gives ranges of are chosen, too.
+        uncertainty: over which the least decay counts; empty: the machine's own numbers.
+        initial: the present configuration.
+        workers, progress: as of `flexopt.solve_selection`.
+
+    Raises:
+        NoSolutionFound: no climb ended at a feasible, stationary point.
+    """
+    pool = _pool(problem, initial)
+    n_base, machine = len(problem.machine.base_coordinates), problem.machine
+    stand = initial or problem.quantities.evaluated(pool[0])
+    settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
+    box = UncertaintyBox(machine, uncertainty, settings.dead_time)
+    ranges = {name: given for name in ("kp", "kv") if (given := getattr(loop, f"{name}_range")) is not None}
+    held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
+    corners = box.members(2)[: 2 ** len(uncertainty)] if uncertainty else np.zeros((0, 0))
+    program = OutcomeProgram(problem, held, ranges, corners)
+    count = workers or available_cores()
+    ys, values = _looked(program, pool, count)
+    program = replace(program, size=max(abs(max(values)), np.finfo(float).tiny))
+    distance = APART
+    for most, steps in STAGES:
+        chosen = [ys[k] for k in _apart(program, ys, values, min(most, problem.starts or most), distance)]
+        done_with = in_parallel(partial(_ahead, program, chosen, steps), len(chosen), count, at_once=len(chosen) > 1)
+        ys, values = [y for y, _ in done_with], [value for _, value in done_with]
+        distance = ALIKE
+    starts = [ys[k] for k in _apart(program, ys, values, CLIMBED, distance)]
+    done = None if progress is None else partial(_told, progress, len(starts))
+    found = in_parallel(partial(_climbed, program, starts), len(starts), count, done, at_once=len(starts) > 1)
+    attempts = tuple(_attempt(program, start, each) for start, each in zip(starts, found, strict=True))
+    ends = sorted((each for each in found if each is not None and each.holds), key=lambda each: -each.value)
+    distinct = list[Climbed]()
+    for each in ends:
+        if all(np.abs(_away(program, each.y, other.y)).max() > SAME_POINT for other in distinct):
+            distinct.append(each)
+    if not distinct:
+        raise _none(program, found)
+    loops = [program.at(each.y).settings for each in distinct]
+    candidates = [_candidate(problem, each, chosen) for each, chosen in zip(distinct, loops, strict=True)]
+    springs = UncertaintyBox(machine, GROUND, settings.dead_time)
+    now = None if initial is None else with_outcome(machine, initial, loops[0], gravity=problem.gravity)
+    return OutcomeSelection(
+        best=candidates[0],
+        candidates=tuple(candidates),
+        initial=now,
+        attempts=attempts,
+        kept=(),
+        problem=problem,
+        provenance=provenance(machine, objective=measure, target=problem.target.tolist(), seed=problem.seed),
+        sought=measure,
+        gains=tuple(program.gains(each.y) for each in distinct),
+        radii=tuple(stability_radius(replace(program.at(each.y), box=springs)) for each in distinct),
+        settings=tuple(loops),
+        uncertainty=uncertainty,
+    )
+
+
+def _pool(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
+    """Feasible configurations (N, n_z): those that were scanned, and the present one."""
+    scan = problem.scan
+    feasible = scan.violation <= FEASIBLE
+    pool = np.concatenate([scan.base[:, feasible], scan.posture[:, feasible]]).T
+    if initial is not None:
+        pool = np.concatenate([np.concatenate([initial.base, initial.posture])[None], pool])
+    if not len(pool):
+        sentence = "select: no configuration that was looked at keeps every constraint"
+        raise NoSolutionFound(sentence, violations={}, iterate={})
+    return pool
+
+
+def _looked(program: OutcomeProgram, pool: Vector, workers: int) -> tuple[list[Vector], list[float]]:
+    """Points y, configurations of the pool with gains from their ranges, and their values."""
+    unit = low_discrepancy(1 + len(program.ranges), LOOKED, program.problem.seed)
+    lower, upper = (end[program.n_z :] for end in program.bounds)
+    # The present configuration is the first of the pool.
+    places = [0, *np.minimum((unit[0, 1:] * len(pool)).astype(int), len(pool) - 1).tolist()]
+    gains = lower + unit[1:].T * (upper - lower)
+    ys = [np.append(pool[k] / program.problem.scale, own) for k, own in zip(places, gains, strict=True)]
+    blocks = [ys[k : k + BLOCK] for k in range(0, len(ys), BLOCK)]
+    found = in_parallel(partial(_values, program, blocks), len(blocks), workers)
+    return ys, [value for block in found for value in block]
+
+
+def _values(program: OutcomeProgram, blocks: list[list[Vector]], number: int) -> list[float]:
+    return [program.value(y) for y in blocks[number]]
+
+
+def _apart(program: OutcomeProgram, ys: list[Vector], values: list[float], count: int, distance: float) -> list[int]:
+    """Numbers of the best points, so many at most, none nearer to a better one than a distance."""
+    chosen = list[int]()
+    order: list[int] = np.argsort(-np.array(values), kind="stable").tolist()
+    for k in order:
+        if len(chosen) == count:
+            break
+        if all(float(np.max(np.abs(_away(program, ys[k], ys[other])))) > distance for other in chosen):
+            chosen.append(k)
+    return chosen
+
+
+def _away(program: OutcomeProgram, y: Vector, other: Vector) -> Vector:
+    """From one to the other, angles without limits the short way round."""
+    away, turning = other - y, program.problem.turning
+    inside = away[: program.n_z]
+    inside[turning] = (inside[turning] + math.pi) % math.tau - math.pi
+    return away
+
+
+def _ahead(program: OutcomeProgram, starts: list[Vector], steps: int, number: int) -> tuple[Vector, float]:
+    return ahead(program, starts[number], steps)
+
+
+def _told(progress: Progress, count: int, number: int) -> None:
+    progress(number, count)
+
+
+def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Climbed | None:
+    """The optimum from a start, members added for which it is not one."""
+    found: Climbed | None = climbed(program, starts[number])
+    for _ in range(ROUNDS if program.loop.box.uncertainty else 0):
+        if found is None:
+            return None
+        value, at = _least(program, found.y)
+        if value >= found.value - NEW * abs(found.value):
+            break
+        program = replace(program, members=np.concatenate([program.members, at[None]]))
+        again = climbed(program, found.y)
+        found = again if again is not None else replace(found, value=value)
+    if found is not None and program.loop.box.uncertainty:
+        return replace(found, value=min(found.value, _least(program, found.y)[0]))
+    return found
+
+
+def _least(program: OutcomeProgram, y: Vector) -> tuple[float, Vector]:
+    """The least of the measure found over the uncertainty, and where."""
+    loop = program.at(y)
+    members = loop.box.members(MEMBERS)
+    return loop.slowest(members, loop.decays(members))
+
+
+def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Attempt:
+    if end is None:
+        return Attempt(tuple(program.z(start).tolist()), "led off the constraints")
+    if not end.holds:
+        sentence = f"ended where the gradient is not zero, {end.stationarity:.1e}"
+        return Attempt(tuple(program.z(start).tolist()), sentence)
+    return Attempt(tuple(program.z(start).tolist()), "verified to first order", end.value)
+
+
+def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFound:
+    ends = [each for each in found if each is not None]
+    best = max(ends, key=lambda each: each.value, default=None)
+    names = [variable.name for variable in program.problem.variables]
+    iterate = {} if best is None else dict(zip(names, program.z(best.y).tolist(), strict=True))
+    left = {} if best is None else {"first-order optimality": best.stationarity}
+    return NoSolutionFound(
+        f"select: none of {len(found)} climbs ended at a stationary point; more starts may",
+        violations=left, iterate=iterate,
+    )  # fmt: skip
+
+
+def _candidate(problem: SelectionProblem, end: Climbed, settings: LoopSettings) -> Candidate:
+    z = end.y[: problem.scale.size] * problem.scale
+    n_base, p = len(problem.machine.base_coordinates), problem.measures.plant.parameter_values
+    reached = problem.rows(z)[: problem.target.size]
+
+    def evaluate() -> Evaluation:
+        return with_outcome(problem.machine, problem.quantities.evaluated(z), settings, gravity=problem.gravity)
+
+    return Candidate(
+        z=z,
+        w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
+        objective=end.value,
+        active=end.active,
+        constraints=constraint_values(problem, z),
+        target_error=float(np.linalg.norm(reached - problem.target)),
+        stationarity=end.stationarity,
+        iterations=end.steps,
+        kinks={},
+        unsurpassed=False,
+        evaluate=evaluate,
+    )

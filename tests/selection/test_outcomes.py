@@ -1,0 +1,177 @@
+"""Configurations chosen by what the loop does: its decay, with gains and in the worst case."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import differential_evolution
+
+import flexopt
+from benchmarks.codesign import KP, KV, decay
+from flexopt.loop.settings import loop_settings
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.loop import Loop
+from flexopt.selection.outcomes.choice import OutcomeSelection
+from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.starts import FEASIBLE, moved
+from tests.cli.command import Command
+
+EXCAVATOR, TARGET = flexopt.load("excavator"), (0.0, 1.6)
+FIXED = {"kp": 1e4, "kv": 1e3}
+RANGED = {"kp_range": KP, "kv_range": KV}
+
+
+def chosen(objective: str = "decay", **options: Any) -> OutcomeSelection:
+    found = flexopt.select(EXCAVATOR, TARGET, objective=objective, **options)
+    assert isinstance(found, OutcomeSelection)
+    return found
+
+
+def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
+    """Placements along both elbows, 4,001 each; gains of the article's loop with 20 ms of dead time."""
+    found = chosen(loop=FIXED | {"dead_time": 0.02})
+    scan = max(
+        decay(x, elbow, 1e4, 1e3, 0.02, worst=False) for elbow in ("up", "down") for x in np.linspace(-3.4, 3.4, 4001)
+    )
+    # The scan steps over the peak's tip.
+    assert found.best.objective == pytest.approx(scan, rel=1e-3)
+    assert found.best.objective >= scan - 1e-9
+    assert found.best.target_error < 1e-8
+    assert found.best.stationarity < 1e-4
+    outcome = found.best.evaluation.outcome
+    assert isinstance(outcome, flexopt.Outcome)
+    assert outcome.decay == pytest.approx(found.best.objective)
+
+
+def test_gains_are_chosen_with_the_configuration() -> None:
+    """Not worse than an evolution strategy about the best zone, and what is said is what the loop does."""
+    found = chosen(loop=RANGED | {"dead_time": 0.02})
+    gains = found.gains[0]
+    base = float(found.best.evaluation.base[0])
+    other: Any = differential_evolution(
+        lambda x: -decay(x[0], "down", math.exp(x[1]), math.exp(x[2]), 0.02, worst=False),
+        [(base - 0.4, base + 0.4), tuple(np.log(KP)), tuple(np.log(KV))], maxiter=30, popsize=8, rng=3, polish=False,
+    )  # fmt: skip
+    assert found.best.objective >= -0.99 * float(other.fun)
+    again = flexopt.outcome(
+        EXCAVATOR, found.best.evaluation.posture, base=found.best.evaluation.base, loop=gains | {"dead_time": 0.02}
+    )
+    assert again.decay == pytest.approx(found.best.objective, rel=1e-6)
+    # Several times as fast as any posture at the article's gains, and much more fragile.
+    assert found.best.objective > 5 * chosen(loop=FIXED | {"dead_time": 0.02}).best.objective
+    assert found.radii[0] < 1.5
+
+
+def test_the_worst_case_is_no_better_anywhere_in_its_box() -> None:
+    ranges = {"stiffness": (0.5, 2.0), "dead_time": (0.0, 0.01)}
+    found = chosen(loop=FIXED, ranges=ranges, starts=16)
+    nominal = chosen(loop=FIXED, starts=16)
+    assert 0 < found.best.objective < nominal.best.objective
+    e = found.best.evaluation
+    region = flexopt.stable_region(EXCAVATOR, e.posture, base=e.base, loop=FIXED, ranges=ranges, points=200)
+    assert region.decay == pytest.approx(found.best.objective, rel=2e-3)
+    before = nominal.best.evaluation
+    assert region.decay >= (
+        flexopt.stable_region(EXCAVATOR, before.posture, base=before.base, loop=FIXED, ranges=ranges).decay - 1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "gains"),
+    [
+        ("excavator", FIXED),
+        ("slewing-excavator", {"kp": 3e6, "kv": 6e5}),
+        ("boom-stick-bucket", {"kp": 1e6, "kv": 2e5}),
+    ],
+)
+def test_slopes_at_points_that_are_no_optimum(name: str, gains: dict[str, float]) -> None:
+    """Of every branch and row, by everything that varies, beside differences of second order."""
+    machine = flexopt.load(name)
+    target = {"excavator": (0.0, 1.6), "slewing-excavator": (6.0, 2.0, 1.0), "boom-stick-bucket": (4.0, 1.0)}[name]
+    problem = flexopt.build_selection(machine, target)
+    n_base = len(machine.base_coordinates)
+    k = int(np.flatnonzero(problem.scan.violation <= FEASIBLE)[5])
+    z = np.concatenate([problem.scan.base[:, k], problem.scan.posture[:, k]])
+    z, left = moved(problem, z[:, None], 1)
+    assert left[0] <= FEASIBLE
+    stand = flexopt.evaluate(machine, z[n_base:, 0], base=z[:n_base, 0])
+    settings = loop_settings(machine, Loop(control="inverse", dead_time=0.0071, **gains), stand)
+    loop = UncertainLoop(settings, stand.base, stand.posture, False, UncertaintyBox(machine, (), 0.0071))
+    ranges = {"kp": (1.0, 1e8), "kv": (1.0, 1e8)}
+    program = OutcomeProgram(problem, loop, ranges, np.zeros((0, 0)), 0.1)
+    y = np.append(z[:, 0] / problem.scale, np.log([gains["kp"], gains["kv"]]))
+    found, rows = program.branches(y), program.row_slopes(y)
+    step = 1e-5
+    for i, way in enumerate(np.eye(y.size) * step):
+        up, down = program.branches(y + way), program.branches(y - way)
+        count = min(len(up.values), len(down.values), len(found.values))
+        central = (up.values[:count] - down.values[:count]) / (2 * step)
+        # At a step of 1e-5 differences keep some six digits of what varies on this scale.
+        size = 1e-5 * max(1.0, float(np.abs(found.slopes).max()))
+        np.testing.assert_allclose(found.slopes[:count, i], central, rtol=1e-5, atol=size)
+        changed = (program.rows(y + way) - program.rows(y - way)) / (2 * step)
+        np.testing.assert_allclose(rows[:, i], changed, rtol=1e-6, atol=1e-6)
+
+
+def test_in_space_with_constraints() -> None:
+    """The shipped pipe-laying problem, chosen by decay: every constraint kept, and not slower than staying."""
+    problem = flexopt.load_problem("pipe-laying")
+    arguments = problem.select_arguments()
+    arguments.pop("weights", None)
+    found = flexopt.select(**arguments | {"objective": "decay", "loop": {"kp": 3e6, "kv": 6e5}, "starts": 12})
+    assert isinstance(found, OutcomeSelection)
+    for constraint in found.best.constraints.values():
+        assert constraint.lower - 1e-6 <= constraint.value <= constraint.upper + 1e-6
+    by_measure = flexopt.solve_problem(problem)
+    assert isinstance(by_measure, flexopt.Selection)
+    e = by_measure.best.evaluation
+    other = flexopt.outcome(found.problem.machine, e.posture, base=e.base, loop={"kp": 3e6, "kv": 6e5})
+    assert found.best.objective > other.decay
+
+
+def test_what_does_not_go_together() -> None:
+    for options, sentence in (
+        ({"objective": "decay", "weights": [1, 0, 0]}, "weights"),
+        ({"objective": "w1", "loop": FIXED}, "goes with an objective of the loop"),
+        ({"objective": "decay,w1"}, "must be w1"),
+        ({"objective": "decay", "loop": {"control": "transpose"}}, "control of the problem"),
+    ):
+        with pytest.raises(flexopt.InputError, match=sentence):
+            flexopt.select(EXCAVATOR, TARGET, **options)  # type: ignore[arg-type]
+    with pytest.raises(flexopt.InputError, match="it wants a loop"):
+        flexopt.build_selection(EXCAVATOR, TARGET, objective="decay")
+    with pytest.raises(flexopt.InputError, match="no bound over whole cells"):
+        flexopt.certify(chosen(loop=FIXED, starts=4))
+
+
+def test_a_verdict_on_it_has_the_gains_that_were_chosen() -> None:
+    loop = RANGED | {"dead_time": 0.02}
+    found = chosen(loop=loop, base=0.0)
+    judged = flexopt.verdict(found, loop=loop, ranges={"stiffness": (0.99, 1.01)}, runs=0)
+    assert judged.settings.kp == pytest.approx([found.gains[0]["kp"]] * 2)
+    assert judged.word in {"move", "change gains"}
+
+
+def test_a_problem_file_and_the_command(tmp_path: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = "\n".join([
+        'name = "own"', 'machine = "excavator"', "[target]", "end_point = [0.0, 1.6]", "[selection]",
+        'objective = "decay"', "starts = 8", "base = 0.0", "[loop]", "kp = 1e4", "kv = 1e3", "dead_time = 0.02",
+    ])  # fmt: skip
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    found = flexopt.solve_problem(flexopt.load_problem("own.toml"))
+    assert isinstance(found, OutcomeSelection)
+    assert found.best.objective > 0
+    command = Command(capsys, tmp_path)
+    shown = command("select", "own.toml")
+    assert "objective decay" in shown.stdout
+    assert "verdict: MOVE" in shown.stdout
+    document = command("select", "own.toml", "--json").document
+    assert document["measure"] == "decay"
+    assert document["best"]["outcome"]["decay"] == pytest.approx(found.best.objective)
+    words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--loop", "dead_time=0.02", "--starts", "8", "--json")
+    same = command("select", "article", "--objective", "decay", *words).document
+    assert same["best"]["objective"] == pytest.approx(found.best.objective, rel=1e-9)
