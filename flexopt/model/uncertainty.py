@@ -87,8 +87,9 @@ def parameters_of(names: Sequence[str], machine: Any) -> tuple[int, ...]:
     return tuple(sorted(found))
 
 
-# What is taken where nothing is said of the ground: one factor of all springs.
-GROUND = (Uncertainty(of=(SPRINGS,), factor=(0.5, 2.0)),)
+# What is taken where nothing is said of the ground: one factor of all springs. Built without the checks, whose schema
+# would be made at every import.
+GROUND = (Uncertainty.model_construct(of=(SPRINGS,), factor=(0.5, 2.0)),)
 
 
 def _of_passive(machine: Any, word: str) -> set[str]:
