@@ -29,18 +29,17 @@ from flexopt.cli.common import (
     progress_bar,
     read,
     say,
-    typed,
+    table,
     value,
     warnings_to_stderr,
     whole,
     wholes,
     write_output,
 )
+from flexopt.cli.judging import LOOP, RANGES, asked_problem, real_loop
 from flexopt.cli.simulation import loop_options
-from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model import Problem, load, load_any, load_experiment
+from flexopt.model import load, load_experiment
 from flexopt.model.choices import ELBOWS
-from flexopt.selection import SelectionProblem, build_selection
 
 # Options of the closed loops that a report has.
 LOOPS = ("kp", "kv", "duration", "rate", "offset", "integrator")
@@ -120,6 +119,8 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
 @value("--objective", "w1|w2|…|V|epsilon_max", "Of a machine: what to maximise (w1 by default).")
 @value("--experiment", "NAME", "Experiment (name or file) that gives the closed loops' gains and start.")
 @loop_options("", *LOOPS)
+@LOOP
+@RANGES
 @value("--points", "N", "Of the map along each axis (160; 48 with four passive coordinates and more).", whole)
 @value("--out", "DIR", "Folder of report.html and report.json (flexopt-report by default).")
 @JSON
@@ -134,31 +135,17 @@ def report_command(as_json: bool, problem: str, out: str | None, **options: Any)
     check_folder("--out", folder)
     experiment = None if options["experiment"] is None else read(load_experiment, options["experiment"])
     with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
-        asked = _problem(problem, options)
+        asked, own = asked_problem("report", problem, options)
         simulation = given(options, *LOOPS)
         result = report(
-            asked, experiment=experiment, simulation=simulation, points=options["points"], progress=progress
-        )
+            asked, experiment=experiment, simulation=simulation, points=options["points"], progress=progress,
+            loop=real_loop(own, options["loop"]), ranges=table("--ranges", options["ranges"]),
+        )  # fmt: skip
     write_output("--out", folder, lambda: result.write(folder))
     if as_json:
         print_json(result.to_dict())
     else:
         say(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
-
-
-def _problem(name: str, options: dict[str, Any]) -> Problem | SelectionProblem:
-    """A problem file's problem, or that of a machine with a target."""
-    loaded = read(load_any, name)
-    own = ("end_point", "posture", "base", "control", "objective")
-    if isinstance(loaded, Problem):
-        sentence = "goes with a machine; the problem file brings its own"
-        faults = [Fault(f"--{word.replace('_', '-')}", sentence, typed(v)) for word, v in given(options, *own).items()]
-        raise_if_any(InputError, "report", faults)
-        return loaded
-    if options["end_point"] is None:
-        raise InputError("report: a machine needs --end-point (m, inertial frame); a problem file brings its own")
-    asked = given(options, *own)
-    return build_selection(loaded, asked.pop("end_point"), **asked)
 
 
 @click.command("doctor", short_help="What this installation can do.")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import product
 from typing import Any, Unpack, cast
 
@@ -20,8 +19,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords, number, public, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
-from flexopt.foundation.results import Result
-from flexopt.loop.settings import LoopSettings, loop_settings
+from flexopt.loop.settings import loop_settings
 from flexopt.loop.standard_move import standard_move
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
@@ -32,10 +30,11 @@ from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
 from flexopt.selection.outcomes.choice import OutcomeSelection
+from flexopt.study.asked import reported
 from flexopt.study.confirmation import Runs, nonlinear_runs
-from flexopt.study.decision import MOST, RULE, Decision, Place, Word, decide, faster
+from flexopt.study.decision import MOST, Decision, Place, decide, faster
 from flexopt.study.gain_search import best_gains
-from flexopt.study.problem_report import reported
+from flexopt.study.verdict_result import STAY, Band, PlaceVerdict, Verdict
 
 # Members that decays are computed of, nonlinear runs, and places besides the present one that are told.
 MEMBERS, RUNS, TOLD = 64, 16, 3
@@ -43,180 +42,6 @@ MEMBERS, RUNS, TOLD = 64, 16, 3
 CORNERED = 3
 # Length of the standard move, m, and of a nonlinear run, s.
 MOVE, DURATION = 0.1, 20.0
-STAY = "stay"
-
-
-@dataclass(frozen=True)
-class Band(Result):
-    """A measure at the machine's own numbers, and its least and greatest among the members looked at."""
-
-    nominal: float
-    least: float
-    greatest: float
-
-
-@dataclass(frozen=True)
-class PlaceVerdict(Result):
-    """What the loop does in one configuration.
-
-    Attributes:
-        name: `"stay"`, or `"candidate 1"` and so on, by rank of the selection.
-        base, posture: of the machine, m or rad;  w: measures w_i there.
-        drive, turn: from the present placement, m and rad; NaN where there is none.
-        decay: of the sampled loop, 1/s; its least is the slowest that a search with gradients found in the box, too.
-        stable_share: of the members.
-        slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency.
-        better: share of the members on which it decays a tenth faster than in the present place.
-        allowed_gain, delay_margin: as of `evaluate`; NaN where there is no border.
-        settling, swing: of the standard move, s, and the base's largest turn in it, rad (see `StandardMove`).
-        runs: nonlinear ones; None where none were asked for.
-    """
-
-    name: str
-    base: Vector
-    posture: Vector
-    w: Vector
-    drive: float
-    turn: float
-    decay: Band
-    stable_share: float
-    slowest_at: dict[str, float]
-    slowest_hz: float
-    better: float
-    allowed_gain: Band
-    delay_margin: Band
-    settling: Band
-    swing: Band
-    runs: Runs | None
-
-    DOCUMENT = """
-    name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] better allowed_gain
-    delay_margin[s] settling[s] swing[rad] runs
-    """
-
-
-@dataclass(frozen=True)
-class Verdict(Result):
-    """Whether it pays to move.
-
-    Attributes:
-        word: `"move"`, `"stay"`, `"change gains"` or `"cannot tell"`;  sentence: it, with where to and why.
-        place: which place it speaks of;  reason: why.
-        measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
-        gains: those to change to.
-        rule: by which the word was found.
-        places: the present one first, then the best others;  table: a row of numbers for each.
-        settings: of the loop, the same in every place.
-        uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
-            was found among these points, and by a search from the slowest ones.
-        selection: the problem's answer.
-    """
-
-    word: Word
-    place: str
-    reason: str
-    measure: str
-    gains: dict[str, list[float]]
-    places: tuple[PlaceVerdict, ...]
-    settings: LoopSettings
-    uncertainty: tuple[Uncertainty, ...]
-    members: int
-    selection: Selection = field(repr=False)
-    provenance: dict[str, Any] = field(repr=False)
-
-    DOCUMENT = """
-    word sentence place reason measure gains rule places settings uncertainty=_uncertainty members proven provenance
-    """
-
-    @property
-    def rule(self) -> str:
-        """See the class."""
-        return RULE
-
-    @property
-    def sentence(self) -> str:
-        """See the class."""
-        gains = ", ".join(f"{name} {values[0]:.4g}" for name, values in self.gains.items())
-        where = {"move": f" to {self.place}", "change gains": f" to {gains}, at {self.place}"}.get(self.word, "")
-        return f"{self.word}{where}: {self.reason}"
-
-    @property
-    def table(self) -> list[dict[str, Any]]:
-        """See the class: name, drive (m), slowest decay (1/s), least allowed gain and delay margin (s), longest
-        settling (s) and largest turn (rad) over the uncertainty, share of nonlinear runs that settle.
-        """  # noqa: D205
-        return [
-            {
-                "place": place.name,
-                "drive": place.drive,
-                "decay": place.decay.least,
-                "allowed_gain": place.allowed_gain.least,
-                "delay_margin": place.delay_margin.least,
-                "settling": place.settling.greatest,
-                "turn": place.swing.greatest,
-                "converging": math.nan if place.runs is None else place.runs.converging,
-            }
-            for place in self.places
-        ]
-
-    @property
-    def proven(self) -> bool:
-        """See the class."""
-        return False
-
-    @property
-    def _drifts(self) -> bool:
-        machine = self.selection.problem.machine
-        return len(machine.joints) > len(machine.task_rows) and not self.settings.nullspace_damping
-
-    @property
-    def _uncertainty(self) -> list[dict[str, Any]]:
-        return [each.model_dump(exclude_none=True) for each in self.uncertainty]
-
-    def __repr__(self) -> str:
-        known = ", ".join(_interval(each) for each in self.uncertainty)
-        lines = [
-            f"{self.selection.problem.machine.name}: {repr(self.settings).splitlines()[0]}",
-            f"  uncertain: {known}; {self.members} members and a search, not a proof",
-            f"  {'place':12} {'drive':>8} {'decay, slowest':>20} {'allowed Kp':>12} {'delay margin':>13} "
-            f"{'settling':>10} {'turn':>11}   nonlinear runs",
-        ]
-        lines += [_row(place) for place in self.places]
-        if any(place.runs and place.runs.undecided for place in self.places) and self._drifts:
-            lines.append("  the arm's self-motion is not damped in these runs; loop.nullspace_damping brakes it")
-        lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
-        return "\n".join([*lines, *([self.measure] if self.measure else [])])
-
-
-def _interval(each: Uncertainty) -> str:
-    low, high = each.factor or each.value or (0.0, 0.0)
-    return f"{each.name} {'times ' if each.factor else ''}{low:g} to {high:g}"
-
-
-def _row(place: PlaceVerdict) -> str:
-    drive = "" if place.name == STAY else "–" if math.isnan(place.drive) else f"{place.drive:.2f} m"
-    decay = f"{place.decay.nominal:+.4g}, {place.decay.least:+.4g}/s"
-    runs = place.runs
-    shown = (
-        ""
-        if runs is None
-        else ", ".join(
-            f"{100 * share:.0f} % {what}"
-            for what, share in (("settle", runs.converging), ("grow", runs.growing), ("undecided", runs.undecided))
-            if share
-        )
-    )
-    return (
-        f"  {place.name:12} {drive:>8} {decay:>20} {_told(place.allowed_gain.least, 1, ''):>12} "
-        f"{_told(place.delay_margin.least, 1e3, ' ms'):>13} {_told(place.settling.greatest, 1, ' s'):>10} "
-        f"{_told(place.swing.greatest, 1e3, ' mrad'):>11}   {shown}"
-    )
-
-
-def _told(value: float, factor: float, unit: str) -> str:
-    if math.isnan(value):
-        return "–"
-    return f"{factor * value:.4g}{unit}" if math.isfinite(value) else "no border"
 
 
 def _judged(arguments: Arguments, field: str, value: Any) -> Any:

@@ -51,6 +51,7 @@ def report_html(report: Report) -> str:
         options=_gains(report),
         loops=_loops(report),
         borders=_borders(report),
+        verdict=_verdict(report),
     )
 
 
@@ -202,6 +203,21 @@ def _loops(report: Report) -> Table:
     header = ["configuration", "verdict", "growth rate of the run, 1/s", "linear loop, 1/s", "settles in, s",
               "largest base rotation, mrad", "end-point at the end, mm off", "duration, s"]  # fmt: skip
     return (header, rows) if rows else None
+
+
+def _verdict(report: Report) -> Table:
+    """Every place's worst over what is uncertain."""
+    judged = report.verdict
+    if judged is None:
+        return None
+    header = ["place", "drive, m", "slowest decay, 1/s", "least allowed Kp", "least delay margin, ms",
+              "longest settling, s", "largest turn of the base, mrad", "runs that settle, %"]  # fmt: skip
+    scales = (1.0, 1.0, 1.0, 1e3, 1.0, 1e3, 100.0)
+    rows = [
+        [str(first), *(_number(scale * value, 4) for scale, value in zip(scales, values, strict=True))]
+        for first, *values in (list(row.values()) for row in judged.table)
+    ]
+    return header, rows
 
 
 def _borders(report: Report) -> Table:

@@ -6,7 +6,7 @@ In: a problem, from a file or from `build_selection`. Out: a `Report`, which wri
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -16,27 +16,32 @@ import numpy as np
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import TABLE, instance, public, table, whole
+from flexopt.foundation.boundary import instance, public, table, whole
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine, Problem
+from flexopt.model.loop import Loop
 from flexopt.model.simulation import Experiment, SimulationOptions
+from flexopt.model.uncertainty import Uncertainty
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
 from flexopt.simulation import SampledLoop, Trajectory, simulate
 from flexopt.simulation.experiment import HELD
 from flexopt.simulation.scenario import checked_options
+from flexopt.study.asked import reported
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
+from flexopt.study.move_verdict import verdict
 from flexopt.study.points import Progress
 from flexopt.study.surroundings import map_points, marks_in, stands_of, surroundings
+from flexopt.study.verdict_result import Verdict
 from flexopt.study.workspace_map import WorkspaceMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STAGES = 4
+STAGES = 5
 POINTS_MAX = 1000  # of the map, along each axis
 # Options of `simulate` that say where the machine stands and are the selection's to say.
 PLACES = ("posture", "end_point", "elbow", "base", "control", "gravity", "base_path", "target_path")
@@ -74,6 +79,7 @@ class Report:
         loops: name of a configuration (`"present"`, `"chosen"`) -> closed loop; the same gains in each.
         simulation: options of these.
         borders: gains Kp that each configuration allows.
+        verdict: whether it pays to move, where a real controller is known and a present placement; else None.
         notes: what could not be computed, sentences.
         provenance: machine, versions and options.
     """
@@ -88,6 +94,7 @@ class Report:
     loops: dict[str, ReportLoop] = field(repr=False)
     simulation: dict[str, Any]
     borders: tuple[BorderRow, ...]
+    verdict: Verdict | None
     notes: tuple[str, ...]
     provenance: dict[str, Any] = field(repr=False)
 
@@ -128,7 +135,8 @@ class Report:
         Keys: `name`, `description`, `source`, `machine` (its `parameters` with units among the rest), `selection` (as
         of `flexopt.select`: `best`, `candidates`, `initial`, `problem`), `constraints` (as given), `mode_shares`
         (configuration -> coordinates × modes), `map` (as of `flexopt.map_workspace`), `loops` (configuration -> `run`,
-        `linear`), `simulation`, `gains` (as of `flexopt reproduce`), `notes`, `provenance`.
+        `linear`), `simulation`, `gains` (as of `flexopt reproduce`), `verdict` (as of `flexopt.verdict`), `notes`,
+        `provenance`.
         """
         return cast(
             dict[str, Any],
@@ -145,6 +153,7 @@ class Report:
                     "loops": {name: loop.to_dict() for name, loop in self.loops.items()},
                     "simulation": self.simulation,
                     "gains": [row.to_dict() for row in self.borders],
+                    "verdict": self.verdict and self.verdict.to_dict(),
                     "notes": self.notes,
                     "provenance": self.provenance,
                 }
@@ -168,6 +177,7 @@ class Report:
         for name, loop in self.loops.items():
             lines += [f"{name}: {loop.run!r}"]
         lines += [f"  {row.stand}, {row.held}, {row.integrator}: Kp {row.text}" for row in self.borders]
+        lines += [] if self.verdict is None else repr(self.verdict).splitlines()
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
 
@@ -192,21 +202,6 @@ def machine_document(machine: AnyMachine) -> dict[str, Any]:
         "capsules": [capsule.model_dump() for capsule in machine.capsules],
         "parameters": [parameter._asdict() for parameter in machine.parameters],
     }
-
-
-def reported(arguments: Arguments, field: str, value: Any) -> Any:
-    """A problem of one target."""
-    if isinstance(value, SelectionProblem):
-        arguments.of = value.machine
-        return value
-    if not isinstance(value, Problem):
-        arguments.note(field, "must be a problem, from flexopt.load_problem or flexopt.build_selection", value)
-        return value
-    TABLE["problem"](arguments, field, value)
-    if value.target.kind != "end_point":
-        sentence = f"must have one target, target.end_point, not target.{value.target.kind}"
-        arguments.faults.append(Fault(field, sentence, value.name))
-    return value
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
@@ -234,6 +229,8 @@ def report(
     *,
     experiment: Experiment | None = None,
     simulation: Mapping[str, Any] | None = None,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
     points: int | None = None,
     progress: Progress | None = None,
 ) -> Report:
@@ -248,6 +245,8 @@ def report(
             stands, nor `control` and `gravity`, which are the problem's. Where neither names `kp` or `kv` they are as
             heavy as the machine in the chosen configuration: a corner at 0.3 of its lowest mode, damped by 0.7, and
             halved until the linear loop is stable; see `flexopt.study.default_gains`.
+        loop, ranges: the real controller and what is uncertain, as of `flexopt.verdict`; by default those of the
+            problem or machine. Where a controller is known the report says whether it pays to move.
         points: of the map, along each axis; 160, or with more than three passive coordinates 48.
         progress: called with the number of stages done and of all.
 
@@ -277,6 +276,12 @@ def report(
         rows = _attempt(notes, f"the gains, {name}", lambda n=name: _borders(machine, n, stands[n], given))
         borders += rows or []
     stages.next()
+    known = loop or getattr(problem, "loop", None) or machine.loop
+    judged = None
+    if known is not None and solved.present_base is not None:
+        ground = ranges or getattr(problem, "uncertainty", None) or None
+        judged = _attempt(notes, "the verdict", lambda: verdict(selection, loop=known, ranges=ground))
+    stages.next()
     described = isinstance(problem, Problem)
     return Report(
         name=problem.name if described else f"{machine.name}: {solved.name}",
@@ -289,6 +294,7 @@ def report(
         loops=loops,
         simulation=given,
         borders=tuple(borders),
+        verdict=judged,
         notes=tuple(notes),
         provenance=provenance(machine, points=size, simulation=given),
     )

@@ -39,13 +39,15 @@ from flexopt.selection.starts import FEASIBLE
 LOOKED = 1500
 # How far starts stand apart, in scaled variables; how many make how many steps before the best of them go on; and how
 # many climb to the end. Basins are narrow: few steps from many starts find more than many from few.
-APART, STAGES, CLIMBED = 0.5, ((96, 6), (32, 10)), 10
+APART, STAGES, CLIMBED = 0.5, ((96, 6), (24, 10)), 8
 # Points nearer than this after some steps are on their way to one optimum.
-ALIKE = 0.03
+ALIKE = 0.1
 # Points that a process looks at together.
 BLOCK = 50
 # Points of the uncertainty that are looked at behind a climb, and how often what they find is added and climbed again.
 MEMBERS, ROUNDS = 32, 4
+# Points that are looked at in each box of one factor for the stability radius.
+RADIUS_POINTS = 12
 # Of the value, by which a member that is slower than those that were climbed with is new.
 NEW = 1e-3
 
@@ -185,7 +187,7 @@ def outcome_selection(
         provenance=provenance(machine, objective=measure, target=problem.target.tolist(), seed=problem.seed),
         sought=measure,
         gains=tuple(program.gains(each.y) for each in distinct),
-        radii=tuple(stability_radius(replace(program.at(each.y), box=springs)) for each in distinct),
+        radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
         uncertainty=uncertainty,
     )

@@ -1,0 +1,26 @@
+"""Problems of one target as reports and verdicts take them, checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flexopt.errors import Fault
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import TABLE
+from flexopt.model import Problem
+from flexopt.selection import SelectionProblem
+
+
+def reported(arguments: Arguments, field: str, value: Any) -> Any:
+    """A problem of one target."""
+    if isinstance(value, SelectionProblem):
+        arguments.of = value.machine
+        return value
+    if not isinstance(value, Problem):
+        arguments.note(field, "must be a problem, from flexopt.load_problem or flexopt.build_selection", value)
+        return value
+    TABLE["problem"](arguments, field, value)
+    if value.target.kind != "end_point":
+        sentence = f"must have one target, target.end_point, not target.{value.target.kind}"
+        arguments.faults.append(Fault(field, sentence, value.name))
+    return value
