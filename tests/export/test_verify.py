@@ -40,6 +40,10 @@ def rows(check: VerificationCheck, title: str) -> list[dict]:
     return next(t.to_dict()["rows"] for t in check.tables if t.title.startswith(title))
 
 
+# Of each function; `flexopt verify` takes five times as many.
+INPUTS, CALLS = 200, 2_000
+
+
 @HOST
 @pytest.mark.parametrize(
     ("real", "parts", "functions", "outputs"),
@@ -47,23 +51,23 @@ def rows(check: VerificationCheck, title: str) -> list[dict]:
 )
 def test_everything_holds_on_the_host(real: str, parts, functions: int, outputs: int, tmp_path: Path) -> None:
     folder = export_c(turning_only(), tmp_path / "b", real=real, parts=parts).folder
-    result = verify_bundle(folder, target="host", inputs=1000, fuzz_calls=10_000)
+    result = verify_bundle(folder, target="host", inputs=INPUTS, fuzz_calls=CALLS)
     assert result.passed and result.complete, repr(result)  # noqa: PT018
     for compiler in ("gcc", "clang"):
         found = rows(named(result.checks, f"equal to Python, {compiler}"), "Against Python")
         assert len(found) == outputs
-        assert all(row["calls compared"] == 1000 for row in found)
+        assert all(row["calls compared"] == INPUTS for row in found)
         assert all(row["largest error / scale"] <= (1e-12 if real == "double" else 1e-4) for row in found)
     fuzzed = rows(named(result.checks, "faulty calls"), "Faulty calls")
     assert len(fuzzed) == functions
     for row in fuzzed:
-        assert row["calls"] == 10_000
-        assert 500 < row["succeeded"] < 9_000
+        assert row["calls"] == CALLS
+        assert CALLS / 20 < row["succeeded"] < 0.9 * CALLS
         for status in ("NULL_POINTER", "BAD_WORKSPACE", "NOT_FINITE", "OUT_OF_RANGE"):
-            assert row[status] > 100
+            assert row[status] > CALLS / 100
     if "optimiser" in parts:
         statuses = rows(named(result.checks, "optimiser's faulty"), "Faulty calls")
-        assert sum(row["calls"] for row in statuses) == 1_000
+        assert sum(row["calls"] for row in statuses) == CALLS // 10
         assert {row["status"] for row in statuses if row["calls"] == 0} <= {"STALLED"}
     written = json.loads((folder / "verification" / "report.json").read_text())
     assert [c["name"] for c in written["checks"]] == [c.name for c in result.checks]

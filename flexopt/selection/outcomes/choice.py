@@ -44,8 +44,9 @@ APART, STAGES, CLIMBED = 0.5, ((96, 6), (24, 10)), 8
 ALIKE = 0.1
 # Points that a process looks at together.
 BLOCK = 50
-# Points of the uncertainty that are looked at behind a climb, and how often what they find is added and climbed again.
-MEMBERS, ROUNDS = 32, 4
+# Intervals whose corners are members from the beginning; points that are looked at behind a climb, and how often what
+# they find is added and climbed again.
+CORNERED, MEMBERS, ROUNDS = 3, 32, 6
 # Points that are looked at in each box of one factor for the stability radius.
 RADIUS_POINTS = 12
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -63,6 +64,8 @@ class OutcomeSelection(Selection):
         radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
             before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
         uncertainty: what the worst case is taken over; empty: none.
+        unverified: the largest value of a climb that did not end where it could be verified, where that is more than
+            the best candidate's; else None.
         others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
     """
 
@@ -71,8 +74,9 @@ class OutcomeSelection(Selection):
     radii: tuple[float, ...] = ()
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
     uncertainty: tuple[Uncertainty, ...] = ()
+    unverified: float | None = None
 
-    DOCUMENT = Selection.DOCUMENT + " measure gains radii uncertainty=_uncertainty"
+    DOCUMENT = Selection.DOCUMENT + " measure gains radii unverified uncertainty=_uncertainty"
 
     @property
     def measure(self) -> str:
@@ -82,6 +86,17 @@ class OutcomeSelection(Selection):
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:
         return [each.model_dump(exclude_none=True) for each in self.uncertainty]
+
+    @property
+    def status(self) -> str:
+        """A sentence."""
+        count, ended = len(self.candidates), len(self.attempts)
+        return f"{count} distinct local optima verified to first order, the ends of {ended} climbs from {LOOKED} points"
+
+    @property
+    def missed_chance(self) -> None:
+        """None: climbs that go to the end are chosen among others, not drawn."""
+        return
 
     @property
     def decided_by(self) -> str:
@@ -115,6 +130,10 @@ class OutcomeSelection(Selection):
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
             chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
             lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
+        if self.unverified is not None:
+            lines.append(
+                f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
+            )
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain,) if sentence]
         if self.initial is not None and self.initial.outcome is not None:
             e, now = self.initial, getattr(self.initial.outcome, self.measure)
@@ -151,7 +170,9 @@ def outcome_selection(
     box = UncertaintyBox(machine, uncertainty, settings.dead_time)
     ranges = {name: given for name in ("kp", "kv") if (given := getattr(loop, f"{name}_range")) is not None}
     held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
-    corners = box.members(2)[: 2 ** len(uncertainty)] if uncertainty else np.zeros((0, 0))
+    k = len(uncertainty)
+    # Of many intervals the search behind each climb brings the corners that count.
+    corners = box.members(2)[: 2**k] if 0 < k <= CORNERED else np.zeros((0, k))
     program = OutcomeProgram(problem, held, ranges, corners)
     count = workers or available_cores()
     ys, values = _looked(program, pool, count)
@@ -173,6 +194,7 @@ def outcome_selection(
             distinct.append(each)
     if not distinct:
         raise _none(program, found)
+    others = [each.value for each in found if each is not None and not each.holds]
     loops = [program.at(each.y).settings for each in distinct]
     candidates = [_candidate(problem, each, chosen) for each, chosen in zip(distinct, loops, strict=True)]
     springs = UncertaintyBox(machine, GROUND, settings.dead_time)
@@ -190,6 +212,7 @@ def outcome_selection(
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
         uncertainty=uncertainty,
+        unverified=max((x for x in others if x > (1 + NEW) * distinct[0].value), default=None),
     )
 
 
@@ -279,7 +302,7 @@ def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Att
     if end is None:
         return Attempt(tuple(program.z(start).tolist()), "led off the constraints")
     if not end.holds:
-        sentence = f"ended where the gradient is not zero, {end.stationarity:.1e}"
+        sentence = f"came to {end.value:.6g}, where the gradient is not zero, {end.stationarity:.1e}"
         return Attempt(tuple(program.z(start).tolist()), sentence)
     return Attempt(tuple(program.z(start).tolist()), "verified to first order", end.value)
 
