@@ -160,6 +160,7 @@ def select_command(
     check_output("--log", log, (".json",))
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
+    _refuse_early(settings, judged)
     if settings.get("objective") in OUTCOMES:
         settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
         settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
@@ -210,6 +211,24 @@ def _certificate(result: Any, log: str | None) -> dict[str, Any]:
     return certificate.to_dict()
 
 
+def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]]) -> None:
+    """What no verdict and no choice by the loop can be had of, before anything is solved."""
+    faults = list[Fault]()
+    if "target" not in settings:
+        sentence = "goes with a single target: of several there is no verdict"
+        faults += [Fault(f"--{name}", sentence) for name, given_ones in judged.items() if given_ones]
+        if settings.get("objective") in OUTCOMES:
+            faults.append(Fault("--objective", "goes with a single target", settings["objective"]))
+    elif (
+        any(judged.values())
+        and settings.get("objective") not in OUTCOMES
+        and settings.get("base") is None
+        and settings["machine"].base_coordinates
+    ):
+        faults.append(Fault("--base", "is needed for a verdict: where the machine stands now"))
+    raise_if_any(InputError, "select", faults)
+
+
 def _judgement(
     result: Selection | Stand | BasePlan, own: dict[str, Any], loop: tuple[str, ...], ranges: tuple[str, ...]
 ) -> Verdict | None:
@@ -217,13 +236,9 @@ def _judgement(
     from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
     from flexopt.study import verdict  # noqa: PLC0415  (`evaluate` does not need it)
 
-    asked = (loop or ranges) and (not isinstance(result, Selection) or result.measure is None)
     if not isinstance(result, Selection):
-        sentence = "goes with a single target: of several there is no verdict"
-        faults = [Fault(name, sentence) for name, given_ones in (("--loop", loop), ("--ranges", ranges)) if given_ones]
-        raise_if_any(InputError, "select", faults)
         return None
-    if not asked and (own["loop"] is None or result.problem.present_base is None):
+    if not (loop or ranges or own["loop"]) or result.problem.present_base is None:
         return None
     ground = table("--ranges", ranges) or own["uncertainty"]
     return verdict(result, loop=real_loop(own["loop"], loop) or own["loop"], ranges=ground)

@@ -177,14 +177,15 @@ def pair(
     quantity: Quantity, what: str = "a pair [lower, upper]", *, allow_equal: bool = False
 ) -> Checked[tuple[float, float]]:
     """A [lower, upper] pair, in order."""
+    unit = f" in {quantity.unit}" if quantity.unit else ""
 
     def check(value: Any) -> tuple[float, float]:
         parts = entries(value)
         if len(parts) != 2:
-            raise ValueError(f"must be {what} in {quantity.unit}")
+            raise ValueError(f"must be {what}{unit}")
         lower, upper = each(quantity, parts, ["lower end", "upper end"])
         if upper < lower or (upper == lower and not allow_equal):
-            raise ValueError(f"is reversed or empty: the lower end must be below the upper end, in {quantity.unit}")
+            raise ValueError(f"is reversed or empty: the lower end must be below the upper end{unit and ',' + unit}")
         return lower, upper
 
     return Checked(check)

@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from flexopt.errors import InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
@@ -86,6 +87,7 @@ def stable_region(
     found = outcome(machine, posture, base=base, control=control, gravity=gravity, loop=loop)
     where = np.zeros(len(machine.base_coordinates)) if base is None else base
     box = UncertaintyBox(machine, known, found.settings.dead_time)
+    raise_if_any(InputError, "stable_region", box.faults(found.settings.rate))
     whole_box = UncertainLoop(found.settings, where, posture, gravity, box)
     slowest, at, looked = _slowest(whole_box, points)
     radius, first, more = _radius(whole_box, points)

@@ -78,8 +78,13 @@ def _start(outcome: LoopPoint) -> Vector:
     away[plant.n_passive :] = np.linalg.pinv(of_joints)
     found = np.zeros((len(outcome.sample.matrix), r))
     found[:n] = np.linalg.solve(to_q, away)
+    measured = parts.measured @ found[: len(parts.flow)]
     if outcome.motions.filtered:
         # The filter has seen the start for long; it is the last of the law's states.
         filtered = slice(len(parts.flow) + k - 2 * r, len(parts.flow) + k)
-        found[filtered] = parts.measured[:, : len(parts.flow)] @ found[: len(parts.flow)]
+        found[filtered] = measured
+    # What is on its way was asked for at the start, too.
+    law = found[len(parts.flow) : len(parts.flow) + k]
+    waiting = (len(found) - len(parts.flow) - k) // r
+    found[len(parts.flow) + k :] = np.tile(parts.force @ np.vstack([law, measured]), (waiting, 1))
     return found

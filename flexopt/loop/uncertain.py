@@ -14,16 +14,22 @@ from functools import cached_property
 from itertools import product
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import DEAD_TIME, LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
+from flexopt.model.loop import DELAY_MAX
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
+from flexopt.plant import build_plant
 
 # Corners are members up to that many intervals; searches start at so many of the slowest, and take so many steps.
 CORNERED, SEARCHES, STEPS = 6, 2, 12
+# Parameters that a message names.
+NAMED = 4
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,24 @@ class UncertaintyBox:
     machine: AnyMachine
     uncertainty: tuple[Uncertainty, ...]
     nominal_dead_time: float
+
+    def faults(self, rate: float) -> list[Fault]:
+        """What a loop sampled at `rate`, Hz, cannot be told of: longer dead times, and other geometry.
+
+        Where the end-point depends on what is uncertain, a posture that reaches the target does so no more.
+        """
+        found, plant = list[Fault](), build_plant(self.machine)
+        g = plant.graph
+        point = plant.end_point(plant.rest(g.base, g.posture, g.p), g.base, g.p)
+        moved = set(ca.jacobian_sparsity(point, g.p).get_triplet()[1])
+        for k, (each, entries) in enumerate(zip(self.uncertainty, self._entries, strict=True)):
+            if each.of == (LATE,) and each.value is not None and each.value[1] * rate > DELAY_MAX:
+                sentence = f"must be at most {DELAY_MAX} samples of {1 / rate:g} s"
+                found.append(Fault(f"ranges[{k}].value", sentence, f"{each.value[1]:g}"))
+            if moved & set(entries):
+                names = ", ".join(self.machine.parameters[i].name for i in sorted(moved & set(entries))[:NAMED])
+                found.append(Fault(f"ranges[{k}].of", f"moves the end-point ({names}): postures would miss", each.name))
+        return found
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -84,6 +84,8 @@ class Loop(BuiltByCall):
         if self.feedback == "pd" and any(self.ki):
             found.append(Fault("ki", 'goes with feedback = "pid"', str(list(self.ki))))
         for name, gains, allowed in (("kp", self.kp, self.kp_range), ("kv", self.kv, self.kv_range)):
+            if allowed is not None and not allowed[1]:
+                found.append(Fault(f"{name}_range", "must end above 0", str(list(allowed))))
             if gains is not None and allowed is not None and not allowed[0] <= min(gains) <= max(gains) <= allowed[1]:
                 sentence = f"must lie in {name}_range, [{allowed[0]:g}, {allowed[1]:g}]"
                 found.append(Fault(name, sentence, str(list(gains))))

@@ -142,7 +142,7 @@ def solve_postures(plant: Plant, target: Vector, bases: Vector, starts: Vector) 
     n_b, n = plant.n_base, plant.n_actuated
     low, high = (np.array(ends) for ends in zip(*plant.machine.limits, strict=True))
     count = starts.shape[1]
-    bases = np.broadcast_to(bases.reshape(n_b, -1), (n_b, count))
+    bases = np.broadcast_to(bases.reshape(n_b, -1) if n_b else np.zeros((0, 1)), (n_b, count))
     goals = np.broadcast_to(target.reshape(plant.n_task, -1), (plant.n_task, count))
     z = np.vstack([bases, np.clip(starts, low[:, None], high[:, None])])
     bounds = np.concatenate([np.full(n_b, -np.inf), low]), np.concatenate([np.full(n_b, np.inf), high])

@@ -161,7 +161,8 @@ def build_one(
         objective_scales=(1.0,) * (len(own) + len(objectives)),
         scan=empty_scan(plant, reached=False),
         region=_region(machine, arm_length(plant), sampled, limits),
-        present_base=present,
+        # A machine that stands where it stands is there now.
+        present_base=present if names else np.zeros(0),
         present_posture=asked.posture,
         elbow=asked.elbow,
         singularity_margin=margin,

@@ -6,16 +6,22 @@ In: a loop in a configuration, members. Out: an ensemble's verdicts, settling ti
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.ensemble import Ensemble
+
+# Integration steps in a sample where those that the fastest mode needs are too long.
+SHORTER = (8, 64)
+SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
 
 
 @dataclass(frozen=True)
@@ -27,16 +33,20 @@ class Runs(Result):
         settling: of each, s; NaN where it does not.
         turn: largest turn of the base in each, rad.
         decay: as the run shows it, 1/s.
+        nearer: whether the end-point ends at most half as far from its target as it ever was.
         duration: of a run, s.
+
+    A run that the integrator could not finish grows where the linear loop does, and is undecided elsewhere.
     """
 
     verdicts: tuple[str, ...]
     settling: Vector
     turn: Vector
     decay: Vector
+    nearer: tuple[bool, ...]
     duration: float
 
-    DOCUMENT = "members converging verdicts settling[s] turn[rad] decay[1/s] duration[s]"
+    DOCUMENT = "members converging confirming verdicts settling[s] turn[rad] decay[1/s] nearer duration[s]"
 
     @property
     def members(self) -> int:
@@ -58,29 +68,54 @@ class Runs(Result):
         """Share of those of which run and eigenvalues do not say the same, or the run is too short."""
         return self._share("undecided")
 
+    @property
+    def confirming(self) -> float:
+        """Share of those that converge and bring the end-point nearer."""
+        words = zip(self.verdicts, self.nearer, strict=True)
+        return sum(word == "converges" and nearer for word, nearer in words) / len(self.verdicts)
+
     def _share(self, word: str) -> float:
         return self.verdicts.count(word) / len(self.verdicts)
 
 
-def nonlinear_runs(loop: UncertainLoop, members: Vector, duration: float) -> Runs:
+def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:
     """Runs of the nonlinear closed loop from the start of `flexopt.simulate`, one for each member (n, k).
 
-    Measurements wait whole samples in a run: a dead time between them is taken as the longer one.
+    Measurements wait whole samples in a run: a dead time between them is taken as the longer one. `decays` (n,) are
+    those of the linear loops.
     """
     waits = [math.ceil(loop.box.numbers(u)[1] * loop.settings.rate - 1e-6) for u in members]
-    verdicts, found = [""] * len(members), np.zeros((3, len(members)))
+    verdicts = ["grows" if decay < 0 else "undecided" for decay in decays.tolist()]
+    found, nearer = np.full((3, len(members)), np.nan), [False] * len(members)
     for wait in sorted(set(waits)):
         rows = [k for k, each in enumerate(waits) if each == wait]
-        ensemble = _ensemble(loop, members[rows], wait / loop.settings.rate, duration)
-        data = ensemble.dataset
-        shown = [data[name].to_numpy() for name in ("settling_time", "peak_base_rotation", "growth_rate")]
-        found[:, rows] = [shown[0], shown[1], -shown[2]]
-        for row, word in zip(rows, ensemble.verdict.tolist(), strict=True):
-            verdicts[row] = word
-    return Runs(tuple(verdicts), *found, duration=duration)
+        for some, ensemble in _ensembles(loop, members, rows, wait / loop.settings.rate, duration):
+            data = {name: ensemble.dataset[name].to_numpy() for name in SHOWN}
+            found[:, some] = [data["settling_time"], data["peak_base_rotation"], -data["growth_rate"]]
+            ends = zip(some, ensemble.verdict.tolist(), data["end_error"], data["peak_error"], strict=True)
+            for row, word, end, peak in ends:
+                verdicts[row], nearer[row] = word, bool(end <= peak / 2)
+    return Runs(tuple(verdicts), *found, nearer=tuple(nearer), duration=duration)
 
 
-def _ensemble(loop: UncertainLoop, members: Vector, delay: float, duration: float) -> Ensemble:
+def _ensembles(
+    loop: UncertainLoop, members: Vector, rows: list[int], delay: float, duration: float
+) -> Iterator[tuple[list[int], Ensemble]]:
+    """Ensembles of these members, together where that can be, else one by one with shorter steps; not of all."""
+    try:
+        yield rows, _ensemble(loop, members[rows], delay, duration, None)
+    except NoSolutionFound:
+        for row in rows:
+            for substeps in SHORTER:
+                try:
+                    alone = _ensemble(loop, members[[row]], delay, duration, substeps)
+                except NoSolutionFound:
+                    continue
+                yield [row], alone
+                break
+
+
+def _ensemble(loop: UncertainLoop, members: Vector, delay: float, duration: float, substeps: int | None) -> Ensemble:
     s, machine = loop.settings, loop.box.machine
     varied = np.array([loop.box.numbers(u)[0] for u in members])
     gain, actuator = 1.0, _actuator(loop)
@@ -95,7 +130,7 @@ def _ensemble(loop: UncertainLoop, members: Vector, delay: float, duration: floa
         machine, loop.posture, base=loop.base, vary={machine.parameters[k].name: varied[:, k] for k in moved},
         control=s.control, feedback=s.feedback, kp=gain * s.kp, kv=gain * s.kv, ki=gain * s.ki, rate=s.rate,
         sensor=sensor, actuator=actuator, nullspace_damping=s.nullspace_damping, gravity=loop.gravity,
-        integrator="gauss", duration=duration,
+        integrator="gauss", substeps=substeps, duration=duration,
     )  # fmt: skip
 
 

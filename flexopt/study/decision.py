@@ -21,12 +21,11 @@ FASTER, MOST = 0.1, 0.95
 RULE = (
     f"One place is better than another on a ground where it decays by {100 * FASTER:.0f} % faster. "
     "MOVE: a place is stable on every ground looked at, better than the present one on "
-    f"{100 * MOST:.0f} % of them and in its worst case, and {100 * MOST:.0f} % of the nonlinear runs confirm that it "
-    "settles. "
-    "CHANGE GAINS: other gains of those allowed do in the present place what no move does with these, or neither "
-    "place is stable on every ground and other gains make one so. "
-    "STAY: the present place is stable on every ground, runs confirm it, and no other is better on more than "
-    f"{100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else."
+    f"{100 * MOST:.0f} % of them and in its worst case, and {100 * MOST:.0f} % of the nonlinear runs confirm it: the "
+    "base's oscillation decays, and the end-point comes nearer to its target. CHANGE GAINS: other gains that were "
+    "tried do in a place what no move does with these, or no place is stable on every ground and other gains make one "
+    "so; runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no other is better "
+    f"on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else."
 )  # fmt: skip
 
 
@@ -63,41 +62,63 @@ def faster(one: Vector, other: Vector) -> NDArray[np.bool_]:
 
 
 def decide(
-    stay: Place | None, others: Sequence[Place], changed: Place | None = None, unconfirmed: Sequence[str] = ()
+    stay: Place | None,
+    others: Sequence[Place],
+    changed: Place | None = None,
+    unconfirmed: Sequence[str] = (),
+    *,
+    tried: bool = False,
 ) -> Decision:
     """The word by `RULE`.
 
     Args:
         stay: the present configuration; None where it does not reach the target.
         others: to which one may move.
-        changed: the present configuration, or the best other one, with the best gains of those allowed.
-        unconfirmed: names of places of which nonlinear runs do not confirm that they settle.
+        changed: the best place with other gains, where runs confirm it.
+        unconfirmed: names of places that nonlinear runs do not confirm.
+        tried: whether other gains were.
     """
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
-    moves = [place for place in sound if stay is None or _pays(place, stay)]
-    best = _best(moves)
-    if changed is not None and (changed.holds and _spares(changed, stay, best)):
-        return Decision("change gains", changed.name, _why_gains(changed, stay, best))
+    best = _best([place for place in sound if stay is None or _pays(place, stay)])
+    if changed is not None and changed.holds and _spares(changed, stay, best):
+        return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound))
     if best is not None:
-        if stay is None:
-            reason = "the target is out of reach from the present placement"
-        else:
+        reason = "the target is out of reach from the present placement"
+        if stay is not None:
             reason = f"better on {100 * best.better_than(stay):.0f} % of the grounds; "
             reason += f"slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
         return Decision("move", best.name, f"{reason}, for a drive of {best.drive:.3g} m")
     if stay is not None and stay.holds and stay.name not in unconfirmed:
-        rivals = [(place.better_than(stay), place.name) for place in sound]
-        share, name = max(rivals, default=(0.0, ""))
+        share, rival = max(
+            ((place.better_than(stay), place) for place in others), key=lambda x: x[0], default=(0.0, stay)
+        )
         if share <= 1 - MOST:
             reason = "no place found is better" + (f" on more than {100 * share:.0f} % of the grounds" if share else "")
             return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
-        return Decision("cannot tell", name, f"{name} is better on {100 * share:.0f} % of the grounds, worse on others")
-    doubted = [
-        place.name for place in ([stay] if stay else []) + list(others) if place.name in unconfirmed and place.holds
-    ]
+        return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
+    if sound:
+        first = max(sound, key=lambda place: place.slowest)
+        share = 0.0 if stay is None else first.better_than(stay)
+        reason = (
+            f"{first.name} is stable on every ground, but better than the present place on {100 * share:.0f} % only"
+        )
+        return Decision("cannot tell", first.name, reason)
+    every = [*([] if stay is None else [stay]), *others]
+    doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
-        return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm that {' and '.join(doubted)} settle")
-    return Decision("cannot tell", "", "no place found is stable on every ground with these gains, nor with others")
+        return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {' and '.join(doubted)}")
+    with_others = ", nor with others that were tried" if tried else ""
+    return Decision("cannot tell", "", f"no place found is stable on every ground with these gains{with_others}")
+
+
+def _why_not(rival: Place, share: float, unconfirmed: Sequence[str]) -> str:
+    """Why a place that is better on many grounds is none to move to."""
+    reason = f"{rival.name} is better on {100 * share:.0f} % of the grounds"
+    if not rival.holds:
+        return f"{reason}, but not stable on every one"
+    if rival.name in unconfirmed:
+        return f"{reason}, but nonlinear runs do not confirm it"
+    return f"{reason}, but not in its worst case" if share >= MOST else f"{reason} only"
 
 
 def _pays(place: Place, stay: Place) -> bool:
@@ -119,10 +140,12 @@ def _spares(changed: Place, stay: Place | None, best: Place | None) -> bool:
     return stay is None or not stay.holds or bool(faster(np.array(changed.slowest), np.array(stay.slowest)))
 
 
-def _why_gains(changed: Place, stay: Place | None, best: Place | None) -> str:
+def _why_gains(changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place]) -> str:
     reason = f"with them the slowest decay at {changed.name} is {changed.slowest:.3g}/s"
     if best is not None:
         return f"{reason}, as much as {best.name} has with these, {best.slowest:.3g}/s"
     if stay is not None and stay.holds:
         return f"{reason}, with these {stay.slowest:.3g}/s"
+    if sound:
+        return f"{reason}; with these {sound[0].name} alone is stable on every ground, and not better on most of them"
     return f"{reason}; with these no place found is stable on every ground"

@@ -32,7 +32,7 @@ from flexopt.selection import Selection, SelectionProblem, select, solve_selecti
 from flexopt.selection.outcomes.choice import OutcomeSelection
 from flexopt.study.asked import reported
 from flexopt.study.confirmation import Runs, nonlinear_runs
-from flexopt.study.decision import MOST, Decision, Place, decide, faster
+from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, faster
 from flexopt.study.gain_search import best_gains
 from flexopt.study.verdict_result import STAY, Band, PlaceVerdict, Verdict
 
@@ -107,6 +107,7 @@ def verdict(
     first = next(iter(stands.values()))
     settings = loop_settings(machine, asked, first, gravity=solved.gravity)
     box = UncertaintyBox(machine, uncertain, settings.dead_time)
+    raise_if_any(InputError, "verdict", box.faults(settings.rate))
     points = box.members(members, solved.seed)
     loops = {
         name: UncertainLoop(settings, stand.base, stand.posture, solved.gravity, box) for name, stand in stands.items()
@@ -116,12 +117,18 @@ def verdict(
     told = [name for name in (STAY, *others) if name in stands]
     slowest = {name: loops[name].slowest(points, decays[name]) for name in told}
     drives = {name: _drive(selection, stand) for name, stand in stands.items()}
-    shown = {name: nonlinear_runs(loops[name], points[:runs], duration) for name in told} if runs else {}
+    shown = dict[str, Runs]()
+    for name in told if runs else []:
+        shown[name] = nonlinear_runs(loops[name], points[:runs], decays[name][:runs], duration)
     known = {name: Place(name, decays[name], slowest[name][0], drives[name][0]) for name in told}
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
-    unconfirmed = [name for name, each in shown.items() if each.converging < MOST]
-    changed, gains = _changed(asked, known, loops, slowest, points, drives)
-    decision = decide(stay, rest, changed, unconfirmed)
+    unconfirmed = [name for name, each in shown.items() if each.confirming < MOST]
+    tried = _tries(asked, known, unconfirmed)
+    changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
+    if changed is not None and runs:
+        confirmed = nonlinear_runs(changed[1], points[:runs], changed[0].decays[:runs], duration).confirming >= MOST
+        changed = changed if confirmed else None
+    decision = decide(stay, rest, changed and changed[0], unconfirmed, tried=tried)
     places = tuple(
         _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told
     )
@@ -193,27 +200,34 @@ def _drive(selection: Selection, stand: Evaluation) -> tuple[float, float]:
     return math.hypot(*away.values()), turn
 
 
+def _tries(asked: Loop, known: Mapping[str, Place], unconfirmed: Sequence[str]) -> bool:
+    """Whether other gains are looked for: where ranges are given, or no place can be had with these."""
+    ranged = asked.kp_range is not None or asked.kv_range is not None
+    return ranged or not any(place.holds and place.name not in unconfirmed for place in known.values())
+
+
 def _changed(
     asked: Loop,
     known: Mapping[str, Place],
     loops: Mapping[str, UncertainLoop],
     slowest: Mapping[str, tuple[float, Vector]],
     points: Vector,
-    drives: Mapping[str, tuple[float, float]],
-) -> tuple[Place | None, dict[str, list[float]]]:
-    """The present place, or the best other one, with the best gains allowed: those of `[loop]`'s ranges.
+) -> tuple[tuple[Place, UncertainLoop] | None, dict[str, list[float]]]:
+    """The place that is best with other gains, its loop, and the gains; the present one where it is nearly as good.
 
-    Without ranges, all gains times a factor, where no place is stable on every ground.
+    Gains are those of `[loop]`'s ranges; without ranges, all gains times a factor.
     """
-    ranged = asked.kp_range is not None or asked.kv_range is not None
-    if not ranged and any(place.holds for place in known.values()):
-        return None, {}
-    name = STAY if STAY in known else max(known, key=lambda each: known[each].slowest)
-    few = np.concatenate([_corners(loops[name].box), slowest[name][1][None]])
-    best = best_gains(loops[name], asked, few)
-    decays = best.decays(points)
-    found = {each: getattr(best.settings, each).tolist() for each in ("kp", "kv", "ki")}
-    return Place(name, decays, best.slowest(points, decays)[0], drives[name][0]), found
+    found = list[tuple[Place, UncertainLoop]]()
+    for name, place in known.items():
+        few = np.concatenate([_corners(loops[name].box), slowest[name][1][None]])
+        best = best_gains(loops[name], asked, few)
+        decays = best.decays(points)
+        found.append((Place(name, decays, best.slowest(points, decays)[0], place.drive), best))
+    most = max(place.slowest for place, _ in found)
+    near = [each for each in found if each[0].slowest >= most - FASTER * abs(most)]
+    place, loop = min(near, key=lambda each: each[0].drive)
+    names = ("kp", "kv", *(["ki"] if loop.settings.feedback == "pid" else []))
+    return (place, loop), {name: getattr(loop.settings, name).tolist() for name in names}
 
 
 def _corners(box: UncertaintyBox) -> Vector:
@@ -246,7 +260,7 @@ def _place(
         w=stand.w,
         drive=drive[0],
         turn=drive[1],
-        decay=Band(nominal, min(slowest[0], nominal), max(nominal, float(own.max()))),
+        decay=Band(nominal, slowest[0], float(own.max())),
         stable_share=float(np.mean(own > 0)),
         slowest_at=loop.box.told(slowest[1]),
         slowest_hz=outcomes[-1].loop.frequency_hz,
@@ -255,6 +269,7 @@ def _place(
         delay_margin=_band([outcome.delay_margin().value for outcome in outcomes]),
         settling=_band([move.settling for move in moves]),
         swing=_band([MOVE * move.swing for move in moves]),
+        swing_unit="rad" if outcomes[0].motions.loop.shape.base_hinges else "m",
         runs=runs,
     )
 
@@ -270,7 +285,8 @@ def _measure(
     """Which uncertain number decides."""
     name = decision.place or max(decays, key=lambda each: float(decays[each].min()))
     values = decays[name] - (0.0 if stay is None or name == stay.name else stay.decays)
-    which, rank = matters_most(box, points, values.tolist())
+    # What has one sign everywhere no measurement changes.
+    which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
     if not which:
         return ""
     what = "its decay" if stay is None or name == stay.name else "what is gained by moving there"

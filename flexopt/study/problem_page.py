@@ -211,7 +211,7 @@ def _verdict(report: Report) -> Table:
     if judged is None:
         return None
     header = ["place", "drive, m", "slowest decay, 1/s", "least allowed Kp", "least delay margin, ms",
-              "longest settling, s", "largest turn of the base, mrad", "runs that settle, %"]  # fmt: skip
+              "longest settling, s", "largest turn of the base, mrad", "runs that converge, %"]  # fmt: skip
     scales = (1.0, 1.0, 1.0, 1e3, 1.0, 1e3, 100.0)
     rows = [
         [str(first), *(_number(scale * value, 4) for scale, value in zip(scales, values, strict=True))]

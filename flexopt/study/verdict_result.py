@@ -39,7 +39,8 @@ class PlaceVerdict(Result):
         slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; NaN where there is no border.
-        settling, swing: of the standard move, s, and the base's largest turn in it, rad (see `StandardMove`).
+        settling, swing: of the standard move, s, and the base's largest turn in it, rad, of a base that cannot turn its
+            largest shift, m (`swing_unit`; see `StandardMove`).
         runs: nonlinear ones; None where none were asked for.
     """
 
@@ -58,11 +59,12 @@ class PlaceVerdict(Result):
     delay_margin: Band
     settling: Band
     swing: Band
+    swing_unit: str
     runs: Runs | None
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] better allowed_gain
-    delay_margin[s] settling[s] swing[rad] runs
+    delay_margin[s] settling[s] swing swing_unit runs
     """
 
 
@@ -114,7 +116,7 @@ class Verdict(Result):
     @property
     def table(self) -> list[dict[str, Any]]:
         """See the class: name, drive (m), slowest decay (1/s), least allowed gain and delay margin (s), longest
-        settling (s) and largest turn (rad) over the uncertainty, share of nonlinear runs that settle.
+        settling (s) and largest turn (rad) over the uncertainty, share of nonlinear runs that converge.
         """  # noqa: D205
         return [
             {
@@ -178,14 +180,14 @@ def _row(place: PlaceVerdict) -> str:
         if runs is None
         else ", ".join(
             f"{100 * share:.0f} % {what}"
-            for what, share in (("settle", runs.converging), ("grow", runs.growing), ("undecided", runs.undecided))
+            for what, share in (("converge", runs.converging), ("grow", runs.growing), ("undecided", runs.undecided))
             if share
         )
     )
     return (
         f"  {place.name:12} {drive:>8} {decay:>20} {_told(place.allowed_gain.least, 1, ''):>12} "
         f"{_told(place.delay_margin.least, 1e3, ' ms'):>13} {_told(place.settling.greatest, 1, ' s'):>10} "
-        f"{_told(place.swing.greatest, 1e3, ' mrad'):>11}   {shown}"
+        f"{_told(place.swing.greatest, 1e3, ' m' + place.swing_unit):>11}   {shown}"
     )
 
 

@@ -28,6 +28,11 @@ def test_the_command_refuses(command: Command) -> None:
         (("verdict", "stations"), "one target"),
         (("verdict", "article", "--ranges", "mass=1,2"), "ranges[0].of"),
         (("select", "stations", "--loop", "default"), "single target"),
+        (("select", "stations", "--objective", "decay"), "single target"),
+        (("select", "excavator", "--end-point", "0,1.6", "--loop", "kp=1e4"), "--base"),
+        (("verdict", "article", "--ranges", "boom.length=1,2"), "moves the end-point"),
+        (("verdict", "article", "--ranges", "dead_time=0,2"), "100 samples"),
+        (("verdict", "article", "--loop", "kp_range=0,0"), "must end above 0"),
     ):
         refused = command(*words)
         assert refused.code == 2

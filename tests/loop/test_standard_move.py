@@ -36,7 +36,7 @@ def made(
 
 @pytest.mark.parametrize("name", CASES)
 def test_moves_are_those_of_nonlinear_runs(name: str) -> None:
-    """Of 0.1 mm, along each row by itself; a run waits with the first command as long as it is late."""
+    """Of 0.1 mm, along each row by itself."""
     machine, posture, loop = CASES[name]
     stand, settings, move = made(machine, posture, loop)
     plant = flexopt.build_plant(flexopt.load(machine))
@@ -54,7 +54,7 @@ def test_moves_are_those_of_nonlinear_runs(name: str) -> None:
     settling = max(run.settling_time or math.inf for run in runs)
     # What is not linear in a run of this size; a sample's width at the border of 2 %.
     assert move.swing == pytest.approx(swing, rel=1e-3)
-    assert move.settling == pytest.approx(settling, abs=1.5 / settings.rate + settings.dead_time)
+    assert move.settling == pytest.approx(settling, abs=1.5 / settings.rate)
 
 
 def test_a_loop_that_grows_has_no_move() -> None:

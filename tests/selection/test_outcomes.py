@@ -132,6 +132,15 @@ def test_in_space_with_constraints() -> None:
     assert found.best.objective > other.decay
 
 
+@pytest.mark.parametrize("name", ["excavator", "truck-crane"])
+def test_under_gravity_the_target_is_reached(name: str) -> None:
+    target = {"excavator": (0.0, 1.6), "truck-crane": (4.75, 1.47, 4.14)}[name]
+    found = flexopt.select(flexopt.load(name), target, objective="decay", gravity=True, starts=6)
+    assert all(candidate.target_error < 1e-8 for candidate in found.candidates)
+    e = found.best.evaluation
+    assert e.end_point == pytest.approx(target, abs=1e-8)
+
+
 def test_what_does_not_go_together() -> None:
     for options, sentence in (
         ({"objective": "decay", "weights": [1, 0, 0]}, "weights"),

@@ -29,7 +29,7 @@ def test_a_tenth_is_not_enough_when_it_is_not_a_tenth() -> None:
 
 
 def test_what_grows_somewhere_is_no_place() -> None:
-    assert decide(STAY, [place("near", 3 * (GROUNDS - 0.6))]).word == "stay"
+    assert decide(STAY, [place("near", 3 * (GROUNDS - 0.6))]).word == "cannot tell"
     assert decide(place("stay", -GROUNDS), [place("near", 0.1 * GROUNDS)]).word == "move"
     assert decide(place("stay", -GROUNDS), [place("near", -0.5 * GROUNDS)]).word == "cannot tell"
 
@@ -43,7 +43,7 @@ def test_better_on_some_grounds_only() -> None:
 
 def test_nothing_is_said_that_runs_do_not_confirm() -> None:
     better = place("near", 2 * GROUNDS)
-    assert decide(STAY, [better], unconfirmed=["near"]).word == "stay"
+    assert decide(STAY, [better], unconfirmed=["near"]).reason.endswith("nonlinear runs do not confirm it")
     assert decide(STAY, [], unconfirmed=["stay"]).word == "cannot tell"
     assert decide(place("stay", -GROUNDS), [better], unconfirmed=["near"]).word == "cannot tell"
 
@@ -55,6 +55,25 @@ def test_gains_that_spare_the_drive() -> None:
     assert decide(STAY, [], place("stay", 1.05 * GROUNDS)).word == "stay"
     assert decide(place("stay", -GROUNDS), [], place("stay", 0.1 * GROUNDS)).word == "change gains"
     assert decide(place("stay", -GROUNDS), [], place("stay", -GROUNDS)).word == "cannot tell"
+
+
+def test_reasons_say_what_is_so() -> None:
+    """A rival is told for what keeps it from being one; nothing is said of gains that were not tried."""
+    grows = place("near", np.where(np.arange(40) == 0, -1.0, 10.0) * GROUNDS)
+    found = decide(STAY, [grows])
+    assert (found.word, found.reason) == (
+        "cannot tell",
+        "near is better on 98 % of the grounds, but not stable on every one",
+    )
+    worst = Place("near", 2 * GROUNDS, 0.5, 1.0)
+    assert "not in its worst case" in decide(STAY, [worst]).reason
+    partly = place("stay", np.where(np.arange(40) < 4, -1.0, 1.0) * GROUNDS)
+    found = decide(partly, [place("near", 0.1 * GROUNDS)])
+    assert "near is stable on every ground, but better than the present place on 10 % only" in found.reason
+    assert "gains" not in found.reason
+    nowhere = decide(place("stay", -GROUNDS), [place("near", -GROUNDS)])
+    assert nowhere.reason.endswith("with these gains")
+    assert "nor with others that were tried" in decide(place("stay", -GROUNDS), [], tried=True).reason
 
 
 def test_out_of_reach_from_here() -> None:

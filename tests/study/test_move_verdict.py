@@ -53,6 +53,20 @@ def test_the_decision_is_the_same_for_the_selection_and_its_problem() -> None:
     assert (one.word, one.place, one.reason) == (other.word, other.place, other.reason)
 
 
+def test_a_present_place_that_no_integrator_follows_grows() -> None:
+    """With the gains that suit the machine the present place grows faster than steps of the run bear."""
+    found = judged("article", runs=2, members=4)
+    assert found.places[0].runs is not None
+    assert found.places[0].runs.growing == 1.0
+    assert found.word == "move"
+
+
+def test_drives_that_give_nothing_confirm_nothing() -> None:
+    found = judged("article", loop=ARTICLE | {"torque_limit": 0.0}, runs=2, members=4)
+    assert all(place.runs is not None and place.runs.confirming == 0.0 for place in found.places)
+    assert found.word == "cannot tell"
+
+
 def test_gains_are_changed_where_no_place_bears_them() -> None:
     """At 20 ms of dead time no place found bears Kp 1e5 and Kv 2e3; smaller ones it does."""
     found = judged("article", loop={"kp": 1e5, "kv": 2e3, "dead_time": 0.02}, runs=0)

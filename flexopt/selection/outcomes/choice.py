@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.errors import NoSolutionFound
+from flexopt.errors import InputError, NoSolutionFound, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.processes import in_parallel
@@ -27,6 +27,7 @@ from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.robustness import Evaluation
+from flexopt.selection.continua import travel
 from flexopt.selection.optima import SAME_POINT, Progress
 from flexopt.selection.outcomes.climb import Climbed, ahead, climbed
 from flexopt.selection.outcomes.program import OutcomeProgram
@@ -49,6 +50,8 @@ BLOCK = 50
 CORNERED, MEMBERS, ROUNDS = 3, 32, 6
 # Points that are looked at in each box of one factor for the stability radius.
 RADIUS_POINTS = 12
+# Of the value, by which two are equal.
+EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
 NEW = 1e-3
 
@@ -63,7 +66,7 @@ class OutcomeSelection(Selection):
         gains: kp and kv of each candidate, those that were chosen with the configuration.
         radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
             before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
-        uncertainty: what the worst case is taken over; empty: none.
+        loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
         unverified: the largest value of a climb that did not end where it could be verified, where that is more than
             the best candidate's; else None.
         others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
@@ -73,6 +76,7 @@ class OutcomeSelection(Selection):
     gains: tuple[Mapping[str, float], ...] = ()
     radii: tuple[float, ...] = ()
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
+    loop: Loop | None = field(default=None, repr=False)
     uncertainty: tuple[Uncertainty, ...] = ()
     unverified: float | None = None
 
@@ -137,7 +141,8 @@ class OutcomeSelection(Selection):
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain,) if sentence]
         if self.initial is not None and self.initial.outcome is not None:
             e, now = self.initial, getattr(self.initial.outcome, self.measure)
-            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}")
+            nominal = " with the machine's own numbers" if self.uncertainty else ""
+            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}{nominal}")
         return "\n".join([*lines, *repr(self.settings[0]).splitlines()])
 
 
@@ -168,6 +173,7 @@ def outcome_selection(
     stand = initial or problem.quantities.evaluated(pool[0])
     settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
     box = UncertaintyBox(machine, uncertainty, settings.dead_time)
+    raise_if_any(InputError, "select", box.faults(settings.rate))
     ranges = {name: given for name in ("kp", "kv") if (given := getattr(loop, f"{name}_range")) is not None}
     held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
     k = len(uncertainty)
@@ -190,8 +196,12 @@ def outcome_selection(
     ends = sorted((each for each in found if each is not None and each.holds), key=lambda each: -each.value)
     distinct = list[Climbed]()
     for each in ends:
-        if all(np.abs(_away(program, each.y, other.y)).max() > SAME_POINT for other in distinct):
+        if all(float(np.max(np.abs(_away(program, each.y, other.y)))) > SAME_POINT for other in distinct):
             distinct.append(each)
+    # What is as fast goes by the way there.
+    level = distinct[0].value - EQUAL * abs(distinct[0].value) if distinct else 0.0
+    alike = [each for each in distinct if each.value >= level]
+    distinct[: len(alike)] = sorted(alike, key=lambda each: travel(problem, program.z(each.y)))
     if not distinct:
         raise _none(program, found)
     others = [each.value for each in found if each is not None and not each.holds]
@@ -211,6 +221,7 @@ def outcome_selection(
         gains=tuple(program.gains(each.y) for each in distinct),
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
+        loop=loop,
         uncertainty=uncertainty,
         unverified=max((x for x in others if x > (1 + NEW) * distinct[0].value), default=None),
     )

@@ -15,10 +15,12 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.outcomes.program import Branches, OutcomeProgram
-from flexopt.selection.starts import FEASIBLE, moved
+from flexopt.selection.starts import FEASIBLE
 
 # Steps at most, how exactly t is sought, and how often the search begins anew from where it came to.
 STEPS, EXACT, AGAIN = 60, 1e-12, 3
+# Steps onto the rows.
+CORRECTIONS = 12
 # Branches and rows that are active: distances, in units of their sizes.
 ACTIVE, ON_ROW = 1e-6, 1e-7
 # Norm of the Lagrangian's gradient, in scaled variables, below which a point is stationary.
@@ -43,7 +45,7 @@ class Climbed:
 
     @property
     def holds(self) -> bool:
-        """Whether it is feasible, and stationary to first order."""
+        """Whether it is stationary to first order; it is on the rows."""
         return self.stationarity <= STATIONARY and math.isfinite(self.value)
 
 
@@ -77,11 +79,26 @@ def ahead(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector, f
 
 
 def onto_rows(program: OutcomeProgram, y: Vector) -> Vector | None:
-    """The point moved onto the rows; None where that fails."""
-    z, left = moved(program.problem, program.z(np.clip(y, *program.bounds))[:, None], 1)
-    if not left[0] <= FEASIBLE:
-        return None
-    return np.append(z[:, 0] / program.problem.scale, y[program.n_z :])
+    """The point moved onto the rows by the shortest steps; None where that fails.
+
+    By the rows themselves, which under gravity know the deflection.
+    """
+    lower, upper, scale = program.problem.row_bounds
+    equal = lower == upper
+    low, high = np.where(equal, 0.0, lower / scale), np.where(equal, 0.0, upper / scale)
+    y = np.clip(y, *program.bounds)
+    for _ in range(CORRECTIONS):
+        rows = program.rows(y)
+        beyond = np.minimum(rows - low, 0.0) + np.maximum(rows - high, 0.0)
+        if not np.all(np.isfinite(beyond)):
+            return None
+        if float(np.abs(beyond).max(initial=0.0)) <= FEASIBLE / 100:
+            return y
+        wrong = equal | (beyond != 0)
+        moving = (program.bounds[0] < program.bounds[1]).astype(float)
+        step = moving * np.linalg.lstsq(program.row_slopes(y)[wrong] * moving, beyond[wrong], rcond=1e-12)[0]
+        y = np.clip(y - step, *program.bounds)
+    return None
 
 
 def _search(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector, int]:
