@@ -12,7 +12,7 @@ import flexopt
 from flexopt.model.uncertainty import GROUND, Uncertainty, parameters_of, uncertainty_faults
 
 SHIPPED = ("boom-stick-bucket", "excavator", "mobile-manipulator", "slewing-excavator", "truck-crane")
-FOLDER = Path(flexopt.__file__).parents[1] / "models"
+FOLDER = Path(__file__).parents[2] / "models"
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -22,6 +22,8 @@ from tests.cli.command import Command
 EXCAVATOR, TARGET = flexopt.load("excavator"), (0.0, 1.6)
 FIXED = {"kp": 1e4, "kv": 1e3}
 RANGED = {"kp_range": KP, "kv_range": KV}
+# Starts: enough for these basins, which are wide.
+FEW = 8
 
 
 def chosen(objective: str = "decay", **options: Any) -> OutcomeSelection:
@@ -31,13 +33,13 @@ def chosen(objective: str = "decay", **options: Any) -> OutcomeSelection:
 
 
 def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
-    """Placements along both elbows, 4,001 each; gains of the article's loop with 20 ms of dead time."""
-    found = chosen(loop=FIXED | {"dead_time": 0.02})
+    """Placements along both elbows, 1,001 each; gains of the article's loop with 20 ms of dead time."""
+    found = chosen(loop=FIXED | {"dead_time": 0.02}, starts=FEW)
     scan = max(
-        decay(x, elbow, 1e4, 1e3, 0.02, worst=False) for elbow in ("up", "down") for x in np.linspace(-3.4, 3.4, 4001)
+        decay(x, elbow, 1e4, 1e3, 0.02, worst=False) for elbow in ("up", "down") for x in np.linspace(-3.4, 3.4, 1001)
     )
     # The scan steps over the peak's tip.
-    assert found.best.objective == pytest.approx(scan, rel=1e-3)
+    assert found.best.objective == pytest.approx(scan, rel=1e-2)
     assert found.best.objective >= scan - 1e-9
     assert found.best.target_error < 1e-8
     assert found.best.stationarity < 1e-4
@@ -48,12 +50,12 @@ def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
 
 def test_gains_are_chosen_with_the_configuration() -> None:
     """Not worse than an evolution strategy about the best zone, and what is said is what the loop does."""
-    found = chosen(loop=RANGED | {"dead_time": 0.02})
+    found = chosen(loop=RANGED | {"dead_time": 0.02}, starts=2 * FEW)
     gains = found.gains[0]
     base = float(found.best.evaluation.base[0])
     other: Any = differential_evolution(
         lambda x: -decay(x[0], "down", math.exp(x[1]), math.exp(x[2]), 0.02, worst=False),
-        [(base - 0.4, base + 0.4), tuple(np.log(KP)), tuple(np.log(KV))], maxiter=30, popsize=8, rng=3, polish=False,
+        [(base - 0.4, base + 0.4), tuple(np.log(KP)), tuple(np.log(KV))], maxiter=20, popsize=8, rng=3, polish=False,
     )  # fmt: skip
     assert found.best.objective >= -0.99 * float(other.fun)
     again = flexopt.outcome(
@@ -61,14 +63,14 @@ def test_gains_are_chosen_with_the_configuration() -> None:
     )
     assert again.decay == pytest.approx(found.best.objective, rel=1e-6)
     # Several times as fast as any posture at the article's gains, and much more fragile.
-    assert found.best.objective > 5 * chosen(loop=FIXED | {"dead_time": 0.02}).best.objective
+    assert found.best.objective > 5 * chosen(loop=FIXED | {"dead_time": 0.02}, starts=FEW).best.objective
     assert found.radii[0] < 1.5
 
 
 def test_the_worst_case_is_no_better_anywhere_in_its_box() -> None:
     ranges = {"stiffness": (0.5, 2.0), "dead_time": (0.0, 0.01)}
-    found = chosen(loop=FIXED, ranges=ranges, starts=16)
-    nominal = chosen(loop=FIXED, starts=16)
+    found = chosen(loop=FIXED, ranges=ranges, starts=FEW)
+    nominal = chosen(loop=FIXED, starts=FEW)
     assert 0 < found.best.objective < nominal.best.objective
     e = found.best.evaluation
     region = flexopt.stable_region(EXCAVATOR, e.posture, base=e.base, loop=FIXED, ranges=ranges, points=200)
@@ -121,7 +123,7 @@ def test_in_space_with_constraints() -> None:
     problem = flexopt.load_problem("pipe-laying")
     arguments = problem.select_arguments()
     arguments.pop("weights", None)
-    found = flexopt.select(**arguments | {"objective": "decay", "loop": {"kp": 3e6, "kv": 6e5}, "starts": 12})
+    found = flexopt.select(**arguments | {"objective": "decay", "loop": {"kp": 3e6, "kv": 6e5}, "starts": FEW})
     assert isinstance(found, OutcomeSelection)
     for constraint in found.best.constraints.values():
         assert constraint.lower - 1e-6 <= constraint.value <= constraint.upper + 1e-6
@@ -135,7 +137,7 @@ def test_in_space_with_constraints() -> None:
 @pytest.mark.parametrize("name", ["excavator", "truck-crane"])
 def test_under_gravity_the_target_is_reached(name: str) -> None:
     target = {"excavator": (0.0, 1.6), "truck-crane": (4.75, 1.47, 4.14)}[name]
-    found = flexopt.select(flexopt.load(name), target, objective="decay", gravity=True, starts=6)
+    found = flexopt.select(flexopt.load(name), target, objective="decay", gravity=True, starts=3)
     assert all(candidate.target_error < 1e-8 for candidate in found.candidates)
     e = found.best.evaluation
     assert e.end_point == pytest.approx(target, abs=1e-8)
@@ -158,7 +160,7 @@ def test_what_does_not_go_together() -> None:
 
 def test_a_verdict_on_it_has_the_gains_that_were_chosen() -> None:
     loop = RANGED | {"dead_time": 0.02}
-    found = chosen(loop=loop, base=0.0)
+    found = chosen(loop=loop, base=0.0, starts=2 * FEW)
     judged = flexopt.verdict(found, loop=loop, ranges={"stiffness": (0.99, 1.01)}, runs=0)
     assert judged.settings.kp == pytest.approx([found.gains[0]["kp"]] * 2)
     assert judged.word in {"move", "change gains"}
