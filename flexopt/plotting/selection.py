@@ -78,7 +78,7 @@ def draw_configurations(axes: Sequence[Axes], selection: Selection) -> None:
     best, initial, machine = selection.best.evaluation, selection.initial, selection.problem.machine
     chosen = shape_of(machine, best)
     present = None if initial is None else shape_of(machine, initial)
-    title = f"{mathtext(best.machine)}: Jacobian {best.control} control, objective {selection.problem.name}"
+    title = f"{mathtext(best.machine)}: Jacobian {best.control} control, objective {selection.objective}"
     for k, (panel, view) in enumerate(zip(axes, views(chosen), strict=True)):
         panel.set_aspect("equal")
         _draw_view(panel, view, selection, chosen, present)

@@ -176,6 +176,11 @@ class Selection(Pictured, Result):
         return None
 
     @property
+    def objective(self) -> str:
+        """Names of what was maximised, in order."""
+        return self.measure or self.problem.name
+
+    @property
     def status(self) -> str:
         """A sentence."""
         wide = sum(bool(candidate.continuum) for candidate in self.candidates)

@@ -65,7 +65,8 @@ def _sentence(report: Report) -> str:
     problem = report.selection.problem
     target = ", ".join(f"{row} = {_number(x)}" for row, x in zip(report.machine.task_rows, problem.target, strict=True))
     weight = ", under gravity" if problem.gravity else ""
-    return f"Target of the end-point: {target} m. Objective {problem.name}, Jacobian {problem.control} control{weight}:"
+    how = f"Objective {report.selection.objective}, Jacobian {problem.control} control{weight}:"
+    return f"Target of the end-point: {target} m. {how}"
 
 
 def _candidates(report: Report) -> tuple[Table, str]:

@@ -284,7 +284,7 @@ def report(
     stages.next()
     described = isinstance(problem, Problem)
     return Report(
-        name=problem.name if described else f"{machine.name}: {solved.name}",
+        name=problem.name if described else f"{machine.name}: {selection.objective}",
         description=problem.description if described else "",
         source=problem.source if described else "",
         machine=machine,
