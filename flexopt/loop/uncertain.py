@@ -80,12 +80,19 @@ class UncertaintyBox:
     def _entries(self) -> list[list[int]]:
         return [list(parameters_of(each.of, self.machine)) for each in self.uncertainty]
 
+    def corners(self, most: int) -> Vector:
+        """Corners of the first intervals, so many at most, the others in their middle: (2^…, k)."""
+        k = len(self.uncertainty)
+        found = np.full((2 ** min(k, most), k), 0.5)
+        found[:, :most] = list(product((0.0, 1.0), repeat=min(k, most)))
+        return found
+
     def members(self, count: int, seed: int = 0) -> Vector:
         """Points (n, k): the corners, of 6 intervals at most, then a scrambled Sobol sequence; `count` or more."""
         from scipy.stats.qmc import Sobol  # noqa: PLC0415  (loads slowly)
 
         k = len(self.uncertainty)
-        corners = np.array(list(product((0.0, 1.0), repeat=k))) if k <= CORNERED else np.zeros((0, k))
+        corners = self.corners(k) if k <= CORNERED else np.zeros((0, k))
         more = max(0, count - len(corners))
         drawn = Sobol(k, seed=seed).random(1 << math.ceil(math.log2(max(more, 1))))[:more]
         return np.concatenate([corners, drawn])

@@ -5,6 +5,7 @@ In: a table. Out: a frozen `Loop`, and what of it does not go together or not wi
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from flexopt.errors import Fault
@@ -15,6 +16,7 @@ from flexopt.model.file_model import BuiltByCall
 Numbers = tuple[float, ...]
 Drive = Literal["torque", "velocity"]
 DELAY_MAX = 100  # samples
+DECADES = 6.0  # of a range of gains from 0
 # In place of a table: everything follows from the machine.
 DEFAULT_LOOP = "default"
 # Where none is given: the article's, and that of hydraulic excavators.
@@ -90,6 +92,18 @@ class Loop(BuiltByCall):
                 sentence = f"must lie in {name}_range, [{allowed[0]:g}, {allowed[1]:g}]"
                 found.append(Fault(name, sentence, str(list(gains))))
         return found
+
+
+def gain_ranges(loop: Loop) -> dict[str, tuple[float, float]]:
+    """Ranges of the gains that may be chosen, by name."""
+    given = {"kp": loop.kp_range, "kv": loop.kv_range}
+    return {name: ends for name, ends in given.items() if ends is not None}
+
+
+def logarithms(ends: tuple[float, float]) -> tuple[float, float]:
+    """Ends of a range of gains as logarithms; one that begins at 0 is gone through over six powers of ten."""
+    low, high = ends
+    return math.log(low if low > 0 else high * 10**-DECADES), math.log(high)
 
 
 def loop_faults(loop: Loop, machine: Any, prefix: str = "") -> list[Fault]:

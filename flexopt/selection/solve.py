@@ -95,7 +95,7 @@ def select(
         choose = later("flexopt.selection.outcomes", choice="outcome_selection")("outcome_selection")
         problem = build_selection(machine, target, constraints=constraints, **keywords | {"objective": "w1"})
         own = _suiting(machine, real or Loop(), problem)
-        return cast(Any, choose)(problem, measure, own, ranges or (), _initial(problem), workers, progress)
+        return cast(Any, choose)(problem, own, ranges or (), _initial(problem), workers, progress)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 

@@ -16,13 +16,11 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, gain_ranges, logarithms
 
 # Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
 # are tried where no range is given.
 GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
-# A range that begins at 0 is gone through over so many powers of ten below its upper end, 0 besides.
-DECADES = 3.0
 
 
 def best_gains(loop: UncertainLoop, asked: Loop, members: Vector) -> UncertainLoop:
@@ -32,8 +30,9 @@ def best_gains(loop: UncertainLoop, asked: Loop, members: Vector) -> UncertainLo
     """
     from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
-    ranges = {name: given for name in ("kp", "kv") if (given := getattr(asked, f"{name}_range")) is not None}
-    axes = [_axis(*ends) for ends in ranges.values()] or [np.linspace(math.log(LEAST), math.log(MOST), 2 * GRID)]
+    ranges = gain_ranges(asked)
+    axes = [np.linspace(*logarithms(ends), GRID) for ends in ranges.values()]
+    axes = axes or [np.linspace(math.log(LEAST), math.log(MOST), 2 * GRID)]
 
     def with_gains(x: Any) -> UncertainLoop:
         return replace(loop, settings=_scaled(loop.settings, dict(zip(ranges, x, strict=True)) if ranges else x[0]))
@@ -51,11 +50,6 @@ def best_gains(loop: UncertainLoop, asked: Loop, members: Vector) -> UncertainLo
         options={"maxfev": EVALUATIONS, "initial_simplex": _simplex(start, axes)},
     )  # fmt: skip
     return with_gains(found.x if found.fun < min(values) else start)
-
-
-def _axis(low: float, high: float) -> Vector:
-    """Logarithms of the gains tried first; −∞ is none of them: a range from 0 begins far below its upper end."""
-    return np.linspace(math.log(low if low > 0 else high * 10**-DECADES), math.log(high), GRID)
 
 
 def _simplex(start: Vector, axes: Sequence[Vector]) -> Vector:

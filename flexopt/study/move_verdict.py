@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import Any, Unpack, cast
 
 import numpy as np
@@ -24,7 +23,7 @@ from flexopt.loop.standard_move import standard_move
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import Loop, loop_faults
+from flexopt.model.loop import Loop, gain_ranges, loop_faults
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
@@ -38,6 +37,8 @@ from flexopt.study.verdict_result import STAY, Band, PlaceVerdict, Verdict
 
 # Members that decays are computed of, nonlinear runs, and places besides the present one that are told.
 MEMBERS, RUNS, TOLD = 64, 16, 3
+# Candidates of which these are the best.
+LOOKED = 12
 # Members at whose corners gains, margins and moves are looked at: up to 2³ of them.
 CORNERED = 3
 # Length of the standard move, m, and of a nonlinear run, s.
@@ -188,7 +189,7 @@ def _real(problem: Any, selection: Selection, loop: Any, ranges: Any) -> tuple[L
 def _stands(selection: Selection) -> dict[str, Evaluation]:
     """Configurations by name, the present one first where it reaches the target."""
     found = {} if selection.initial is None else {STAY: selection.initial}
-    return found | {f"candidate {k}": each.evaluation for k, each in enumerate(selection.candidates[:12], start=1)}
+    return found | {f"candidate {k}": each.evaluation for k, each in enumerate(selection.candidates[:LOOKED], start=1)}
 
 
 def _drive(selection: Selection, stand: Evaluation) -> tuple[float, float]:
@@ -202,8 +203,9 @@ def _drive(selection: Selection, stand: Evaluation) -> tuple[float, float]:
 
 def _tries(asked: Loop, known: Mapping[str, Place], unconfirmed: Sequence[str]) -> bool:
     """Whether other gains are looked for: where ranges are given, or no place can be had with these."""
-    ranged = asked.kp_range is not None or asked.kv_range is not None
-    return ranged or not any(place.holds and place.name not in unconfirmed for place in known.values())
+    return bool(gain_ranges(asked)) or not any(
+        place.holds and place.name not in unconfirmed for place in known.values()
+    )
 
 
 def _changed(
@@ -219,7 +221,7 @@ def _changed(
     """
     found = list[tuple[Place, UncertainLoop]]()
     for name, place in known.items():
-        few = np.concatenate([_corners(loops[name].box), slowest[name][1][None]])
+        few = np.concatenate([loops[name].box.corners(CORNERED), slowest[name][1][None]])
         best = best_gains(loops[name], asked, few)
         decays = best.decays(points)
         found.append((Place(name, decays, best.slowest(points, decays)[0], place.drive), best))
@@ -228,14 +230,6 @@ def _changed(
     place, loop = min(near, key=lambda each: each[0].drive)
     names = ("kp", "kv", *(["ki"] if loop.settings.feedback == "pid" else []))
     return (place, loop), {name: getattr(loop.settings, name).tolist() for name in names}
-
-
-def _corners(box: UncertaintyBox) -> Vector:
-    """Corners of the first intervals, the others in their middle."""
-    k = len(box.uncertainty)
-    found = np.full((2 ** min(k, CORNERED), k), 0.5)
-    found[:, :CORNERED] = list(product((0.0, 1.0), repeat=min(k, CORNERED)))
-    return found
 
 
 def _place(
@@ -247,7 +241,7 @@ def _place(
     drive: tuple[float, float],
     runs: Runs | None,
 ) -> PlaceVerdict:
-    few = [None, *_corners(loop.box), slowest[1]]
+    few = [None, *loop.box.corners(CORNERED), slowest[1]]
     outcomes = [loop.outcome(u) for u in few]
     moves = [standard_move(outcome) for outcome in outcomes]
     own = decays[name]

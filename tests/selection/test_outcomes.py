@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.loop import Loop
 from flexopt.selection.outcomes.choice import OutcomeSelection
+from flexopt.selection.outcomes.climb import first_order
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.starts import FEASIBLE, moved
 from tests.cli.command import Command
@@ -90,7 +92,9 @@ def test_the_worst_case_is_no_better_anywhere_in_its_box() -> None:
         ("boom-stick-bucket", {"kp": 1e6, "kv": 2e5}),
     ],
 )
-def test_slopes_at_points_that_are_no_optimum(name: str, gains: dict[str, float]) -> None:
+def test_slopes_at_points_that_are_no_optimum(
+    name: str, gains: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of every branch and row, by everything that varies, beside differences of second order."""
     machine = flexopt.load(name)
     target = {"excavator": (0.0, 1.6), "slewing-excavator": (6.0, 2.0, 1.0), "boom-stick-bucket": (4.0, 1.0)}[name]
@@ -117,6 +121,11 @@ def test_slopes_at_points_that_are_no_optimum(name: str, gains: dict[str, float]
         np.testing.assert_allclose(found.slopes[:count, i], central, rtol=1e-5, atol=size)
         changed = (program.rows(y + way) - program.rows(y - way)) / (2 * step)
         np.testing.assert_allclose(rows[:, i], changed, rtol=1e-6, atol=1e-6)
+    assert 0 < first_order(program, y)[0] < math.inf
+    # What has no slope, as where two multipliers meet, proves nothing.
+    unknown = replace(found, slopes=np.full_like(found.slopes, np.nan))
+    monkeypatch.setattr(OutcomeProgram, "branches", lambda *_: unknown)
+    assert first_order(program, y)[0] == math.inf
 
 
 def test_in_space_with_constraints() -> None:

@@ -6,7 +6,6 @@ In: a `SelectionProblem` whose own objective is not asked, a loop. Out: an `Outc
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -23,7 +22,7 @@ from flexopt.loop.region import stability_radius
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import DECAY
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.robustness import Evaluation
@@ -61,7 +60,7 @@ class OutcomeSelection(Selection):
     """The answer to a configuration problem by what the loop does.
 
     Attributes:
-        sought: which is largest: `"decay"`, as of `flexopt.Outcome`; `Candidate.objective` is its value, 1/s, over the
+        measure: what is largest, `"decay"` of `flexopt.Outcome`; `Candidate.objective` is its value, 1/s, over the
             uncertainty its least.
         gains: kp and kv of each candidate, those that were chosen with the configuration.
         radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
@@ -72,8 +71,6 @@ class OutcomeSelection(Selection):
         others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
     """
 
-    sought: str = DECAY
-    gains: tuple[Mapping[str, float], ...] = ()
     radii: tuple[float, ...] = ()
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
     loop: Loop | None = field(default=None, repr=False)
@@ -84,8 +81,14 @@ class OutcomeSelection(Selection):
 
     @property
     def measure(self) -> str:
-        """As `sought`."""
-        return self.sought
+        """See the class."""
+        return DECAY
+
+    @property
+    def gains(self) -> tuple[dict[str, float], ...]:
+        """See the class."""
+        names = {} if self.loop is None else gain_ranges(self.loop)
+        return tuple({name: float(getattr(each, name)[0]) for name in names} for each in self.settings)
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:
@@ -148,7 +151,6 @@ class OutcomeSelection(Selection):
 
 def outcome_selection(
     problem: SelectionProblem,
-    measure: str,
     loop: Loop,
     uncertainty: tuple[Uncertainty, ...],
     initial: Evaluation | None,
@@ -159,7 +161,6 @@ def outcome_selection(
 
     Args:
         problem: from `build_selection`; its objective is not asked.
-        measure: which is sought, see `OutcomeSelection`.
         loop: known to be good for the machine; gains that it gives ranges of are chosen, too.
         uncertainty: over which the least decay counts; empty: the machine's own numbers.
         initial: the present configuration.
@@ -174,12 +175,9 @@ def outcome_selection(
     settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
     box = UncertaintyBox(machine, uncertainty, settings.dead_time)
     raise_if_any(InputError, "select", box.faults(settings.rate))
-    ranges = {name: given for name in ("kp", "kv") if (given := getattr(loop, f"{name}_range")) is not None}
     held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
-    k = len(uncertainty)
-    # Of many intervals the search behind each climb brings the corners that count.
-    corners = box.members(2)[: 2**k] if 0 < k <= CORNERED else np.zeros((0, k))
-    program = OutcomeProgram(problem, held, ranges, corners)
+    corners = box.corners(CORNERED) if uncertainty else np.zeros((0, 0))
+    program = OutcomeProgram(problem, held, gain_ranges(loop), corners)
     count = workers or available_cores()
     ys, values = _looked(program, pool, count)
     program = replace(program, size=max(abs(max(values)), np.finfo(float).tiny))
@@ -216,9 +214,7 @@ def outcome_selection(
         attempts=attempts,
         kept=(),
         problem=problem,
-        provenance=provenance(machine, objective=measure, target=problem.target.tolist(), seed=problem.seed),
-        sought=measure,
-        gains=tuple(program.gains(each.y) for each in distinct),
+        provenance=provenance(machine, objective=DECAY, target=problem.target.tolist(), seed=problem.seed),
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
         loop=loop,

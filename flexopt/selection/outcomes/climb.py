@@ -7,7 +7,7 @@ by sequential quadratic programming; derivatives are exact, and curvature is gat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -111,7 +111,9 @@ def _search(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector,
         y = np.clip(x[:-1], *program.bounds)
         key = y.tobytes()
         if key not in known:
-            known[key] = program.branches(y), program.rows(y), program.row_slopes(y)
+            found = program.branches(y)
+            # Where two multipliers meet there is no slope; a search may go on from there, a proof may not.
+            known[key] = replace(found, slopes=np.nan_to_num(found.slopes)), program.rows(y), program.row_slopes(y)
         return known[key]
 
     lower, upper, scale = program.problem.row_bounds
@@ -175,10 +177,13 @@ def _finite(distances: Vector) -> Vector:
 def first_order(program: OutcomeProgram, y: Vector) -> tuple[float, tuple[str, ...]]:
     """Norm of what multipliers of the right signs leave of the gradient; names of what is active.
 
-    0 = Σ λ_k g_k + Σ μ_i a_i, λ, μ ≥ 0, Σ λ = 1, over the branches g_k that are least and the active rows a_i.
+    0 = Σ λ_k g_k + Σ μ_i a_i, λ, μ ≥ 0, Σ λ = 1, over the branches g_k that are least and the active rows a_i. Infinite
+    where a least branch has no slope.
     """
     branches, rows, slopes = program.branches(y), program.rows(y), program.row_slopes(y)
     least = branches.slopes[branches.values <= branches.values[0] + ACTIVE * max(1.0, abs(branches.values[0]))]
+    if not np.all(np.isfinite(least)):
+        return math.inf, ()
     lower, upper, scale = program.problem.row_bounds
     columns, names = list[Vector](), list[str]()
     for number, constraint in enumerate(program.problem.constraints):

@@ -6,7 +6,6 @@ smallest counts, and of the rows, in scaled variables y = [z / scale, ln kp, ln 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,20 +14,19 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
+from flexopt.model.loop import logarithms
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import row_gradients
 
 # Multipliers of a loop whose decay counts, the slowest first: at an optimum several are as slow.
 BRANCHES = 6
-# Ranges of gains that begin at 0 are gone through over so many powers of ten.
-DECADES = 6.0
 # Branches that are further above the least one than this share of the scale are left out.
 FAR = 1.0
 
 
 @dataclass(frozen=True)
 class Branches:
-    """The objective at y: values of its branches (b,), the smallest first, and slopes (b, n_y)."""
+    """The objective at y: values of its branches (b,), the smallest first, and slopes (b, n_y), NaN where two meet."""
 
     values: Vector
     slopes: Vector
@@ -60,7 +58,7 @@ class OutcomeProgram:
     @cached_property
     def bounds(self) -> tuple[Vector, Vector]:
         """Of y."""
-        ends = np.array([_logs(ends) for ends in self.ranges.values()]).reshape(-1, 2)
+        ends = np.array([logarithms(ends) for ends in self.ranges.values()]).reshape(-1, 2)
         scale = self.problem.scale
         return np.append(self.problem.lower / scale, ends[:, 0]), np.append(self.problem.upper / scale, ends[:, 1])
 
@@ -112,7 +110,7 @@ class OutcomeProgram:
         by = point.gradient(point.rate(branch))
         of_gains = [float(by[name].sum()) * gain for name, gain in self.gains(y).items()]
         of_z = np.concatenate([by["base"], by["posture"]]) * self.problem.scale
-        return np.nan_to_num(np.append(of_z, of_gains))
+        return np.append(of_z, of_gains)
 
     def rows(self, y: Vector) -> Vector:
         """Values of the problem's rows, in their scales: 0 for the target's."""
@@ -123,8 +121,3 @@ class OutcomeProgram:
         """Their slopes, (n_rows, n_y)."""
         found = row_gradients(self.problem, self.z(y)) / self.problem.row_bounds[2][:, None] * self.problem.scale
         return np.hstack([found, np.zeros((len(found), len(self.ranges)))])
-
-
-def _logs(ends: tuple[float, float]) -> tuple[float, float]:
-    low, high = ends
-    return math.log(low if low > 0 else high * 10**-DECADES), math.log(high)
