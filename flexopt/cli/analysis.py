@@ -39,6 +39,7 @@ from flexopt.cli.common import (
 from flexopt.cli.judging import LOOP, RANGES, real_loop
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine, load, load_any
 from flexopt.model.choices import ELBOWS, OUTCOMES
@@ -160,7 +161,7 @@ def select_command(
     check_output("--log", log, (".json",))
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
-    _refuse_early(settings, judged)
+    _refuse_early(settings, judged, own)
     if settings.get("objective") in OUTCOMES:
         settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
         settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
@@ -211,7 +212,7 @@ def _certificate(result: Any, log: str | None) -> dict[str, Any]:
     return certificate.to_dict()
 
 
-def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]]) -> None:
+def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], own: dict[str, Any]) -> None:
     """What no verdict and no choice by the loop can be had of, before anything is solved."""
     faults = list[Fault]()
     if "target" not in settings:
@@ -227,6 +228,14 @@ def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]]) 
     ):
         faults.append(Fault("--base", "is needed for a verdict: where the machine stands now"))
     raise_if_any(InputError, "select", faults)
+    arguments = Arguments("select", settings["machine"])
+    for name, asked in (
+        ("loop", real_loop(own["loop"], judged["loop"])),
+        ("ranges", table("--ranges", judged["ranges"])),
+    ):
+        if asked is not None:
+            TABLE[name](arguments, name, asked)
+    arguments.done()
 
 
 def _judgement(

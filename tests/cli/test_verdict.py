@@ -29,6 +29,8 @@ def test_the_command_refuses(command: Command) -> None:
         (("verdict", "article", "--ranges", "mass=1,2"), "ranges[0].of"),
         (("select", "stations", "--loop", "default"), "single target"),
         (("select", "stations", "--objective", "decay"), "single target"),
+        (("select", "article", "--loop", "kq=1"), "unknown key"),
+        (("select", "article", "--ranges", "stiffnes=1,2"), "did you mean"),
         (("select", "excavator", "--end-point", "0,1.6", "--loop", "kp=1e4"), "--base"),
         (("verdict", "article", "--ranges", "boom.length=1,2"), "moves the end-point"),
         (("verdict", "article", "--ranges", "dead_time=0,2"), "100 samples"),
