@@ -196,7 +196,9 @@ def shortfall(machine: Machine, control: Any, scan: Scanned, selection: flexopt.
     epsilon = margin(machine, control, best.z)
     allowed = np.ones(scan.epsilon.size, dtype=bool)
     worst = -math.inf
-    for number, (each, size) in enumerate(zip(problem.objectives, problem.objective_scales, strict=True)):
+    for number, (each, size) in enumerate(
+        zip(problem.sought, problem.objective_scales[problem.bounding :], strict=True)
+    ):
         values = np.array(each.alpha) @ scan.w + each.beta * scan.epsilon
         ours = each.value(best.w, epsilon)
         if number < len(selection.kept):

@@ -18,6 +18,7 @@ from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import FIRST_ORDER, Proof, prove, prove_program
+from flexopt.selection.exchanged import kept_apart
 from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
@@ -58,15 +59,20 @@ SolveOutcome = tuple[Vector, Proof | None, int, str]
 
 def first_optima(
     problem: SelectionProblem, starts: list[Vector], workers: int, progress: Progress | None
-) -> tuple[list[Found], list[Attempt]]:
-    """Distinct verified optima from the starts, and what became of each start.
+) -> tuple[SelectionProblem, list[Found], list[Attempt]]:
+    """The problem, distinct verified optima from the starts, and what became of each start.
+
+    In the problem frequencies are kept apart where solves came near to where they meet, see `exchanged`.
 
     Raises:
         NoSolutionFound: there is none, or none as good as a feasible point of the scan.
     """
     found, attempts, failures = _attempted(problem, starts, workers, progress, _solve_start)
+    while (apart := kept_apart(problem, [z for z, *_ in found], [z for z, _ in failures])) is not problem:
+        ends, problem = [z for z, *_ in (*found, *failures)], apart
+        found, attempts, failures = _attempted(problem, [*ends, *starts], workers, progress, _solve_start)
     found, attempts = _not_below_seen(problem, found, attempts, failures)
-    return _in_rounds(problem, found, attempts, workers, progress)
+    return problem, *_in_rounds(problem, found, attempts, workers, progress)
 
 
 def _in_rounds(

@@ -16,6 +16,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.continua import travel
+from flexopt.selection.exchanged import at_edge
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 
 SHOWN = 12
@@ -153,7 +154,7 @@ class Selection(Pictured, Result):
     """
 
     DOCUMENT = (
-        "status converged best decided_by nothing_to_gain candidates initial attempts missed_chance kept problem "
+        "status converged best edges decided_by nothing_to_gain candidates initial attempts missed_chance kept problem "
         "provenance"
     )
 
@@ -198,6 +199,11 @@ class Selection(Pictured, Result):
         of one degree of redundancy that was seen whole: there `flexopt.certify` proves what is best.
         """
         return missed_chance(self.problem, self.attempts)
+
+    @property
+    def edges(self) -> tuple[str, ...]:
+        """A sentence for every two modes whose frequencies meet at the best: V jumps where they exchange numbers."""
+        return tuple(at_edge(self.problem, self.best.z, self.best.w))
 
     @property
     def decided_by(self) -> str:
@@ -263,7 +269,7 @@ class Selection(Pictured, Result):
                 f"  best found in {len(self.attempts)} starts, {ended} of which ended at an optimum: "
                 f"about {100 * self.missed_chance:.0f} % of further ones would end at a value not found yet"
             )
-        lines += [f"  {sentence}" for sentence in (self.decided_by, self.nothing_to_gain) if sentence]
+        lines += [f"  {sentence}" for sentence in (*self.edges, self.decided_by, self.nothing_to_gain) if sentence]
         lines += [f"  {assumption}" for assumption in problem.assumed]
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")

@@ -135,7 +135,7 @@ def solved(
     """As `solve_selection`; without `climbs` optima stay where they were found, also where they are surfaces."""
     warn_implausible(problem.machine)
     count = workers or available_cores()
-    found, attempts = first_optima(problem, starting_points(problem, count), count, progress)
+    problem, found, attempts = first_optima(problem, starting_points(problem, count), count, progress)
     kept: list[Kept] = []
     while len(problem.kept) + 1 < len(problem.objectives):
         problem, now = next_stage(problem, found)

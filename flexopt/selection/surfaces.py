@@ -51,7 +51,7 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
     Where objectives are kept in order, or travel costs, the next objective or the cost says what is best.
     """
     wide = [item for item in found if item[1].unsurpassed and _may_be_wide(problem, item)]
-    if not wide or len(problem.objectives) > 1 or problem.travel is not None:
+    if not wide or len(problem.sought) > 1 or problem.travel is not None:
         return [Best(item) for item in found]
     rest = [Best(item) for item in found if not any(item is other for other in wide)]
     stage, sought = _next(problem)
@@ -96,12 +96,17 @@ def _next(problem: SelectionProblem) -> tuple[SelectionProblem, int]:
     alpha, size = problem.objective.alpha, problem.objective_scale
     m = len(alpha)
     others = [Objective(f"w{i + 1}", tuple(np.eye(m)[i].tolist()), 0.0) for i in range(m) if alpha[i] == 0]
+    sizes = (size,) * len(others)
     if not others:
-        margin = Objective("epsilon_max", (0.0,) * m, 1.0)
-        return replace(problem, objectives=(margin,), objective_scales=(1.0,)), 1
-    count = len(others)
-    kept = (-np.inf,) * (count - 1)
-    return replace(problem, objectives=tuple(others), objective_scales=(size,) * count, kept=kept), count
+        others, sizes = [Objective("epsilon_max", (0.0,) * m, 1.0)], (1.0,)
+    first = problem.bounding
+    stage = replace(
+        problem,
+        objectives=(*problem.objectives[:first], *others),
+        objective_scales=(*problem.objective_scales[:first], *sizes),
+        kept=(*problem.kept[:first], *(-np.inf,) * (len(others) - 1)),
+    )
+    return stage, len(others)
 
 
 def _value(stage: SelectionProblem, sought: int, z: Vector) -> float:

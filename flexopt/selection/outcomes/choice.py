@@ -106,6 +106,11 @@ class OutcomeSelection(Selection):
         return
 
     @property
+    def edges(self) -> tuple[str, ...]:
+        """None: the loop knows no numbers of modes."""
+        return ()
+
+    @property
     def decided_by(self) -> str:
         """Empty: candidates are ranked by the measure alone."""
         return ""
