@@ -93,6 +93,7 @@ if TYPE_CHECKING:
     from flexopt.study import Verdict as Verdict
     from flexopt.study import WorkspaceMap as WorkspaceMap
     from flexopt.study import atlas as atlas
+    from flexopt.study import map_loop as map_loop
     from flexopt.study import map_workspace as map_workspace
     from flexopt.study import report as report
     from flexopt.study import verdict as verdict
@@ -166,6 +167,7 @@ __all__ = [
     "load_problem",
     "load_robot",
     "machine_from_dict",
+    "map_loop",
     "map_workspace",
     "ncf_margin",
     "nu_gap",
@@ -217,7 +219,7 @@ _LATER = {
         "Actuator Ensemble Path Sensor Trajectory run_experiment sampled_loop simulate simulate_ensemble "
         "stability_border"
     ),
-    "study": "Verdict Report WorkspaceMap atlas map_workspace report verdict",
+    "study": "Verdict Report WorkspaceMap atlas map_loop map_workspace report verdict",
 }
 _ROOMS = {module.partition(".")[0] for module in _LATER}
 _named = _later(__name__, **_LATER)

@@ -38,6 +38,7 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.judging import LOOP, RANGES, asked_problem, real_loop
 from flexopt.cli.simulation import loop_options
+from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import load, load_experiment
 from flexopt.model.choices import ELBOWS
 
@@ -68,6 +69,14 @@ REPORT_FOLDER, PROBLEM_FOLDER = "flexopt-reproduce", "flexopt-report"
 )
 @value("--end-point", "X,Y,…", "With --over base: where it is held; else its rows that do not vary, m.", numbers)
 @value("--base", "X[,Y,YAW]", "Placement where following starts, and of what does not vary, m and rad.", placement)
+@LOOP
+@value(
+    "--vary",
+    "NAME=LO,HI",
+    "Twice: a map of the loop in --posture over two of kp, kv, ki, dead_time (s), stiffness, damping (factors) and the "
+    "machine's parameters, the first along x.",
+    multiple=True,
+)
 @value("--x-range", "LO,HI", "Of the first that varies, m or rad; all of it by default.", numbers)
 @value("--y-range", "LO,HI", "Of the second that varies, m or rad; all of it by default.", numbers)
 @value("--out", "FILE.nc", "Write the map to a netCDF file.")
@@ -76,17 +85,33 @@ REPORT_FOLDER, PROBLEM_FOLDER = "flexopt-reproduce", "flexopt-report"
 def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
     """Frequencies, w_i, in-phase regions and ε_max of MACHINE over end-points, two joints or its placement.
 
+    With --loop how fast its controller's loop decays, too; with --vary that alone, over gains, dead time or soil.
+
     End-points of a planar arm of two joints are in the workspace frame, which has the axes of the inertial one and its
     origin at the first joint at rest; those of other machines in the inertial frame.
     """
-    from flexopt.study import map_workspace  # noqa: PLC0415  (only this command needs it)
+    from flexopt.study import map_loop, map_workspace  # noqa: PLC0415  (only this command needs them)
 
     check_output("--plot", plot, PICTURES)
     check_output("--out", out, (".nc",))
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("postures") as progress:
-        result = map_workspace(loaded, progress=progress, **given(options))
+    vary, options["loop"] = options.pop("vary"), real_loop(loaded.loop, options["loop"])
+    with option_names(options), warnings_to_stderr(as_json), progress_bar("points") as progress:
+        if vary:
+            result = map_loop(loaded, **_of_loop(given(options), vary), progress=progress)
+        else:
+            result = map_workspace(loaded, progress=progress, **given(options))
     hand_out(result, out, plot, as_json=as_json)
+
+
+def _of_loop(options: dict[str, Any], vary: tuple[str, ...]) -> dict[str, Any]:
+    """What a map of the loop takes; other options are faults."""
+    takes = ("posture", "base", "control", "gravity", "loop", "points")
+    faults = [Fault(f"--{name.replace('_', '-')}", "does not go with --vary") for name in options if name not in takes]
+    if "posture" not in options:
+        faults.append(Fault("--posture", "is required with --vary: the posture that the loop is looked at in"))
+    raise_if_any(InputError, "map", faults)
+    return options | {"vary": table("--vary", vary)}
 
 
 @click.command("reproduce", short_help="The article computed again and checked.")

@@ -44,7 +44,7 @@ class OneSample:
     Dead time stands behind the law: what is delayed is its force f, which commutes with a law that does not change.
 
     Attributes:
-        parts: of the loop.
+        parts: of the loop; of N loops, with matrices (N, …, …), all but derivatives then are (N, …, …), too.
         period: of a sample, s.
         dead_time: from measurement to command, s.
         differentiable: whole samples of dead time are taken as one more, less nothing, so that derivatives by it exist;
@@ -73,15 +73,16 @@ class OneSample:
     @cached_property
     def _places(self) -> tuple[slice, slice, slice, int]:
         """Where s, the law's states and the oldest force stand in x, and how many states there are."""
-        n, k, r = len(self.parts.flow), len(self.parts.law), len(self.parts.force)
+        n, k, r = (matrix.shape[-2] for matrix in (self.parts.flow, self.parts.law, self.parts.force))
         waiting = self.waiting[0]
         return slice(n), slice(n, n + k), slice(n + k, n + k + r * min(waiting, 1)), n + k + r * waiting
 
     @cached_property
     def _spans(self) -> list[tuple[float, Vector, Vector]]:
         """Of the whole sample, and of its part up to the newest measurement: length, e^{Ah}, Γ(h)."""
-        lengths = [self.period, self.period - self.waiting[1]]
-        return [(h, *exponential(self.parts.flow, self.parts.drive, h)) for h in lengths]
+        whole = self.period, *exponential(self.parts.flow, self.parts.drive, self.period)
+        part = self.period - self.waiting[1]
+        return [whole, whole if part == self.period else (part, *exponential(self.parts.flow, self.parts.drive, part))]
 
     @cached_property
     def _measured(self) -> tuple[Vector, Vector]:
@@ -89,40 +90,41 @@ class OneSample:
         p, (_, held, push) = self.parts, self._spans[1]
         r = self._places[2].stop - self._places[2].start
         if not self._early:
-            return p.measured, np.zeros((len(p.measured), r))
+            return p.measured, np.zeros((*p.measured.shape[:-1], r))
         return p.measured @ (held + push @ p.direct), p.measured @ push @ p.spread
 
     @cached_property
     def open(self) -> Vector:
         """Φ₀ (n_x, n_x): the loop whose law asks for nothing more."""
         p, (s, law, oldest, size), (_, held, push) = self.parts, self._places, self._spans[0]
-        (of_state, of_force), k = self._measured, len(self.parts.law)
-        found = np.zeros((size, size))
-        found[s, s] = held + push @ p.direct
-        found[law, s], found[law, law] = p.law[:, k:] @ of_state, p.law[:, :k]
+        (of_state, of_force), k, r = self._measured, p.law.shape[-2], p.force.shape[-2]
+        found, asked = np.zeros((*p.flow.shape[:-2], size, size)), p.law[..., k:]
+        found[..., s, s] = held + push @ p.direct
+        found[..., law, s], found[..., law, law] = asked @ of_state, p.law[..., :k]
         if self.waiting[0]:
-            found[s, oldest], found[law, oldest] = push @ p.spread, p.law[:, k:] @ of_force
-            found[oldest.start : size - len(p.force), oldest.stop :] = np.eye(size - oldest.stop)
+            found[..., s, oldest], found[..., law, oldest] = push @ p.spread, asked @ of_force
+            found[..., oldest.start : size - r, oldest.stop :] = np.eye(size - oldest.stop)
         return found
 
     @cached_property
     def into(self) -> Vector:
         """Γ (n_x, r): where the law's force goes."""
         p, (s, _, _, size), (_, _, push) = self.parts, self._places, self._spans[0]
-        found = np.zeros((size, len(p.force)))
+        r = p.force.shape[-2]
+        found = np.zeros((*p.flow.shape[:-2], size, r))
         if self.waiting[0]:
-            found[-len(p.force) :] = np.eye(len(p.force))
+            found[..., -r:, :] = np.eye(r)
         else:
-            found[s] = push @ p.spread
+            found[..., s, :] = push @ p.spread
         return found
 
     @cached_property
     def force(self) -> Vector:
         """F (r, n_x)."""
         p, (s, law, oldest, size), (of_state, of_force) = self.parts, self._places, self._measured
-        found, k = np.zeros((len(p.force), size)), len(p.law)
-        found[:, s], found[:, law] = p.force[:, k:] @ of_state, p.force[:, :k]
-        found[:, oldest] = p.force[:, k:] @ of_force
+        found, k = np.zeros((*p.force.shape[:-1], size)), p.law.shape[-2]
+        found[..., s], found[..., law] = p.force[..., k:] @ of_state, p.force[..., :k]
+        found[..., oldest] = p.force[..., k:] @ of_force
         return found
 
     @cached_property

@@ -65,20 +65,27 @@ class Tangent:
 
 
 def exponential(flow: Vector, drive: Vector, span: float) -> tuple[Vector, Vector]:
-    """(e^{Ah}, Γ(h)) from one exponential of the block matrix (Van Loan 1978)."""
-    return _exponential(flow.tobytes(), drive.tobytes(), len(flow), drive.shape[1], span)
+    """(e^{Ah}, Γ(h)) from one exponential of the block matrix (Van Loan 1978); of stacks (N, …, …), too."""
+    if flow.ndim == 2:
+        return _kept_exponential(flow.tobytes(), drive.tobytes(), len(flow), drive.shape[1], span)
+    return _exponential(flow, drive, span)
 
 
 @lru_cache(maxsize=16)
-def _exponential(flow: bytes, drive: bytes, n: int, m: int, span: float) -> tuple[Vector, Vector]:
+def _kept_exponential(flow: bytes, drive: bytes, n: int, m: int, span: float) -> tuple[Vector, Vector]:
     """The like, kept: along a sweep over gains the plant stays the same."""
+    return _exponential(np.frombuffer(flow).reshape(n, n), np.frombuffer(drive).reshape(n, m), span)
+
+
+def _exponential(flow: Vector, drive: Vector, span: float) -> tuple[Vector, Vector]:
     from scipy.linalg import expm  # noqa: PLC0415  (loads slowly)
 
-    block: Vector = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = np.frombuffer(flow).reshape(n, n), np.frombuffer(drive).reshape(n, m)
+    n, m = drive.shape[-2:]
+    block: Vector = np.zeros((*flow.shape[:-2], n + m, n + m))
+    block[..., :n, :n], block[..., :n, n:] = flow, drive
     whole = expm(block * span)
     whole.setflags(write=False)
-    return whole[:n, :n], whole[:n, n:]
+    return whole[..., :n, :n], whole[..., :n, n:]
 
 
 def graphs_about_rest(structure: LoopStructure) -> tuple[ca.Function, ca.Function]:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, TwoSlopeNorm
 from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
@@ -19,6 +20,8 @@ IN_PHASE, OUT_OF_PHASE = "#f5d327", "#27509b"
 POSTURE = "#d81b1b"
 # Near singular postures the measures fall without end: colours and axes start at this fraction of the points.
 LOWEST_SHOWN = 0.05
+# Purple and green that meet in no common white.
+SIGNED = ListedColormap(colormaps["PRGn"](np.concatenate([np.linspace(0.0, 0.4, 128), np.linspace(0.6, 1.0, 128)])))
 # Share of a field by which its values differ from rounding alone.
 SAME = 1e-9
 
@@ -31,17 +34,26 @@ class FieldPlane:
     y: Values
     x_label: str
     y_label: str
+    logarithmic: tuple[bool, bool] = (False, False)
+
+    @property
+    def scaled(self) -> tuple[Values, Values]:
+        """The axes evenly spaced: in the logarithm (of 10) where one is logarithmic."""
+        x, y = (np.log10(v) if log else v for v, log in zip((self.x, self.y), self.logarithmic, strict=True))
+        return x, y
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
         """Edges of the outermost points' cells."""
-        half_x, half_y = ((v[-1] - v[0]) / (v.size - 1) / 2 for v in (self.x, self.y))
-        x, y = (float(self.x[0]), float(self.x[-1])), (float(self.y[0]), float(self.y[-1]))
-        return x[0] - half_x, x[1] + half_x, y[0] - half_y, y[1] + half_y
+        spans = [(float(v[0]), float(v[-1]), float(v[-1] - v[0]) / (v.size - 1) / 2) for v in self.scaled]
+        (left, right, half_x), (low, high, half_y) = spans
+        return left - half_x, right + half_x, low - half_y, high + half_y
 
     @property
     def aspect(self) -> Literal["equal", "auto"]:
         """The same scale on both axes, unless that made a ribbon."""
+        if any(self.logarithmic):
+            return "auto"
         return "equal" if 0.25 <= float(np.ptp(self.y) / np.ptp(self.x)) <= 4.0 else "auto"
 
 
@@ -79,6 +91,27 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, cli
     bar.ax.yaxis.get_offset_text().set(fontsize=7.5)
 
 
+def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) -> None:
+    """A field whose sign decides, with its border: above 0 green, below purple, each in its own scale; NaN grey."""
+    finite = values[np.isfinite(values)]
+    above, below = finite[finite > 0], -finite[finite < 0]
+    low, high = (float(np.quantile(part, 1 - LOWEST_SHOWN)) if part.size else 1e-3 for part in (below, above))
+    axes.set_facecolor("0.8")
+    image = axes.imshow(
+        values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, cmap=SIGNED,
+        norm=TwoSlopeNorm(0.0, -low, high),
+    )  # fmt: skip
+    if above.size and below.size:
+        axes.contour(*plane.scaled, values, levels=[0.0], colors="black", linewidths=0.8)
+    figure = axes.get_figure()
+    assert figure is not None
+    bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="both")
+    bar.set_label(label, fontsize=8.5)
+    bar.ax.tick_params(labelsize=7.5)
+    bar.formatter.set_powerlimits((-2, 3))  # pyright: ignore[reportAttributeAccessIssue]
+    bar.ax.yaxis.get_offset_text().set(fontsize=7.5)
+
+
 def draw_regions(axes: Axes, plane: FieldPlane, values: Values) -> None:
     """In-phase points (1) yellow, the others (0) blue, what is not mapped (NaN) white."""
     axes.imshow(
@@ -93,6 +126,9 @@ def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True,
     axes.set_xlabel(plane.x_label if bottom else "", fontsize=8.5)
     axes.set_ylabel(plane.y_label if left else "", fontsize=8.5)
     axes.tick_params(labelsize=7.5)
+    for axis, log in zip((axes.xaxis, axes.yaxis), plane.logarithmic, strict=True):
+        if log:
+            axis.set_major_formatter(lambda value, _: f"{10**value:.3g}")
 
 
 def draw_marks(axes: Axes, marks: Mapping[str, tuple[float, float]]) -> None:

@@ -13,8 +13,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
-from flexopt.plotting.fields import FieldPlane, Values, draw_field, draw_marks, draw_regions, label_plane
+from flexopt.plotting.fields import FieldPlane, Values, draw_field, draw_marks, draw_regions, draw_signed, label_plane
 from flexopt.plotting.files import write
+
+# Up to where ratios of an axis are equal.
+EVEN = 1e-9
 
 
 def dataset_plane(dataset: Any) -> FieldPlane:
@@ -22,12 +25,19 @@ def dataset_plane(dataset: Any) -> FieldPlane:
     rows, columns = dataset["reachable"].dims
     if dataset.attrs["frame"].startswith("workspace"):
         labels = [f"{columns}, m (workspace frame)", f"{rows}, m (workspace frame)"]
-        return FieldPlane(_array(dataset, columns), _array(dataset, rows), *labels)
+        return FieldPlane(_array(dataset, columns), _array(dataset, rows), labels[0], labels[1])
     labels = [
         f"{mathtext(dataset[name].attrs['long_name'], TITLE_MAX)}, {dataset[name].attrs['units']}"
         for name in (columns, rows)
     ]
-    return FieldPlane(_array(dataset, columns), _array(dataset, rows), *labels)
+    x, y = (_array(dataset, name) for name in (columns, rows))
+    plain = [label.removesuffix(", 1") for label in labels]
+    return FieldPlane(x, y, plain[0], plain[1], (_geometric(x), _geometric(y)))
+
+
+def _geometric(values: Values) -> bool:
+    """Whether an axis is evenly spaced in its logarithm."""
+    return bool(values[0] > 0 and values.size > 2 and abs(values[0] * values[2] / values[1] ** 2 - 1) < EVEN)
 
 
 def plot_workspace(
@@ -49,7 +59,7 @@ def plot_workspace(
     plane, panels = dataset_plane(dataset), _panels(dataset)
     shown = json.loads(dataset.attrs.get("marks", "{}")) if marks is None else marks
     columns = max(len(row) for row in panels)
-    width, height = np.ptp(plane.x), np.ptp(plane.y)
+    width, height = (np.ptp(values) for values in plane.scaled)
     each = 3.0 * (min(2.0, max(0.6, height / width)) if plane.aspect == "equal" else 0.8)
     figure = Figure(figsize=(1.0 + 3.9 * columns, 0.8 + (0.45 + each) * len(panels)), layout="constrained")
     for row, entries in enumerate(panels):
@@ -57,17 +67,25 @@ def plot_workspace(
             axes = figure.add_subplot(len(panels), columns, row * columns + column + 1)
             if kind == "regions":
                 draw_regions(axes, plane, values)
+            elif kind == "signed":
+                draw_signed(axes, plane, values, label=label)
             else:
                 draw_field(axes, plane, values, label=label, clipped=kind == "clipped")
-            draw_marks(axes, shown)
+            draw_marks(axes, _placed(plane, shown))
             label_plane(axes, plane, title, left=column == 0, bottom=row == len(panels) - 1)
     if shown:
         figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=8.5)
-    figure.suptitle(
-        f"{mathtext(dataset.attrs['title'], TITLE_MAX)}, kr = {float(dataset.attrs['gain']):.3g}", fontsize=11
-    )
+    gain = f", kr = {float(dataset.attrs['gain']):.3g}" if "gain" in dataset.attrs else ""
+    figure.suptitle(f"{mathtext(dataset.attrs['title'], TITLE_MAX)}{gain}", fontsize=11)
     write(figure, path, dpi=150)
     return figure
+
+
+def _placed(plane: FieldPlane, marks: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Points where axes that are logarithmic show them."""
+    log_x, log_y = plane.logarithmic
+    return {name: (float(np.log10(x)) if log_x else x, float(np.log10(y)) if log_y else y)
+            for name, (x, y) in marks.items()}  # fmt: skip
 
 
 Panel = tuple[str, str, str, Values]
@@ -89,9 +107,16 @@ def _panels(dataset: Any) -> list[list[Panel]]:
         whole.append(("clipped", "rigid part: $\\lambda_{min}(R_0 + R_0^T)$", unit, _array(dataset, "rigid")))
     if "epsilon_max" in dataset:
         whole.insert(0, ("clipped", "robust stability margin", "$\\epsilon_{max}$", _array(dataset, "epsilon_max")))
+    loop: list[Panel] = []
+    if "decay" in dataset:
+        loop.append(("signed", "sampled loop: decay (green: stable)", "1/s", _array(dataset, "decay")))
+        loop.append(("field", "its slowest motion", "Hz", _array(dataset, "loop_frequency_hz")))
+    if dataset.attrs["over"] == "loop":
+        return [loop]
     if not whole:
         whole.append(("field", "condition of the rigid-body Jacobian", "cond Jv", _array(dataset, "condition")))
-    return [*rows, whole] if max(map(len, rows), default=0) != 1 else [sum(rows, list[Panel]()), whole]
+    rows = [*rows, whole] if max(map(len, rows), default=0) != 1 else [sum(rows, list[Panel]()), whole]
+    return [*rows, loop] if loop else rows
 
 
 def _array(dataset: Any, name: str) -> Values:

@@ -4,6 +4,7 @@ In: machines and problems. Out: result objects, and pages of them.
 """
 
 from flexopt.study.joint_atlas import atlas as atlas
+from flexopt.study.loop_map import map_loop as map_loop
 from flexopt.study.move_verdict import verdict as verdict
 from flexopt.study.problem_report import Report as Report
 from flexopt.study.problem_report import report as report

@@ -7,16 +7,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
+
+from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import anything, by, flag, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import entries
+from flexopt.loop.many import Decays, decays, expect_decays
+from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
+from flexopt.model.loop import Loop
 from flexopt.plant import build_plant
+from flexopt.robustness import evaluate
 from flexopt.study.grid import Grid, Over
 from flexopt.study.planes import Plane, read_plane
 from flexopt.study.points import Progress, evaluate_points, expect_points
@@ -28,7 +36,8 @@ POINTS_MAX = 10_000
 POINTS, MANY_PASSIVE, FEW_POINTS = (400, 400), 3, (60, 60)
 
 
-def _check_points(value: Any) -> tuple[int, int]:
+def check_points(value: Any) -> tuple[int, int]:
+    """Two whole numbers."""
     parts = entries(value)
     whole = [part for part in parts if type(part) is int and 2 <= part <= POINTS_MAX]
     if len(parts) != 2 or len(whole) != 2:
@@ -51,7 +60,7 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     base=anything,
     x_range=anything,
     y_range=anything,
-    points=by(_check_points),
+    points=by(check_points),
     measures=flag,
     epsilon_max=flag,
     together=_together,
@@ -75,10 +84,11 @@ def map_workspace(
     elbow: Elbow = "up",
     measures: bool = True,
     epsilon_max: bool = True,
+    loop: Loop | Mapping[str, Any] | str | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> WorkspaceMap:
-    """Frequencies, w_i, in-phase regions and ε_max over a plane of end-points, joints or placements.
+    """Frequencies, w_i, in-phase regions, ε_max and the loop's decay over a plane of end-points, joints or placements.
 
     Over `"end_point"` an arm of two parallel hinges is mapped in closed form: end-points are those of the arm at rest
     in the *workspace frame*, the inertial frame's axes with the origin at the first joint at rest; nothing depends on
@@ -107,6 +117,9 @@ def map_workspace(
         elbow: which posture reaches an end-point, in closed form.
         measures: include frequencies, w_i and in-phase regions.
         epsilon_max: include ε_max.
+        loop: include how fast the sampled loop of this controller decays (`decay`, 1/s, and `loop_frequency_hz`), as of
+            `flexopt.evaluate`. What it leaves out follows from the machine at one point in the middle of the map, and
+            is the same everywhere.
         threads: how many to compute with; all processors by default. The numbers do not depend on it.
         progress: called with the number of postures done and of all.
 
@@ -120,11 +133,23 @@ def map_workspace(
     plane = read_plane(Arguments("map_workspace", machine), machine, over, given)
     options: dict[str, Any] = {"control": control, "gain": gain, "gravity": gravity, "over": over}
     options |= {"x_range": plane.ranges[0], "y_range": plane.ranges[1], "points": size} | plane.options(elbow)
+    own = cast("Loop | None", loop)
+    if own is not None and own.control not in (None, control):
+        fault = Fault("loop.control", f"is not the control of the map, {control}", repr(own.control))
+        raise_if_any(InputError, "map_workspace", [fault])
     # Compilers are at work while postures are followed.
     expect_points(size[0] * size[1], machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
     grid = plane.grid(machine, size, elbow)
     return _computed(
-        machine, plane, grid, options, measures=measures, margins=epsilon_max, threads=threads, progress=progress
+        machine,
+        plane,
+        grid,
+        options,
+        measures=measures,
+        margins=epsilon_max,
+        loop=own,
+        threads=threads,
+        progress=progress,
     )
 
 
@@ -136,6 +161,7 @@ def _computed(
     *,
     measures: bool,
     margins: bool,
+    loop: Loop | None,
     threads: int | None,
     progress: Progress | None,
 ) -> WorkspaceMap:
@@ -144,9 +170,34 @@ def _computed(
         machine, grid.posture[:, where], bases=grid.base[:, where], control=options["control"], gain=options["gain"],
         gravity=options["gravity"], epsilon_max=margins, threads=threads, progress=progress,
     )  # fmt: skip
-    dataset = workspace_dataset(grid, values, machine, measures=measures, margins=margins, control=options["control"])
+    found: Decays | None = None
+    regular = np.isfinite(values.rigid)
+    if loop is not None and regular.any():
+        bases, postures = grid.base[:, where][:, regular], grid.posture[:, where][:, regular]
+        settings = _settings(machine, loop, bases, postures, control=options["control"], gravity=options["gravity"])
+        options["loop"] = settings.to_dict()
+        found = Decays(*np.full((2, regular.size), np.nan))
+        there = decays(
+            machine, settings, {"base": bases, "posture": postures}, gravity=options["gravity"], threads=threads
+        )
+        found.decay[regular], found.frequency_hz[regular] = there
+    dataset = workspace_dataset(
+        grid, values, machine, measures=measures, margins=margins, control=options["control"], loop=found
+    )
     dataset.attrs |= _attributes(machine, plane, options)
     return WorkspaceMap(machine.name, options, dataset, provenance(machine, **options))
+
+
+def _settings(
+    machine: AnyMachine, loop: Loop, bases: Vector, postures: Vector, *, control: Control, gravity: bool
+) -> LoopSettings:
+    """The loop's numbers at the point whose posture is nearest to the middle one."""
+    middle = np.median(postures, axis=1, keepdims=True)
+    k = int(np.abs(postures - middle).max(axis=0).argmin())
+    stand = evaluate(machine, postures[:, k], base=bases[:, k], control=control, gravity=gravity)
+    settings = loop_settings(machine, loop, stand, gravity=gravity)
+    expect_decays(postures.shape[1], machine, settings, gravity=gravity)
+    return settings
 
 
 def _attributes(machine: AnyMachine, plane: Plane, options: dict[str, Any]) -> dict[str, Any]:

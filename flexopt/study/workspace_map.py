@@ -20,6 +20,7 @@ from flexopt.foundation.coordinates import check_point
 from flexopt.foundation.documents import json_ready, write_netcdf
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import whole_number
+from flexopt.loop.many import Decays
 from flexopt.model import AnyMachine
 from flexopt.robustness.residues import posture_unit, residue_unit
 from flexopt.study.grid import Grid
@@ -66,6 +67,8 @@ class WorkspaceMap:
             `rigid` (λmin(R_0 + R_0ᵀ)), `epsilon_max`, `condition` (cond Jv), `reachable`; (joint, y, x): `posture`.
             Over the posture the dimensions are called `angle_2` and `angle_1` in place of y and x (joint k: `angle_k`,
             or `slide_k`), over the base `base_y` and `base_x` (or `base_yaw`), over a plane of the task by its rows.
+            Where a loop was given, (y, x): `decay` of the sampled loop, 1/s, and `loop_frequency_hz`, of its slowest
+            motion; of a map over the loop's own numbers these alone, the dimensions called by what varies.
             Each variable has `units` (of `posture`, where they differ, one for each joint), `long_name` and
             `description`. Attributes: `title`, `machine`, `control`, `gain`, `gravity`, `over`, `elbow`, `frame`,
             `marks` (JSON, name -> point of the plane), `provenance`.
@@ -100,8 +103,12 @@ class WorkspaceMap:
     @public(sizes=_sizes, mask=array_of(("n_y", "n_x"), kinds="biuf"))
     def fraction(self, mask: Any) -> float:
         """Share of the mapped points (reachable and regular) where `mask` (n_y, n_x) holds."""
-        mapped = np.isfinite(self.array("condition"))
+        mapped = self._mapped
         return float(np.count_nonzero(np.asarray(mask, dtype=bool) & mapped) / max(1, np.count_nonzero(mapped)))
+
+    @property
+    def _mapped(self) -> Any:
+        return np.isfinite(self.array("condition" if "condition" in self.dataset else "decay"))
 
     @public(modes=_modes)
     def in_phase_fraction(self, *modes: int, strict: bool = False) -> float:
@@ -144,13 +151,13 @@ class WorkspaceMap:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready summary: ranges, means and shares of the area, with provenance; the arrays go to netCDF."""
         rows, columns = self.axes
-        mapped = np.isfinite(self.array("condition"))
+        mapped = self._mapped
         extent = {name: self.array(name) for name in (columns, rows)}
         axes = {n: {"low": v[0], "high": v[-1], "points": v.size, "unit": _unit(self, n)} for n, v in extent.items()}
         document: dict[str, Any] = {
             "machine": self.machine,
             "control": self.options["control"],
-            "gain": self.options["gain"],
+            "gain": self.options.get("gain"),
             "gravity": self.options["gravity"],
             "over": self.options["over"],
             "elbow": self.options.get("elbow"),
@@ -166,7 +173,10 @@ class WorkspaceMap:
             modes = range(1, self.dataset.sizes["mode"] + 1)
             document["in_phase"] = self._shares(modes, strict=False)
             document["in_phase_strict"] = self._shares(modes, strict=True)
-        for name, key in (("epsilon_max", "best_epsilon_max"), ("w", "best_w1")):
+        if "decay" in self.dataset:
+            document["stable"] = self.fraction(self.array("decay") > 0)
+            document["loop"] = self.options["loop"]
+        for name, key in (("epsilon_max", "best_epsilon_max"), ("w", "best_w1"), ("decay", "best_decay")):
             if name in self.dataset and mapped.any():
                 document[key] = self._best(self.array(name) if name != "w" else self.array(name)[0])
         return json_ready(document | {"provenance": self.provenance})
@@ -178,8 +188,10 @@ class WorkspaceMap:
         )
         lines = [
             f"{self.machine}: Jacobian {self.options['control']} control over {axes}",
-            f"  {100 * document['mapped']:.1f} % of {document['points']} points are reached and regular",
         ]
+        if self.options["over"] != "loop":
+            share = f"{100 * document['mapped']:.1f} % of {document['points']} points"
+            lines.append(f"  {share} are reached and regular")
         for name, entry in document["variables"].items():
             for number, (low, mean, high) in enumerate(zip(entry["min"], entry["mean"], entry["max"], strict=True)):
                 label = f"{name} {number + 1}" if len(entry["min"]) > 1 else name
@@ -193,6 +205,8 @@ class WorkspaceMap:
                     "" if shares["first_two"] is None else f"; the first two together {100 * shares['first_two']:.1f} %"
                 )
                 lines.append(f"  {title}: modes {each}{both}")
+        if "stable" in document:
+            lines.append(f"  the sampled loop is stable at {100 * document['stable']:.1f} % of these points")
         return "\n".join(lines)
 
     def _shares(self, modes: range, *, strict: bool) -> dict[str, Any]:
@@ -225,7 +239,7 @@ def _unit(result: WorkspaceMap, name: str) -> str:
 
 
 def _numeric(name: str) -> bool:
-    return name in ("frequency_hz", "w", "rigid", "epsilon_max", "condition")
+    return name in ("frequency_hz", "w", "rigid", "epsilon_max", "decay", "loop_frequency_hz", "condition")
 
 
 # name -> unit, long name, description; the dimensions follow from the arrays.
@@ -237,6 +251,8 @@ DESCRIPTIONS = {
     "in_phase_strict": ("1", "strictly in phase", "1 where every diagonal element of R_i is at least 0, 0 where not"),
     "rigid": ("{residue}", "passivity of the rigid part", "λmin(R_0 + R_0ᵀ); negative where R_0/s² is not passive"),
     "epsilon_max": ("1", "robust stability margin ε_max", "of the damped plant times the servo gain kr"),
+    "decay": ("1/s", "decay of the loop", "of the slowest motion of the exact sampled loop; negative where it grows"),
+    "loop_frequency_hz": ("Hz", "frequency of the slowest motion", "of the exact sampled loop"),
     "posture": ("rad", "posture", "actuated joints; angles relative, counter-clockwise positive"),
     "reachable": ("1", "reachable", "whether a posture within the joint limits belongs to the point"),
     "condition": ("1", "condition of Jv", "ratio of the singular values of the rigid-body Jacobian"),
@@ -244,11 +260,16 @@ DESCRIPTIONS = {
 
 
 def workspace_dataset(
-    grid: Grid, values: PointValues, machine: AnyMachine, *, measures: bool, margins: bool, control: str
+    grid: Grid,
+    values: PointValues,
+    machine: AnyMachine,
+    *,
+    measures: bool,
+    margins: bool,
+    control: str,
+    loop: Decays | None = None,
 ) -> xr.Dataset:
-    """Arrays with their axes, units and descriptions."""
-    import xarray as xr  # noqa: PLC0415  (slow to import)
-
+    """Arrays with their axes, units and descriptions; `loop`: of the same points as the values."""
     regular = np.isfinite(values.rigid)
 
     def spread(array: Vector) -> Vector:
@@ -256,7 +277,7 @@ def workspace_dataset(
         full[..., grid.reachable] = np.where(regular, array, np.nan)
         return full
 
-    plane, mode, joint = (grid.y.name, grid.x.name), ("mode",), ("joint",)
+    plane, mode = (grid.y.name, grid.x.name), ("mode",)
     fields: dict[str, tuple[tuple[str, ...], Any]] = {}
     if measures:
         fields["frequency_hz"] = (mode + plane, spread(values.frequency_hz))
@@ -267,18 +288,38 @@ def workspace_dataset(
         fields["rigid"] = (plane, spread(values.rigid))
     if margins:
         fields["epsilon_max"] = (plane, spread(values.epsilon_max))
-    fields["posture"] = (joint + plane, grid.posture)
-    fields["reachable"] = (plane, grid.reachable)
+    if loop is not None:
+        fields["decay"] = (plane, spread(loop.decay))
+        fields["loop_frequency_hz"] = (plane, spread(loop.frequency_hz))
     fields["condition"] = (plane, spread(values.condition))
-    variables = {name: (*entry, _attributes(name, control, machine.joint_units)) for name, entry in fields.items()}
+    dataset = _dataset(grid, fields, machine, control)
+    if measures:
+        numbers = list(range(1, values.w.shape[0] + 1))
+        said = {"units": "1", "long_name": "vibration mode, by ascending frequency"}
+        dataset.coords["mode"] = (mode, numbers, said)
+    return dataset
+
+
+def loop_dataset(grid: Grid, loop: Decays, machine: AnyMachine) -> xr.Dataset:
+    """The like of one posture, with other numbers at every point."""
+    plane, shape = (grid.y.name, grid.x.name), grid.reachable.shape
+    fields = {"decay": loop.decay, "loop_frequency_hz": loop.frequency_hz}
+    return _dataset(grid, {name: (plane, values.reshape(shape)) for name, values in fields.items()}, machine, "")
+
+
+def _dataset(
+    grid: Grid, fields: Mapping[str, tuple[tuple[str, ...], Any]], machine: AnyMachine, control: str
+) -> xr.Dataset:
+    import xarray as xr  # noqa: PLC0415  (slow to import)
+
+    plane, joint = (grid.y.name, grid.x.name), ("joint",)
+    whole = {**fields, "posture": (joint + plane, grid.posture), "reachable": (plane, grid.reachable)}
+    variables = {name: (*entry, _attributes(name, control, machine.joint_units)) for name, entry in whole.items()}
     coordinates: dict[str, Any] = {
         axis.name: ((axis.name,), axis.values, {"units": axis.unit, "long_name": axis.long_name})
         for axis in (grid.y, grid.x)
     }
     coordinates["joint"] = (joint, list(machine.joints), {"long_name": "actuated joint"})
-    if measures:
-        numbers = list(range(1, values.w.shape[0] + 1))
-        coordinates["mode"] = (mode, numbers, {"units": "1", "long_name": "vibration mode, by ascending frequency"})
     return xr.Dataset(variables, coordinates)
 
 

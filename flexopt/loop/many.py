@@ -1,0 +1,175 @@
+"""How fast a loop decays at many configurations, gains, dead times and parameters at once.
+
+In: a loop's numbers, and columns of what varies. Out: decay and frequency of the slowest motion of each, by the same
+matrices, samples and eigenvalues as those of one loop (`outcome`), in stacks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.compiled import Economical
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.turns import available_cores
+from flexopt.loop.assembly import OneSample
+from flexopt.loop.outcome import DEAD_TIME, LoopPoint
+from flexopt.loop.settings import LoopSettings
+from flexopt.loop.small_motions import Parts, SmallMotions
+from flexopt.loop.spectrum import INVARIANT, balance, neutral_directions
+from flexopt.model import AnyMachine
+
+Progress = Callable[[int, int], None]
+Stack = tuple[NDArray[np.int64], int]
+# Loops of one stack, enough that calls cost little beside arithmetic; loops whose matrices are held at a time.
+STACK, CHUNK = 256, 8192
+
+
+class Decays(NamedTuple):
+    """N loops; NaN where one is no finite number, or grows beyond the largest one within a sample.
+
+    Attributes:
+        decay: of the slowest motion, 1/s, negative where it grows, (N,).
+        frequency_hz: its frequency, (N,).
+    """
+
+    decay: Vector
+    frequency_hz: Vector
+
+
+def expect_decays(count: int, machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> None:
+    """Begin to compile what `decays` calls, where that is worth it for so many loops."""
+    _stacked_matrices(settings.motions(machine, gravity=gravity)).expect(count)
+
+
+def decays(
+    machine: AnyMachine,
+    settings: LoopSettings,
+    varied: Mapping[str, Vector],
+    *,
+    gravity: bool = False,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Decays:
+    """The decay of the sampled loop at N points.
+
+    Args:
+        machine: the machine.
+        settings: the loop's numbers.
+        varied: of `INPUTS` and `dead_time` those that differ from them, (size, N) each, `base`, `posture` among them.
+        gravity: whether under static deflection.
+        threads: how many to compute with; all processors by default. The numbers do not depend on it.
+        progress: called with the number of loops done and of all.
+    """
+    threads = available_cores() if threads is None else threads
+    motions, count = settings.motions(machine, gravity=gravity), next(iter(varied.values())).shape[1]
+    given: dict[str, Vector] = {"p": motions.plant.parameter_values.full()} | settings.numbers
+    given |= {name: values for name, values in varied.items() if name != DEAD_TIME}
+    late = varied.get(DEAD_TIME, np.full((1, count), settings.dead_time))[0]
+    numbers = {name: np.broadcast_to(_column(given, name, symbol.shape[0]), (symbol.shape[0], count))
+               for name, symbol in motions.symbols.items() if name != "held"}  # fmt: skip
+    held = motions.hold.call([numbers[name] for name in ("base", "posture", "p")])[0].full()
+    numbers["held"] = np.broadcast_to(held, (held.shape[0], count))
+    found = Decays(*np.full((2, count), np.nan))
+    of, alone = _stacked_matrices(motions), list[int]()
+    # Threads ask for nothing that is public: this one has the turn.
+    excess = motions.plant.n_actuated - motions.plant.n_task
+    with ThreadPoolExecutor(threads) as pool:
+        for start in range(0, count, CHUNK):
+            here = slice(start, min(start + CHUNK, count))
+            chunk = {name: np.ascontiguousarray(values[:, here]) for name, values in numbers.items()}
+            parts = _unstacked(motions, of(*chunk.values(), threads=threads))
+            stacks = list(_stacks(motions, chunk, late[here]))
+            work = pool.map(partial(_slowest, excess, settings.rate, parts, late[here]), stacks)
+            for (places, _), (values, known) in zip(stacks, work, strict=True):
+                found.decay[start + places[known]] = -np.log(np.abs(values)) * settings.rate
+                found.frequency_hz[start + places[known]] = np.abs(np.angle(values)) * settings.rate / math.tau
+                alone += (start + places[~known]).tolist()
+            if progress is not None:
+                progress(here.stop, count)
+    for k in alone:
+        loop = LoopPoint(motions, {name: values[:, k] for name, values in numbers.items()}, float(late[k])).loop
+        found.decay[k], found.frequency_hz[k] = -loop.growth_rate, loop.frequency_hz
+    return found
+
+
+def _column(given: Mapping[str, Vector], name: str, size: int) -> Vector:
+    """What a loop lacks is 0."""
+    values = np.asarray(given.get(name, np.zeros(size)), dtype=np.float64)
+    return values.reshape(size, -1)
+
+
+@lru_cache(maxsize=16)
+def _stacked_matrices(motions: SmallMotions) -> Economical:
+    """`SmallMotions.matrices` with each as one column."""
+    symbols = motions.symbols
+    columns = [ca.vec(matrix) for matrix in motions.matrices.call(list(symbols.values()))]
+    names = list(symbols), motions.matrices.name_out()
+    return Economical(ca.Function("loop_matrices", list(symbols.values()), columns, *names, {"cse": True}))
+
+
+def _unstacked(motions: SmallMotions, columns: list[Vector]) -> Parts:
+    """The matrices (N, …, …) from columns."""
+    shapes = [motions.matrices.size_out(k) for k in range(len(columns))]
+    pairs = zip(columns, shapes, strict=True)
+    return Parts(*(x.reshape(shape[1], shape[0], x.shape[1]).transpose(2, 1, 0) for x, shape in pairs))
+
+
+def _stacks(motions: SmallMotions, numbers: Mapping[str, Vector], late: Vector) -> list[Stack]:
+    """Numbers of loops with the same dead time, and in how many directions these may rest elsewhere; STACK at most."""
+    unheld = np.vstack([late, numbers["kp"] == 0, numbers["ki"] == 0])
+    _, group = np.unique(unheld, axis=1, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    edges = np.flatnonzero(np.diff(group.ravel()[order])) + 1
+    found: list[Stack] = []
+    for alike in np.split(order, edges):
+        first, joints = alike[0], motions.plant.n_actuated
+        most = neutral_directions(motions.structure, joints, numbers["kp"][:, first], numbers["ki"][:, first])
+        found += [(alike[k : k + STACK], most) for k in range(0, alike.size, STACK)]
+    return found
+
+
+def _slowest(
+    excess: int, rate: float, parts: Parts, late: Vector, stack: Stack
+) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+    """The largest multipliers of loops of one dead time, and of which they are known.
+
+    Not of those whose self-motion has to be told apart by its shape, nor of what is no number.
+    """
+    places, most = stack
+    chosen = Parts(*(getattr(parts, name)[places] for name in Parts.__dataclass_fields__))
+    matrices = OneSample(chosen, 1 / rate, float(late[places[0]])).matrix
+    known = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
+    held, alike, removed = _without_neutral(matrices[known], most)
+    if removed < 2 * excess:
+        return np.zeros(0, dtype=complex), np.zeros(len(places), dtype=bool)
+    known[known] = alike
+    values = np.linalg.eigvals(held).astype(complex)
+    largest = np.abs(values).argmax(axis=1)
+    return values[np.arange(len(values)), largest], known
+
+
+def _without_neutral(matrices: Vector, most: int) -> tuple[Vector, NDArray[np.bool_], int]:
+    """As `spectrum.without_neutral` of a stack: what is left of those of which as much is, which, and how much went."""
+    alike, before = np.ones(len(matrices), dtype=bool), matrices.shape[-1]
+    if most and len(matrices):
+        _, scale = balance(matrices[len(matrices) // 2])
+        matrices = matrices / scale[:, None] * scale
+    for _ in range(2 if len(matrices) else 0):
+        if not most:
+            break
+        size = matrices.shape[-1]
+        _, sizes, rows = np.linalg.svd(matrices - np.eye(size))
+        counts = np.count_nonzero(sizes[:, -most:] < INVARIANT * sizes[:, :1], axis=1)
+        most = int(np.bincount(counts[alike]).argmax())
+        alike &= counts == most
+        kept = rows[:, : size - most]
+        matrices = kept @ matrices @ kept.transpose(0, 2, 1)
+    return matrices[alike], alike, before - matrices.shape[-1]

@@ -1,0 +1,219 @@
+"""Maps of a loop in one posture over what its controller or its machine may have: gains, dead time, soil, payload.
+
+In: a machine in a posture, its loop, two of these and their ranges. Out: a `WorkspaceMap` of how fast the loop decays.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import anything, by, public
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.plain import shown
+from flexopt.foundation.quantities import Quantity, pair
+from flexopt.loop.evaluation import outcome
+from flexopt.loop.many import Progress, decays, expect_decays
+from flexopt.loop.outcome import DEAD_TIME
+from flexopt.loop.settings import LoopSettings
+from flexopt.loop.uncertain import UncertaintyBox
+from flexopt.model import AnyMachine
+from flexopt.model.loop import LOOP_GAIN, Loop
+from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
+from flexopt.study.grid import Axis, Grid
+from flexopt.study.workspace import check_points
+from flexopt.study.workspace_map import WorkspaceMap, loop_dataset
+
+POINTS = (200, 200)
+# Gains, and whether the law has them.
+GAINS = {"kp": "proportional gain Kp", "kv": "velocity gain Kv", "ki": "integral gain Ki"}
+POSITIVE = Quantity(LOOP_GAIN.unit, above=0.0, high=1e15)
+
+
+@dataclass(frozen=True)
+class Varied:
+    """One of the two that vary.
+
+    Attributes:
+        name: a gain, `dead_time`, a parameter, or a word for several;  low, high: ends, in its unit.
+        entries: of the machine's p that are meant;  factor: whether they are multiplied.
+        unit, sentence: of it.
+    """
+
+    name: str
+    low: float
+    high: float
+    entries: tuple[int, ...]
+    factor: bool
+    unit: str
+    sentence: str
+
+    def axis(self, points: int) -> Axis:
+        """Evenly spaced; in the logarithm of what multiplies."""
+        if self.factor or self.name in GAINS:
+            return Axis(self.name, np.geomspace(self.low, self.high, points), self.unit, self.sentence)
+        return Axis(self.name, np.linspace(self.low, self.high, points), self.unit, self.sentence)
+
+
+def _varied(arguments: Arguments, machine: AnyMachine, value: Any) -> list[Varied]:
+    """The two that vary; notes what does not fit."""
+    if not isinstance(value, Mapping) or len(cast(Mapping[Any, Any], value)) != 2:
+        sentence = f"must be two names with their (lower, upper): of {', '.join(GAINS)}, {LATE}, stiffness, damping "
+        arguments.note("vary", f"{sentence}(factors) and the machine's parameters", value)
+        return []
+    found = list[Varied]()
+    for name, ends in cast(Mapping[Any, Any], value).items():
+        field = f"vary[{shown(name)}]"
+        if name in GAINS:
+            low, high = arguments.checked(field, ends, pair(POSITIVE), (1.0, 2.0))
+            found.append(Varied(name, low, high, (), False, "SI", GAINS[name]))
+        else:
+            found += _of_machine(arguments, machine, field, name, ends)
+    if len(found) == 2 and set(found[0].entries) & set(found[1].entries):
+        arguments.note("vary", "names the same parameter twice", value)
+    return found
+
+
+def _of_machine(arguments: Arguments, machine: AnyMachine, field: str, name: Any, ends: Any) -> list[Varied]:
+    table = {"of": name, kind_of(name): ends}
+    each = arguments.collect(field, lambda: Uncertainty(**table))
+    if not isinstance(each, Uncertainty):
+        return []
+    faults = [Fault(field, fault.sentence, fault.value) for fault in uncertainty_faults([each], machine)]
+    low, high = each.value or each.factor or (0.0, 1.0)
+    if low == high:
+        faults.append(Fault(field, "is empty: the lower end must be below the upper end", f"{low:g}"))
+    arguments.faults += faults
+    if each.of == (LATE,):
+        return [Varied(name, low, high, (), False, "s", "dead time of the loop")]
+    entries = parameters_of(each.of, machine)
+    unit = "1" if each.factor else machine.parameters[entries[0]].unit if entries else ""
+    sentence = f"factor of {name}" if each.factor else str(name)
+    return [Varied(str(name), low, high, entries, each.factor is not None, unit or "1", sentence)]
+
+
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    if arguments.of is not None:
+        _varied(arguments, arguments.of, given["vary"])
+
+
+@public(vary=anything, points=by(check_points), together=_together)
+def map_loop(
+    machine: AnyMachine,
+    posture: Any,
+    vary: Mapping[str, Any],
+    *,
+    base: Any = None,
+    control: Control | None = None,
+    gravity: bool = False,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    points: Any = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> WorkspaceMap:
+    """How fast the sampled loop of one posture decays over a plane of gains, dead time or the machine's numbers.
+
+    The decay of the slowest motion, −ln max|μ| / T with the multipliers μ of the exact sampled loop, as of
+    `flexopt.outcome`; positive where the loop is stable. Points are looked at one by one: what lies between them is not
+    proven.
+
+    Args:
+        machine, posture, base, control, gravity, loop: as of `flexopt.outcome`.
+        vary: two names with their (lower, upper), the first along x: `kp`, `kv`, `ki` (of all task rows alike; evenly
+            in the logarithm), `dead_time`, s, `stiffness` or `damping` (factors of all springs or dampers of the
+            passive coordinates, evenly in the logarithm), a parameter of the machine, in its unit.
+        points: numbers of points (along x, along y); (200, 200).
+        threads: how many to compute with; all processors by default. The numbers do not depend on it.
+        progress: called with the number of loops done and of all.
+
+    Returns:
+        A map with `decay`, 1/s, and `loop_frequency_hz`, of the slowest motion, over the two axes.
+
+    Raises:
+        InputError, SingularPosture, NoSolutionFound: as `flexopt.outcome`, and where a parameter moves the end-point.
+
+    Example:
+        >>> found = flexopt.map_loop(
+        ...     flexopt.load("excavator"), (0.0448, -2.0499), {"kp": (1e3, 1e5), "dead_time": (0, 0.02)},
+        ...     loop={"kv": 1e3}, points=(20, 20))
+        >>> found.dataset["decay"].dims
+        ('dead_time', 'kp')
+    """
+    size = POINTS if points is None else points
+    x, y = _varied(Arguments("map_loop", machine), machine, vary)
+    found = outcome(machine, posture, base=base, control=control, gravity=gravity, loop=loop)
+    settings, placed = found.settings, np.zeros(len(machine.base_coordinates)) if base is None else base
+    raise_if_any(InputError, "map_loop", _unfit(machine, settings, (x, y)))
+    columns, rows = x.axis(size[0]), y.axis(size[1])
+    count = columns.values.size * rows.values.size
+    expect_decays(count, machine, settings, gravity=gravity)
+    over = {x: np.tile(columns.values, rows.values.size), y: np.repeat(rows.values, columns.values.size)}
+    varied = _numbers(machine, settings, over)
+    varied |= {"base": np.tile(placed[:, None], count), "posture": np.tile(posture[:, None], count)}
+    result = decays(machine, settings, varied, gravity=gravity, threads=threads, progress=progress)
+    shape = rows.values.size, columns.values.size
+    where = np.broadcast_to(posture[:, None, None], (posture.size, *shape))
+    grid = Grid(
+        rows, columns, where, np.ones(shape, dtype=bool), np.broadcast_to(placed[:, None, None], (placed.size, *shape))
+    )
+    options = {"control": settings.control, "gravity": gravity, "over": "loop", "posture": posture.tolist(),
+               "base": placed.tolist(), "vary": {each.name: [each.low, each.high] for each in (x, y)},
+               "points": list(size), "loop": settings.to_dict()}  # fmt: skip
+    dataset = loop_dataset(grid, result, machine)
+    present = {each.name: _present(machine, settings, each) for each in (x, y)}
+    marks = {"present": (present[x.name], present[y.name])} if all(map(math.isfinite, present.values())) else {}
+    marks = {name: at for name, at in marks.items() if x.low <= at[0] <= x.high and y.low <= at[1] <= y.high}
+    proof = provenance(machine, **options)
+    dataset.attrs |= {
+        "title": f"{machine.name}: loop over {x.name} and {y.name}", "machine": machine.name,
+        "control": settings.control, "gravity": str(gravity).lower(), "over": "loop", "frame": "one posture",
+        "marks": json.dumps(marks), "provenance": json.dumps(proof),
+    }  # fmt: skip
+    return WorkspaceMap(machine.name, options, dataset, proof)
+
+
+def _unfit(machine: AnyMachine, settings: LoopSettings, varied: tuple[Varied, ...]) -> list[Fault]:
+    """What a loop has not, what moves the end-point, and dead times beyond what a loop is told of."""
+    faults = list[Fault]()
+    for each in varied:
+        if each.name == "ki" and settings.feedback != "pid":
+            faults.append(Fault("vary['ki']", "needs a loop with feedback = 'pid'"))
+        if each.name not in GAINS:
+            ends = {"factor" if each.factor else "value": (each.low, each.high)}
+            box = UncertaintyBox(machine, (Uncertainty(of=(each.name,), **ends),), settings.dead_time)
+            faults += [Fault(f"vary[{each.name!r}]", f.sentence, f.value) for f in box.faults(settings.rate)]
+    return faults
+
+
+def _numbers(machine: AnyMachine, settings: LoopSettings, over: Mapping[Varied, Vector]) -> dict[str, Vector]:
+    """Inputs of `decays` that differ from the loop's own."""
+    found, own = dict[str, Vector](), np.array([parameter.value for parameter in machine.parameters])
+    for each, values in over.items():
+        if each.name in GAINS:
+            found[each.name] = np.tile(values, (getattr(settings, each.name).size, 1))
+        elif each.name == LATE:
+            found[DEAD_TIME] = values[None]
+        else:
+            p = found.setdefault("p", np.tile(own[:, None], values.size))
+            entries = list(each.entries)
+            p[entries] = own[entries, None] * values if each.factor else values
+    return found
+
+
+def _present(machine: AnyMachine, settings: LoopSettings, each: Varied) -> float:
+    """Where the loop is now; NaN where its rows differ."""
+    if each.name in GAINS:
+        gains = getattr(settings, each.name)
+        return float(gains[0]) if np.all(gains == gains[0]) else math.nan
+    if each.name == LATE:
+        return settings.dead_time
+    return 1.0 if each.factor else float(machine.parameters[each.entries[0]].value)
