@@ -96,7 +96,7 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
     check_output("--out", out, (".nc",))
     loaded = read(load, machine)
     vary, options["loop"] = options.pop("vary"), real_loop(loaded.loop, options["loop"])
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("points") as progress:
+    with option_names(options), warnings_to_stderr(as_json), progress_bar("loops" if vary else "postures") as progress:
         if vary:
             result = map_loop(loaded, **_of_loop(given(options), vary), progress=progress)
         else:

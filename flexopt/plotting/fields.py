@@ -108,8 +108,8 @@ def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) ->
     bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="both")
     bar.set_label(label, fontsize=8.5)
     bar.ax.tick_params(labelsize=7.5)
-    bar.formatter.set_powerlimits((-2, 3))  # pyright: ignore[reportAttributeAccessIssue]
-    bar.ax.yaxis.get_offset_text().set(fontsize=7.5)
+    bar.set_ticks([-low, -low / 2, 0.0, high / 2, high])
+    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}")
 
 
 def draw_regions(axes: Axes, plane: FieldPlane, values: Values) -> None:
