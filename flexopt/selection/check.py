@@ -42,6 +42,8 @@ class Proof:
         unsurpassed: whether V is a value that no configuration exceeds.
         dimension: of the set of optima about the point: how many directions lead along optima as good; None where that
             is not known: on kinks of ε_max, where a_i or b_i vanishes, and of several configurations together.
+        pull: the largest slope, of V / size, with which an objective that is kept holds V's, at least 1: stationarity
+            is told relative to it.
     """
 
     violations: dict[str, float]
@@ -52,6 +54,7 @@ class Proof:
     kinks: dict[str, float]
     unsurpassed: bool
     dimension: int | None
+    pull: float = 1.0
 
     @property
     def holds(self) -> bool:
@@ -75,13 +78,9 @@ def prove_program(program: Program, x: Vector) -> Proof:
     bounded = program.first.bounded_by_zero and program.goal != "motion"
     unsurpassed = bounded and -local.value <= BEST_TOLERANCE
     curvature, dimension = 0.0, dimension_of(program, x, local) if unsurpassed else None
+    pull = 1.0 if unsurpassed else _pull_of_kept(program, local, multipliers, kept)
     if not unsurpassed:
-        _note(
-            violations,
-            FIRST_ORDER,
-            stationarity,
-            STATIONARITY_TOLERANCE * _pull_of_kept(program, local, multipliers, kept),
-        )
+        _note(violations, FIRST_ORDER, stationarity, STATIONARITY_TOLERANCE * pull)
         # Far from stationary points curvatures say nothing.
         near = stationarity <= STATIONARY_NEARLY
         curvature, dimension = largest_curvature(program, x, local, multipliers, kept) if near else (0.0, None)
@@ -93,7 +92,8 @@ def prove_program(program: Program, x: Vector) -> Proof:
     kinks = dict(zip((kink.name for kink in local.kinks), local.shares(multipliers, kept), strict=True))
     if program.coupling.count > 1:
         dimension = None
-    return Proof(violations, (*local.names, *kinks), off, stationarity, curvature, kinks, unsurpassed, dimension)
+    active = (*local.names, *kinks)
+    return Proof(violations, active, off, stationarity, curvature, kinks, unsurpassed, dimension, pull)
 
 
 def _note(violations: dict[str, float], name: str, size: float, tolerance: float) -> None:

@@ -33,7 +33,7 @@ LAST, ROUNDING = 2, 1e-12
 
 def polished(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
     """The point and its proof after Newton's steps, where they lead to an optimum; else as they are."""
-    if list(proof.violations) != [FIRST_ORDER] or not proof.stationarity <= STATIONARY_NEARLY:
+    if list(proof.violations) != [FIRST_ORDER] or not proof.stationarity <= STATIONARY_NEARLY * proof.pull:
         return x, proof
     exact, there = replace(program, exact=True), x
     for _ in range(STEPS):
