@@ -39,6 +39,10 @@ def test_a_point_beside_an_optimum_is_led_back_to_it(objective: str) -> None:
     assert proof is not at_best
     # The proofs' tolerance of 1e-6 in the gradient, over the curvature.
     np.testing.assert_allclose(found / program.scale, best / program.scale, rtol=0, atol=1e-5)
+    # A residual is told relative to the multiplier of what is kept: a large one is no reason not to begin.
+    far = replace(at_best, violations={FIRST_ORDER: 0.2}, stationarity=0.2)
+    assert polished(program, beside, far)[0] is beside
+    assert polished(program, beside, replace(far, pull=400.0))[1].holds
 
 
 def test_an_optimum_that_doubles_do_not_tell_is_found() -> None:
