@@ -19,6 +19,7 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
+from flexopt.loop.many import decays
 from flexopt.loop.outcome import DEAD_TIME, LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
@@ -169,7 +170,10 @@ class UncertainLoop:
 
     def decays(self, members: Vector) -> Vector:
         """Of every member (n,), 1/s."""
-        return np.array([-self.outcome(u).loop.growth_rate for u in members])
+        each = [self.box.numbers(u) for u in members]
+        varied = {"p": np.array([p for p, _ in each]).T, DEAD_TIME: np.array([[late for _, late in each]])}
+        varied |= {"base": np.tile(self.base[:, None], len(each)), "posture": np.tile(self.posture[:, None], len(each))}
+        return decays(self.box.machine, self.settings, varied, gravity=self.gravity).decay
 
     def slowest(self, members: Vector, decays: Vector) -> tuple[float, Vector]:
         """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients."""
