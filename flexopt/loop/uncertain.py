@@ -58,7 +58,7 @@ class UncertaintyBox:
         g = plant.graph
         point = plant.end_point(plant.rest(g.base, g.posture, g.p), g.base, g.p)
         moved = set(ca.jacobian_sparsity(point, g.p).get_triplet()[1])
-        for k, (each, entries) in enumerate(zip(self.uncertainty, self._entries, strict=True)):
+        for k, (each, entries) in enumerate(zip(self.uncertainty, self.entries, strict=True)):
             if each.of == (LATE,) and each.value is not None and each.value[1] * rate > DELAY_MAX:
                 sentence = f"must be at most {DELAY_MAX} samples of {1 / rate:g} s"
                 found.append(Fault(f"ranges[{k}].value", sentence, f"{each.value[1]:g}"))
@@ -78,7 +78,8 @@ class UncertaintyBox:
         return np.array([parameter.value for parameter in self.machine.parameters])
 
     @cached_property
-    def _entries(self) -> list[list[int]]:
+    def entries(self) -> list[list[int]]:
+        """Of the parameters, what each interval concerns."""
         return [list(parameters_of(each.of, self.machine)) for each in self.uncertainty]
 
     def corners(self, most: int) -> Vector:
@@ -100,20 +101,31 @@ class UncertaintyBox:
 
     def numbers(self, u: Vector) -> tuple[Vector, float]:
         """Parameters (n_par,) and dead time of a member."""
+        return self.numbers_at(self.theta(u))
+
+    def numbers_at(self, theta: Vector) -> tuple[Vector, float]:
+        """The like, from the factors and values (k,) themselves."""
         p, late = self.nominal.copy(), self.nominal_dead_time
-        for each, entries, x in zip(self.uncertainty, self._entries, u.tolist(), strict=True):
+        for each, entries, x in zip(self.uncertainty, self.entries, theta.tolist(), strict=True):
             if each.of == (LATE,):
-                late = _between(each.value, x)
+                late = x
             elif each.value is not None:
-                p[entries] = _between(each.value, x)
+                p[entries] = x
             else:
-                p[entries] *= math.exp(_between(_logs(each.factor), x))
+                p[entries] *= x
         return p, late
+
+    def theta(self, u: Vector) -> Vector:
+        """Factors and values (k,) of a member."""
+        return np.array([
+            math.exp(_between(_logs(each.factor), x)) if each.value is None else _between(each.value, x)
+            for each, x in zip(self.uncertainty, u.tolist(), strict=True)
+        ])  # fmt: skip
 
     def slopes(self, u: Vector, by_p: Vector, by_dead_time: float) -> Vector:
         """A derivative by u (k,), from those by the parameters and the dead time."""
         p, found = self.numbers(u)[0], list[float]()
-        for each, entries in zip(self.uncertainty, self._entries, strict=True):
+        for each, entries in zip(self.uncertainty, self.entries, strict=True):
             if each.of == (LATE,):
                 found.append(by_dead_time * _width(each.value))
             elif each.value is not None:
@@ -124,10 +136,7 @@ class UncertaintyBox:
 
     def told(self, u: Vector) -> dict[str, float]:
         """A member by the names of its intervals: factors and values."""
-        return {
-            each.name: math.exp(_between(_logs(each.factor), x)) if each.value is None else _between(each.value, x)
-            for each, x in zip(self.uncertainty, u.tolist(), strict=True)
-        }
+        return dict(zip(self.names, self.theta(u).tolist(), strict=True))
 
 
 def _between(ends: tuple[float, float] | None, x: float) -> float:

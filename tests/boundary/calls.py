@@ -298,6 +298,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         loop={"kp": 1e4, "kv": 1e3},
         ranges={"stiffness": [0.5, 2.0]},
         points=2,
+        boxes=1,
     ),
     "tree_from_dict": lambda: {"data": tree().to_dict(), "origin": "here"},
     "verdict": lambda: {

@@ -94,7 +94,8 @@ def test_regions_end_where_the_loop_grows() -> None:
     machine, posture, gains = flexopt.load("excavator"), (0.0448, -2.0499), {"kp": 1e4, "kv": 1e3}
     found = flexopt.stable_region(machine, posture, loop=gains, ranges=ground, points=16)
     assert found.stable
-    assert not found.guaranteed
+    assert found.guaranteed
+    assert 1.0 < found.radius_guaranteed <= found.radius
     assert 2.0 < found.radius < 10.0
     inside = [entry | {"factor": (1.001 / found.radius, 0.999 * found.radius)} for entry in ground]
     outside = [entry | {"factor": (0.998 / found.radius, 1.002 * found.radius)} for entry in ground]

@@ -1,0 +1,136 @@
+"""Guaranteed regions beside sampled ones: `python -m benchmarks.regions`.
+
+Random postures, gains and dead times of the article's excavator, 200 Hz, inverse control: what share of the stable
+machines is proven to be so, how long that takes on one core, and whether any of many samples in a proven part is not as
+proven. First the note's example: posture B, Kp 1e4, Kv 1e3, all factors in [½, 2].
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import time
+from typing import Any
+
+import numpy as np
+
+import flexopt
+from flexopt.loop.certificate import Certificate, certify
+from flexopt.loop.evaluation import outcome
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.uncertainty import Uncertainty
+
+EXCAVATOR, B, RATE = flexopt.load("excavator"), (0.0448, -2.0499), 200.0
+SPRINGS = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "y", "rotation")]
+DAMPING = {"of": "damping", "factor": (0.5, 2.0)}
+PAYLOAD = {"of": "payload.mass", "value": (0.0, 100.0)}
+# Boxes that may be looked at: with three parameters, and with more.
+FEW, MANY = 300, 600
+# Bars: proven share of what is stable, median time in s.
+BARS = {
+    "3 stiffnesses": (0.90, 0.5),
+    "and damping": (0.75, 5.0),
+    "and payload": (0.75, 5.0),
+    "and dead time": (0.75, 5.0),
+}
+
+
+def uncertain(machine: Any, posture: Any, loop: dict[str, Any], ranges: list[dict[str, Any]]) -> UncertainLoop:
+    """A loop over its box."""
+    settings = outcome(machine, posture, loop=loop).settings
+    known = tuple(Uncertainty(**each) for each in ranges)
+    base, box = np.zeros(len(machine.base_coordinates)), UncertaintyBox(machine, known, settings.dead_time)
+    return UncertainLoop(settings, base, np.asarray(posture, dtype=float), False, box)
+
+
+def judged(loop: UncertainLoop, proof: Certificate, samples: int, seed: int) -> tuple[float, int, int]:
+    """Share of stable samples that is proven, how many lie in proven leaves, how many of these are not as proven."""
+    u = np.random.default_rng(seed).uniform(size=(samples, len(loop.box.uncertainty)))
+    decays, inside, wrong, known = loop.decays(u), 0, 0, 0
+    for leaf in proof.leaves:
+        if leaf.decays is None:
+            continue
+        here = np.all((u >= leaf.low) & (u <= leaf.high), axis=1)
+        inside += int(here.sum())
+        known += int(np.sum(decays[here] > 0)) if leaf.decays else 0
+        wrong += int(np.sum((decays[here] > proof.decay) != leaf.decays))
+    stable = int(np.sum(decays > 0))
+    return known / stable if stable else math.nan, inside, wrong
+
+
+def drawn(rng: np.random.Generator) -> tuple[tuple[float, float], dict[str, float]]:
+    """A posture and a loop."""
+    posture = float(rng.uniform(-0.6, 1.6)), float(rng.uniform(-2.7, -0.3))
+    kp = 10 ** rng.uniform(3, 5)
+    kv = 2 * rng.uniform(0.5, 1.5) * math.sqrt(kp * 300.0)
+    late = float(rng.choice([0.0, rng.uniform(0.0, 0.02)]))
+    return posture, {"kp": float(kp), "kv": float(kv), "rate": RATE, "dead_time": late}
+
+
+def row(name: str, ranges: list[dict[str, Any]], boxes: int, count: int, samples: int, *, late: bool) -> None:
+    """One kind of box over many loops; those of which no sample is stable have no share."""
+    rng, shares, times, total, wrong, refused = np.random.default_rng(0), [], [], 0, 0, 0
+    for k in range(count):
+        posture, loop = drawn(rng)
+        span = {"of": "dead_time", "value": (loop["dead_time"], loop["dead_time"] + 0.002)}
+        uncertain_loop = uncertain(EXCAVATOR, posture, loop, [*ranges, *([span] if late else [])])
+        begun = time.perf_counter()
+        proof = certify(uncertain_loop, boxes=boxes)
+        times.append(time.perf_counter() - begun)
+        refused += bool(proof.sentence)
+        share, inside, bad = judged(uncertain_loop, proof, samples, k)
+        total, wrong = total + inside, wrong + bad
+        if not math.isnan(share):
+            shares.append(share)
+    least, slowest = BARS[name]
+    print(f"{name}: unstable or wrong among {total} samples in proven leaves | {wrong} | 0")
+    shown = (
+        f"{statistics.mean(shares):.3f} mean, {statistics.median(shares):.3f} median of {len(shares)}"
+        if shares
+        else "–"
+    )
+    print(f"{name}: proven share of the stable volume ({refused} refused) | {shown} | ≥ {least:g}")
+    print(
+        f"{name}: time | {statistics.median(times):.2f} s median, {max(times):.2f} s at most | ≤ {slowest:g} s",
+        flush=True,
+    )
+
+
+def note() -> None:
+    """Posture B."""
+    short = {"of": "dead_time", "value": (0.005, 0.01)}
+    for name, ranges, late in (
+        ("3 stiffnesses, 0 ms", SPRINGS, 0.0), ("and damping, 0 ms", [*SPRINGS, DAMPING], 0.0),
+        ("and damping, 5 ms", [*SPRINGS, DAMPING], 0.005),
+        ("x, y and dead time in [5, 10] ms", [*SPRINGS[:2], short], 0.005),
+    ):  # fmt: skip
+        loop = uncertain(EXCAVATOR, B, {"kp": 1e4, "kv": 1e3, "rate": RATE, "dead_time": late}, ranges)
+        begun = time.perf_counter()
+        proof = certify(loop, boxes=2000)
+        took = time.perf_counter() - begun
+        _, inside, wrong = judged(loop, proof, 2000, 0)
+        print(f"B, {name} | {proof.boxes} boxes, {took:.2f} s, {proof.share(True):.3f} proven, "
+              f"{wrong} of {inside} wrong | ", flush=True)  # fmt: skip
+
+
+def main() -> None:
+    """The table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--loops", type=int, default=100)
+    parser.add_argument("--samples", type=int, default=1000, help="of each loop")
+    parser.add_argument("--rows", nargs="*", default=list(BARS))
+    given = parser.parse_args()
+    print("what | read | bar")
+    note()
+    kinds: dict[str, tuple[list[dict[str, Any]], int, bool]] = {
+        "3 stiffnesses": (SPRINGS, FEW, False), "and damping": ([*SPRINGS, DAMPING], MANY, False),
+        "and payload": ([*SPRINGS, PAYLOAD], MANY, False), "and dead time": (SPRINGS[:2], FEW, True),
+    }  # fmt: skip
+    for name in given.rows:
+        ranges, boxes, late = kinds[name]
+        row(name, ranges, boxes, given.loops, given.samples, late=late)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,211 @@
+"""What is guaranteed of uncertain loops, beside eigenvalues of the exact sampled loop computed by other programs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.loop import characteristic_cells
+from flexopt.loop.bernstein import bernstein
+from flexopt.loop.certificate import Certificate, certified_radius, certify
+from flexopt.loop.characteristic import Characteristic
+from flexopt.loop.characteristic_cells import cells_of
+from flexopt.loop.evaluation import outcome
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.uncertainty import Uncertainty
+from tests.oracles.machines import NumpySource, Structure, draw_machine
+from tests.oracles.sampled_loop import multipliers
+
+EXCAVATOR, B = flexopt.load("excavator"), np.array((0.0448, -2.0499))
+GAINS = {"kp": 1e4, "kv": 1e3}
+SPRINGS = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "y", "rotation")]
+PAYLOAD, LATE = {"of": "payload.mass", "value": (0.0, 50.0)}, {"of": "dead_time", "value": (0.005, 0.009)}
+
+
+def uncertain(ranges: list[dict[str, Any]], machine: Any = EXCAVATOR, posture: Any = B, **loop: float) -> UncertainLoop:
+    known = tuple(Uncertainty(**each) for each in ranges)
+    found = outcome(machine, posture, loop=GAINS | loop).settings
+    box = UncertaintyBox(machine, known, found.dead_time)
+    return UncertainLoop(found, np.zeros(len(machine.base_coordinates)), np.asarray(posture), False, box)
+
+
+def wrong(loop: UncertainLoop, proof: Certificate, samples: int = 200) -> int:
+    """Samples in proven leaves that are not as proven."""
+    k, found = len(loop.box.uncertainty), 0
+    u = np.random.default_rng(1).uniform(size=(samples, k))
+    # Corners of leaves are the hardest points.
+    u = np.concatenate([u, *(np.array([leaf.low, leaf.high]) for leaf in proof.leaves[:50])])
+    decays = loop.decays(u)
+    for leaf in proof.leaves:
+        here = np.all((u > leaf.low - 1e-15) & (u < leaf.high + 1e-15), axis=1)
+        found += 0 if leaf.decays is None else int(np.sum((decays[here] > proof.decay) != leaf.decays))
+    return found
+
+
+def characteristic(ranges: list[dict[str, Any]], **loop: float) -> Characteristic:
+    found = uncertain(ranges, **loop)
+    k = len(ranges)
+    return Characteristic(found, found.box.theta(np.zeros(k)), found.box.theta(np.ones(k)), 1e-6)
+
+
+def exact(of: Characteristic, s: complex, theta: np.ndarray) -> complex:
+    """det(z − Φ) of the loop's own sample over what makes it p: by eigenvalues, none of the certificate's code."""
+    point = of.loop.settings.outcome(
+        EXCAVATOR, np.zeros(1), B, gravity=False, parameters=of.loop.box.numbers_at(theta)[0],
+        dead_time=of.loop.box.numbers_at(theta)[1],
+    )  # fmt: skip
+    z = np.exp(s * point.period)
+    free, closed = np.linalg.eigvals(point.parts.flow), np.linalg.eigvals(point.sample.matrix)
+    waiting = point.sample.waiting[0] * len(point.parts.force)
+    ratio = np.prod(z - closed) / z**waiting
+    return complex(ratio * np.prod((s - free) / (z - np.exp(free * point.period))))
+
+
+@pytest.mark.parametrize("loop", [{}, {"dead_time": 0.0123}, {"filter_hz": 25.0}, {"bandwidth_hz": 15.0}])
+def test_the_characteristic_function_is_that_of_the_sampled_loop(loop: dict[str, float]) -> None:
+    """Between members and frequencies it changes as the product over the sampled loop's eigenvalues does."""
+    of = characteristic(SPRINGS[:2], **loop)
+    rng, found = np.random.default_rng(3), []
+    for _ in range(6):
+        omega, theta = np.array([rng.uniform(3.0, 600.0)]), rng.uniform(0.5, 2.0, size=2)
+        [(machines, ports), _] = of.seen(theta[None, None])
+        # Aliases of this very member.
+        here = Characteristic(of.loop, theta, theta, of.decay)
+        s = 1j * omega - of.decay
+        pencil = characteristic_cells._pencil(of, machines, ports, s, here.aliases.at(omega))
+        value = complex(np.linalg.det(pencil)[0, 0, 0])
+        if "bandwidth_hz" in loop:
+            assert np.isfinite(value)
+        found.append(value / exact(of, complex(s[0]), theta))
+    # Scaled by |det Φ_modes|², the same for all.
+    assert np.array(found) == pytest.approx(found[0], rel=1e-8)
+
+
+def test_control_points_and_remainders_hold_the_function() -> None:
+    """Of random members, frequencies and dead times; the function itself by one sample's exact matrices."""
+    for ranges in (
+        [*SPRINGS[:2], PAYLOAD],
+        [SPRINGS[2], LATE],
+        [{"of": "stiffness", "factor": (0.5, 2.0)}, SPRINGS[0]],
+    ):
+        of = characteristic(ranges)
+        low, high = np.array([0.0, 18.0, 100.0]), np.array([2.5, 22.0, 120.0])
+        cells, rng = cells_of(of, low, high), np.random.default_rng(5)
+        for k in range(3):
+            for _ in range(3):
+                t = rng.uniform(size=1 + len(ranges))
+                omega, theta = low[k] + (high[k] - low[k]) * t[:1], of.low + (of.high - of.low) * t[1:]
+                own, value = Characteristic(of.loop, theta, theta, of.decay), list[complex]()
+                for machines, ports in of.seen(theta[None, None]):
+                    late = own.dead_times[:1]
+                    shifted = replace_dead_times(of, late)
+                    pencil = characteristic_cells._pencil(
+                        shifted, machines, ports, 1j * omega - of.decay, own.aliases.at(omega)[:, :1]
+                    )
+                    value.append(complex(np.linalg.det(pencil)[0, 0, 0]))
+                points = cells.points[k]
+                for x in t:
+                    points = np.tensordot(bernstein(points.shape[0] - 1, np.array([x]))[0], points, axes=1)
+                assert abs(complex(points) - value[0] * np.conj(value[1])) <= cells.error[k]
+
+
+def replace_dead_times(of: Characteristic, late: np.ndarray) -> Characteristic:
+    """The same frame with one dead time."""
+    found = Characteristic(of.loop, of.low, of.high, of.decay)
+    found.__dict__.update({**of.__dict__, "dead_times": late})
+    return found
+
+
+def test_stiffness_enters_each_once() -> None:
+    """Second differences of the determinant vanish, and third ones of a common factor of three springs do not sooner."""
+    of = characteristic(SPRINGS)
+    assert of.degrees == (1, 1, 1)
+    assert characteristic([{"of": "stiffness", "factor": (0.5, 2.0)}]).degrees == (3,)
+    omega = np.array([77.0])
+    for axis in range(3):
+        thetas = np.tile([0.7, 1.3, 1.1], (3, 1))
+        thetas[:, axis] = 0.5, 1.0, 1.5
+        [(machines, ports), _] = of.seen(thetas[:, None])
+        pencil = characteristic_cells._pencil(of, machines, ports, 1j * omega - 1e-6, of.aliases.at(omega))
+        a, b, c = np.linalg.det(pencil)[0, :, 0]
+        assert abs(a - 2 * b + c) < 1e-10 * abs(a)
+        assert abs(a - b) > 1e-4 * abs(a)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "loop"),
+    [
+        (SPRINGS, {}),
+        (SPRINGS, {"dead_time": 0.02}),
+        ([*SPRINGS[:2], LATE], {}),
+        ([SPRINGS[2], PAYLOAD], {"dead_time": 0.02}),
+    ],
+)
+def test_nothing_proven_is_wrong(ranges: list[dict[str, Any]], loop: dict[str, float]) -> None:
+    found = uncertain(ranges, **loop)
+    proof = certify(found, boxes=40)
+    assert sum(leaf.volume for leaf in proof.leaves) == pytest.approx(1.0)
+    assert proof.share(None) < 1.0
+    assert wrong(found, proof) == 0
+
+
+def test_an_unstable_corner_is_never_certified() -> None:
+    """By SciPy's discretisation the loop grows at 20 ms somewhere; its leaf is not one that decays."""
+    found = uncertain(SPRINGS, dead_time=0.02)
+    u = found.box.members(64)
+    worst = u[int(np.argmin(found.decays(u)))]
+    factors = found.box.told(worst)
+    data = EXCAVATOR.to_dict()
+    data["base"]["stiffness"] = {x: v * factors[f"base.stiffness.{x}"] for x, v in data["base"]["stiffness"].items()}
+    other = flexopt.machine_from_dict(data)
+    kept = multipliers(other, B, control="inverse", kp=1e4, kv=1e3, period=0.005, dead_time=0.02)
+    assert abs(kept[0]) > 1
+    for leaf in certify(found, boxes=150).leaves:
+        if np.all((worst >= leaf.low) & (worst <= leaf.high)):
+            assert leaf.decays is not True
+    region = flexopt.stable_region(EXCAVATOR, B, loop=GAINS | {"dead_time": 0.02}, ranges=SPRINGS, points=64)
+    assert region.stable is False
+    assert not region.guaranteed
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_random_machines(seed: int) -> None:
+    source = NumpySource(np.random.default_rng(seed))
+    machine = flexopt.machine_from_dict(draw_machine(source, Structure(2, ("x", "rotation"), ())))
+    posture = np.array([source.uniform(-1.0, 1.0), source.uniform(0.5, 2.0)])
+    loop = uncertain([{"of": "stiffness", "factor": (0.8, 1.25)}], machine, posture, kp=1e3, kv=1e3, rate=500.0)
+    proof = certify(loop, boxes=15)
+    assert proof.share(None) < 1.0
+    assert wrong(loop, proof, samples=40) == 0
+
+
+def test_words_and_what_they_rest_on() -> None:
+    proven = flexopt.stable_region(EXCAVATOR, B, loop=GAINS, ranges=SPRINGS, points=16)
+    assert proven.stable
+    assert proven.guaranteed
+    assert proven.certified == pytest.approx(1.0)
+    assert 1.0 < proven.radius_guaranteed <= proven.radius
+    assert "guaranteed: decays faster than 1e-06/s by zero exclusion" in repr(proven)
+    asked = flexopt.stable_region(EXCAVATOR, B, loop=GAINS, ranges=SPRINGS, points=16, boxes=0)
+    assert (asked.stable, asked.guaranteed) == (True, False)
+    weighed = flexopt.stable_region(EXCAVATOR, B, loop=GAINS, ranges=SPRINGS[:1], points=16, gravity=True)
+    assert not weighed.guaranteed
+    assert "weight" in weighed.rests_on
+    assert set(proven.to_dict()) >= {"guaranteed", "rests_on", "radius_guaranteed"}
+
+
+def test_a_guaranteed_radius_is_one() -> None:
+    """Every sample of that box decays."""
+    wide = uncertain([each | {"factor": (0.4, 2.5)} for each in SPRINGS[:2]], dead_time=0.005)
+    radius = certified_radius(wide, float(np.log(2.5)), boxes=100)
+    assert 1.0 < radius <= 2.5
+    inside = uncertain([each | {"factor": (1 / radius, radius)} for each in SPRINGS[:2]], dead_time=0.005)
+    assert inside.decays(inside.box.members(100)).min() > 0
+
+
+def test_machines_are_of_first_degree_or_refused() -> None:
+    """A centre of mass stands in the inertia squared."""
+    assert "first degree" in certify(uncertain([{"of": "stick.com", "value": (0.5, 0.7)}])).sentence
