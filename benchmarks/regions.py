@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import flexopt
-from flexopt.loop.certificate import Certificate, certify
+from flexopt.loop.certificate import RegionProof, certify
 from flexopt.loop.evaluation import outcome
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.uncertainty import Uncertainty
@@ -44,7 +44,7 @@ def uncertain(machine: Any, posture: Any, loop: dict[str, Any], ranges: list[dic
     return UncertainLoop(settings, base, np.asarray(posture, dtype=float), False, box)
 
 
-def judged(loop: UncertainLoop, proof: Certificate, samples: int, seed: int) -> tuple[float, int, int]:
+def judged(loop: UncertainLoop, proof: RegionProof, samples: int, seed: int) -> tuple[float, int, int]:
     """Share of stable samples that is proven, how many lie in proven leaves, how many of these are not as proven."""
     u = np.random.default_rng(seed).uniform(size=(samples, len(loop.box.uncertainty)))
     decays, inside, wrong, known = loop.decays(u), 0, 0, 0

@@ -1,6 +1,6 @@
 """What is proven of a sampled loop over a box of uncertain numbers: where it decays, where it grows, where neither.
 
-In: an uncertain loop. Out: `Certificate`. The characteristic function has no zero on e^{(jω − ρ)T}, ω in [0, π/T], for
+In: an uncertain loop. Out: `RegionProof`. The characteristic function has no zero on e^{(jω − ρ)T}, ω in [0, π/T], for
 any member of a box where the hull of its control points leaves zero out in every cell of ω (zero exclusion): the number
 of eigenvalues outside that circle is then the same all over the box, and the eigenvalues of one member tell it. Boxes
 of which this does not hold are halved.
@@ -56,7 +56,7 @@ class Leaf:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class RegionProof:
     """Leaves that together are the box.
 
     Attributes:
@@ -214,14 +214,14 @@ def _failing(cells: Cells) -> Cells:
     return cells.chosen(cells.span >= math.pi) if len(cells.low) else cells
 
 
-def certify(loop: UncertainLoop, *, decay: float = DECAY, boxes: int = BOXES) -> Certificate:
+def certify(loop: UncertainLoop, *, decay: float = DECAY, boxes: int = BOXES) -> RegionProof:
     """What is proven of a loop over its box."""
     try:
         search = Search(loop, decay, boxes)
-        return Certificate(tuple(search.run()), search.cells, search.looked, decay)
+        return RegionProof(tuple(search.run()), search.cells, search.looked, decay)
     except NotCovered as fault:
         k = len(loop.box.uncertainty)
-        return Certificate((Leaf(np.zeros(k), np.ones(k), None),), 0, 0, decay, str(fault))
+        return RegionProof((Leaf(np.zeros(k), np.ones(k), None),), 0, 0, decay, str(fault))
 
 
 def certified_radius(loop: UncertainLoop, size: float, *, decay: float = DECAY, boxes: int = BOXES) -> float:

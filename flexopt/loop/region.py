@@ -18,7 +18,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
-from flexopt.loop.certificate import BOXES, DECAY, Certificate, certified_radius, certify
+from flexopt.loop.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import outcome
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
@@ -153,13 +153,13 @@ def stable_region(
     )
 
 
-def _word(slowest: float, proof: Certificate | None, *, guaranteed: bool) -> bool | None:
+def _word(slowest: float, proof: RegionProof | None, *, guaranteed: bool) -> bool | None:
     if slowest <= 0:
         return False
     return True if guaranteed or proof is None or proof.sentence else None
 
 
-def _rests_on(proof: Certificate | None, looked: int, slowest: float, *, guaranteed: bool) -> str:
+def _rests_on(proof: RegionProof | None, looked: int, slowest: float, *, guaranteed: bool) -> str:
     if slowest <= 0:
         return "a point that grows"
     if proof is None:

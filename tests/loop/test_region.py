@@ -10,7 +10,7 @@ import pytest
 import flexopt
 from flexopt.loop import characteristic_cells
 from flexopt.loop.bernstein import bernstein
-from flexopt.loop.certificate import Certificate, certified_radius, certify
+from flexopt.loop.certificate import RegionProof, certified_radius, certify
 from flexopt.loop.characteristic import Characteristic
 from flexopt.loop.characteristic_cells import cells_of
 from flexopt.loop.evaluation import outcome
@@ -32,7 +32,7 @@ def uncertain(ranges: list[dict[str, Any]], machine: Any = EXCAVATOR, posture: A
     return UncertainLoop(found, np.zeros(len(machine.base_coordinates)), np.asarray(posture), False, box)
 
 
-def wrong(loop: UncertainLoop, proof: Certificate, samples: int = 200) -> int:
+def wrong(loop: UncertainLoop, proof: RegionProof, samples: int = 200) -> int:
     """Samples in proven leaves that are not as proven."""
     k, found = len(loop.box.uncertainty), 0
     u = np.random.default_rng(1).uniform(size=(samples, k))
