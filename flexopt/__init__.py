@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from flexopt.export import verify_bundle as verify_bundle
     from flexopt.export.fmu import FmuReport as FmuReport
     from flexopt.export.fmu import export_fmu as export_fmu
+    from flexopt.identification import Identification as Identification
+    from flexopt.identification import identify as identify
     from flexopt.loop.evaluation import Outcome as Outcome
     from flexopt.loop.evaluation import outcome as outcome
     from flexopt.loop.region import Region as Region
@@ -116,6 +118,7 @@ __all__ = [
     "FlexoptWarning",
     "FmuReport",
     "Hydraulics",
+    "Identification",
     "ImplausibleMachine",
     "InputError",
     "Loop",
@@ -161,6 +164,7 @@ __all__ = [
     "export_c",
     "export_fmu",
     "gap",
+    "identify",
     "inverse_kinematics",
     "load",
     "load_experiment",
@@ -197,6 +201,7 @@ _LATER = {
     "coprime": "RobustMargin StateSpace gap ncf_margin nu_gap optimal_controller robust_margin",
     "export": "ExportReport Verification export_c verify_bundle",
     "export.fmu": "FmuReport export_fmu",
+    "identification": "Identification identify",
     "loop.evaluation": "Outcome outcome",
     "loop.region": "Region stable_region",
     "model": (

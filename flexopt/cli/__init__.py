@@ -24,6 +24,7 @@ _COMMANDS = {
     "select": "analysis",
     "simulate": "simulation",
     "atlas": "atlas",
+    "identify": "identifying",
     "map": "studies",
     "verdict": "judging",
     "report": "studies",

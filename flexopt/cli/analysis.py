@@ -47,6 +47,7 @@ from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import evaluate
 
 if TYPE_CHECKING:
+    from flexopt.identification import Identification
     from flexopt.selection import BasePlan, Selection, Stand
     from flexopt.study import Verdict
 
@@ -145,7 +146,13 @@ def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
 @LOOP
 @RANGES
 @option("--certify", is_flag=True, help="Prove that no configuration is better; where the redundancy is one.")
-@value("--log", "PATH", "Write what the proof stands on, for another program to check: .json, with --certify.")
+@value(
+    "--log",
+    "PATH",
+    "How the machine swings (.csv): springs and dampers are identified from it first, as `flexopt identify` does, the "
+    "arm held as its joints or else --posture say. With --certify (.json): write what the proof stands on, for another "
+    "program to check.",
+)
 @value("--plot", "PATH", "Draw the choice: .png, .svg or .pdf.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
@@ -158,10 +165,12 @@ def select_command(
     """
     check_output("--plot", plot, PICTURES)
     check_output("--out", out, (".json",))
+    swing, log = (log, None) if log is not None and log.lower().endswith(".csv") else (None, log)
     check_output("--log", log, (".json",))
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
     _refuse_early(settings, judged, own)
+    identified = None if swing is None else _identified(swing, settings, as_json)
     if settings.get("objective") in OUTCOMES:
         settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
         settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
@@ -178,6 +187,7 @@ def select_command(
 
     def document() -> dict[str, Any]:
         more = {} if certificate is None else {"certificate": certificate}
+        more |= {} if identified is None else {"identification": identified.to_dict()}
         return result.to_dict() | more | ({} if judgement is None else {"verdict": judgement.to_dict()})
 
     if plot is not None:
@@ -190,6 +200,8 @@ def select_command(
     else:
         from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
 
+        if identified is not None:
+            say(f"{identified!r}\n")
         say(_selection_text(result) if isinstance(result, Selection) else repr(result))
         if certificate is not None:
             say(f"\n{certificate['status']}")
@@ -197,6 +209,23 @@ def select_command(
             say(f"\n{judgement!r}")
     if certificate is not None and certificate["verdict"] != "proven":
         sys.exit(FAILED)
+
+
+def _identified(swing: str, settings: dict[str, Any], as_json: bool) -> Identification:
+    """The machine's numbers from a log; what is chosen is chosen for the machine that has them."""
+    from flexopt.identification import identify  # noqa: PLC0415  (`evaluate` does not need it)
+
+    held = {name: settings[name] for name in ("base", "gravity") if settings.get(name) is not None}
+    with option_names({"log": swing, **held}), warnings_to_stderr(as_json):
+        try:
+            found = identify(settings["machine"], swing, **held)
+        except InputError as error:
+            # The log has no joints: then it was taken as the arm is held now.
+            if settings.get("posture") is None or not any(fault.field == "posture" for fault in error.faults):
+                raise
+            found = identify(settings["machine"], swing, posture=settings["posture"], **held)
+    settings["machine"] = found.machine
+    return found
 
 
 def _certificate(result: Any, log: str | None) -> dict[str, Any]:

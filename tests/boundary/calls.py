@@ -73,6 +73,19 @@ def atlas() -> flexopt.Atlas:
 
 
 @cache
+def swing() -> dict[str, Any]:
+    """A log of one oscillation that decays."""
+    t = np.arange(200) / 100
+    noise = 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    return {"t": t, "gyro_z": 0.01 * np.exp(-0.5 * t) * np.cos(12 * t) + noise}
+
+
+@cache
+def identification() -> flexopt.Identification:
+    return flexopt.identify(excavator(), swing(), posture=POSTURE, unknown="base.*.rotation")
+
+
+@cache
 def state_space() -> flexopt.StateSpace:
     return flexopt.StateSpace(**STATE_SPACE)
 
@@ -183,6 +196,15 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         **SIMULATE | {"seed": None, "baked": None},
     ),
     "gap": lambda: {"P1": PLANTS, "P2": PLANTS},
+    "identify": lambda: _machine(
+        log=swing(),
+        posture=POSTURE,
+        base=0.0,
+        unknown="base.*.rotation",
+        gravity=False,
+        window=[0.0, 2.0],
+        imu=[0.0, 0.0],
+    ),
     "inverse_kinematics": lambda: _machine(target=TARGET, base=0.5, gravity=False, elbow="up", seed=0),
     "load": lambda: {"name_or_path": "excavator"},
     "load_experiment": lambda: {"name_or_path": "article-a"},
@@ -447,6 +469,7 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "ExportReport": lambda: flexopt.export_c(excavator(), "bundle", parts=["kinematics"], overwrite=True),
     "FmuReport": lambda: flexopt.export_fmu(excavator(), "small.fmu", POSTURE, **LOOP),
     "Hydraulics": lambda: flexopt.build_hydraulics(hydraulic()),
+    "Identification": identification,
     "Machine": excavator,
     "Measures": lambda: flexopt.build_measures(excavator()),
     "Path": lambda: flexopt.Path(times=[0.0, 1.0], points=[[0.0], [1.0]]),
@@ -502,6 +525,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
         "q": [0.0] * flexopt.build_plant(hydraulic()).n_coordinates,
         "base": [0.0] * len(hydraulic().base_coordinates),
     },
+    "Identification.plot": lambda: {"path": "identification.png"},
     "Machine.beyond_stroke": lambda: {"joint": "boom", "q": 0.0},
     "Machine.joint_frame": lambda: {"joint": "boom"},
     "Machine.travel": lambda: {"cylinder": _pin()},

@@ -1,0 +1,64 @@
+"""`flexopt identify`."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from flexopt.cli.common import (
+    BASE,
+    GRAVITY,
+    JSON,
+    PICTURES,
+    check_output,
+    given,
+    names,
+    numbers,
+    option_names,
+    print_json,
+    read,
+    say,
+    value,
+    warnings_to_stderr,
+    write_output,
+)
+from flexopt.foundation.writing import write_file
+from flexopt.model import load
+
+
+@click.command("identify", short_help="Springs, dampers and load from a log of how the machine swings.")
+@click.argument("machine")
+@click.argument("log")
+@value("--posture", "A,B,…", "How the arm is held, rad (slides: m); by default where the log's joints stand.", numbers)
+@BASE
+@value("--unknown", "NAMES", "What is not known: stiffness,damping (the default), payload.mass and so on.", names)
+@value("--window", "FROM,TO", "Part of the log, s; by default all after the arm's last motion.", numbers)
+@value("--imu", "X,Y[,Z]", "Where the accelerometer sits on the body that carries the arm, m; its origin.", numbers)
+@GRAVITY
+@value("--plot", "PATH", "Draw log, fit and residuals: .png, .svg or .pdf.")
+@value("--out", "PATH", "Write the JSON document to a file, too.")
+@JSON
+def identify_command(as_json: bool, machine: str, log: str, plot: str | None, out: str | None, **options: Any) -> None:
+    """Springs, dampers and load of MACHINE (a name or a file) from LOG: a CSV file of a free swing, the arm held.
+
+    Its first line names the columns: t [s] and some of gyro_x [rad/s], base.pitch [deg], end_point.x [mm], acc_x [g],
+    joints such as boom [rad]; README.md has the table.
+    """
+    from flexopt.identification import identify  # noqa: PLC0415  (only this command needs it)
+
+    check_output("--plot", plot, PICTURES)
+    check_output("--out", out, (".json",))
+    loaded = read(load, machine)
+    with option_names(options), warnings_to_stderr(as_json):
+        result = identify(loaded, log, **given(options))
+    if plot is not None:
+        write_output("--plot", plot, lambda: result.plot(plot))
+    if out is not None:
+        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
+        write_output("--out", out, lambda: write_file(out, text))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        say(repr(result))

@@ -1,0 +1,129 @@
+"""How well a log says what was fitted to it: intervals of confidence, what it leaves open, whether the noise is white.
+
+In: a `Fit`. Out: a `Confidence`. From the exact Jacobian P of the residuals by θ, with the first state and the offsets
+eliminated: the covariance of θ is (PᵀP)⁻¹ where residuals are white. Where they are not it is (PᵀP)⁻¹ Ω (PᵀP)⁻¹ with
+the sum Ω of the correlated scores (Newey and West 1987), and never the smaller of the two.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.foundation.arrays import Array, Vector
+from flexopt.identification.fitting import Fit
+
+LEVEL = 0.95
+# A parameter is identified where its interval is within this factor of its value either way.
+FACTOR = 2.0
+# Lags and level of the test for white residuals (Ljung and Box 1978).
+LAGS, WHITE = 20, 0.001
+# What a singular value of P may be at least, so that a direction has a length.
+SMALLEST = 1e-12
+# A parameter belongs to a direction that is open where it has this share of it.
+SHARE = 0.1
+# Fits that differ by less, in θ, are the same.
+SAME = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Confidence:
+    """What the log says of θ.
+
+    Attributes:
+        low, high: (n_θ,) ends of the intervals of θ; other fits that the log does not tell from this one lie within.
+        deviations: (n_θ,) standard deviations of θ;  covariance: (n_θ, n_θ).
+        quantile: how many of them the interval reaches either way.
+        identified: (n_θ,) whether it is within `FACTOR`.
+        directions: (k, n_θ) unit vectors of θ that the log leaves open, the most open first.
+        white: (c,) whether each column's residuals are.
+        others: θ of other fits that the log does not tell from this one.
+    """
+
+    low: Vector
+    high: Vector
+    deviations: Vector
+    covariance: Array
+    quantile: float
+    identified: NDArray[np.bool_]
+    directions: Array
+    white: NDArray[np.bool_]
+    others: tuple[Vector, ...]
+
+    def apart(self, theta: Vector, other: Vector) -> NDArray[np.bool_]:
+        """(n_θ,) in which parameters another fit lies outside the intervals of this one."""
+        return np.abs(other - theta) > np.maximum(2.0 * self.quantile * self.deviations, SAME)
+
+
+def confidence(found: Fit, values: Array, others: Sequence[Vector] = ()) -> Confidence:
+    """Of a fit to the samples `values` (N, c), beside others that fit as well."""
+    from scipy.stats import t  # noqa: PLC0415  (loads slowly)
+
+    residual = np.where(found.used, (found.fitted - values) / found.sigma, np.nan)
+    rows = (found.slopes / found.sigma[:, None])[found.used]
+    m, n = found.start.size, found.theta.size
+    nuisance: Array = np.delete(rows, np.arange(m, m + n), axis=1)
+    nuisance = nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300)
+    p: Array = rows[:, m : m + n]
+    p = p - nuisance @ np.linalg.lstsq(nuisance, p, rcond=1e-12)[0]
+    decomposed = np.linalg.svd(p, full_matrices=False)
+    s: Vector = decomposed[1]
+    v: Array = decomposed[2]
+    long = 1.0 / np.maximum(s, SMALLEST)
+    covariance = v.T @ np.diag(long**2) @ v
+    white = np.array([is_white(column[np.isfinite(column)]) for column in residual.T])
+    if not white.all():
+        correlated = covariance @ _scores(p, residual, found.used) @ covariance
+        wider = np.maximum(1.0, np.sqrt(np.diag(correlated) / np.diag(covariance)))
+        covariance = wider[:, None] * covariance * wider
+    deviations = np.sqrt(np.diag(covariance))
+    quantile = float(t.ppf(0.5 + 0.5 * LEVEL, max(1, len(rows) - rows.shape[1])))
+    width = quantile * deviations
+    is_open = quantile * long > math.log(FACTOR)
+    directions = v[is_open][np.argsort(-long[is_open], kind="stable")]
+    ends = [(center - width, center + width) for center in (found.theta, *others)]
+    low, high = (choose([end[k] for end in ends], axis=0) for k, choose in ((0, np.min), (1, np.max)))
+    identified = np.maximum(found.theta - low, high - found.theta) <= math.log(FACTOR)
+    return Confidence(low, high, deviations, covariance, quantile, identified, directions, white, tuple(others))
+
+
+def is_white(residual: Vector) -> bool:
+    """Whether the residuals of a column know nothing of each other."""
+    from scipy.stats import chi2  # noqa: PLC0415  (loads slowly)
+
+    count = residual.size
+    lags = min(LAGS, count // 4)
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    if lags < 1 or power == 0.0:
+        return True
+    rho = np.array([float(centred[k:] @ centred[:-k]) for k in range(1, lags + 1)]) / power
+    statistic = count * (count + 2) * float(np.sum(rho**2 / (count - np.arange(1, lags + 1))))
+    return bool(chi2.sf(statistic, lags) >= WHITE)
+
+
+def _scores(p: Array, residual: Array, used: NDArray[np.bool_]) -> Array:
+    """Ω, (n_θ, n_θ): the scores of each instant with those of the instants around it, weights falling to 0."""
+    by_time = np.zeros((*used.shape, p.shape[1]))
+    by_time[used] = p * residual[used][:, None]
+    scores = by_time.sum(axis=1)
+    reach = int(math.sqrt(len(scores)))
+    found = scores.T @ scores
+    for lag in range(1, reach + 1):
+        both = scores[lag:].T @ scores[:-lag]
+        found += (1 - lag / (reach + 1)) * (both + both.T)
+    return found
+
+
+def is_open_in_words(direction: Vector, names: tuple[str, ...]) -> str:
+    """Which parameters a direction is made of."""
+    share = direction**2
+    order: list[int] = np.argsort(-share, kind="stable").tolist()
+    listed = [names[k] for k in order if share[k] >= SHARE]
+    if len(listed) <= 1:
+        return f"{listed[0] if listed else names[int(np.argmax(share))]} itself"
+    return f"a combination of {', '.join(listed[:-1])} and {listed[-1]}"

@@ -1,0 +1,359 @@
+"""`flexopt.identify`: a machine's springs, dampers and load from a log of its free swing."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Array, Vector
+from flexopt.foundation.boundary import of_machine, public
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.quantities import Quantity, pair, vector
+from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, without_spikes
+from flexopt.identification.confidence import Confidence, confidence, is_open_in_words
+from flexopt.identification.fitting import INTEGRATION, Fit, fit
+from flexopt.identification.log import MeasuredLog, read_log
+from flexopt.identification.modes import described_modes
+from flexopt.identification.poles import Poles, find_poles
+from flexopt.identification.result import FittedColumn, Identification
+from flexopt.identification.small_swing import (
+    SmallSwing,
+    grown,
+    near_starts,
+    tilt_doubts,
+    unit_doubts,
+)
+from flexopt.identification.swing import HeldSwing
+from flexopt.identification.unknown import read_unknown, references
+from flexopt.model import AnyMachine
+from flexopt.model.parameter_values import with_parameters
+from flexopt.model.uncertainty import DAMPERS, SPRINGS, parameters_of
+
+# Samples on the even grid that poles are looked for on, at most.
+EVEN = 2500
+# A log shows motion where the fit explains this share of a column's variance; the slowest motion fits in so often.
+EXPLAINED, PERIODS = 0.2, 1.5
+# Twice the logarithm of the likelihood by which the strongest motion decays rather than lasts: 3 standard deviations.
+DECAYS = 9.0
+# The posture given and the joints measured may differ by, rad or m; a number is far from the file's by this factor.
+AWAY, FAR = 0.05, 10.0
+# Fits whose sums of squares, of the noise, differ by less are not told apart (99.9 %, one degree of freedom).
+ALIKE = 10.8
+ANOTHER = "(a column of another direction would tell them apart)"
+# First guess of the noise, of what a column moves.
+NOISE = 0.02
+
+
+def _window(arguments: Arguments, field: str, value: Any) -> tuple[float, float] | None:
+    return arguments.checked(field, value, pair(Quantity("s", low=-1e9, high=1e9)), None)
+
+
+def _imu(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
+    axes = machine.kinematic_tree.axes
+    place = vector(f"{len(axes)} numbers, {', '.join(axes)} in m", Quantity("m", low=-1e4, high=1e4), axes)
+    return arguments.checked(field, value, place, None)
+
+
+@public(log=of_machine(read_log), unknown=of_machine(read_unknown), window=_window, imu=of_machine(_imu))
+def identify(
+    machine: AnyMachine,
+    log: str | os.PathLike[str] | Mapping[str, Any] | Any,
+    *,
+    posture: Any = None,
+    base: Any = None,
+    unknown: str | Sequence[str] = (SPRINGS, DAMPERS),
+    gravity: bool = False,
+    window: Any = None,
+    imu: Any = None,
+) -> Identification:
+    """Parameters of a machine from a log of its free swing with the arm held: after a push, or a swing and stop.
+
+    The machine swings by M_pp v̇ + h_p + K_p (q − q_rest) + D_p v = 0, the actuated joints held. Its modes are brought
+    onto the poles of the log, and the simulated swing is then fitted to the samples by nonlinear least squares with
+    exact derivatives, its first state and an offset of every column free. Columns are weighed by their own noise, found
+    from the residuals. Unknowns are logarithms of factors, so that no parameter changes its sign.
+
+    A log holds `t [s]` and any of these columns; other units in the header ([ms], [deg/s], [mm], [g]) are converted:
+
+    | column | unit | what |
+    | --- | --- | --- |
+    | `base.pitch` and the other passive coordinates | rad, m | as in `machine.coordinates` |
+    | `base.pitch.rate` … | rad/s, m/s | their rates |
+    | `gyro_x`, `gyro_y`, `gyro_z` | rad/s | of the body that carries the arm, in its axes; in the plane `gyro_z` |
+    | `acc_x`, `acc_y`, `acc_z` | m/s² | what an accelerometer on it shows, in its axes; in the plane x and y |
+    | `end_point.x` … | m | the end-point, inertial axes |
+    | `boom` and the other actuated joints | rad, m | where the arm is held, and when it stops |
+
+    Args:
+        machine: whose numbers these are; its own are the first guess, which may be wrong by several times.
+        log: path of a CSV file (a line of names, then numbers; empty cells are missing), dictionary of arrays by name,
+            or data frame.
+        posture: the actuated joints (n,), rad or m; by default where the log's joints stand.
+        base: placement (n_b,); 0 by default.
+        unknown: names of parameters as `flexopt.check` lists them (`*` for any letters), `"stiffness"` and `"damping"`:
+            all springs or dampers of passive coordinates that are not 0.
+        gravity: whether it swings about its static deflection, as in `flexopt.evaluate`.
+        window: (from, to), s, of the log; by default all that follows the last motion of the measured joints.
+        imu: where the accelerometer sits, m, in the axes of the body that carries the arm; its origin by default.
+
+    Returns:
+        Values, their 95 % intervals, what the log leaves open, modes, residuals and the machine with these numbers.
+
+    Raises:
+        InputError: unusable arguments or columns, all in one message; a log that is too short, does not move or does
+            not decay.
+        NoSolutionFound: the springs do not hold the machine.
+
+    Source:
+        Bates and Watts, Nonlinear Regression Analysis and Its Applications (Wiley, 1988), chapter 2, for the intervals;
+        Newey and West, Econometrica 55 (1987), for residuals that are not white.
+
+    Example:
+        >>> import flexopt, numpy as np
+        >>> t = np.arange(0, 5, 0.01)
+        >>> turn = 2e-3 * np.exp(-0.2 * t) * np.cos(12 * t)
+        >>> log = {"t [s]": t, "gyro_z [rad/s]": turn + 1e-5 * np.random.default_rng(1).standard_normal(t.size)}
+        >>> found = flexopt.identify(flexopt.load("excavator"), log, posture=[0.5, -1.2], unknown="base.*.rotation")
+        >>> sorted(found.values)
+        ['base.damping.rotation', 'base.stiffness.rotation']
+    """
+    given: Any = log
+    stand = np.zeros(len(machine.base_coordinates)) if base is None else np.asarray(base, dtype=float)
+    chosen = _windowed(given, window)
+    held, doubts = _held(machine, chosen, posture)
+    shown = swinging(chosen)
+    entries, reference = references(machine, _names(machine, unknown))
+    shown, spiked = without_spikes(shown)
+    place = np.zeros(len(machine.kinematic_tree.axes)) if imu is None else np.asarray(imu, dtype=float)
+
+    def swing_of(log: MeasuredLog) -> HeldSwing:
+        return HeldSwing(machine, held, stand, gravity, entries, reference, log.channels, place)
+
+    swing = swing_of(shown)
+    if np.isfinite(shown.values).sum() < 2 * (2 * swing.m + len(entries) + len(shown.channels)):
+        raise _refused(f"has too few samples for {len(entries)} parameters")
+    springs = [k for k, i in enumerate(entries) if i in parameters_of((SPRINGS,), machine)]
+    starts, beginning = near_starts(_small(swing, shown), _poles(shown, swing.m), springs)
+    units = unit_doubts(beginning, starts[0])
+    doubts += list(units.values())
+    kept = [k for k in range(len(shown.channels)) if k not in units]
+    if units and kept:
+        shown, spiked = shown.part(slice(None), kept), spiked[:, kept]
+        swing = swing_of(shown)
+        starts, beginning = near_starts(_small(swing, shown), _poles(shown, swing.m), springs)
+    small, poles = _small(swing, shown), _poles(shown, swing.m)
+    doubts += tilt_doubts(small, poles)
+    candidates = grown(small, starts, beginning, springs)
+    noise = _first_noise(small, candidates[0][0])
+    _check_motion(shown, noise)
+    _check_decay(poles)
+    found, others = _fits(swing, shown, candidates, noise)
+    _check_motion(shown, found.sigma)
+    known = confidence(found, shown.values, others)
+    _check_duration(swing, float(np.ptp(shown.time)), found)
+    options = {
+        "posture": held,
+        "base": stand,
+        "gravity": gravity,
+        "unknown": swing.names,
+        "window": window,
+        "imu": place,
+    }
+    return _result(swing, shown, spiked, found, known, doubts, options)
+
+
+def _fits(
+    swing: HeldSwing, log: MeasuredLog, starts: list[tuple[Vector, Vector]], noise: Vector
+) -> tuple[Fit, list[Vector]]:
+    """The best fit and θ of others that the log does not tell from it; of these the nearest to the file is the best."""
+    fits = [fit(swing, log, theta, deviation, noise) for theta, deviation in starts]
+    least = min(fits, key=lambda each: each.misfit)
+    alike = [each for each in fits if each.misfit <= least.misfit + ALIKE]
+    best = min(alike, key=lambda each: float(each.theta @ each.theta))
+    return best, [each.theta for each in alike if each is not best]
+
+
+def _refused(sentence: str) -> InputError:
+    return InputError(f"identify: the log {sentence}", [Fault("log", sentence)])
+
+
+def _names(machine: AnyMachine, unknown: Any) -> tuple[str, ...]:
+    """The names that were read; by default all springs and dampers."""
+    arguments = Arguments("identify", machine)
+    names = read_unknown(arguments, machine, "unknown", unknown)
+    arguments.done()
+    return names or ()
+
+
+def _windowed(log: MeasuredLog, window: tuple[float, float] | None) -> MeasuredLog:
+    if window is None:
+        return after_stop(log)
+    return log.part((log.time >= window[0]) & (log.time <= window[1]))
+
+
+def _held(machine: AnyMachine, log: MeasuredLog, posture: Any) -> tuple[Vector, list[str]]:
+    """How the arm is held, and where that is doubtful."""
+    measured = held_posture(log, len(machine.joints))
+    if posture is None and measured is None:
+        listed = ", ".join(machine.joints)
+        sentence = f"is needed: the log does not hold all actuated joints ({listed})"
+        raise_if_any(InputError, "identify", [Fault("posture", sentence)])
+    if posture is None:
+        assert measured is not None
+        outside = [
+            f"{joint} stands at {q:.4g}, outside its limits {low:.4g} … {high:.4g}"
+            for joint, q, (low, high) in zip(machine.joints, measured, machine.limits, strict=True)
+            if not low <= q <= high
+        ]
+        return measured, outside
+    held = np.asarray(posture, dtype=float)
+    if measured is not None and np.abs(held - measured).max() > AWAY:
+        worst = int(np.argmax(np.abs(held - measured)))
+        return held, [
+            f"{machine.joints[worst]} is measured at {measured[worst]:.4g}, while posture says {held[worst]:.4g}"
+        ]
+    return held, []
+
+
+def _poles(log: MeasuredLog, m: int) -> Poles:
+    """Of the columns, on an even grid."""
+    step = max(float(np.median(np.diff(log.time))), float(log.time[-1] - log.time[0]) / EVEN)
+    return find_poles(evened(log.time, log.values, step)[1], step, m)
+
+
+def _small(swing: HeldSwing, log: MeasuredLog) -> SmallSwing:
+    return SmallSwing(swing, log.time, log.values, NOISE * np.nanstd(log.values, axis=0))
+
+
+def _first_noise(small: SmallSwing, theta: Vector) -> Vector:
+    """What small motions leave of each column, root mean square."""
+    left = small.values - small.fitted(theta)[2]
+    return np.maximum(np.nanstd(left, axis=0), 1e-6 * small.sigma)
+
+
+def _check_motion(log: MeasuredLog, noise: Vector) -> None:
+    """Refuse what shows no swing."""
+    explained = 1.0 - (noise / np.maximum(np.nanstd(log.values, axis=0), 1e-300)) ** 2
+    if explained.max() < EXPLAINED:
+        sentence = "shows no swing that stands out of its noise"
+        raise _refused(f"{sentence}: of no column more than {max(0.0, explained.max()):.0%} is explained by one")
+
+
+def _check_duration(swing: HeldSwing, duration: float, found: Fit) -> None:
+    """Refuse a log that ends before it has swung."""
+    roots, v, left = swing.modes(found.theta)
+    if not roots.size:
+        return
+    _, c, rest = swing.linear(found.theta)
+    strength = (np.abs(c @ v) / found.sigma[:, None]).max(axis=0) * np.abs(left @ (found.start - rest))
+    period = 2 * math.pi / abs(roots[int(np.argmax(strength))])
+    if duration < PERIODS * period:
+        raise _refused(f"is too short: {duration:.3g} s, while its strongest motion takes {period:.3g} s to and fro")
+
+
+def _check_decay(poles: Poles) -> None:
+    """Refuse a log whose strongest motion does not decay."""
+    if poles.values.size and poles.evidence < DECAYS:
+        hertz = poles.values[0].imag / (2 * math.pi)
+        how = "grows" if poles.evidence < -DECAYS else "might last for ever"
+        raise _refused(
+            f"shows no decay: its strongest motion, {hertz:.4g} Hz, {how}; is an engine or a loop still driving it?"
+        )
+
+
+def _result(
+    swing: HeldSwing,
+    log: MeasuredLog,
+    spiked: Array,
+    found: Fit,
+    known: Confidence,
+    doubts: list[str],
+    options: dict[str, Any],
+) -> Identification:
+    """The fit in the machine's own words."""
+    machine, names = swing.machine, swing.names
+    fitted = swing.reference * np.exp(found.theta)
+    file = {parameter.name: parameter.value for parameter in machine.parameters}
+    values: dict[str, float | None] = {}
+    intervals: dict[str, tuple[float, float] | None] = {}
+    for k, name in enumerate(names):
+        if not known.identified[k]:
+            values[name] = intervals[name] = None
+            continue
+        ends = sorted(float(swing.reference[k] * np.exp(end[k])) for end in (known.low, known.high))
+        values[name], intervals[name] = float(fitted[k]), (ends[0], ends[1])
+    factors = {name: None if value is None or not file[name] else value / file[name] for name, value in values.items()}
+    columns = tuple(
+        FittedColumn(
+            name=channel.name,
+            unit=channel.unit,
+            samples=int(found.used[:, k].sum()),
+            left_out=int((np.isfinite(log.values[:, k]) & ~found.used[:, k]).sum() + spiked[:, k].sum()),
+            offset=float(found.offset[k]),
+            residual_rms=float(np.sqrt(np.mean((found.fitted - log.values)[found.used[:, k], k] ** 2))),
+            motion_rms=float(np.std(log.values[found.used[:, k], k])),
+            white=bool(known.white[k]),
+        )
+        for k, channel in enumerate(log.channels)
+    )
+    return Identification(
+        machine=with_parameters(machine, dict(zip(names, fitted.tolist(), strict=True))),
+        before=machine,
+        posture=swing.posture,
+        base=swing.base,
+        values=values,
+        intervals=intervals,
+        units={parameter.name: parameter.unit for parameter in machine.parameters if parameter.name in values},
+        factors=factors,
+        open_directions=(
+            *(is_open_in_words(direction, names) for direction in known.directions),
+            *_either_or(swing, found.theta, known),
+        ),
+        modes=described_modes(swing, log.time, found),
+        columns=columns,
+        notes=log.notes,
+        doubts=(*doubts, *_doubts(columns, factors, found)),
+        duration=float(np.ptp(log.time)),
+        converged=found.converged,
+        time=log.time,
+        measured=np.where(found.used, log.values, np.nan),
+        fitted=found.fitted,
+        provenance=provenance(machine, **options),
+    )
+
+
+def _either_or(swing: HeldSwing, theta: Vector, known: Confidence) -> Iterator[str]:
+    """What fits the log as well, in words."""
+    for other in known.others:
+        apart = np.flatnonzero(known.apart(theta, other))
+        one, two = (swing.reference * np.exp(each) for each in (theta, other))
+        told = ", ".join(f"{swing.names[k]} {one[k]:.4g} or {two[k]:.4g}" for k in apart)
+        if told:
+            yield f"two sets of numbers fit alike, {told} {ANOTHER}"
+
+
+def _doubts(columns: Sequence[FittedColumn], factors: Mapping[str, float | None], found: Fit) -> list[str]:
+    """What speaks against the numbers."""
+    told = list[str]()
+    coloured = [column.name for column in columns if not column.white]
+    if coloured:
+        told.append(
+            f"residuals of {', '.join(coloured)} are not white: something in the log is not in the model; intervals "
+            "are widened by what they have in common"
+        )
+    told += [
+        f"{name} is {factor:.3g} of the file's: is the file, or the log, of this machine?"
+        for name, factor in factors.items()
+        if factor is not None and not 1 / FAR <= factor <= FAR
+    ]
+    if not found.converged:
+        told.append("the least squares did not come to their end")
+    if found.integration > INTEGRATION:
+        told.append(f"the integrator's error is {found.integration:.2g} of the noise")
+    return told

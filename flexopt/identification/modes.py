@@ -1,0 +1,66 @@
+"""Which mode is which, in words: a machine's modes with its arm held, before and after a fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from flexopt.foundation.arrays import Array, Vector
+from flexopt.identification.fitting import Fit
+from flexopt.identification.result import IdentifiedMode
+from flexopt.identification.swing import HeldSwing
+
+# Where one coordinate has this share of the energy it is named alone; below it, all with the lesser share.
+MOSTLY, PARTLY = 0.6, 0.15
+
+
+def described_modes(swing: HeldSwing, time: Vector, found: Fit) -> tuple[IdentifiedMode, ...]:
+    """The modes of a fit, beside those of the machine's file."""
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  (loads slowly)
+
+    m, plant = swing.m, swing.plant
+    roots, v, left = swing.modes(found.theta)
+    _, c, rest = swing.linear(found.theta)
+    springs: Array = plant.stiffness.call([ca.DM(swing.parameters(found.theta))])[0].full()[:m, :m]
+    amount = left @ (found.start - rest)
+    told = replace(swing, unknown=(), reference=np.zeros(0))
+    roots0, v0, _ = told.modes(np.zeros(0))
+    scale = np.sqrt(np.diag(springs))[:, None]
+    a, b = scale * v[:m], scale * v0[:m]
+    alike = np.abs(a.conj().T @ b) ** 2 / np.outer((np.abs(a) ** 2).sum(0), (np.abs(b) ** 2).sum(0))
+    pairs = dict(zip(*(part.tolist() for part in linear_sum_assignment(-alike)), strict=True))
+    modes = list[IdentifiedMode]()
+    for k, root in enumerate(roots.tolist()):
+        energy = np.abs((v[:m, k].conj() * (springs @ v[:m, k])).real)
+        share = energy / energy.sum()
+        waves = 2 * (np.outer(np.exp(root * (time - time[0])), c @ v[:, k]) * amount[k]).real
+        seen = float((np.sqrt(np.mean(waves**2, axis=0)) / found.sigma).max())
+        hertz, old = abs(root) / (2 * math.pi), pairs.get(k)
+        words = f"mode {k + 1}, {hertz:.3g} Hz: {_in_words(share, swing.machine.coordinates)}"
+        modes.append(
+            IdentifiedMode(
+                words=words,
+                frequency_hz=hertz,
+                damping_ratio=float(-root.real / abs(root)),
+                frequency_before_hz=math.nan if old is None else float(abs(roots0[old])) / (2 * math.pi),
+                damping_ratio_before=math.nan if old is None else float(-roots0[old].real / abs(roots0[old])),
+                shares={name: float(x) for name, x in zip(swing.machine.coordinates, share, strict=False)},
+                signal_to_noise=seen,
+            )
+        )
+    return tuple(modes)
+
+
+def _in_words(share: Vector, names: tuple[str, ...]) -> str:
+    order: list[int] = np.argsort(-share, kind="stable").tolist()
+    if share[order[0]] >= MOSTLY:
+        return f"mostly {_of_the_base(names[order[0]])}"
+    return " with ".join(_of_the_base(names[k]) for k in order if share[k] >= PARTLY)
+
+
+def _of_the_base(name: str) -> str:
+    first, dot, rest = name.partition(".")
+    return f"{rest} of the base" if dot and first == "base" else name

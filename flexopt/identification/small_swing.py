@@ -1,0 +1,285 @@
+"""The start of a fit: the machine's modes brought onto the poles of the log, then its small motions onto the samples.
+
+In: a `HeldSwing`, a log, its poles. Out: θ and the initial state from which the nonlinear fit finds its optimum, and
+columns that look as if their unit were told wrongly. About rest the motion is y = C exp(A(θ) t) x0 + offset: linear in
+x0 and the offsets, which are eliminated (variable projection; Golub and Pereyra 1973).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.foundation.arrays import Array, Vector
+from flexopt.identification.measured import MISTAKEN
+from flexopt.identification.poles import Poles
+from flexopt.identification.swing import Complex, HeldSwing, eigen
+
+# Nothing known beyond the file: its numbers are right within a factor of e³, in standard deviations.
+PRIOR = 3.0
+# Logarithms of a common factor of the springs from which modes are matched; more starts are scattered about them.
+COMMON, SCATTERED, SCATTER, SEED = (0.0, 0.7, -0.7, 1.4, -1.4, 2.1, -2.1), 7, 0.7, 5
+# How often pairs of modes and poles are chosen anew; how many starts are followed, how many rows they look at; θ nearer
+# to each other than this are one.
+ROUNDS, FOLLOWED, ROWS, SAME = 5, 5, 500, 0.05
+# The first stretch of the log, in periods of its slowest pole, and how much longer each next one is.
+PERIODS, LONGER = 2.5, 3.0
+# A column is of another unit where it is so near to that factor, and its shape so near to what it should be.
+NEAR, ALIKE = 0.25, 0.9
+# Sums of squares that are nearly the least.
+NEARLY, LOOSELY = 1.2, 4.0
+# How often other θ with the same poles are looked for, and how far apart searches start.
+SEARCHES, APART = 16, 1.2
+# A base hardly tilts by more either way, rad.
+TILT = 0.05
+THETA_MAX = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class SmallSwing:
+    """Small motions beside a log.
+
+    Attributes:
+        swing: whose.
+        time: (N,), s;  values: (N, c), NaN where there is no sample;  sigma: (c,) what a deviation is counted in.
+    """
+
+    swing: HeldSwing
+    time: Vector
+    values: Array
+    sigma: Vector
+
+    def until(self, end: float, rows: int = ROWS) -> SmallSwing:
+        """The log's beginning, so many samples of it at most."""
+        count = int(np.count_nonzero(self.time <= self.time[0] + end))
+        # Drawn, because an even choice would fold fast modes onto slow ones.
+        drawn: Any = np.random.default_rng(SEED).choice(count, min(rows, count), replace=False)
+        chosen = np.unique(np.concatenate([[0], drawn, [count - 1]]))
+        return SmallSwing(self.swing, self.time[chosen], self.values[chosen], self.sigma)
+
+    def basis(self, theta: Vector) -> Array:
+        """C exp(A t), (N, c, 2m); not finite where the springs do not hold the machine."""
+        a, c, _ = self.swing.linear(theta)
+        roots, v = eigen(a)
+        t = self.time - self.time[0]
+        waves: Any = np.exp(np.minimum(np.outer(t, roots.real), 60.0) + 1j * np.outer(t, roots.imag))
+        return np.einsum("cj,nj,jk->nck", c @ v, waves, np.linalg.inv(v)).real
+
+    def fitted(self, theta: Vector, columns: Sequence[int] | None = None) -> tuple[Vector, Vector, Array]:
+        """Residuals in multiples of sigma, the deviation x0 from rest, and what it gives in all columns (N, c).
+
+        `columns` are those that x0 is found from.
+        """
+        basis = self.basis(theta)
+        used = range(self.values.shape[1]) if columns is None else columns
+        there = np.isfinite(self.values)
+        left, right = list[Array](), list[Vector]()
+        for k in used:
+            rows, column = basis[there[:, k], k], self.values[there[:, k], k]
+            left.append((rows - rows.mean(axis=0)) / self.sigma[k])
+            right.append((column - column.mean()) / self.sigma[k])
+        matrix, wanted = np.concatenate(left), np.concatenate(right)
+        x0: Any = np.linalg.lstsq(matrix, wanted, rcond=1e-12)[0]
+        return wanted - matrix @ x0, x0, basis @ x0
+
+    def improved(self, theta: Vector, evaluations: int = 12) -> tuple[Vector, float]:
+        """θ nearer to these samples, and the mean square of what is left."""
+        from scipy.optimize import least_squares  # noqa: PLC0415  (loads slowly)
+
+        size = int(np.isfinite(self.values).sum())
+        bad = np.full(size + theta.size, 1e3)
+
+        def residuals(at: Vector) -> Vector:
+            try:
+                found = np.concatenate([self.fitted(at)[0], at / PRIOR])
+            except (FloatingPointError, np.linalg.LinAlgError, ArithmeticError, RuntimeError):
+                return bad
+            return found if np.all(np.isfinite(found)) else bad
+
+        found: Any = least_squares(
+            residuals, np.clip(theta, -THETA_MAX, THETA_MAX), method="trf", x_scale="jac", max_nfev=evaluations
+        )  # fmt: skip
+        return found.x, float(2 * found.cost / size)
+
+
+def small_modes(swing: HeldSwing, theta: Vector) -> tuple[Complex, Complex]:
+    """Eigenvalues (m,) with positive imaginary part, 1/s, slowest first, and what the columns see of each (c, m)."""
+    roots, v, _ = swing.modes(theta)
+    return roots, swing.linear(theta)[1] @ v
+
+
+def _alike(a: Complex, b: Complex) -> Array:
+    """Modal assurance of shapes (c, k) and (c, l), columns scaled: (k, l) in 0 … 1."""
+    inner = np.abs(a.conj().T @ b) ** 2
+    return inner / np.maximum(np.outer((np.abs(a) ** 2).sum(0), (np.abs(b) ** 2).sum(0)), 1e-300)
+
+
+def matched(swing: HeldSwing, poles: Poles, scale: Vector, theta: Vector) -> Vector:
+    """θ by which modes come near to the poles, each to one."""
+    from scipy.optimize import least_squares, linear_sum_assignment  # noqa: PLC0415  (loads slowly)
+
+    weight = np.minimum(1.0, poles.strength / poles.strength.max() * 3.0)
+    for _ in range(ROUNDS):
+        roots, shapes = small_modes(swing, theta)
+        if not roots.size:
+            return theta
+        apart = np.abs(np.log(np.abs(poles.values))[:, None] - np.log(np.abs(roots))[None])
+        cost = weight[:, None] * (3.0 * apart + 1.0 - _alike(poles.shapes / scale[:, None], shapes / scale[:, None]))
+        data, model = linear_sum_assignment(cost)
+
+        def residuals(at: Vector, data: NDArray[Any] = data, model: NDArray[Any] = model) -> Vector:
+            modes = swing.roots(at)
+            if modes.size <= model.max():
+                return np.full(2 * data.size + at.size, 10.0)
+            wanted, now = poles.values[data], modes[model]
+            decay = np.log(np.maximum(-now.real, 1e-9) / np.maximum(-wanted.real, 1e-3 * np.abs(wanted)))
+            pulls = [np.log(np.abs(now) / np.abs(wanted)), 0.1 * np.clip(decay, -5.0, 5.0)]
+            return np.concatenate([*(weight[data] * pull for pull in pulls), 0.02 / PRIOR * at])
+
+        found: Any = least_squares(residuals, theta, max_nfev=4)
+        moved, theta = float(np.abs(found.x - theta).max()), np.clip(found.x, -THETA_MAX, THETA_MAX)
+        if moved < 1e-3:
+            break
+    return theta
+
+
+def starts(count: int, springs: Sequence[int]) -> list[Vector]:
+    """θ from which modes are matched."""
+    rng, found = np.random.default_rng(SEED), list[Vector]()
+    for k in range(len(COMMON) + SCATTERED):
+        theta = np.zeros(count)
+        theta[list(springs)] = COMMON[k % len(COMMON)]
+        found.append(theta if k < len(COMMON) else theta + SCATTER * rng.standard_normal(count))
+    return found
+
+
+def near_starts(small: SmallSwing, poles: Poles, springs: Sequence[int]) -> tuple[list[Vector], SmallSwing]:
+    """Some θ whose modes go with the poles and with the log's beginning, the best first, and that beginning."""
+    swing, count = small.swing, len(small.swing.names)
+    slowest = float(np.abs(poles.values).min()) if poles.values.size else 2 * math.pi
+    beginning = small.until(PERIODS * 2 * math.pi / slowest)
+    ranked = list[tuple[float, int, Vector]]()
+    for k, start in enumerate(starts(count, springs)):
+        theta = matched(swing, poles, small.sigma, start) if poles.values.size else start
+        try:
+            left = beginning.fitted(theta)[0]
+        except (np.linalg.LinAlgError, RuntimeError):
+            continue
+        if np.all(np.isfinite(left)):
+            ranked.append((float(left @ left), k, theta))
+    ranked.sort(key=lambda each: each[:2])
+    chosen = _different([theta for _, _, theta in ranked], springs)[:FOLLOWED]
+    followed = sorted((beginning.improved(theta) for theta in chosen), key=lambda each: each[1])
+    return _different([theta for theta, _ in followed], springs) or [np.zeros(count)], beginning
+
+
+def _different(thetas: Sequence[Vector], springs: Sequence[int]) -> list[Vector]:
+    """Those that differ from all before in some spring, or where no spring is unknown in anything."""
+    kept, seen = list[Vector](), list(springs) or slice(None)
+    for theta in thetas:
+        if not any(np.abs(theta - other)[seen].max() < SAME for other in kept):
+            kept.append(theta)
+    return kept
+
+
+def grown(
+    small: SmallSwing, thetas: Sequence[Vector], beginning: SmallSwing, springs: Sequence[int]
+) -> list[tuple[Vector, Vector]]:
+    """θ and x0 (deviation from rest) fitted to ever longer stretches, up to the whole log.
+
+    The best first, then those others that fit nearly as well: few columns may not tell which mode is which.
+    """
+    whole = float(small.time[-1] - small.time[0])
+    found = list[tuple[Vector, float]]()
+    for start in thetas:
+        theta, left, end = start, math.inf, float(beginning.time[-1] - beginning.time[0])
+        while end < whole or not math.isfinite(left):
+            end = min(whole, LONGER * end)
+            theta, left = small.until(end).improved(theta)
+        found.append((theta, left))
+    found.sort(key=lambda each: each[1])
+    all_of_it = small.until(whole)
+    for other in same_poles(small.swing, found[0][0], springs):
+        left = all_of_it.fitted(other)[0]
+        if float(left @ left) <= LOOSELY * found[0][1] * left.size:
+            found.append(all_of_it.improved(other))
+    found.sort(key=lambda each: each[1])
+    alike = [theta for theta, left in found if left <= NEARLY * found[0][1]]
+    return [(theta, all_of_it.fitted(theta)[1]) for theta in _different(alike, springs)[:FOLLOWED]]
+
+
+def same_poles(swing: HeldSwing, theta: Vector, springs: Sequence[int]) -> list[Vector]:
+    """Other θ with which the machine has the poles that it has with this one, as far as a search finds them."""
+    from scipy.optimize import least_squares  # noqa: PLC0415  (loads slowly)
+
+    wanted, rng = swing.roots(theta), np.random.default_rng(SEED)
+    seen = list(springs) or list(range(theta.size))
+
+    def residuals(at: Vector, start: Vector) -> Vector:
+        roots = swing.roots(at)
+        if roots.size != wanted.size:
+            return np.full(2 * wanted.size + at.size, 10.0)
+        apart: Complex = np.log(roots / wanted)
+        return np.concatenate([apart.real, apart.imag, 1e-4 * (at - start)])
+
+    found = list[Vector]()
+    for _ in range(SEARCHES if wanted.size > 1 else 0):
+        start = theta.copy()
+        start[seen] += rng.normal(0.0, APART, len(seen))
+        solved: Any = least_squares(residuals, start, args=(start,), max_nfev=15)
+        if np.abs(solved.fun[: 2 * wanted.size]).max() < 1e-3:
+            found.append(solved.x)
+    return _different([theta, *found], springs)[1:]
+
+
+def unit_doubts(beginning: SmallSwing, theta: Vector) -> dict[int, str]:
+    """Columns that are, by a factor between units, other than the rest of the log says, with the sentence."""
+    channels, found = beginning.swing.channels, dict[int, str]()
+    groups: dict[str, list[int]] = {}
+    for k, channel in enumerate(channels):
+        groups.setdefault(channel.kind if channel.kind != "coordinate" else channel.kind + channel.unit, []).append(k)
+    for group in groups.values():
+        others = [k for k in range(len(channels)) if k not in group]
+        if not others:
+            continue
+        try:
+            told = beginning.fitted(theta, others)[2]
+        except (np.linalg.LinAlgError, RuntimeError):
+            continue
+        for k in group:
+            there = np.isfinite(beginning.values[:, k])
+            x, y = (part[there, k] - part[there, k].mean() for part in (told, beginning.values))
+            size = math.sqrt(float(x @ x) * float(y @ y))
+            if not size or float(x @ y) / size < ALIKE:
+                continue
+            gain = math.sqrt(float(y @ y) / float(x @ x))
+            for factor, unit in MISTAKEN[channels[k].unit]:
+                if abs(math.log(gain / factor)) < NEAR:
+                    found[k] = (
+                        f"{channels[k].name} is {gain:.3g} times what the other columns say: is it in {unit}, not "
+                        f"{channels[k].unit}? It is left out of the fit"
+                    )
+    return found
+
+
+def tilt_doubts(small: SmallSwing, poles: Poles) -> list[str]:
+    """Rates that would be those of a base that tilts by more than any base does."""
+    found = list[str]()
+    if not poles.values.size:
+        return found
+    for k, channel in enumerate(small.swing.channels):
+        if channel.unit not in ("rad/s", "rad"):
+            continue
+        size = np.abs(poles.shapes[k])
+        angle = float(np.sum(size / np.abs(poles.values)) if channel.unit == "rad/s" else np.sum(size))
+        if angle > TILT:
+            meant = "deg/s, not rad/s" if channel.unit == "rad/s" else "deg, not rad"
+            found.append(
+                f"{channel.name} would tilt the base by {math.degrees(angle):.0f} degrees either way: is it in {meant}?"
+            )
+    return found

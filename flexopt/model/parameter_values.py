@@ -1,0 +1,91 @@
+"""A machine with other numbers: values of parameters, by name, put back into its description.
+
+In: a machine and values by the names of `Machine.parameters`. Out: the machine as if its file had said them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.nearest import hint
+from flexopt.model.kinematic_tree import INERTIA_ENTRIES
+from flexopt.model.machine import AnyMachine
+
+# Keys and indices from a description's top to a number.
+Place = tuple[str | int, ...]
+
+
+def with_parameters(machine: AnyMachine, values: Mapping[str, float]) -> AnyMachine:
+    """The machine with these parameters, SI, by their names; all others as they were.
+
+    Raises:
+        InputError: no such parameter, one that no key of the description holds alone, or a value that it cannot have.
+    """
+    told, faults = machine.model_dump(by_alias=True), list[Fault]()
+    known = [parameter.name for parameter in machine.parameters]
+    for name, value in values.items():
+        if name not in known:
+            faults.append(Fault(name, f"is no parameter of {machine.name}{hint(name, known)}"))
+            continue
+        places = list(_places(told, name))
+        for *outer, last in places:
+            inside: Any = told
+            for key in outer:
+                inside[key] = list(inside[key]) if isinstance(inside[key], tuple) else inside[key]
+                inside = inside[key]
+            inside[last] = float(value)
+        if not places:
+            faults.append(Fault(name, "cannot be set alone", f"{value:g}"))
+    raise_if_any(InputError, "with_parameters", faults)
+    found = type(machine)(**told)
+    now = {parameter.name: parameter.value for parameter in found.parameters}
+    missed = [name for name, value in values.items() if now.get(name) != float(value)]
+    raise_if_any(InputError, "with_parameters", [Fault(name, "cannot be set alone") for name in missed])
+    return found
+
+
+def _places(told: dict[str, Any], name: str) -> Iterator[Place]:
+    """Where a description holds a parameter."""
+    first, _, rest = name.partition(".")
+    if rest.partition(".")[0] in ("mass",) and first == "payload":
+        yield ("payload", "mass")
+    elif name == "gravity":
+        yield ("gravity",)
+    elif "links" in told:
+        yield from _in_chain(told, name)
+    else:
+        yield from _in_tree(told, name)
+
+
+def _in_chain(told: dict[str, Any], name: str) -> Iterator[Place]:
+    owner, _, key = name.partition(".")
+    if owner == "base":
+        table, _, direction = key.partition(".")
+        yield ("base", table, direction) if direction else ("base", table)
+        return
+    for i, link in enumerate(told["links"]):
+        if name == f"{link['name']}.{key}" and key in link:
+            yield ("links", i, key)
+
+
+def _in_tree(told: dict[str, Any], name: str) -> Iterator[Place]:
+    for word in ("stiffness", "damping"):
+        coupling = told.get(f"{word}_matrix") or {"joints": ()}
+        for i, a in enumerate(coupling["joints"]):
+            for j, b in enumerate(coupling["joints"][i:], i):
+                if name == f"{word}.{a}.{b}":
+                    yield from {(f"{word}_matrix", "matrix", i, j), (f"{word}_matrix", "matrix", j, i)}
+    owner, _, key = name.rpartition(".")
+    if owner == "end_point.position" and key in "xyz":
+        yield ("end_point", "position", "xyz".index(key))
+    for i, body in enumerate(told["bodies"]):
+        if owner == body["joint"]["name"] and key in ("armature", "stiffness", "damping", "joint_damping", "rest"):
+            yield ("bodies", i, "joint", key)
+        elif name == f"{body['name']}.mass":
+            yield ("bodies", i, "mass")
+        elif owner == f"{body['name']}.inertia" and key in INERTIA_ENTRIES:
+            yield ("bodies", i, "inertia", INERTIA_ENTRIES.index(key))
+        elif owner in (f"{body['name']}.position", f"{body['name']}.com") and key in "xyz":
+            yield ("bodies", i, owner.rpartition(".")[2], "xyz".index(key))

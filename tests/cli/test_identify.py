@@ -1,0 +1,55 @@
+"""`flexopt identify`, and `flexopt select` with a log."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import flexopt
+from tests.cli.command import Command
+
+# How the excavator of the article swings where its ground is 1.5 times as stiff as its file says, in one mode.
+POSTURE = "0.5,-1.2"
+
+
+def write_log(command: Command) -> None:
+    t, rng = np.arange(400) / 100, np.random.default_rng(1)
+    swing = 0.02 * np.exp(-0.2 * t) * np.cos(14.4 * t) + 1e-5 * rng.standard_normal(t.size)
+    lines = [f"{1e3 * a:g},{np.degrees(b):.8g}" for a, b in zip(t, swing, strict=True)]
+    command.write("swing.csv", "t [ms],gyro_z [deg/s]\n" + "\n".join(lines) + "\n")
+
+
+def test_the_command_says_what_python_says(command: Command) -> None:
+    write_log(command)
+    words = ("identify", "excavator", "swing.csv", "--posture", POSTURE, "--unknown", "base.*.rotation")
+    document = command.json(*words, "--plot", "swing.png", "--out", "found.json")
+    found = flexopt.identify(flexopt.load("excavator"), "swing.csv", posture=[0.5, -1.2], unknown="base.*.rotation")
+    assert document["values"] == found.to_dict()["values"]
+    assert document["intervals"]["base.stiffness.rotation"] == list(found.intervals["base.stiffness.rotation"] or ())
+    assert document["machine_sha256"] == found.machine.content_hash
+    assert set(document["values"]) == {"base.stiffness.rotation", "base.damping.rotation"}
+    assert repr(found) in command(*words).stdout
+
+
+def test_a_selection_with_a_log_is_one_of_the_identified_machine(command: Command) -> None:
+    write_log(command)
+    words = ("--end-point", "0,1.6", "--base", "0", "--posture", POSTURE, "--starts", "1")
+    document = command.json("select", "excavator", *words, "--log", "swing.csv")
+    found = document["identification"]
+    assert document["provenance"]["machine_sha256"] == found["machine_sha256"]
+    assert found["machine_sha256"] != flexopt.load("excavator").content_hash
+    assert found["posture"] == [0.5, -1.2]
+
+
+def test_the_command_refuses(command: Command) -> None:
+    write_log(command)
+    for words, sentence in (
+        (("identify", "excavator", "swing.csv"), "posture: is needed"),
+        (("identify", "excavator", "nothing.csv", "--posture", POSTURE), "cannot be read"),
+        (("identify", "excavator", "swing.csv", "--posture", "a,b"), "--posture (boom)"),
+        (("identify", "excavator", "swing.csv", "--posture", POSTURE, "--unknown", "stifness"), "did you mean"),
+        (("identify", "excavator", "swing.csv", "--posture", POSTURE, "--window", "3"), "--window"),
+        (("select", "excavator", "--end-point", "0,1.6", "--log", "swing.csv"), "posture: is needed"),
+    ):
+        refused = command(*words)
+        assert refused.code == 2
+        assert sentence in refused.stderr

@@ -1,0 +1,276 @@
+"""Numbers from logs of known truth: plain ones, spoilt ones, and ones that do not say what is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.identification.cleaning import spikes
+from flexopt.identification.poles import find_poles
+from flexopt.model.parameter_values import with_parameters
+from tests.identification.swings import Swung, planar, spatial
+
+PLANAR = ("gyro_z", "end_point.x", "end_point.y")
+SPATIAL = ("gyro_x", "gyro_y", "gyro_z", "end_point.x", "end_point.y", "end_point.z")
+
+
+def check(found: flexopt.Identification, swung: Swung, names: Iterable[str] | None = None, times: float = 2.5) -> None:
+    """The truth lies within so many half-widths of the interval, which is about `times` 2 standard deviations."""
+    for name in found.values if names is None else names:
+        interval, true = found.intervals[name], swung.truth[name]
+        assert interval is not None, name
+        low, high = np.log(np.abs(interval)).min(), np.log(np.abs(interval)).max()
+        assert abs(np.log(abs(true)) - 0.5 * (low + high)) < times * 0.5 * (high - low), name
+
+
+def test_a_machine_in_the_plane() -> None:
+    swung = planar()
+    found = flexopt.identify(swung.machine, swung.log(*PLANAR), posture=swung.posture)
+    check(found, swung)
+    assert found.status == "identified"
+    assert found.converged
+    assert not found.doubts
+    assert set(found.values) == set(swung.truth)
+    # The machine's own numbers are the identified ones, and its modes those of the truth.
+    held = {each.name: each.value for each in found.machine.parameters}
+    assert {name: held[name] for name in found.values} == pytest.approx(found.values)
+    roots = np.linalg.eigvals(_matrix(swung))
+    hertz = np.sort(np.abs(roots[roots.imag > 0])) / (2 * np.pi)
+    assert [mode.frequency_hz for mode in found.modes] == pytest.approx(hertz, rel=5e-3)
+    assert "mostly rotation of the base" in found.modes[0].words
+    noise = [0.01 * np.abs(column - column.mean()).max() for column in list(swung.log(*PLANAR, noise=0.0).values())[1:]]
+    assert [column.residual_rms for column in found.columns] == pytest.approx(noise, rel=0.15)
+
+
+def _matrix(swung: Swung) -> np.ndarray:
+    """The oracle's small motions, by differences."""
+    rest, h = swung.swing.rest[: swung.swing.m], 1e-6
+    at = np.concatenate([rest, 0 * rest])
+    steps = h * np.eye(at.size)
+    return np.array([(swung.swing.rate(0, at + e) - swung.swing.rate(0, at - e)) / (2 * h) for e in steps]).T
+
+
+def test_a_machine_in_space_and_what_its_log_leaves_open() -> None:
+    swung = spatial()
+    found = flexopt.identify(swung.machine, swung.log(*SPATIAL), posture=swung.posture)
+    check(found, swung, [name for name in found.values if name not in found.unidentified])
+    for turn in ("pitch", "yaw"):
+        assert found.values[f"stiffness.base.{turn}.base.{turn}"] == pytest.approx(
+            swung.truth[f"stiffness.base.{turn}.base.{turn}"], rel=0.05
+        )
+    # A gyroscope about one axis, of a machine whose other numbers are known.
+    few = ["base.y.damping", "base.pitch.damping", "stiffness.base.pitch.base.pitch"]
+    known = {name: value for name, value in swung.truth.items() if name not in few}
+    alone = flexopt.identify(
+        with_parameters(swung.machine, known), swung.log("gyro_y", noise=0.1), posture=swung.posture, unknown=few
+    )
+    check(alone, swung, [name for name in few if name not in alone.unidentified])
+    assert "base.y.damping" in alone.unidentified
+    assert "base.pitch.damping" not in alone.unidentified
+    assert all(alone.intervals[name] is None and alone.factors[name] is None for name in alone.unidentified)
+    assert alone.status == "partly identified"
+    assert alone.open_directions == ("base.y.damping itself",)
+    assert alone.to_dict()["values"]["base.y.damping"] is None
+    assert "base.y.damping" in repr(alone)
+    assert "not identifiable from this log" in repr(alone)
+
+
+def test_a_direction_that_is_open() -> None:
+    """The machine's gravity moves nothing that swings without it: asked for, it is said to be open."""
+    swung = planar()
+    found = flexopt.identify(
+        swung.machine, swung.log(*PLANAR), posture=swung.posture, unknown=["stiffness", "damping", "gravity"]
+    )
+    assert found.unidentified == ("gravity",)
+    assert found.open_directions == ("gravity itself",)
+    assert {each.name: each.value for each in found.machine.parameters}["gravity"] == pytest.approx(9.81, rel=1e-6)
+    check(found, swung, swung.truth)
+
+
+def test_units_of_headers_and_a_file(tmp_path: Path) -> None:
+    swung = planar()
+    log = swung.log(*PLANAR)
+    names = ["t [ms]", "gyro_z [deg/s]", "end_point.x [mm]", "end_point.y [cm]"]
+    columns = [1e3 * log["t"], np.degrees(log["gyro_z"]), 1e3 * log["end_point.x"], 1e2 * log["end_point.y"]]
+    lines = [";".join(names)]
+    for k, row in enumerate(np.column_stack(columns)):
+        cells = [f"{number:.12g}".replace(".", ",") for number in row]
+        lines.append(";".join(["" if (k, j) == (7, 2) else cell for j, cell in enumerate(cells)]))
+    (tmp_path / "swing.csv").write_text("# a comment\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    found = flexopt.identify(swung.machine, tmp_path / "swing.csv", posture=swung.posture)
+    log["end_point.x"][7] = np.nan
+    same = flexopt.identify(swung.machine, log, posture=swung.posture)
+    assert found.values == pytest.approx(same.values, rel=1e-5)
+    assert [column.samples for column in found.columns] == [301, 300, 301]
+
+
+def test_a_unit_that_is_told_wrongly() -> None:
+    swung = planar()
+    log = swung.log(*PLANAR)
+    log["gyro_z"] = np.degrees(log["gyro_z"])
+    found = flexopt.identify(swung.machine, log, posture=swung.posture)
+    assert "is it in deg/s, not rad/s?" in found.doubts[0]
+    assert [column.name for column in found.columns] == ["end_point.x", "end_point.y"]
+    check(found, swung)
+    alone = flexopt.identify(swung.machine, {"t": log["t"], "gyro_z": log["gyro_z"]}, posture=swung.posture)
+    assert any("tilt the base by" in doubt and "deg/s" in doubt for doubt in alone.doubts)
+
+
+def test_gaps_spikes_and_uneven_samples() -> None:
+    swung = planar()
+    log, rng = swung.log(*PLANAR), np.random.default_rng(5)
+    log["gyro_z"][[20, 50, 133]] += np.array([0.05, -0.1, 0.03])
+    log["end_point.x"][77] = 50.0
+    log["end_point.y"][200:203] = np.nan
+    keep = np.concatenate([np.arange(0, 100), np.arange(125, 301)])
+    found = flexopt.identify(swung.machine, {name: column[keep] for name, column in log.items()}, posture=swung.posture)
+    check(found, swung)
+    told = "\n".join(found.notes)
+    assert "1 gaps, about 25 samples missing" in told
+    assert "gyro_z: 3 spikes left out, at t = 0.2, 0.5, 1.33 s" in told
+    assert "end_point.x: 1 spike left out, at t = 0.77 s" in told
+    assert [column.left_out for column in found.columns] == [3, 1, 0]
+    time = np.sort(swung.time + rng.uniform(0.0, 5e-3, swung.time.size))
+    uneven = swung.swing.log(PLANAR, time, 0.01, seed=3)
+    found = flexopt.identify(swung.machine, uneven, posture=swung.posture)
+    check(found, swung)
+    assert "sampled unevenly" in found.notes[0]
+
+
+def test_no_spikes_where_there_are_none() -> None:
+    t = np.arange(0.0, 5.0, 0.01)
+    for seed in range(20):
+        noise = np.random.default_rng(seed).standard_normal(t.size)
+        assert not spikes(t, np.exp(-0.5 * t) * np.sin(40 * t) + 0.01 * noise).any()
+
+
+def test_swing_and_stop() -> None:
+    """What comes before the arm stands still is not used; the joints say how it is held."""
+    swung = planar()
+    log, before = swung.log(*PLANAR), np.arange(150) / 100
+    moving = np.where(before < 1.45, -0.6 - 0.4 * (1.45 - before), -0.6)
+    rng = np.random.default_rng(1)
+    both = {"t": np.concatenate([before, 1.5 + log["t"]])}
+    for name in PLANAR:
+        both[name] = np.concatenate([log[name][0] + 0.5 * np.sin(4 * before), log[name]])
+    for joint, q in zip(swung.machine.joints, swung.posture, strict=True):
+        stays = np.full(before.size, q)
+        joined = np.concatenate([moving if joint == "boom" else stays, np.full(log["t"].size, q)])
+        both[f"{joint} [deg]"] = np.degrees(joined + 1e-4 * rng.standard_normal(joined.size))
+    found = flexopt.identify(swung.machine, both)
+    assert found.posture == pytest.approx(swung.posture, abs=1e-4)
+    assert "the arm moves until t = 1.4" in found.notes[0]
+    assert found.time[0] > 1.5
+    # Postures off by 1e-5 rad, which shows beside intervals of 1e-3.
+    check(found, swung, times=3.0)
+
+
+def test_residuals_that_are_not_white_widen_the_intervals() -> None:
+    """Slow noise, strongest where the slowest mode is."""
+    swung, name = planar(), "base.stiffness.rotation"
+    log, clean, rng = swung.log(*PLANAR), swung.log(*PLANAR, noise=0.0), np.random.default_rng(3)
+    white = flexopt.identify(swung.machine, log, posture=swung.posture)
+    for column in PLANAR:
+        slow = np.convolve(rng.standard_normal(swung.time.size + 9), np.ones(10), "valid")
+        log[column] = clean[column] + 0.01 * np.ptp(clean[column]) * slow / slow.std()
+    found = flexopt.identify(swung.machine, log, posture=swung.posture)
+    assert any("not white" in doubt for doubt in found.doubts)
+    assert not any(column.white for column in found.columns)
+    widths = [np.diff(np.log(each.intervals[name]))[0] for each in (white, found)]
+    noise = found.columns[0].residual_rms / white.columns[0].residual_rms
+    assert widths[1] > 1.3 * noise * widths[0]
+    check(found, swung, [name])
+
+
+def test_other_numbers_that_fit_as_well_are_told() -> None:
+    """One column tells poles alone, and which spring makes which of them it does not say."""
+    swung = planar()
+    found = flexopt.identify(swung.machine, swung.log("gyro_z", seed=2), posture=swung.posture)
+    assert "base.stiffness.rotation" in found.unidentified
+    assert any("two sets of numbers fit alike" in sentence for sentence in found.open_directions)
+    check(found, swung, [name for name in found.values if name not in found.unidentified])
+
+
+def test_a_load_and_dampers_that_the_file_does_not_have() -> None:
+    """Factors of 0 are none: a load begins at 1 % of the mass, dampers at 2 % of critical."""
+    swung = planar()
+    data = swung.machine.to_dict()
+    del data["base"]["damping"], data["payload"]
+    bare = flexopt.machine_from_dict(data)
+    load = next(each.value for each in swung.machine.parameters if each.name == "payload.mass")
+    known = {key: value for key, value in swung.truth.items() if "stiffness" in key}
+    found = flexopt.identify(
+        with_parameters(bare, known), swung.log(*PLANAR), posture=swung.posture, unknown=["damping", "payload.mass"]
+    )
+    low, high = found.intervals["payload.mass"] or (np.nan, np.nan)
+    assert low - (high - low) < load < high + (high - low)
+    assert high - low < 0.2 * load
+    assert found.factors["payload.mass"] is None
+    check(found, swung, [name for name in swung.truth if "damping" in name])
+
+
+def test_poles_of_a_sum_of_oscillations() -> None:
+    t = np.arange(0.0, 4.0, 0.01)
+    roots = np.array([-0.3 + 8j, -0.5 + 9.5j, -2.0 + 60j])
+    shapes = np.array([[1.0, 0.5, 0.2], [0.3, -1.0, 0.4]])
+    columns = (np.exp(np.outer(t, roots)) @ shapes.T).real + 3.0
+    columns[100:140] = np.nan
+    found = find_poles(columns, 0.01, 3)
+    assert np.sort_complex(1j * found.values) == pytest.approx(np.sort_complex(1j * roots), rel=1e-6)
+
+
+def refused(machine: object, log: object, sentence: str, **more: object) -> None:
+    with pytest.raises(flexopt.InputError, match=sentence):
+        flexopt.identify(machine, log, **{"posture": planar().posture} | more)
+
+
+def test_what_is_refused(tmp_path: Path) -> None:
+    machine, t, rng = planar().machine, np.arange(0, 4, 0.01), np.random.default_rng(0)
+    swing = np.exp(-0.5 * t) * np.sin(20 * t) * 1e-2
+    good = {"t": t, "gyro_z": swing + 1e-5 * rng.standard_normal(t.size)}
+    steady, turn = 1e-2 * np.sin(20 * t) + 1e-5 * rng.standard_normal(t.size), {"unknown": "base.*.rotation"}
+    refused(machine, {"t": t, "gyro_z": rng.standard_normal(t.size)}, "stands out of its noise", **turn)
+    refused(machine, {"t": t, "gyro_z": steady}, "shows no decay", **turn)
+    refused(machine, {"t": t, "gyro_z": np.ones(t.size)}, "shows no motion: gyro_z does not move")
+    refused(machine, {name: column[:30] for name, column in good.items()}, "too short: 30 samples")
+    refused(machine, {"t": t[:60] / 30, "gyro_z": swing[:60]}, "too short: 0.0197 s", **turn)
+    refused(machine, {"t": t}, "measures nothing that swings")
+    refused(machine, {"gyro_z": swing}, "t: is missing")
+    refused(machine, {"t": t, "gyro_x": swing}, "did you mean 'gyro_z'")
+    refused(machine, {"t": t, "gyro_z [deg/m]": swing}, "did you mean 'deg/s'")
+    refused(machine, {"t": t, "gyro_z": swing, "gyro_z [rad/s]": swing}, "is there twice")
+    refused(machine, {"t": t[::-1], "gyro_z": swing}, "must not run backwards")
+    refused(machine, {"t": t, "gyro_z": swing[:-1]}, "must be of one length")
+    refused(machine, good, "posture: is needed", posture=None)
+    refused(machine, good, "has no loop", unknown="dead_time")
+    refused(machine, good, "did you mean 'payload.mass'", unknown="payload.mas")
+    refused(machine, good, "is 0: a factor of it cannot be identified", unknown=["boom.joint_damping"])
+    refused(machine, good, "window", window=[3, 1])
+    refused(machine, good, "imu", imu=[1, 2, 3])
+    both = {"t": t[:-1], "gyro_x": swing, "gyro_z [V]": swing}
+    with pytest.raises(flexopt.InputError) as caught:
+        flexopt.identify(machine, both, posture=planar().posture, base="here")
+    assert len(caught.value.faults) == 3
+    for text, sentence in (
+        ("t,gyro_z\n0,1\n1,oops\n", "line 3, gyro_z"),
+        ("t,gyro_z\n0,1\n1\n", "must have 2 cells"),
+        ("t,gyro_z\n", "1 to 1,000,000 lines"),
+    ):
+        (tmp_path / "bad.csv").write_text(text, encoding="utf-8")
+        refused(machine, tmp_path / "bad.csv", sentence)
+    refused(machine, tmp_path / "none.csv", "cannot be read")
+    refused(machine, tmp_path / "frf.uff", "UFF")
+
+
+def test_the_picture(tmp_path: Path) -> None:
+    swung = planar()
+    found = flexopt.identify(swung.machine, swung.log("gyro_z"), posture=swung.posture, unknown="base.*.rotation")
+    figure = found.plot(tmp_path / "found.png")
+    assert (tmp_path / "found.png").stat().st_size > 10_000
+    top, below = figure.axes
+    np.testing.assert_array_equal(top.lines[1].get_ydata(), found.fitted[:, 0])
+    np.testing.assert_array_equal(below.lines[0].get_ydata(), found.residuals[:, 0])
