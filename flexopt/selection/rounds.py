@@ -16,7 +16,7 @@ from flexopt.selection.starts import FEASIBLE, apart, bounds, climbed, onto_targ
 
 # Chance that more starts would show other values from which on rounds follow the first starts; after how many in a row
 # that found nothing better they end, and how many there are at most.
-LEFT_OPEN, IN_VAIN, ROUNDS = 0.5, 4, 24
+LEFT_OPEN, IN_VAIN, ROUNDS = 0.5, 6, 24
 # Points of a round, how many of them are drawn anew, their random steps, and starts taken of the better half.
 POINTS, FRESH, STEPS, STARTS = 96, 24, 30, 8
 # Optima that points lie between and beside, and from where on two count as one, in scaled variables.
