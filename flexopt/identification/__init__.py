@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from flexopt.foundation.later import later
 
 if TYPE_CHECKING:
-    from flexopt.identification.identify import identify as identify
+    from flexopt.identification.identifying import identify as identify
     from flexopt.identification.result import Identification as Identification
 
-__getattr__ = later(__name__, identify="identify", result="Identification")
+__getattr__ = later(__name__, identifying="identify", result="Identification")

@@ -33,6 +33,8 @@ PERIODS, LONGER = 2.5, 3.0
 NEAR, ALIKE = 0.25, 0.9
 # Sums of squares that are nearly the least.
 NEARLY, LOOSELY = 1.2, 4.0
+# Evaluations that bring a start to its end; sums of squares, of the noise, that are further apart are told apart.
+TO_THE_END, BEYOND = 40, 60.0
 # How often other θ with the same poles are looked for, and how far apart searches start.
 SEARCHES, APART = 16, 1.2
 # A base hardly tilts by more either way, rad.
@@ -209,7 +211,12 @@ def grown(
         if float(left @ left) <= LOOSELY * found[0][1] * left.size:
             found.append(all_of_it.improved(other))
     found.sort(key=lambda each: each[1])
-    alike = [theta for theta, left in found if left <= NEARLY * found[0][1]]
+    near = _different([theta for theta, left in found if left <= NEARLY * found[0][1]], springs)
+    if len(near) > 1:
+        # What only looks alike because it is on its way is brought to its end.
+        found = sorted((all_of_it.improved(theta, TO_THE_END) for theta in near), key=lambda each: each[1])
+    most = found[0][1] * (1.0 + BEYOND / np.count_nonzero(np.isfinite(all_of_it.values)))
+    alike = [theta for theta, left in found if left <= most]
     return [(theta, all_of_it.fitted(theta)[1]) for theta in _different(alike, springs)[:FOLLOWED]]
 
 
