@@ -43,7 +43,7 @@ def test_the_scan_tells_where_a_selection_falls_short(machine):
     assert better_than(poor, float(values.max()) - 1e-3, values) is not None
     assert better_than(poor, float(values.max()) + 1e-3, values) is None
     worst = np.vstack([problem.scan.base, problem.scan.posture])[:, values.argmin()]
-    found, attempts = optima.first_optima(poor, [worst], 1, None)
+    _, found, attempts = optima.first_optima(poor, [worst], 1, None)
     assert max(value_at(poor, z) for z, _, _ in found) >= max(values.max(), scan.epsilon.max()) - BAR
     assert len(attempts) > 1
 
