@@ -139,7 +139,7 @@ def write_output(option: str, path: str, write: Callable[[], object]) -> None:
 
 
 def hand_out(result: Any, out: str | None, plot: str | None, *, as_json: bool) -> None:
-    """Write a map's files, netCDF or by its name the document, and its picture, and print it."""
+    """Write a result's files, netCDF or by its name the document, and its picture, and print it."""
     if out is not None and Path(out).suffix.lower() == ".json":
         text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
         write_output("--out", out, lambda: write_file(out, text))

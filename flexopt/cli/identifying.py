@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
@@ -14,17 +13,14 @@ from flexopt.cli.common import (
     PICTURES,
     check_output,
     given,
+    hand_out,
     names,
     numbers,
     option_names,
-    print_json,
     read,
-    say,
     value,
     warnings_to_stderr,
-    write_output,
 )
-from flexopt.foundation.writing import write_file
 from flexopt.model import load
 
 
@@ -53,12 +49,4 @@ def identify_command(as_json: bool, machine: str, log: str, plot: str | None, ou
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
         result = identify(loaded, log, **given(options))
-    if plot is not None:
-        write_output("--plot", plot, lambda: result.plot(plot))
-    if out is not None:
-        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
-        write_output("--out", out, lambda: write_file(out, text))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        say(repr(result))
+    hand_out(result, out, plot, as_json=as_json)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
@@ -14,21 +13,18 @@ from flexopt.cli.common import (
     JSON,
     check_output,
     given,
+    hand_out,
     number,
     numbers,
     option_names,
-    print_json,
     read,
-    say,
     table,
     typed,
     value,
     warnings_to_stderr,
     whole,
-    write_output,
 )
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine, Problem, load_any
 from flexopt.model.loop import DEFAULT_LOOP, Loop
 
@@ -85,13 +81,7 @@ def verdict_command(as_json: bool, problem: str, out: str | None, **options: Any
         settings = given(options, "members", "runs", "duration")
         ranges = table("--ranges", options["ranges"])
         result = verdict(asked, loop=real_loop(own, options["loop"]), ranges=ranges, **settings)
-    if out is not None:
-        text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
-        write_output("--out", out, lambda: write_file(out, text))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        say(repr(result))
+    hand_out(result, out, None, as_json=as_json)
 
 
 def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, Loop | None]:
