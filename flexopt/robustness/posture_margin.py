@@ -97,14 +97,17 @@ def prepare_margin(margin: Margin) -> None:
 
 
 def evaluate_margin(
-    margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True
+    margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool = True, finest: bool = False
 ) -> PostureMargin:
-    """ε_max, and its derivatives unless they are not wanted, at one posture."""
+    """ε_max, and its derivatives unless they are not wanted, at one posture.
+
+    `finest`: all digits at once, in place of few first and more where their bounds are too large.
+    """
     sentence, hopeless = "", False
-    for count in DIGITS:
+    for count in DIGITS[-1:] if finest else DIGITS:
         with digits(count):
             try:
-                return _evaluated(margin, base, posture, kr, gradient=gradient)
+                return _evaluated(margin, base, posture, kr, gradient=gradient, finest=finest)
             except NotConverged as error:
                 sentence, hopeless = str(error), error.hopeless
             except np.linalg.LinAlgError as error:
@@ -235,11 +238,13 @@ def _starts(equation: Equation) -> Iterator[tuple[Matrix, Matrix]]:
         yield X, Z
 
 
-def _evaluated(margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool) -> PostureMargin:
+def _evaluated(
+    margin: Margin, base: Vector, posture: Vector, kr: float, *, gradient: bool, finest: bool
+) -> PostureMargin:
     plant = _scaled(margin, base, posture, kr)
     try:
         pair = solve_pair(plant.equation, _starts(plant.equation))
-        top = top_pairs(pair, ENOUGH)
+        top = top_pairs(pair, goal() if finest else ENOUGH)
     except NotConverged as error:
         escapes = _escapes(plant)
         if error.hopeless or any(e.certain for e in escapes):
@@ -247,6 +252,8 @@ def _evaluated(margin: Margin, base: Vector, posture: Vector, kr: float, *, grad
         raise
     if top.values[0] > HOPELESS:
         raise NotConverged(_named(plant, _escapes(plant)) or "ε_max is below 1e-12", hopeless=True)
+    if finest:
+        return _told(margin, plant, pair, top, goal(), gradient=gradient)
     try:
         return _told(margin, plant, pair, top, ENOUGH, gradient=gradient)
     except NotConverged:

@@ -137,7 +137,7 @@ class Quantities:
             return value, gradient
         out = self.margin.gradients.call([base, posture, p, self.gain])
         margins, slopes = out[0].full().ravel(), out[1].full()
-        told = evaluate_margin(self.margin, base, posture, self.gain) if exact else None
+        told = evaluate_margin(self.margin, base, posture, self.gain, finest=True) if exact else None
         if told is not None and told.epsilon_max is not None and told.kink is None and np.all(np.isfinite(told.z)):
             margins[0], slopes[0] = told.epsilon_max, told.z
         rows = objective.beta * slopes
