@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 from flexopt.cli.common import given, option_names, print_json, read, say, value, warnings_to_stderr
+from flexopt.cli.judging import LOOP, real_loop
 from flexopt.cli.simulation import TEXTS, loop_options, simulate_arguments
 from flexopt.errors import InputError
 from flexopt.model import load
 
 LEAD = "With --fmu: "
 # All that `simulate` has but its noise, which comes in through an FMU's inputs.
-_LOOP = loop_options(LEAD, *(name for name in TEXTS if name != "seed"))
+_OPTIONS = loop_options(LEAD, *(name for name in TEXTS if name != "seed"))
 
 
 def fmu_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -20,19 +21,20 @@ def fmu_options(command: Callable[..., None]) -> Callable[..., None]:
     path = value("--fmu", "PATH", "Write an FMU of the closed loop instead, its reference run beside.")
     version = value("--fmi", "2.0|3.0", f"{LEAD}version of FMI (2.0 by default).")
     kind = value("--kind", "co-simulation|model-exchange", f"{LEAD}who integrates (co-simulation by default).")
-    return path(version(kind(_LOOP(command))))
+    return path(version(kind(LOOP(_OPTIONS(command)))))
 
 
 def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     """Write the FMU that `options` (with `control` and `gain`) ask for, and say what was written."""
     from flexopt.export.fmu import export_fmu  # noqa: PLC0415  (only this command needs it)
 
-    loaded, asked = read(load, machine), simulate_arguments(options)
+    loaded, entries = read(load, machine), options.pop("loop")
+    asked = simulate_arguments(options)
     if "posture" not in asked and "end_point" not in asked:
         raise InputError("export: an FMU needs --posture or --end-point")
     asked |= given({"version": options["fmi"], "kind": options["kind"]})
     with option_names(options | {"path": options["fmu"], "version": options["fmi"]}), warnings_to_stderr(as_json):
-        report = export_fmu(loaded, options["fmu"], **asked)
+        report = export_fmu(loaded, options["fmu"], loop=real_loop(loaded.loop, entries), **asked)
     if as_json:
         print_json(report.to_dict())
     else:

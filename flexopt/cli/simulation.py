@@ -30,6 +30,7 @@ from flexopt.cli.common import (
     whole,
     write_output,
 )
+from flexopt.cli.judging import LOOP, real_loop
 from flexopt.errors import InputError
 from flexopt.model import load_simulated
 from flexopt.model.simulation import Actuator, Experiment, Sensor, SimulationOptions
@@ -108,6 +109,7 @@ def type_of(annotation: Any) -> Any:
 @loop_options("", *TEXTS)
 @CONTROL
 @GAIN
+@LOOP
 @value("--out", "PATH", "Write every sample: .nc or .csv.")
 @value("--plot", "PATH", "Draw the run: .png, .svg or .pdf.")
 @value("--animate", "PATH", "Draw the moving machine: .gif or .html.")
@@ -121,6 +123,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     for name, suffixes in (("out", (".nc", ".csv")), ("plot", PICTURES), ("animate", FILMS)):
         check_output(f"--{name}", options[name], suffixes)
     loaded = read(load_simulated, machine)
+    entries = options.pop("loop")
     asked = simulate_arguments(options)
     if isinstance(loaded, Experiment):
         # Given entries of a table take the place of the file's, the others stay.
@@ -128,11 +131,13 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
             asked[name] = getattr(loaded.simulation, name).model_dump(exclude_unset=True) | asked[name]
     with option_names(options), warnings_to_stderr(as_json):
         if isinstance(loaded, Experiment):
+            if entries:
+                raise InputError("simulate: --loop goes with a machine; an experiment brings its own controller")
             result = run_experiment(loaded, **asked)
         else:
             if "posture" not in asked and "end_point" not in asked:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")
-            result = simulate(loaded, **asked)
+            result = simulate(loaded, loop=real_loop(loaded.loop, entries), **asked)
     out, plot, film = options["out"], options["plot"], options["animate"]
     if out is not None:
         save = result.to_netcdf if Path(out).suffix.lower() == ".nc" else result.to_csv

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
+from flexopt.errors import FlexoptWarning
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
@@ -17,8 +19,9 @@ from flexopt.loop.lag import LaggedModes, lagged_modes
 from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
+from flexopt.robustness.evaluation import evaluate_checked
 
 # Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
 Slopes = Mapping[str, Mapping[str, Vector]]
@@ -131,6 +134,33 @@ def outcome(
     found = evaluate(machine, posture, base=base, control=control, gravity=gravity, loop=asked).outcome
     assert isinstance(found, Outcome)
     return found
+
+
+def settings_at(
+    machine: AnyMachine,
+    posture: Vector,
+    base: Vector | None,
+    control: Control | None,
+    loop: Loop | None,
+    *,
+    gravity: bool,
+    call: str,
+) -> tuple[LoopSettings, Vector]:
+    """The numbers of a loop in a posture, of which those left out follow from the machine; and where its base stands.
+
+    Args:
+        machine, posture, base, control, loop, gravity: as of `outcome`.
+        call: whose errors these are.
+    """
+    real = machine.loop or Loop() if loop is None else loop
+    place = np.zeros(len(machine.base_coordinates)) if base is None else base
+    chosen = control or real.control or "inverse"
+    own = under_control(real, machine, chosen, call)
+    with warnings.catch_warnings():
+        # What it warns of are measures and margins, which nobody asked for.
+        warnings.simplefilter("ignore", FlexoptWarning)
+        stand = evaluate_checked(machine, posture, place, control=chosen, gain=1.0, damped=False, gravity=gravity)
+    return loop_settings(machine, own, stand, gravity=gravity), place
 
 
 def evaluate_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool) -> Outcome:

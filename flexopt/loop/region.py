@@ -11,15 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
-import numpy as np
-
 from flexopt.errors import InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
 from flexopt.loop.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
-from flexopt.loop.evaluation import outcome
+from flexopt.loop.evaluation import settings_at
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
@@ -123,11 +121,11 @@ def stable_region(
         (True, True)
     """
     known = cast("tuple[Uncertainty, ...]", ranges or machine.uncertainty or GROUND)
-    found = outcome(machine, posture, base=base, control=control, gravity=gravity, loop=loop)
-    where = np.zeros(len(machine.base_coordinates)) if base is None else base
-    box = UncertaintyBox(machine, known, found.settings.dead_time)
-    raise_if_any(InputError, "stable_region", box.faults(found.settings.rate))
-    whole_box = UncertainLoop(found.settings, where, posture, gravity, box)
+    asked = cast("Loop | None", loop)
+    settings, where = settings_at(machine, posture, base, control, asked, gravity=gravity, call="stable_region")
+    box = UncertaintyBox(machine, known, settings.dead_time)
+    raise_if_any(InputError, "stable_region", box.faults(settings.rate))
+    whole_box = UncertainLoop(settings, where, posture, gravity, box)
     slowest, at, looked = _slowest(whole_box, points)
     proof = certify(whole_box, boxes=boxes) if slowest > DECAY and boxes else None
     growing = [leaf for leaf in proof.leaves if leaf.decays is False] if proof else []

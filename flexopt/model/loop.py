@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from flexopt.errors import Fault
+from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import JOINT_DAMPING, Quantity, numbers_in, pair
 from flexopt.model.file_model import BuiltByCall
@@ -118,6 +118,20 @@ def loop_faults(loop: Loop, machine: Any, prefix: str = "") -> list[Fault]:
         sentence = f'drive = "velocity" needs it: {machine.name} names {lacking}, from which it would follow'
         found.append(Fault("servo_gain", sentence))
     return [Fault(f"{prefix}{fault.field}", fault.sentence, fault.value) for fault in found]
+
+
+def under_control(loop: Loop, machine: Any, control: Control, call: str) -> Loop:
+    """The loop with the control that its call is about.
+
+    Raises:
+        InputError: the loop has another one, or something else of it does not fit the machine.
+    """
+    if loop.control not in (None, control):
+        fault = Fault("loop.control", f"is not the control that is asked for, {control}", repr(loop.control))
+        raise_if_any(InputError, call, [fault])
+    own = loop.model_copy(update={"control": control})
+    raise_if_any(InputError, call, loop_faults(own, machine, "loop."))
+    return own
 
 
 def length_faults(table: Any, machine: Any, prefix: str = "") -> list[Fault]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from flexopt.coprime.margin import with_bound
-from flexopt.errors import Fault, FlexoptWarning, InputError, NoSolutionFound, raise_if_any
+from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
@@ -19,7 +19,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop, loop_faults
+from flexopt.model.loop import Loop, under_control
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
@@ -266,11 +266,7 @@ def evaluate(
 
 def _with_loop(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool) -> Evaluation:
     """The same with what the loop does."""
-    if loop.control not in (None, stand.control):
-        fault = Fault("loop.control", f"is not the control that is evaluated, {stand.control}", repr(loop.control))
-        raise_if_any(InputError, "evaluate", [fault])
-    loop = loop.model_copy(update={"control": stand.control})
-    raise_if_any(InputError, "evaluate", loop_faults(loop, machine, "loop."))
+    loop = under_control(loop, machine, stand.control, "evaluate")
     # The loop's room is built on this one.
     evaluate_loop = cast("Callable[..., Result]", later("flexopt.loop", evaluation="evaluate_loop")("evaluate_loop"))
     done = evaluate_loop(machine, loop, stand, gravity=gravity)

@@ -9,7 +9,7 @@ from typing import Any, Unpack, cast
 
 import numpy as np
 
-from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
+from flexopt.errors import FlexoptError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords, instance, public
@@ -19,7 +19,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.choices import OUTCOMES
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import Loop, loop_faults
+from flexopt.model.loop import Loop, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import Uncertainty
@@ -94,20 +94,10 @@ def select(
         # Its room is built on this one.
         choose = later("flexopt.selection.outcomes", choice="outcome_selection")("outcome_selection")
         problem = build_selection(machine, target, constraints=constraints, **keywords | {"objective": "w1"})
-        own = _suiting(machine, real or Loop(), problem)
+        own = under_control(real or Loop(), machine, problem.control, "select")
         return cast(Any, choose)(problem, own, ranges or (), _initial(problem), workers, progress)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
-
-
-def _suiting(machine: AnyMachine, loop: Loop, problem: SelectionProblem) -> Loop:
-    """The loop with the problem's control."""
-    if loop.control not in (None, problem.control):
-        fault = Fault("loop.control", f"is not the control of the problem, {problem.control}", repr(loop.control))
-        raise_if_any(InputError, "select", [fault])
-    own = loop.model_copy(update={"control": problem.control})
-    raise_if_any(InputError, "select", loop_faults(own, machine, "loop."))
-    return own
 
 
 @public(problem=instance(SelectionProblem, "a SelectionProblem, from flexopt.build_selection"))

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import warnings as python_warnings
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 
 from flexopt.compiled import Batch, Recurrence, batch, recurrence
 from flexopt.errors import FlexoptWarning, NoSolutionFound
+from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import control_damping
 from flexopt.foundation.documents import provenance
 from flexopt.loop.closed import baked, closed_loop
 from flexopt.loop.levers import feeble_levers
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.structure import LoopStructure
 from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop
 from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
+from flexopt.simulation.real_loop import SHORTER, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
 from flexopt.simulation.verdict import Ended
@@ -32,12 +38,18 @@ RESIDUAL_MAX = 1e-10
 NEAR_SINGULAR = 1e-3
 
 
-@public(together=note_options, keywords=SIMULATED)
+def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    note_options(arguments, given)
+    note_loop(arguments, given)
+
+
+@public(together=_note, keywords=SIMULATED)
 def simulate(
     machine: AnyMachine,
     posture: Any = None,
     *,
-    options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    options: SimulationOptions | None = None,
     **keywords: Unpack[SimulationKeywords],
 ) -> Trajectory:
     """The nonlinear closed loop M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = [0; τ_a], simulated.
@@ -51,6 +63,9 @@ def simulate(
     Args:
         machine: from `flexopt.load`.
         posture: actuated joints (n,), rad or m, about which to work; or give `end_point`.
+        loop: the real controller, as of `flexopt.evaluate`, in place of the options that say of it: what it leaves out
+            follows from the machine, `Trajectory.loop` names it. Its dead time is rounded up to whole samples, which a
+            warning tells. Drives that serve rates brake their joints, whose damping is so much more in the run.
         options: the loop and its run, see `flexopt.SimulationOptions`;  keywords: its fields, which go before it:
             end_point, elbow, base, control, feedback, kp, kv, ki, integral_limit, gain, offset, duration, rate, hold,
             integrator, substeps, gravity, gravity_compensation, nullspace_damping, sensor, actuator, base_path,
@@ -64,13 +79,21 @@ def simulate(
         NotStabilizable: `"robust"`: no controller can stabilise the plant.
         NoSolutionFound: the static deflection, or the implicit integrator, did not converge.
     """
-    return simulate_checked(
-        build_scenario(machine, checked_options("simulate", machine, {"posture": posture} | keywords))
-    )
+    given, settings, sentences = {"posture": posture} | keywords, None, ()
+    if loop is not None:
+        machine, given, settings, sentences = with_loop(machine, cast(Loop, loop), given, "simulate")
+    # Drives that serve rates brake joints so much that steps for the modes may be too long.
+    for shorter in (None, *SHORTER) if loop is not None and given.get("substeps") is None else ():
+        with contextlib.suppress(NoSolutionFound):
+            options = checked_options("simulate", machine, given | {"substeps": shorter})
+            return simulate_checked(build_scenario(machine, options), settings, sentences)
+    return simulate_checked(build_scenario(machine, checked_options("simulate", machine, given)), settings, sentences)
 
 
-def simulate_checked(scenario: Scenario) -> Trajectory:
-    """`simulate` for a scenario that is known to be good."""
+def simulate_checked(
+    scenario: Scenario, settings: LoopSettings | None = None, sentences: tuple[str, ...] = ()
+) -> Trajectory:
+    """`simulate` for a scenario that is known to be good; of a `[loop]` its numbers, and what is to be warned of."""
     s, loop = scenario, scenario.loop
     constants, signals = s.constants, s.signals()
     runner, shown, folded = runners(loop.structure, constants if s.options.baked else None)
@@ -85,7 +108,7 @@ def simulate_checked(scenario: Scenario) -> Trajectory:
     check_residual(loop.structure, records.monitor)
     end = None if signals is None or not moves(s) else signals_at_end(s, signals)[0]
     ended = Ended(s.machine, s.options, None if end is None else x[:, -1].copy(), end)
-    return _trajectory(s, outputs, verdict, ended)
+    return _trajectory(s, outputs, verdict, ended, settings, sentences)
 
 
 def moves(scenario: Scenario) -> bool:
@@ -157,9 +180,16 @@ def check_residual(structure: LoopStructure, monitor: Vector) -> None:
         )
 
 
-def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour, ended: Ended) -> Trajectory:
+def _trajectory(
+    s: Scenario,
+    outputs: dict[str, Vector],
+    of: Behaviour,
+    ended: Ended,
+    settings: LoopSettings | None,
+    sentences: tuple[str, ...],
+) -> Trajectory:
     plant, loop = build_plant(s.machine), s.loop.structure
-    sentences = _warnings(s, plant, outputs, of)
+    sentences += _warnings(s, plant, outputs, of)
     for sentence in sentences:
         python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
     rows = {name: value.T for name, value in outputs.items()}
@@ -193,6 +223,7 @@ def _trajectory(s: Scenario, outputs: dict[str, Vector], of: Behaviour, ended: E
         warnings=sentences,
         provenance=provenance(s.machine, **s.options.model_dump(exclude_unset=True)),
         model=s.machine,
+        loop=settings,
     )
 
 

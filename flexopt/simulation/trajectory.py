@@ -17,6 +17,7 @@ from flexopt.foundation.documents import write_netcdf
 from flexopt.foundation.pictures import Pictured, drawn
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
+from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Shown
@@ -75,12 +76,13 @@ class Trajectory(Pictured, Result):
         model: the machine.
         skeleton: points as in `Plant.skeleton` at each sample (K, points, 2 or 3), m.
         warnings: sentences.
+        loop: the numbers of a `loop` that was given, and where they come from; else None.
     """
 
     DOCUMENT = """
     machine control verdict growth_rate[1/s] growth_rate_error[1/s] run_verdict=run.word linear_growth_rate[1/s]
     verdict_reason self_motion_rate[1/s] settling_time[s] overshoot end_error[m] peak_base_rotation[rad]
-    residual_oscillation frequencies_hz[Hz] duration[s] samples warnings provenance
+    residual_oscillation frequencies_hz[Hz] duration[s] samples warnings loop provenance
     """
 
     machine: str
@@ -112,6 +114,7 @@ class Trajectory(Pictured, Result):
     warnings: tuple[str, ...]
     provenance: dict[str, Any] = field(repr=False)
     model: AnyMachine = field(repr=False)
+    loop: LoopSettings | None = None
 
     @cached_property
     def _linear(self) -> SampledLoop | str:
@@ -261,6 +264,8 @@ class Trajectory(Pictured, Result):
             "at the end",
             f"  base: turns by up to {rotation}; left in its modes: {modes}",
         ]
+        if self.loop is not None:
+            lines[1:1] = [f"  {line}" for line in repr(self.loop).splitlines()]
         if self.verdict == "undecided":
             lines.insert(1, f"  undecided: {self.verdict_reason}")
         if self.self_motion_rate is not None:

@@ -5,10 +5,8 @@ In: a loop in a configuration, members. Out: an ensemble's verdicts, settling ti
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +16,8 @@ from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.ensemble import Ensemble
+from flexopt.simulation.real_loop import SHORTER, braked_by, run_options, whole_samples
 
-# Integration steps in a sample where those that the fastest mode needs are too long.
-SHORTER = (8, 64)
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
 
 
@@ -84,12 +81,12 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
     Measurements wait whole samples in a run: a dead time between them is taken as the longer one. `decays` (n,) are
     those of the linear loops.
     """
-    waits = [math.ceil(loop.box.numbers(u)[1] * loop.settings.rate - 1e-6) for u in members]
+    waits = [whole_samples(loop.box.numbers(u)[1], loop.settings.rate) for u in members]
     verdicts = ["grows" if decay < 0 else "undecided" for decay in decays.tolist()]
     found, nearer = np.full((3, len(members)), np.nan), [False] * len(members)
     for wait in sorted(set(waits)):
         rows = [k for k, each in enumerate(waits) if each == wait]
-        for some, ensemble in _ensembles(loop, members, rows, wait / loop.settings.rate, duration):
+        for some, ensemble in _ensembles(loop, members, rows, wait, duration):
             data = {name: ensemble.dataset[name].to_numpy() for name in SHOWN}
             found[:, some] = [data["settling_time"], data["peak_base_rotation"], -data["growth_rate"]]
             ends = zip(some, ensemble.verdict.tolist(), data["end_error"], data["peak_error"], strict=True)
@@ -99,47 +96,27 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
 
 
 def _ensembles(
-    loop: UncertainLoop, members: Vector, rows: list[int], delay: float, duration: float
+    loop: UncertainLoop, members: Vector, rows: list[int], waits: int, duration: float
 ) -> Iterator[tuple[list[int], Ensemble]]:
     """Ensembles of these members, together where that can be, else one by one with shorter steps; not of all."""
     try:
-        yield rows, _ensemble(loop, members[rows], delay, duration, None)
+        yield rows, _ensemble(loop, members[rows], waits, duration, None)
     except NoSolutionFound:
         for row in rows:
             for substeps in SHORTER:
                 try:
-                    alone = _ensemble(loop, members[[row]], delay, duration, substeps)
+                    alone = _ensemble(loop, members[[row]], waits, duration, substeps)
                 except NoSolutionFound:
                     continue
                 yield [row], alone
                 break
 
 
-def _ensemble(loop: UncertainLoop, members: Vector, delay: float, duration: float, substeps: int | None) -> Ensemble:
+def _ensemble(loop: UncertainLoop, members: Vector, waits: int, duration: float, substeps: int | None) -> Ensemble:
     s, machine = loop.settings, loop.box.machine
-    varied = np.array([loop.box.numbers(u)[0] for u in members])
-    gain, actuator = 1.0, _actuator(loop)
-    if s.drive == "velocity":
-        # A servo gain makes torques of the rates asked for, and brakes the joints.
-        gain = float(s.servo_gain or 1.0)
-        varied += s.motions(machine, gravity=loop.gravity).drive_damping * gain
-    nominal = loop.box.nominal
-    moved = np.flatnonzero(np.any(varied != nominal, axis=0)).tolist() or [0]
-    sensor: dict[str, Any] = {"delay": delay} | ({} if s.filter_hz is None else {"filter_hz": s.filter_hz})
+    varied = np.array([loop.box.numbers(u)[0] for u in members]) + braked_by(machine, s, gravity=loop.gravity)
+    moved = np.flatnonzero(np.any(varied != loop.box.nominal, axis=0)).tolist() or [0]
     return simulate_ensemble(
         machine, loop.posture, base=loop.base, vary={machine.parameters[k].name: varied[:, k] for k in moved},
-        control=s.control, feedback=s.feedback, kp=gain * s.kp, kv=gain * s.kv, ki=gain * s.ki, rate=s.rate,
-        sensor=sensor, actuator=actuator, nullspace_damping=s.nullspace_damping, gravity=loop.gravity,
-        integrator="gauss", substeps=substeps, duration=duration,
+        gravity=loop.gravity, substeps=substeps, duration=duration, **run_options(machine, s, waits),
     )  # fmt: skip
-
-
-def _actuator(loop: UncertainLoop) -> dict[str, Any]:
-    """What the drives make of the command, as `flexopt.Actuator` takes it."""
-    s, machine = loop.settings, loop.box.machine
-    found: dict[str, Any] = {} if s.bandwidth_hz is None else {"bandwidth_hz": s.bandwidth_hz.tolist()}
-    limits = {"torque_limit": s.torque_limit, "rate_limit": s.rate_limit}
-    found |= {name: limit.tolist() for name, limit in limits.items() if limit is not None}
-    if s.drive == "velocity" and not machine.joints_without_speed:
-        found |= {"levers": "each", "servo_gain": s.servo_gain}
-    return found

@@ -21,7 +21,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import Quantity, pair
-from flexopt.loop.evaluation import outcome
+from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import Progress, decays, expect_decays
 from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.settings import LoopSettings
@@ -150,8 +150,8 @@ def map_loop(
     """
     size = POINTS if points is None else points
     x, y = _varied(Arguments("map_loop", machine), machine, vary)
-    found = outcome(machine, posture, base=base, control=control, gravity=gravity, loop=loop)
-    settings, placed = found.settings, np.zeros(len(machine.base_coordinates)) if base is None else base
+    asked = cast("Loop | None", loop)
+    settings, placed = settings_at(machine, posture, base, control, asked, gravity=gravity, call="map_loop")
     raise_if_any(InputError, "map_loop", _unfit(machine, settings, (x, y)))
     columns, rows = x.axis(size[0]), y.axis(size[1])
     count = columns.values.size * rows.values.size

@@ -23,7 +23,7 @@ from flexopt.loop.standard_move import standard_move
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import Loop, gain_ranges, loop_faults
+from flexopt.model.loop import Loop, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
@@ -175,14 +175,10 @@ def _real(problem: Any, selection: Selection, loop: Any, ranges: Any) -> tuple[L
     """The loop with the problem's control, and what is uncertain; both from where they are first given."""
     machine, control = selection.problem.machine, selection.problem.control
     own = cast("Loop | None", loop or getattr(problem, "loop", None) or machine.loop) or Loop()
-    if own.control not in (None, control):
-        fault = Fault("loop.control", f"is not the control of the problem, {control}", repr(own.control))
-        raise_if_any(InputError, "verdict", [fault])
-    own = own.model_copy(update={"control": control})
+    own = under_control(own, machine, control, "verdict")
     # Gains that were chosen with the best configuration are those that the machine would have.
     gains = dict(selection.gains[0]) if isinstance(selection, OutcomeSelection) else dict[str, float]()
     own = own.model_copy(update={name: (gain,) for name, gain in gains.items()})
-    raise_if_any(InputError, "verdict", loop_faults(own, machine, "loop."))
     return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
 
 

@@ -62,7 +62,7 @@ def test_divergence_is_an_answer_and_valid_json(command: Command) -> None:
 
 def test_every_argument_of_simulate_is_an_option_or_named_as_none(command: Command) -> None:
     """Nothing that a warning or an error names is out of the command's reach without the help saying so."""
-    arguments = set(inspect.signature(flexopt.simulate).parameters) - {"machine", "options"}
+    arguments = set(inspect.signature(flexopt.simulate).parameters) - {"machine", "options", "loop"}
     assert set(SimulationOptions.model_fields) == arguments
     spelled = {"hold": "continuous", "gravity_compensation": "uncompensated"}
     known = {parameter.name for parameter in simulate_command.params}
@@ -217,3 +217,15 @@ def test_paths_and_the_law_do_not_both_move_the_base(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as left:
         main(["simulate", str(path)])
     assert left.value.code == 2
+
+
+def test_loop(command: Command) -> None:
+    document = command.json(*POSTURE, "--loop", "kp=1e4", "--loop", "kv=1e3", "--loop", "dead_time=0.02")
+    run = flexopt.simulate(flexopt.load("excavator"), [0.0448, -2.0499], loop={"kp": 1e4, "kv": 1e3, "dead_time": 0.02})
+    assert document["linear_growth_rate"] == run.linear_growth_rate
+    assert document["loop"]["dead_time"] == 0.02
+    both = command(*POSTURE, "--loop", "kp=1e4", "--kp", "1e4")
+    assert both.code == 2
+    assert "--kp: comes with the loop" in both.stderr
+    (command.folder / "e.toml").write_text(EXPERIMENT)
+    assert "an experiment brings its own controller" in command("simulate", "e.toml", "--loop", "default").stderr

@@ -81,7 +81,7 @@ def test_faults_are_named_together(table, fields):
 
 def test_control_is_one():
     assert flexopt.evaluate(EXCAVATOR, POSTURE_B, loop=GAINS | {"control": "transpose"}).control == "transpose"
-    with pytest.raises(InputError, match=r"loop\.control = 'transpose': is not the control that is evaluated, inverse"):
+    with pytest.raises(InputError, match=r"loop\.control = 'transpose': is not the control that is asked for, inverse"):
         flexopt.evaluate(EXCAVATOR, POSTURE_B, control="inverse", loop=GAINS | {"control": "transpose"})
     with pytest.raises(InputError, match="velocity-served joints want rates"):
         flexopt.evaluate(DIGGER, STAND, control="transpose", loop={"drive": "velocity"})

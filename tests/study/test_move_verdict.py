@@ -86,5 +86,5 @@ def test_what_is_asked_for_without_a_present_place() -> None:
         flexopt.verdict(problem)
     with pytest.raises(flexopt.InputError, match="one target"):
         flexopt.verdict(flexopt.load_problem("stations"))
-    with pytest.raises(flexopt.InputError, match="control of the problem"):
+    with pytest.raises(flexopt.InputError, match="control that is asked for"):
         flexopt.verdict(flexopt.load_problem("article"), loop={"control": "transpose"})

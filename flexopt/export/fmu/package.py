@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 from flexopt.compiled.accelerated import level_for
 from flexopt.compiled.compilers import CompilationFailed, find_compiler, library_suffix
 from flexopt.compiled.storage import scratch
-from flexopt.errors import CompilerNotFound, ExportError, Fault, InputError, raise_if_any
+from flexopt.errors import CompilerNotFound, ExportError, Fault, FlexoptWarning, InputError, raise_if_any
 from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
 from flexopt.export.fmu.interface import KINDS, Kind, moving_placement
@@ -30,8 +30,10 @@ from flexopt.foundation.documents import json_ready, package_version, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.writing import write_files
 from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop
 from flexopt.model.simulation import Sensor, SimulationKeywords, SimulationOptions, placement_of
 from flexopt.plant.machine_motion import full_structure, motion_of
+from flexopt.simulation.real_loop import note_loop, with_loop
 from flexopt.simulation.run import simulate_checked
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options, given_options, note_options
 from flexopt.simulation.trajectory import Trajectory
@@ -95,6 +97,10 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     if given["kind"] == "model-exchange" and options.get("hold") is True:
         sentence = "a sampled controller cannot be integrated from outside; take kind = 'co-simulation' or hold = False"
         arguments.note("hold", sentence, True)
+    if given["loop"] is not None and given["kind"] == "model-exchange":
+        arguments.note("loop", "is sampled, and goes with kind = 'co-simulation'", given["loop"])
+    else:
+        note_loop(arguments, given)
     note_options(arguments, _loop_options(given["kind"], options))
 
 
@@ -118,6 +124,7 @@ def export_fmu(
     path: str | Path,
     posture: Any = None,
     *,
+    loop: Loop | Mapping[str, Any] | str | None = None,
     version: Version = "2.0",
     kind: Kind = "co-simulation",
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
@@ -140,6 +147,7 @@ def export_fmu(
             beside it as `NAME_reference.csv`.
         posture, options, keywords: as `flexopt.simulate` takes them, but seed and baked; a `base_path` and
             `target_path` shape the reference alone, in which the sensor has no noise.
+        loop: the real controller, as of `flexopt.simulate`; for co-simulation.
         version: of FMI, `"2.0"` or `"3.0"`.
         kind: `"co-simulation"` or `"model-exchange"`.
 
@@ -152,7 +160,12 @@ def export_fmu(
         CompilerNotFound: there is no C compiler, so the FMU holds sources alone.
     """
     target = Path(path)
-    checked = checked_options("export_fmu", machine, _loop_options(kind, {"posture": posture} | keywords))
+    given: dict[str, Any] = {"posture": posture} | keywords
+    if loop is not None:
+        machine, given, _, sentences = with_loop(machine, cast(Loop, loop), given, "export_fmu")
+        for sentence in sentences:
+            warnings.warn(sentence, FlexoptWarning, stacklevel=3)
+    checked = checked_options("export_fmu", machine, _loop_options(kind, given))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)

@@ -1,0 +1,117 @@
+"""The real controller in nonlinear runs: from a loop's numbers to options of `flexopt.simulate`.
+
+In: a machine and `LoopSettings`. Out: options of a run, and what drives that serve rates brake the joints by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+from pydantic import BaseModel
+
+from flexopt.errors import Fault
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.evaluation import settings_at
+from flexopt.loop.settings import LoopSettings
+from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop
+from flexopt.model.parameter_values import with_parameters
+from flexopt.model.simulation import PART_OF_SAMPLE, placement_of
+from flexopt.plant import build_plant, inverse_kinematics
+from flexopt.simulation.scenario import checked_options
+
+# Options of a run that a loop brings itself, and which of its tables'.
+BROUGHT = ("feedback", "kp", "kv", "ki", "rate", "hold", "nullspace_damping", "gain")
+BROUGHT_BY_TABLES = {
+    "sensor": ("delay", "filter_hz"),
+    "actuator": ("torque_limit", "rate_limit", "bandwidth_hz", "levers", "servo_gain"),
+}
+
+# Integration steps in a sample where those that the fastest mode needs are too long.
+SHORTER = (8, 64)
+
+
+def whole_samples(dead_time: float, rate: float) -> int:
+    """How many samples a run waits: measurements come by whole ones, the next longer time."""
+    return math.ceil(dead_time * rate - PART_OF_SAMPLE)
+
+
+def run_options(machine: AnyMachine, settings: LoopSettings, waits: int) -> dict[str, Any]:
+    """Options of `flexopt.simulate` for this loop, by a measurement `waits` samples old; see `braked_by`.
+
+    Exact between the samples: by Gauss's method, which adds no damping.
+    """
+    s = settings
+    # A servo gain makes torques of the rates that are asked for.
+    gain = float(s.servo_gain or 1.0) if s.drive == "velocity" else 1.0
+    actuator: dict[str, Any] = {} if s.bandwidth_hz is None else {"bandwidth_hz": s.bandwidth_hz.tolist()}
+    limits = {"torque_limit": s.torque_limit, "rate_limit": s.rate_limit}
+    actuator |= {name: limit.tolist() for name, limit in limits.items() if limit is not None}
+    if s.drive == "velocity" and not machine.joints_without_speed:
+        actuator |= {"levers": "each", "servo_gain": s.servo_gain}
+    sensor: dict[str, Any] = {"delay": waits / s.rate} | ({} if s.filter_hz is None else {"filter_hz": s.filter_hz})
+    gains = {"kp": (gain * s.kp).tolist(), "kv": (gain * s.kv).tolist(), "ki": (gain * s.ki).tolist()}
+    return gains | {
+        "control": s.control, "feedback": s.feedback, "rate": s.rate, "sensor": sensor, "actuator": actuator,
+        "nullspace_damping": s.nullspace_damping, "integrator": "gauss",
+    }  # fmt: skip
+
+
+def braked_by(machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> Vector:
+    """What the joints' damping is more by, of the machine's p (n_par,): drives that serve rates brake their joints."""
+    gain = float(settings.servo_gain or 1.0) if settings.drive == "velocity" else 0.0
+    found: Vector = settings.motions(machine, gravity=gravity).drive_damping * gain
+    return found
+
+
+def note_loop(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """Note options of a call that its loop brings itself."""
+    if given["loop"] is not None:
+        arguments.faults += brought_twice(given)
+
+
+def brought_twice(given: Mapping[str, Any]) -> list[Fault]:
+    """Options of a call that its loop brings itself."""
+    sentence = "comes with the loop; give it there"
+    found = [Fault(name, sentence) for name in BROUGHT if given.get(name) is not None]
+    for table, names in BROUGHT_BY_TABLES.items():
+        own = _entries(given.get(table))
+        found += [Fault(f"{table}.{name}", sentence) for name in names if name in own]
+    return found
+
+
+def _entries(table: Any) -> dict[str, Any]:
+    """What a call gives of a table."""
+    if isinstance(table, BaseModel):
+        return table.model_dump(exclude_unset=True)
+    return dict(cast("Mapping[str, Any]", table)) if isinstance(table, Mapping) else {}
+
+
+def with_loop(
+    machine: AnyMachine, loop: Loop, given: Mapping[str, Any], call: str
+) -> tuple[AnyMachine, dict[str, Any], LoopSettings, tuple[str, ...]]:
+    """The machine as its drives brake it, the options of a call with those of a loop, the loop's numbers, sentences."""
+    told = {name: value for name, value in given.items() if value is not None}
+    options = checked_options(call, machine, told)
+    base = np.array(placement_of(options, machine))
+    posture = None if options.posture is None else np.array(options.posture)
+    if posture is None:
+        elbow = options.elbow or ("up" if build_plant(machine).closed_form else None)
+        posture = inverse_kinematics(machine, options.end_point, base=base, gravity=options.gravity, elbow=elbow)[0]
+    control = options.control if "control" in told else None
+    settings, _ = settings_at(machine, posture, base, control, loop, gravity=options.gravity, call=call)
+    waits = whole_samples(settings.dead_time, settings.rate)
+    brought = run_options(machine, settings, waits)
+    more = {name: brought[name] | _entries(told.get(name)) for name in BROUGHT_BY_TABLES}
+    braked = braked_by(machine, settings, gravity=options.gravity)
+    if braked.any():
+        own = zip(machine.parameters, braked.tolist(), strict=True)
+        machine = with_parameters(machine, {each.name: each.value + by for each, by in own if by})
+    late, sentences = waits / settings.rate, list[str]()
+    if abs(late - settings.dead_time) * settings.rate > PART_OF_SAMPLE:
+        sentences.append(f"runs wait whole samples: the dead time of {settings.dead_time:g} s is taken as {late:g} s")
+    return machine, brought | told | more, settings, tuple(sentences)

@@ -1,0 +1,105 @@
+"""`flexopt.simulate(loop=…)`: the run's linear loop beside that of `flexopt.outcome`, which is put together elsewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.model.files import shipped_names
+from flexopt.plant import build_plant
+from flexopt.simulation.real_loop import BROUGHT, BROUGHT_BY_TABLES
+
+POSTURE = (0.0448, -2.0499)
+LOOPS = {
+    "torque": {"kp": 1e4, "kv": 1e3, "dead_time": 0.02},
+    "pid": {"feedback": "pid", "kp": 1e4, "kv": 1e3, "ki": 1e3, "filter_hz": 40.0, "dead_time": 0.005},
+    "servo": {"kp": 5e3, "kv": 1e3, "bandwidth_hz": 12.0, "rate_limit": 1e6, "dead_time": 0.01},
+    "rates": {"kp": 0.7, "kv": 0.1, "drive": "velocity", "servo_gain": 2e5, "rate": 100.0, "dead_time": 0.03},
+}
+
+
+@pytest.mark.parametrize("loop", LOOPS.values(), ids=LOOPS)
+@pytest.mark.parametrize("gravity", [False, True])
+def test_decays_as_the_loop_for_small_motions(loop: dict[str, float], *, gravity: bool) -> None:
+    machine = flexopt.load("excavator")
+    run = flexopt.simulate(machine, POSTURE, loop=loop, duration=0.2, gravity=gravity)
+    told = flexopt.outcome(machine, POSTURE, loop=loop, gravity=gravity)
+    # Two eigenvalue problems of some ten states.
+    assert run.linear_growth_rate == pytest.approx(-told.decay, abs=1e-9)
+    assert run.loop is not None
+    np.testing.assert_array_equal(run.loop.kp, told.settings.kp)
+
+
+@pytest.mark.filterwarnings("ignore:the arm.s self-motion:flexopt.FlexoptWarning")
+@pytest.mark.parametrize("name", shipped_names("models"))
+def test_every_machine_with_what_follows_from_it(name: str) -> None:
+    machine = flexopt.load(name)
+    rng = np.random.default_rng(3)
+    limits = np.clip(np.array(machine.limits), -2.5, 2.5)
+    plant = build_plant(machine)
+    tried = limits[:, :1] + (limits[:, 1:] - limits[:, :1]) * rng.uniform(0.2, 0.8, (len(limits), 200))
+    base = np.zeros((plant.n_base, tried.shape[1]))
+    margin = plant.singularity_sine_squared(base, tried, plant.parameter_values).full().ravel()
+    posture = tried[:, int(np.nanargmax(margin))]
+    run = flexopt.simulate(machine, posture, loop="default", duration=0.1)
+    told = flexopt.outcome(machine, posture, loop="default")
+    assert run.linear_growth_rate == pytest.approx(-told.decay, abs=1e-8)
+    assert "dead_time: none is given" in repr(run)
+
+
+def test_waits_whole_samples_and_says_so() -> None:
+    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3, "dead_time": 0.013}
+    with pytest.warns(flexopt.FlexoptWarning, match=r"0\.013 s is taken as 0\.015 s"):
+        run = flexopt.simulate(machine, POSTURE, loop=loop, duration=0.1)
+    late = flexopt.outcome(machine, POSTURE, loop=loop | {"dead_time": 0.015})
+    assert run.linear_growth_rate == pytest.approx(-late.decay, abs=1e-9)
+
+
+def test_the_target_may_be_given_instead() -> None:
+    machine, loop = flexopt.load("excavator"), LOOPS["torque"]
+    there = flexopt.evaluate(machine, POSTURE).end_point
+    run = flexopt.simulate(machine, end_point=there, elbow="up", loop=loop, duration=0.1)
+    found = flexopt.simulate(machine, run.q[0, -2:] - [0.05, -0.05], loop=loop, duration=0.1)
+    np.testing.assert_allclose(run.q, found.q, atol=1e-9)
+
+
+def test_what_the_loop_brings_is_given_once() -> None:
+    tables = {name: dict.fromkeys(keys, 1.0) for name, keys in BROUGHT_BY_TABLES.items()}
+    tables["actuator"]["levers"] = "each"
+    options = {"feedback": "pd", "kp": 1.0, "kv": 1.0, "ki": 0.0, "rate": 100.0, "hold": True}
+    options |= {"nullspace_damping": 0.0, "gain": 1.0}
+    with pytest.raises(flexopt.InputError) as error:
+        flexopt.simulate(flexopt.load("excavator"), POSTURE, loop="default", **options, **tables)
+    for name in (*BROUGHT, *(f"{table}.{key}" for table, keys in BROUGHT_BY_TABLES.items() for key in keys)):
+        assert f"{name}: comes with the loop" in str(error.value)
+
+
+def test_noise_and_dead_bands_go_with_a_loop() -> None:
+    machine, noisy = flexopt.load("excavator"), flexopt.Sensor(noise=1e-4)
+    with pytest.warns(flexopt.FlexoptWarning, match="noise"):
+        run = flexopt.simulate(
+            machine, POSTURE, loop=LOOPS["servo"], sensor=noisy, actuator={"dead_band": 10.0}, duration=0.1
+        )
+    assert run.linear_growth_rate == pytest.approx(
+        -flexopt.outcome(machine, POSTURE, loop=LOOPS["servo"]).decay, abs=1e-9
+    )
+
+
+def test_another_control_than_the_loops_is_refused() -> None:
+    with pytest.raises(flexopt.InputError, match="control that is asked for"):
+        flexopt.simulate(flexopt.load("excavator"), POSTURE, control="inverse", loop={"control": "transpose"})
+
+
+def test_an_fmu_holds_the_same_loop(tmp_path: Path) -> None:
+    machine, loop = flexopt.load("excavator"), LOOPS["servo"]
+    report = flexopt.export_fmu(machine, tmp_path / "loop.fmu", POSTURE, loop=loop, duration=0.2)
+    run = flexopt.simulate(machine, POSTURE, loop=loop, duration=0.2)
+    told = np.genfromtxt(report.reference, delimiter=",", names=True)
+    shown = [name for name in told.dtype.names if name.startswith("end_point")]
+    found = np.array([told[name] for name in shown]).T
+    np.testing.assert_allclose(found, run.end_point, atol=1e-9)
+    with pytest.raises(flexopt.InputError, match="co-simulation"):
+        flexopt.export_fmu(machine, tmp_path / "x.fmu", POSTURE, loop=loop, kind="model-exchange")
