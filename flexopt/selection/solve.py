@@ -75,8 +75,9 @@ def select(
     """Choose placement and posture: `build_selection` and `solve_selection` in one.
 
     Args:
-        machine, target, constraints, options, keywords: as in `flexopt.build_selection`. The objective of the
-            loop is `"decay"`, as of `flexopt.Outcome`, alone.
+        machine, target, constraints, options, keywords: as in `flexopt.build_selection`. Objectives of the
+            loop, each alone, are `"decay"`, `"allowed_gain"`, `"delay_margin"` and `"allowance"` (of its modes the
+            least) of `flexopt.Outcome`, and the stability `"radius"` of `flexopt.stable_region`.
         loop: of the loop's objective: the real controller, as of `flexopt.evaluate`; by default the machine's
             `[loop]`, or where there is none what follows from the machine. Of gains with a range (`kp_range`,
             `kv_range`) the best for each configuration are chosen.
@@ -95,7 +96,7 @@ def select(
         choose = later("flexopt.selection.outcomes", choice="outcome_selection")("outcome_selection")
         problem = build_selection(machine, target, constraints=constraints, **keywords | {"objective": "w1"})
         own = under_control(real or Loop(), machine, problem.control, "select")
-        return cast(Any, choose)(problem, own, ranges or (), _initial(problem), workers, progress)
+        return cast(Any, choose)(problem, own, ranges or (), _initial(problem), workers, progress, measure)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 

@@ -41,3 +41,21 @@ def test_what_is_no_option(command: Command) -> None:
         refused = command(*WORDS, *(part for entry in given for part in ("--loop", entry)))
         assert refused.code == 2
         assert sentence in refused.stderr
+
+
+def test_a_choice_by_what_the_loop_bears(command: Command) -> None:
+    shown = command.json(
+        "select",
+        "excavator",
+        "--end-point",
+        "0,1.6",
+        "--objective",
+        "allowance",
+        "--loop",
+        "kp=1e4",
+        "--loop",
+        "kv=1e3",
+    )
+    assert shown["measure"] == "allowance"
+    assert shown["best"]["outcome"]["allowance"]
+    assert min(shown["best"]["outcome"]["allowance"]) == pytest.approx(shown["best"]["objective"], rel=1e-9)

@@ -110,10 +110,11 @@ def test_slopes_at_points_that_are_no_optimum(
     ranges = {"kp": (1.0, 1e8), "kv": (1.0, 1e8)}
     program = OutcomeProgram(problem, loop, ranges, np.zeros((0, 0)), 0.1)
     y = np.append(z[:, 0] / problem.scale, np.log([gains["kp"], gains["kv"]]))
-    found, rows = program.branches(y), program.row_slopes(y)
+    level = program.level(program.value(y))
+    found, rows = program.branches(y, level), program.row_slopes(y)
     step = 1e-5
     for i, way in enumerate(np.eye(y.size) * step):
-        up, down = program.branches(y + way), program.branches(y - way)
+        up, down = program.branches(y + way, level), program.branches(y - way, level)
         count = min(len(up.values), len(down.values), len(found.values))
         central = (up.values[:count] - down.values[:count]) / (2 * step)
         # At a step of 1e-5 differences keep some six digits of what varies on this scale.
@@ -121,11 +122,11 @@ def test_slopes_at_points_that_are_no_optimum(
         np.testing.assert_allclose(found.slopes[:count, i], central, rtol=1e-5, atol=size)
         changed = (program.rows(y + way) - program.rows(y - way)) / (2 * step)
         np.testing.assert_allclose(rows[:, i], changed, rtol=1e-6, atol=1e-6)
-    assert 0 < first_order(program, y)[0] < math.inf
+    assert 0 < first_order(program, y, program.value(y))[0] < math.inf
     # What has no slope, as where two multipliers meet, proves nothing.
     unknown = replace(found, slopes=np.full_like(found.slopes, np.nan))
     monkeypatch.setattr(OutcomeProgram, "branches", lambda *_: unknown)
-    assert first_order(program, y)[0] == math.inf
+    assert first_order(program, y, program.value(y))[0] == math.inf
 
 
 def test_in_space_with_constraints() -> None:

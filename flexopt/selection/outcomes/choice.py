@@ -1,4 +1,4 @@
-"""The choice by the decay of the loop: points are looked at, the best climb, what the uncertainty finds is added.
+"""The choice by a measure of the loop: points are looked at, the best climb, what the uncertainty finds is added.
 
 In: a `SelectionProblem` whose own objective is not asked, a loop. Out: an `OutcomeSelection`.
 """
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.errors import InputError, NoSolutionFound, raise_if_any
+from flexopt.errors import Fault, InputError, NoSolutionFound, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.processes import in_parallel
@@ -21,7 +21,7 @@ from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.region import stability_radius
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
-from flexopt.model.choices import DECAY
+from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, DECAY, RADIUS
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.plant.inverse_kinematics import low_discrepancy
@@ -29,17 +29,16 @@ from flexopt.robustness import Evaluation
 from flexopt.selection.continua import travel
 from flexopt.selection.optima import SAME_POINT, Progress
 from flexopt.selection.outcomes.climb import Climbed, ahead, climbed
+from flexopt.selection.outcomes.measures import MEASURES, RADIUS_POINTS
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Attempt, Candidate, Selection
 from flexopt.selection.solve import constraint_values
 from flexopt.selection.starts import FEASIBLE
 
-# Points looked at, half a millisecond each.
-LOOKED = 1500
-# How far starts stand apart, in scaled variables; how many make how many steps before the best of them go on; and how
-# many climb to the end. Basins are narrow: few steps from many starts find more than many from few.
-APART, STAGES, CLIMBED = 0.5, ((96, 6), (24, 10)), 8
+# How far starts stand apart, in scaled variables, and how many climb to the end. Basins are narrow: a measure's stages,
+# few steps from many starts, find more than many from few.
+APART, CLIMBED = 0.5, 8
 # Points nearer than this after some steps are on their way to one optimum.
 ALIKE = 0.1
 # Points that a process looks at together.
@@ -47,8 +46,6 @@ BLOCK = 50
 # Intervals whose corners are members from the beginning; points that are looked at behind a climb, and how often what
 # they find is added and climbed again.
 CORNERED, MEMBERS, ROUNDS = 3, 32, 6
-# Points that are looked at in each box of one factor for the stability radius.
-RADIUS_POINTS = 12
 # Of the value, by which two are equal.
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -60,8 +57,8 @@ class OutcomeSelection(Selection):
     """The answer to a configuration problem by what the loop does.
 
     Attributes:
-        measure: what is largest, `"decay"` of `flexopt.Outcome`; `Candidate.objective` is its value, 1/s, over the
-            uncertainty its least.
+        measure: what is largest, of `flexopt.Outcome`, of modes the least, or the stability `"radius"`;
+            `Candidate.objective` is its value, SI, over the uncertainty its least.
         gains: kp and kv of each candidate, those that were chosen with the configuration.
         radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
             before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
@@ -71,6 +68,7 @@ class OutcomeSelection(Selection):
         others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
     """
 
+    measure: str = DECAY
     radii: tuple[float, ...] = ()
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
     loop: Loop | None = field(default=None, repr=False)
@@ -80,15 +78,14 @@ class OutcomeSelection(Selection):
     DOCUMENT = Selection.DOCUMENT + " measure gains radii unverified uncertainty=_uncertainty"
 
     @property
-    def measure(self) -> str:
-        """See the class."""
-        return DECAY
-
-    @property
     def gains(self) -> tuple[dict[str, float], ...]:
         """See the class."""
         names = {} if self.loop is None else gain_ranges(self.loop)
         return tuple({name: float(getattr(each, name)[0]) for name in names} for each in self.settings)
+
+    @property
+    def _unit(self) -> str:
+        return MEASURES[self.measure].unit
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:
@@ -97,8 +94,8 @@ class OutcomeSelection(Selection):
     @property
     def status(self) -> str:
         """A sentence."""
-        count, ended = len(self.candidates), len(self.attempts)
-        return f"{count} distinct local optima verified to first order, the ends of {ended} climbs from {LOOKED} points"
+        count, ended, looked = len(self.candidates), len(self.attempts), MEASURES[self.measure].looked
+        return f"{count} distinct local optima verified to first order, the ends of {ended} climbs from {looked} points"
 
     @property
     def missed_chance(self) -> None:
@@ -116,23 +113,29 @@ class OutcomeSelection(Selection):
         return ""
 
     @property
+    def _now(self) -> float:
+        """The measure of the present configuration, where its outcome tells it."""
+        told = None if self.initial is None else getattr(self.initial.outcome, self.measure, math.nan)
+        return math.nan if told is None else float(np.min(told))
+
+    @property
     def nothing_to_gain(self) -> str:
         """A sentence where the present configuration has as much of the measure as the best; else empty."""
         if self.initial is None or self.initial.outcome is None or self.uncertainty:
             return ""
-        now = getattr(self.initial.outcome, self.measure)
+        now = self._now
         if not now >= (1 - NEW) * self.best.objective:
             return ""
         return f"nothing to gain: the present configuration has as much {self.measure}"
 
     def __repr__(self) -> str:
         best = self.best.evaluation
-        names = (*best.base_coordinates, *best.joints)
+        names, measure = (*best.base_coordinates, *best.joints), f"{self.measure} {self._unit}".strip()
         over = f", worst over {', '.join(each.name for each in self.uncertainty)}" if self.uncertainty else ""
         lines = [
             f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in self.problem.target)}) m, Jacobian "
             f"{best.control} control, objective {self.measure}{over}: {self.status}",
-            "  rank " + " ".join(f"{name:>9}" for name in names) + f" {self.measure + ' 1/s':>16} {'radius':>7}"
+            "  rank " + " ".join(f"{name:>9}" for name in names) + f" {measure:>16} {'radius':>7}"
             + "".join(f" {name:>10}" for name in self.gains[0]),
         ]  # fmt: skip
         each = zip(self.candidates, self.radii, self.gains, strict=True)
@@ -148,7 +151,7 @@ class OutcomeSelection(Selection):
             )
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain,) if sentence]
         if self.initial is not None and self.initial.outcome is not None:
-            e, now = self.initial, getattr(self.initial.outcome, self.measure)
+            e, now = self.initial, self._now
             nominal = " with the machine's own numbers" if self.uncertainty else ""
             lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}{nominal}")
         return "\n".join([*lines, *repr(self.settings[0]).splitlines()])
@@ -161,33 +164,43 @@ def outcome_selection(
     initial: Evaluation | None,
     workers: int | None,
     progress: Progress | None,
+    name: str = DECAY,
 ) -> OutcomeSelection:
-    """Local optima of the decay, verified to first order, the best first.
+    """Local optima of a measure of the loop, verified to first order, the best first.
 
     Args:
         problem: from `build_selection`; its objective is not asked.
         loop: known to be good for the machine; gains that it gives ranges of are chosen, too.
-        uncertainty: over which the least decay counts; empty: the machine's own numbers.
+        uncertainty: over which the least counts; empty: the machine's own numbers. Of the radius its factors; empty:
+            one of all springs.
         initial: the present configuration.
         workers, progress: as of `flexopt.solve_selection`.
+        name: of the measure.
 
     Raises:
+        InputError: the uncertainty does not go with the loop or the measure; a measure of gains without one.
         NoSolutionFound: no climb ended at a feasible, stationary point.
     """
     pool = _pool(problem, initial)
     n_base, machine = len(problem.machine.base_coordinates), problem.machine
     stand = initial or problem.quantities.evaluated(pool[0])
-    settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
-    box = UncertaintyBox(machine, uncertainty, settings.dead_time)
-    raise_if_any(InputError, "select", box.faults(settings.rate))
+    settings, measure = loop_settings(machine, loop, stand, gravity=problem.gravity), MEASURES[name]
+    varied = (uncertainty or GROUND) if name == RADIUS else uncertainty
+    box = UncertaintyBox(machine, varied, settings.dead_time)
+    raise_if_any(InputError, "select", [*box.faults(settings.rate), *_unfit(name, loop, settings, varied)])
     held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
-    corners = box.corners(CORNERED) if uncertainty else np.zeros((0, 0))
-    program = OutcomeProgram(problem, held, gain_ranges(loop), corners)
+    corners = box.corners(CORNERED) if uncertainty and name != RADIUS else np.zeros((0, 0))
+    program = OutcomeProgram(problem, held, gain_ranges(loop), corners, measure=measure)
     count = workers or available_cores()
     ys, values = _looked(program, pool, count)
+    known = [k for k, value in enumerate(values) if math.isfinite(value)]
+    if not known:
+        sentence = f"select: none of {len(values)} configurations that were looked at has a {name}: every loop grows"
+        raise NoSolutionFound(sentence, violations={}, iterate={})
+    ys, values = [ys[k] for k in known], [values[k] for k in known]
     program = replace(program, size=max(abs(max(values)), np.finfo(float).tiny))
     distance = APART
-    for most, steps in STAGES:
+    for most, steps in measure.stages:
         chosen = [ys[k] for k in _apart(program, ys, values, min(most, problem.starts or most), distance)]
         done_with = in_parallel(partial(_ahead, program, chosen, steps), len(chosen), count, at_once=len(chosen) > 1)
         ys, values = [y for y, _ in done_with], [value for _, value in done_with]
@@ -219,7 +232,8 @@ def outcome_selection(
         attempts=attempts,
         kept=(),
         problem=problem,
-        provenance=provenance(machine, objective=DECAY, target=problem.target.tolist(), seed=problem.seed),
+        provenance=provenance(machine, objective=name, target=problem.target.tolist(), seed=problem.seed),
+        measure=name,
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
         loop=loop,
@@ -243,7 +257,7 @@ def _pool(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
 
 def _looked(program: OutcomeProgram, pool: Vector, workers: int) -> tuple[list[Vector], list[float]]:
     """Points y, configurations of the pool with gains from their ranges, and their values."""
-    unit = low_discrepancy(1 + len(program.ranges), LOOKED, program.problem.seed)
+    unit = low_discrepancy(1 + len(program.ranges), program.measure.looked, program.problem.seed)
     lower, upper = (end[program.n_z :] for end in program.bounds)
     # The present configuration is the first of the pool.
     places = [0, *np.minimum((unit[0, 1:] * len(pool)).astype(int), len(pool) - 1).tolist()]
@@ -289,7 +303,8 @@ def _told(progress: Progress, count: int, number: int) -> None:
 def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Climbed | None:
     """The optimum from a start, members added for which it is not one."""
     found: Climbed | None = climbed(program, starts[number])
-    for _ in range(ROUNDS if program.loop.box.uncertainty else 0):
+    worst = len(program.members) > 0
+    for _ in range(ROUNDS if worst else 0):
         if found is None:
             return None
         value, at = _least(program, found.y)
@@ -298,7 +313,7 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
         program = replace(program, members=np.concatenate([program.members, at[None]]))
         again = climbed(program, found.y)
         found = again if again is not None else replace(found, value=value)
-    if found is not None and program.loop.box.uncertainty:
+    if found is not None and worst:
         return replace(found, value=min(found.value, _least(program, found.y)[0]))
     return found
 
@@ -307,7 +322,27 @@ def _least(program: OutcomeProgram, y: Vector) -> tuple[float, Vector]:
     """The least of the measure found over the uncertainty, and where."""
     loop = program.at(y)
     members = loop.box.members(MEMBERS)
-    return loop.slowest(members, loop.decays(members))
+    if program.measure.name == DECAY:
+        return loop.slowest(members, loop.decays(members))
+    values = [program.measure.value(loop, loop.outcome(u)) for u in members]
+    k = int(np.argmin(values))
+    return values[k], members[k]
+
+
+def _unfit(name: str, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]) -> list[Fault]:
+    """What a measure cannot be had of."""
+    found = list[Fault]()
+    if name == ALLOWED_GAIN and not settings.kp.any():
+        found.append(Fault("loop.kp", "is 0, and the objective allowed_gain asks for the largest Kp"))
+    if name == ALLOWANCE and gain_ranges(loop):
+        found.append(Fault("loop", "has ranges of gains, which the objective allowance does not depend on"))
+    if name == RADIUS:
+        found += [
+            Fault("ranges", "must be factors for the objective radius", each.name)
+            for each in varied
+            if each.factor is None
+        ]
+    return found
 
 
 def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Attempt:

@@ -1,7 +1,8 @@
-"""From a start to a local optimum of a loop's decay, and the proof that it is stationary.
+"""From a start to a local optimum of a loop's measure, and the proof that it is stationary.
 
 In: an `OutcomeProgram` and a start y. Out: `Climbed`. The smallest of several smooth branches is climbed as an epigraph
-by sequential quadratic programming; derivatives are exact, and curvature is gathered from them.
+by sequential quadratic programming: the largest level at which none is below zero. Derivatives are exact, and curvature
+is gathered from them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nonnegative import nonnegative_least_squares
-from flexopt.selection.outcomes.program import Branches, OutcomeProgram
+from flexopt.selection.outcomes.measures import Branches
+from flexopt.selection.outcomes.program import OutcomeProgram, Place
 from flexopt.selection.starts import FEASIBLE
 
 # Steps at most, how exactly t is sought, and how often the search begins anew from where it came to.
@@ -32,7 +34,7 @@ class Climbed:
     """Where a climb ended.
 
     Attributes:
-        y: the point;  value: the decay of the slowest member, 1/s.
+        y: the point;  value: the measure of the worst member.
         stationarity: norm of what multipliers leave of the gradient.
         active: names of the rows and bounds that it rests against;  steps: of the climb.
     """
@@ -51,28 +53,32 @@ class Climbed:
 
 def climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
     """The local optimum that a start leads to; None where it leads off the rows."""
-    best, steps = start, 0
-    for _ in range(AGAIN):
-        before = program.value(best)
-        found, more = _search(program, best, STEPS)
+    best, steps, value = start, 0, program.value(start)
+    for _ in range(AGAIN if math.isfinite(value) else 0):
+        found, more = _search(program, best, value, STEPS)
         steps += more
         there = onto_rows(program, found)
-        if there is None or program.value(there) <= before:
+        after = -math.inf if there is None else program.value(there)
+        if there is None or after <= value:
             break
-        gained = program.value(there) - before
-        best = there
-        if gained <= ACTIVE * program.size:
+        gained = program.level(after) - program.level(value)
+        best, value = there, after
+        if gained <= ACTIVE:
             break
     there = onto_rows(program, best)
     if there is None:
         return None
-    stationarity, active = first_order(program, there)
-    return Climbed(there, program.value(there), stationarity, active, steps)
+    value = program.value(there)
+    stationarity, active = first_order(program, there, value)
+    return Climbed(there, value, stationarity, active, steps)
 
 
 def ahead(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector, float]:
     """Where a few steps lead, and the value there; the start where they lead to nothing better."""
-    there, before = onto_rows(program, _search(program, start, steps)[0]), program.value(start)
+    before = program.value(start)
+    if not math.isfinite(before):
+        return start, before
+    there = onto_rows(program, _search(program, start, before, steps)[0])
     if there is None or not (value := program.value(there)) > before:
         return start, before
     return there, value
@@ -101,47 +107,55 @@ def onto_rows(program: OutcomeProgram, y: Vector) -> Vector | None:
     return None
 
 
-def _search(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector, int]:
-    """Sequential quadratic programming in [y, t]: max t with every branch at least t."""
+def _search(program: OutcomeProgram, start: Vector, value: float, steps: int) -> tuple[Vector, int]:
+    """Sequential quadratic programming in [y, t]: the largest level t at which no branch is below zero."""
     from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
-    known: dict[bytes, tuple[Branches, Vector, Vector]] = {}
+    known: dict[bytes, Branches] = {}
+    places: dict[bytes, tuple[Place, Vector, Vector]] = {}
 
-    def told(x: Vector) -> tuple[Branches, Vector, Vector]:
+    def place(x: Vector) -> tuple[Place, Vector, Vector]:
         y = np.clip(x[:-1], *program.bounds)
         key = y.tobytes()
+        if key not in places:
+            places[key] = program.place(y), program.rows(y), program.row_slopes(y)
+        return places[key]
+
+    def told(x: Vector) -> Branches:
+        key = x.tobytes()
         if key not in known:
-            found = program.branches(y)
+            found = program.measure.branches(place(x)[0], float(x[-1]))
             # Where two multipliers meet there is no slope; a search may go on from there, a proof may not.
-            known[key] = replace(found, slopes=np.nan_to_num(found.slopes)), program.rows(y), program.row_slopes(y)
+            known[key] = replace(found, slopes=np.nan_to_num(found.slopes), by_level=np.nan_to_num(found.by_level))
         return known[key]
 
     lower, upper, scale = program.problem.row_bounds
     equal = lower == upper
-    count, free = len(told(np.append(start, 0.0))[0].values), ~equal
+    first = np.append(start, program.level(value))
+    count, free = len(told(first).values), ~equal
 
     def branches(x: Vector) -> Vector:
-        values = told(x)[0].values
-        return np.pad(values, (0, max(0, count - len(values))), mode="edge")[:count] - x[-1]
+        values = told(x).values
+        return np.pad(values, (0, max(0, count - len(values))), mode="edge")[:count]
 
     def branch_slopes(x: Vector) -> Vector:
-        slopes = told(x)[0].slopes
-        slopes = np.pad(slopes, ((0, max(0, count - len(slopes))), (0, 0)), mode="edge")[:count]
-        return np.column_stack([slopes, np.full(count, -1.0)])
+        found = told(x)
+        slopes = np.column_stack([found.slopes, found.by_level])
+        return np.pad(slopes, ((0, max(0, count - len(slopes))), (0, 0)), mode="edge")[:count]
 
     def inequalities(x: Vector) -> Vector:
-        rows = told(x)[1][free]
+        rows = place(x)[1][free]
         return np.concatenate([_finite(rows - (lower / scale)[free]), _finite((upper / scale)[free] - rows)])
 
     def inequality_slopes(x: Vector) -> Vector:
-        slopes = np.column_stack([told(x)[2][free], np.zeros(int(free.sum()))])
+        slopes = np.column_stack([place(x)[2][free], np.zeros(int(free.sum()))])
         return np.vstack([slopes, -slopes])
 
     def equations(x: Vector) -> Vector:
-        return told(x)[1][equal]
+        return place(x)[1][equal]
 
     def equation_slopes(x: Vector) -> Vector:
-        slopes = told(x)[2][equal]
+        slopes = place(x)[2][equal]
         return np.column_stack([slopes, np.zeros(len(slopes))])
 
     def below(x: Vector) -> float:
@@ -150,7 +164,6 @@ def _search(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector,
     def down_always(_: Vector) -> Vector:
         return down
 
-    first = np.append(start, told(np.append(start, 0.0))[0].values[0])
     down = np.zeros(first.size)
     down[-1] = -1.0
     constraints: list[dict[str, Any]] = [
@@ -160,9 +173,10 @@ def _search(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector,
     ]
     ends = [(low if np.isfinite(low) else None, high if np.isfinite(high) else None)
             for low, high in zip(*program.bounds, strict=True)]  # fmt: skip
+    low, high = (end if math.isfinite(end) else None for end in program.measure.ends(place(first)[0]))
     solve: Any = minimize
     found: Any = solve(
-        below, first, jac=down_always, method="SLSQP", bounds=[*ends, (None, None)],
+        below, first, jac=down_always, method="SLSQP", bounds=[*ends, (low, high)],
         constraints=constraints, options={"maxiter": steps, "ftol": EXACT},
     )  # fmt: skip
     y = np.asarray(found.x[:-1], dtype=np.float64)
@@ -174,15 +188,18 @@ def _finite(distances: Vector) -> Vector:
     return np.where(np.isfinite(distances), distances, 1.0)
 
 
-def first_order(program: OutcomeProgram, y: Vector) -> tuple[float, tuple[str, ...]]:
+def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float, tuple[str, ...]]:
     """Norm of what multipliers of the right signs leave of the gradient; names of what is active.
 
-    0 = Σ λ_k g_k + Σ μ_i a_i, λ, μ ≥ 0, Σ λ = 1, over the branches g_k that are least and the active rows a_i. Infinite
-    where a least branch has no slope.
+    0 = Σ λ_k g_k + Σ μ_i a_i, λ, μ ≥ 0, −Σ λ_k ∂_t = 1, over the branches that are least, with slopes g_k by y and
+    ∂_t by the level, and the active rows a_i. Infinite where a least branch has no slope.
     """
-    branches, rows, slopes = program.branches(y), program.rows(y), program.row_slopes(y)
-    least = branches.slopes[branches.values <= branches.values[0] + ACTIVE * max(1.0, abs(branches.values[0]))]
-    if not np.all(np.isfinite(least)):
+    if not math.isfinite(value):
+        return math.inf, ()
+    branches, rows, slopes = program.branches(y, program.level(value)), program.rows(y), program.row_slopes(y)
+    chosen = branches.values <= branches.values[0] + ACTIVE
+    least, by_level = branches.slopes[chosen], branches.by_level[chosen]
+    if not (np.all(np.isfinite(least)) and np.all(np.isfinite(by_level))):
         return math.inf, ()
     lower, upper, scale = program.problem.row_bounds
     columns, names = list[Vector](), list[str]()
@@ -204,11 +221,11 @@ def first_order(program: OutcomeProgram, y: Vector) -> tuple[float, tuple[str, .
                 columns.append(column)
                 if low != high:
                     names.append(f"{name} {side} bound")
-    # The last row asks for Σ λ = 1, with a weight that leaves nothing of it open.
+    # The last row asks for −Σ λ_k ∂_t = 1, with a weight that leaves nothing of it open.
     weight = 1e3 * max(1.0, float(np.abs(least).max(initial=0.0)))
     matrix = np.zeros((y.size + 1, len(least) + len(columns)))
     matrix[:-1] = np.array([*least, *columns]).T
-    matrix[-1, : len(least)] = weight
+    matrix[-1, : len(least)] = -weight * by_level
     right = np.zeros(y.size + 1)
     right[-1] = weight
     multipliers = nonnegative_least_squares(matrix, right)

@@ -1,47 +1,39 @@
 """What a loop does as a program in the configuration and, where ranges are given, in its gains.
 
-In: a problem, a loop, members of what is uncertain. Out: values and slopes of the objective's branches, of which the
-smallest counts, and of the rows, in scaled variables y = [z / scale, ln kp, ln kv].
+In: a problem, a loop, members of what is uncertain. Out: the measure's value, its branches with slopes, and the rows,
+in scaled variables y = [z / scale, ln kp, ln kv].
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
+from flexopt.model.choices import DECAY
 from flexopt.model.loop import logarithms
+from flexopt.selection.outcomes.measures import MEASURES, Branches, Measure
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import row_gradients
-
-# Multipliers of a loop whose decay counts, the slowest first: at an optimum several are as slow.
-BRANCHES = 6
-# Branches that are further above the least one than this share of the scale are left out.
-FAR = 1.0
-
-
-@dataclass(frozen=True)
-class Branches:
-    """The objective at y: values of its branches (b,), the smallest first, and slopes (b, n_y), NaN where two meet."""
-
-    values: Vector
-    slopes: Vector
 
 
 @dataclass(frozen=True)
 class OutcomeProgram:
-    """Maximise the decay of the slowest member: the smallest of the rates of several multipliers of each.
+    """Maximise a measure of the worst member.
 
     Attributes:
         problem: its rows and bounds; its own objective is not asked.
         loop: with its numbers, at any configuration.
         ranges: of gains that are variables, kp or kv: (lower, upper).
         members: points of what is uncertain, (n, k); none: the nominal machine alone.
-        size: what decays are divided by, 1/s.
+        size: what the measure is divided by, in its unit, where levels are shares of it.
+        measure: what is largest.
     """
 
     problem: SelectionProblem
@@ -49,6 +41,7 @@ class OutcomeProgram:
     ranges: dict[str, tuple[float, float]]
     members: Vector
     size: float = 1.0
+    measure: Measure = MEASURES[DECAY]
 
     @property
     def n_z(self) -> int:
@@ -87,30 +80,21 @@ class OutcomeProgram:
         return [loop.outcome(), *(loop.outcome(u) for u in self.members)]
 
     def value(self, y: Vector) -> float:
-        """The slowest member's decay, 1/s."""
-        return min(self._values(point)[0] for point in self.points(y))
+        """The measure of the worst member; −∞ where one has none."""
+        loop = self.at(y)
+        return min(self.measure.value(loop, point) for point in self.points(y))
 
-    def branches(self, y: Vector) -> Branches:
-        """The rates at y over all members, those near the least one, divided by the size."""
-        points = self.points(y)
-        each = [(value, point, k) for point in points for k, value in enumerate(self._values(point))]
-        each.sort(key=lambda entry: entry[0])
-        near = [entry for entry in each[:BRANCHES] if entry[0] <= each[0][0] + FAR * self.size]
-        slopes = [self._slope(point, k, y) for _, point, k in near]
-        return Branches(np.array([value for value, _, _ in near]) / self.size, np.array(slopes) / self.size)
+    def level(self, value: float) -> float:
+        """As what a value of the measure is climbed."""
+        return self.measure.level(value, self.size)
 
-    def _values(self, point: LoopPoint) -> list[float]:
-        """The rates of the slowest multipliers at a member, 1/s, the least first."""
-        upper = point.loop.multipliers[point.loop.multipliers.imag >= 0][:BRANCHES]
-        rates: list[float] = (-np.log(np.abs(upper)) / point.period).tolist()
-        return rates
+    def place(self, y: Vector) -> Place:
+        """For branches there, at one level after another."""
+        return Place(self, y)
 
-    def _slope(self, point: LoopPoint, branch: int, y: Vector) -> Vector:
-        """A rate's slope by y, 1/s."""
-        by = point.gradient(point.rate(branch))
-        of_gains = [float(by[name].sum()) * gain for name, gain in self.gains(y).items()]
-        of_z = np.concatenate([by["base"], by["posture"]]) * self.problem.scale
-        return np.append(of_z, of_gains)
+    def branches(self, y: Vector, level: float) -> Branches:
+        """What must not be below zero at y for the measure to be that of a level."""
+        return self.measure.branches(self.place(y), level)
 
     def rows(self, y: Vector) -> Vector:
         """Values of the problem's rows, in their scales: 0 for the target's."""
@@ -121,3 +105,45 @@ class OutcomeProgram:
         """Their slopes, (n_rows, n_y)."""
         found = row_gradients(self.problem, self.z(y)) / self.problem.row_bounds[2][:, None] * self.problem.scale
         return np.hstack([found, np.zeros((len(found), len(self.ranges)))])
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A program at one y: what measures ask of it."""
+
+    program: OutcomeProgram
+    y: Vector
+    _known: dict[str, Any] = field(default_factory=dict[str, Any], repr=False)
+
+    @property
+    def size(self) -> float:
+        """Of the program."""
+        return self.program.size
+
+    @property
+    def count(self) -> int:
+        """Entries of y."""
+        return self.y.size
+
+    @cached_property
+    def loop(self) -> UncertainLoop:
+        """The loop there."""
+        return self.program.at(self.y)
+
+    @cached_property
+    def points(self) -> list[LoopPoint]:
+        """Of every member."""
+        return self.program.points(self.y)
+
+    def once(self, name: str, made: Callable[[], Any]) -> Any:
+        """What is the same at every level."""
+        if name not in self._known:
+            self._known[name] = made()
+        return self._known[name]
+
+    def by_y(self, by: Mapping[str, Any]) -> Vector:
+        """A slope by y, from those by a loop's numbers."""
+        gains = self.program.gains(self.y)
+        ratio: Mapping[str, float] = by.get("ratio") or {name: float(by[name].sum()) * x for name, x in gains.items()}
+        of_z = np.concatenate([by["base"], by["posture"]]) * self.program.problem.scale
+        return np.append(of_z, [ratio[name] for name in gains])

@@ -1,0 +1,141 @@
+"""Configurations chosen by what gains, dead times and soils the loop bears, beside scans that climb nothing."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.loop.settings import loop_settings
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.choices import OUTCOMES
+from flexopt.model.loop import Loop
+from flexopt.model.parameter_values import with_parameters
+from flexopt.model.uncertainty import GROUND, Uncertainty
+from flexopt.plant import build_plant
+from flexopt.selection.outcomes.choice import OutcomeSelection
+from flexopt.selection.outcomes.measures import MEASURES
+from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.starts import FEASIBLE, moved
+
+EXCAVATOR, TARGET = flexopt.load("excavator"), (0.0, 1.6)
+LATE = {"kp": 1e4, "kv": 1e3, "dead_time": 0.02}
+LOOPS: dict[str, dict[str, float]] = {"allowed_gain": LATE, "delay_margin": LATE | {"dead_time": 0.0}, "allowance": LATE,
+                                      "radius": LATE | {"dead_time": 0.01}}  # fmt: skip
+
+
+def told(name: str, x: float, elbow: Any) -> float:
+    """The measure at one placement, by the public calls; −∞ where the posture cannot be."""
+    try:
+        posture = flexopt.inverse_kinematics(EXCAVATOR, TARGET, base=x, elbow=elbow)[0]
+    except flexopt.UnreachableTarget:
+        return -math.inf
+    plant = build_plant(EXCAVATOR)
+    margin = float(plant.singularity_sine_squared(np.array([x]), posture, plant.parameter_values))
+    if margin < math.sin(math.radians(10)) ** 2:
+        return -math.inf
+    if name == "radius":
+        found = flexopt.stable_region(EXCAVATOR, posture, base=x, loop=LOOPS[name], boxes=0, points=16)
+        return found.radius if found.radius > 1 else -math.inf
+    value = np.min(getattr(flexopt.outcome(EXCAVATOR, posture, base=x, loop=LOOPS[name]), name))
+    return float(value) if np.isfinite(value) else -math.inf
+
+
+@pytest.mark.filterwarnings("ignore:ε_max:flexopt.FlexoptWarning")
+@pytest.mark.parametrize("name", LOOPS)
+def test_nothing_that_a_scan_sees_is_better(name: str) -> None:
+    found = flexopt.select(EXCAVATOR, TARGET, objective=name, loop=LOOPS[name])
+    assert isinstance(found, OutcomeSelection)
+    best = max(told(name, x, elbow) for x, elbow in itertools.product(np.linspace(-3.3, 3.3, 61), ("up", "down")))
+    # A radius is told to 1e-3 of its logarithm.
+    assert found.best.objective >= best * (1 - 3e-3 if name == "radius" else 1)
+    e = found.best.evaluation
+    here = told(name, float(e.base[0]), "up" if np.sin(e.posture[1]) < 0 else "down")
+    assert found.best.objective == pytest.approx(here, rel=3e-3 if name == "radius" else 1e-6)
+    assert f"objective {name}" in repr(found)
+    assert found.to_dict()["measure"] == name
+
+
+CASES = [(name, machine) for name in OUTCOMES for machine in ("excavator", "slewing-excavator")]
+GAINS = {"excavator": {"kp": 1e4, "kv": 1e3}, "slewing-excavator": {"kp": 3e6, "kv": 6e5}}
+TARGETS = {"excavator": TARGET, "slewing-excavator": (6.0, 2.0, 1.0)}
+
+
+@pytest.mark.parametrize(("name", "which"), CASES)
+def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:
+    """Of what must stay above zero, by everything that varies and by the level, beside differences."""
+    machine, gains = flexopt.load(which), GAINS[which]
+    problem = flexopt.build_selection(machine, TARGETS[which])
+    n_base = len(machine.base_coordinates)
+    k = int(np.flatnonzero(problem.scan.violation <= FEASIBLE)[5])
+    z, left = moved(problem, np.concatenate([problem.scan.base[:, [k]], problem.scan.posture[:, [k]]]), 1)
+    assert left[0] <= FEASIBLE
+    stand = flexopt.evaluate(machine, z[n_base:, 0], base=z[:n_base, 0])
+    settings = loop_settings(machine, Loop(control="inverse", dead_time=0.0071, **gains), stand)
+    box = UncertaintyBox(machine, GROUND if name == "radius" else (), 0.0071)
+    loop = UncertainLoop(settings, stand.base, stand.posture, False, box)
+    ranges = {} if name == "allowance" else {"kp": (1.0, 1e8), "kv": (1.0, 1e8)}
+    program = OutcomeProgram(problem, loop, ranges, np.zeros((0, 0)), 0.1, MEASURES[name])
+    y = np.append(z[:, 0] / problem.scale, np.log([gains[each] for each in ranges]))
+    # A level that has nothing to do with the value there.
+    level = {"allowed_gain": math.log(0.7 * gains["kp"]), "delay_margin": 0.13, "allowance": 0.1, "radius": 0.3}.get(
+        name, 0.1
+    )
+    found, step = program.branches(y, level), 1e-5
+    ways = [*np.eye(y.size), None]
+    for i, way in enumerate(ways):
+        sides = [program.branches(y, level + sign * step) if way is None else program.branches(y + sign * step * way, level)
+                 for sign in (1.0, -1.0)]  # fmt: skip
+        count = min(len(found.values), *(len(side.values) for side in sides))
+        central = (sides[0].values[:count] - sides[1].values[:count]) / (2 * step)
+        ours = found.by_level[:count] if way is None else found.slopes[:count, i]
+        # At a step of 1e-5 differences keep some six digits; the places between are found to 1e-3 of a grid's step.
+        size = 1e-4 * max(1.0, float(np.abs(found.slopes).max()))
+        np.testing.assert_allclose(ours, central, rtol=1e-4, atol=size)
+
+
+def test_the_worst_over_a_soil_is_no_better_anywhere_in_it() -> None:
+    ranges = {"stiffness": (0.7, 1.5)}
+    found = flexopt.select(EXCAVATOR, TARGET, objective="allowance", loop=LATE, ranges=ranges)
+    e = found.best.evaluation
+    springs = [parameter.name for parameter in EXCAVATOR.parameters if "stiffness" in parameter.name]
+    own = {parameter.name: parameter.value for parameter in EXCAVATOR.parameters}
+    for factor in (0.7, 1.0, 1.5):
+        soil = with_parameters(EXCAVATOR, {name: own[name] * factor for name in springs})
+        value = float(np.min(flexopt.outcome(soil, e.posture, base=e.base, loop=LATE).allowance))
+        assert value >= found.best.objective * (1 - 1e-9)
+
+
+def test_gains_are_chosen_for_the_largest_dead_time() -> None:
+    loop = {"kp_range": (1e3, 1e5), "kv_range": (1e2, 1e4)}
+    found = flexopt.select(EXCAVATOR, TARGET, objective="delay_margin", loop=loop)
+    assert isinstance(found, OutcomeSelection)
+    fixed = flexopt.select(EXCAVATOR, TARGET, objective="delay_margin", loop={"kp": 1e4, "kv": 1e3})
+    assert found.best.objective >= fixed.best.objective * (1 - 1e-6)
+    e = found.best.evaluation
+    again = flexopt.outcome(EXCAVATOR, e.posture, base=e.base, loop=found.gains[0])
+    assert again.delay_margin == pytest.approx(found.best.objective, rel=1e-6)
+
+
+def test_what_a_measure_cannot_be_had_of() -> None:
+    for name, options, sentence in (
+        ("allowed_gain", {"loop": {"kp": 0.0, "kv": 1e3}}, "asks for the largest Kp"),
+        ("allowance", {"loop": {"kp_range": (1.0, 1e5)}}, "does not depend on"),
+        ("radius", {"loop": LATE, "ranges": {"dead_time": (0.0, 0.01)}}, "must be factors"),
+    ):
+        with pytest.raises(flexopt.InputError, match=sentence):
+            flexopt.select(EXCAVATOR, TARGET, objective=name, **options)
+    with pytest.raises(flexopt.NoSolutionFound, match="every loop grows"):
+        flexopt.select(EXCAVATOR, TARGET, objective="delay_margin", loop={"kp": 1e9, "kv": 1e9, "dead_time": 0.05})
+
+
+def test_uncertainty_of_several_factors_has_a_radius() -> None:
+    each = [Uncertainty(of=(name,), factor=(0.5, 2.0)) for name in ("base.stiffness.y", "base.stiffness.rotation")]
+    found = flexopt.select(EXCAVATOR, TARGET, objective="radius", loop=LOOPS["radius"], ranges=each, starts=3)
+    e = found.best.evaluation
+    region = flexopt.stable_region(EXCAVATOR, e.posture, base=e.base, loop=LOOPS["radius"], ranges=each, boxes=0)
+    assert found.best.objective == pytest.approx(region.radius, rel=5e-3)
