@@ -127,8 +127,8 @@ def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
 @CONTROL
 @value(
     "--objective",
-    "w1|w2|…|V|epsilon_max|decay",
-    "What to maximise (w1 by default); several in order: w1,epsilon_max; of the loop (--loop): decay.",
+    "w1|w2|…|V|epsilon_max|decay|…",
+    f"What to maximise (w1 by default); several in order: w1,epsilon_max; of the loop (--loop): {', '.join(OUTCOMES)}.",
 )
 @value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
 @value("--slack", "SHARE", "What an objective may give up for the next in order (1e-5 by default).", number)

@@ -68,7 +68,7 @@ class OutcomeSelection(Selection):
         others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
     """
 
-    measure: str = DECAY
+    sought: str = DECAY
     radii: tuple[float, ...] = ()
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
     loop: Loop | None = field(default=None, repr=False)
@@ -82,6 +82,11 @@ class OutcomeSelection(Selection):
         """See the class."""
         names = {} if self.loop is None else gain_ranges(self.loop)
         return tuple({name: float(getattr(each, name)[0]) for name in names} for each in self.settings)
+
+    @property
+    def measure(self) -> str:
+        """See the class."""
+        return self.sought
 
     @property
     def _unit(self) -> str:
@@ -233,7 +238,7 @@ def outcome_selection(
         kept=(),
         problem=problem,
         provenance=provenance(machine, objective=name, target=problem.target.tolist(), seed=problem.seed),
-        measure=name,
+        sought=name,
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
         loop=loop,

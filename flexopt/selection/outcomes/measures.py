@@ -182,14 +182,14 @@ class Line:
 
         levels = np.linspace(self.start, level, POINTS)
         rates = np.array([self.rate(float(x)) for x in levels])
+        inner = [k for k in range(1, POINTS - 1) if rates[k] <= min(rates[k - 1], rates[k + 1])]
         more = list[tuple[float, float]]()
-        for k in range(1, POINTS - 1):
-            if rates[k] <= min(rates[k - 1], rates[k + 1]):
-                ends = float(levels[k - 1]), float(levels[k + 1])
-                best: Any = minimize_scalar(
-                    self.rate, bounds=ends, method="bounded", options={"xatol": NEAR * (ends[1] - ends[0])}
-                )
-                more.append((float(best.x), float(best.fun)))
+        for k in sorted(inner, key=lambda k: rates[k])[:PLACES]:
+            ends = float(levels[k - 1]), float(levels[k + 1])
+            best: Any = minimize_scalar(
+                self.rate, bounds=ends, method="bounded", options={"xatol": NEAR * (ends[1] - ends[0])}
+            )
+            more.append((float(best.x), float(best.fun)))
         told = sorted([*zip(levels.tolist(), rates.tolist(), strict=True), *more])
         return np.array([x for x, _ in told]), np.array([rate for _, rate in told])
 
