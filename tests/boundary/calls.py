@@ -189,6 +189,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         overwrite=True,
     ),
     "export_fmu": lambda: _machine(
+        loop=None,
         path="small.fmu",
         posture=POSTURE,
         version="2.0",
@@ -305,7 +306,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     "select_stand": lambda: _machine(
         targets=[TARGET, [0.1, 1.6]], combine="weighted", shares=[1.0, 1.0], **SELECT, **RUN
     ),
-    "simulate": lambda: _machine(posture=POSTURE, **SIMULATE),
+    "simulate": lambda: _machine(posture=POSTURE, loop=None, **SIMULATE),
     "simulate_ensemble": lambda: _machine(
         posture=POSTURE, vary={"kp": [1e4, 2e4]}, keep="measures", threads=1, progress=print, **SIMULATE
     ),

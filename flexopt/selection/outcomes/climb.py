@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.outcomes.measures import Branches
-from flexopt.selection.outcomes.program import OutcomeProgram, Place
+from flexopt.selection.outcomes.program import OutcomeProgram, ProgramPoint
 from flexopt.selection.starts import FEASIBLE
 
 # Steps at most, how exactly t is sought, and how often the search begins anew from where it came to.
@@ -112,9 +112,9 @@ def _search(program: OutcomeProgram, start: Vector, value: float, steps: int) ->
     from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
     known: dict[bytes, Branches] = {}
-    places: dict[bytes, tuple[Place, Vector, Vector]] = {}
+    places: dict[bytes, tuple[ProgramPoint, Vector, Vector]] = {}
 
-    def place(x: Vector) -> tuple[Place, Vector, Vector]:
+    def place(x: Vector) -> tuple[ProgramPoint, Vector, Vector]:
         y = np.clip(x[:-1], *program.bounds)
         key = y.tobytes()
         if key not in places:

@@ -39,7 +39,7 @@ RADIUS_POINTS = 12
 GAINS = ("kp", "kv", "ki")
 
 if TYPE_CHECKING:
-    from flexopt.selection.outcomes.program import Place
+    from flexopt.selection.outcomes.program import ProgramPoint
 
 Slopes = Mapping[str, Vector]
 
@@ -76,14 +76,14 @@ class Measure(ABC):
         """The measure of one member; −∞ where it has none."""
 
     @abstractmethod
-    def branches(self, at: Place, level: float) -> Branches:
+    def branches(self, at: ProgramPoint, level: float) -> Branches:
         """What must stay above zero at a place of a program, a level up."""
 
     def level(self, value: float, size: float) -> float:  # noqa: ARG002 - of the decay
         """What is climbed: the logarithm of the measure."""
         return math.log(value) if value > 0 else -math.inf
 
-    def ends(self, at: Place) -> tuple[float, float]:  # noqa: ARG002 - of most
+    def ends(self, at: ProgramPoint) -> tuple[float, float]:  # noqa: ARG002 - of most
         """Between which levels are looked for."""
         return -math.inf, math.inf
 
@@ -102,12 +102,12 @@ class Decay(Measure):
         """A share of its size."""
         return value / size
 
-    def branches(self, at: Place, level: float) -> Branches:
+    def branches(self, at: ProgramPoint, level: float) -> Branches:
         """The slowest rates of all members, less the level."""
         values, slopes = at.once("rates", lambda: self._rates(at))
         return Branches(values - level, slopes, np.full(len(values), -1.0))
 
-    def _rates(self, at: Place) -> tuple[Vector, Vector]:
+    def _rates(self, at: ProgramPoint) -> tuple[Vector, Vector]:
         each = [(value, point, k) for point in at.points for k, value in enumerate(_rates(point))]
         each.sort(key=lambda entry: entry[0])
         near = [entry for entry in each[:BRANCHES] if entry[0] <= each[0][0] + FAR * at.size]
@@ -125,12 +125,12 @@ class Allowance(Measure):
         found = float(np.min(_allowances(point)[0]))
         return found if found > 0 else -math.inf
 
-    def branches(self, at: Place, level: float) -> Branches:
+    def branches(self, at: ProgramPoint, level: float) -> Branches:
         """Ln κ_i of all members, less the level."""
         values, slopes = at.once("allowances", lambda: self._told(at))
         return Branches(values - level, slopes, np.full(len(values), -1.0))
 
-    def _told(self, at: Place) -> tuple[Vector, Vector]:
+    def _told(self, at: ProgramPoint) -> tuple[Vector, Vector]:
         found = list[tuple[float, Vector]]()
         for point in at.points:
             values, slopes = _allowances(point)
@@ -198,10 +198,10 @@ class Border(Measure):
     """How far along lines of loops every motion decays."""
 
     @abstractmethod
-    def lines(self, at: Place, point: LoopPoint, level: float) -> list[Line]:
+    def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:
         """From a member, up to a level."""
 
-    def branches(self, at: Place, level: float) -> Branches:
+    def branches(self, at: ProgramPoint, level: float) -> Branches:
         """The slowest rates at the level, and where they come near to zero before."""
         found = list[tuple[float, Vector, float]]()
         for point in at.points:
@@ -230,11 +230,11 @@ class AllowedGain(Border):
         found = min(point.allowed_gain().value, 10.0**HIGH * _first(point))
         return found if found > 0 else -math.inf
 
-    def ends(self, at: Place) -> tuple[float, float]:
+    def ends(self, at: ProgramPoint) -> tuple[float, float]:
         """Of the logarithm of Kp."""
         return -math.inf, HIGH * math.log(10) + math.log(_first(at.points[0]))
 
-    def lines(self, at: Place, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
+    def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
         """All gains together."""
         kp = _first(point)
 
@@ -266,12 +266,12 @@ class DelayMargin(Border):
         """In units of the size."""
         return value / size
 
-    def ends(self, at: Place) -> tuple[float, float]:
+    def ends(self, at: ProgramPoint) -> tuple[float, float]:
         """No less than none."""
         point = at.points[0]
         return 0.0, (DELAY_MAX * point.period - point.dead_time) / at.size
 
-    def lines(self, at: Place, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
+    def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
         """Later and later."""
         most = DELAY_MAX * point.period - point.dead_time
 
@@ -301,11 +301,11 @@ class Radius(Border):
         inside = stability_radius(loop, RADIUS_POINTS)
         return inside if inside < found * (1 - NEAR) else found
 
-    def ends(self, at: Place) -> tuple[float, float]:  # noqa: ARG002
+    def ends(self, at: ProgramPoint) -> tuple[float, float]:  # noqa: ARG002
         """Of the logarithm."""
         return 0.0, math.log(LARGEST)
 
-    def lines(self, at: Place, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
+    def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
         """Towards every corner."""
         return self._diagonals(at.loop, point)
 

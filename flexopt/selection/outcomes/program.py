@@ -88,9 +88,9 @@ class OutcomeProgram:
         """As what a value of the measure is climbed."""
         return self.measure.level(value, self.size)
 
-    def place(self, y: Vector) -> Place:
+    def place(self, y: Vector) -> ProgramPoint:
         """For branches there, at one level after another."""
-        return Place(self, y)
+        return ProgramPoint(self, y)
 
     def branches(self, y: Vector, level: float) -> Branches:
         """What must not be below zero at y for the measure to be that of a level."""
@@ -108,7 +108,7 @@ class OutcomeProgram:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class ProgramPoint:
     """A program at one y: what measures ask of it."""
 
     program: OutcomeProgram
