@@ -203,13 +203,12 @@ class LoopPoint:
     @cached_property
     def gain_intervals(self) -> tuple[tuple[float, float], ...]:
         """(lower, upper) of the factors by which all gains may be multiplied together, the loop stable."""
-        known = None
-        if not self._excess:
-            # One batch: there is no self-motion to be told apart.
+        known, (balanced, scale) = None, balance(self.sample.matrix)
+        _, kept = without_neutral(balanced, self._neutral)
+        if not (self._excess and self.motions.structure.gravity):
+            # One batch: what is left of a self-motion that no weight drives decays whatever the gains.
             exponents = np.linspace(LOW, HIGH, POINTS)
-            balanced, scale = balance(self.sample.matrix)
             opened = self.sample.open / scale[:, None] * scale
-            _, kept = without_neutral(balanced, self._neutral)
             each = opened + 10.0 ** exponents[:, None, None] * (balanced - opened)
             radius = np.abs(np.linalg.eigvals(kept @ each @ kept.T)).max(axis=1)
             known = (np.log(radius) / self.period).tolist()
