@@ -43,6 +43,7 @@ from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine, load, load_any
 from flexopt.model.choices import ELBOWS, OUTCOMES
+from flexopt.model.problem import asks_for_loop
 from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import evaluate
 
@@ -171,7 +172,7 @@ def select_command(
     settings, own = _selection_settings(machine, options)
     _refuse_early(settings, judged, own)
     identified = None if swing is None else _identified(swing, settings, as_json)
-    if settings.get("objective") in OUTCOMES:
+    if asks_for_loop(settings.get("objective"), settings.get("constraints")):
         settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
         settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
     if log is not None and not certify:
@@ -251,7 +252,7 @@ def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], 
             faults.append(Fault("--objective", "goes with a single target", settings["objective"]))
     elif (
         any(judged.values())
-        and settings.get("objective") not in OUTCOMES
+        and not asks_for_loop(settings.get("objective"), settings.get("constraints"))
         and settings.get("base") is None
         and settings["machine"].base_coordinates
     ):

@@ -45,6 +45,7 @@ _PLACE, _SIDES = (vector(_IN_M, quantity, "xy", "xyz") for quantity in (COORDINA
 _DIRECTION = vector(_IN_M.replace(" in m", ""), Quantity("", low=-LENGTH_MAX, high=LENGTH_MAX), "xy", "xyz")
 _INTERVAL = pair(COORDINATE["m"], "an interval [lower, upper] or a polygon [[x, y], …],")
 _POSITIVE = Quantity("", above=0.0, high=1e12)
+_LEAST = Quantity("1/s or s", low=-1e6, high=1e6)
 
 
 @Checked
@@ -197,6 +198,21 @@ class Travel(FileModel):
     posture: Annotated[tuple[float, ...], SOME_COORDINATES] | None = None
 
 
+class LeastOutcomes(FileModel):
+    """What the real loop must do at least, as of `flexopt.Outcome` (keys of `[constraints.outcome]`).
+
+    Attributes:
+        decay: of its slowest motion, 1/s;  allowed_gain: Kp, N/m and the like;  delay_margin: s.
+        allowance: of every mode, N s/m;  radius: the stability radius, of all springs together.
+    """
+
+    decay: Annotated[float, _LEAST] | None = None
+    allowed_gain: Annotated[float, _POSITIVE] | None = None
+    delay_margin: Annotated[float, _LEAST] | None = None
+    allowance: Annotated[float, _POSITIVE] | None = None
+    radius: Annotated[float, Quantity("", low=1.0, high=10.0)] | None = None
+
+
 class Constraints(FileModel):
     """What a configuration must keep, the passive coordinates at rest; what is left out does not bind.
 
@@ -214,6 +230,7 @@ class Constraints(FileModel):
         holding: share of each joint's effort that gravity may take.
         tool_angle: range of the end-point's inclination, rad; one number for an exact value.
         travel: cost of leaving the present configuration.
+        outcome: what the real loop must do at least, over all that is uncertain; with `flexopt.select`'s `loop`.
         own: `flexopt.Constraint`s of the user's own, which files cannot have.
     """
 
@@ -228,6 +245,7 @@ class Constraints(FileModel):
     holding: Annotated[float, Quantity("of each joint's effort", above=0.0, high=1.0)] | None = None
     tool_angle: Annotated[Interval, _check_tool_angle] | None = None
     travel: Travel | None = None
+    outcome: LeastOutcomes | None = None
     own: Annotated[tuple[Any, ...], check_own_constraints] | None = None
 
     @field_serializer("own")

@@ -176,9 +176,15 @@ class Problem(OnMachine):
         options = {name: getattr(self.selection, name) for name in SelectionOptions.of(kind)}
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
-        if kind == "end_point" and isinstance(self.selection.objective, str) and self.selection.objective in OUTCOMES:
+        if kind == "end_point" and asks_for_loop(self.selection.objective, self.constraints):
             options |= {"loop": self.loop, "ranges": self.uncertainty or None}
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options
+
+
+def asks_for_loop(objective: Any, constraints: Any) -> bool:
+    """Whether a choice is by what the real loop does: its objective, or a constraint."""
+    of_loop = isinstance(objective, str) and objective in OUTCOMES
+    return of_loop or getattr(constraints, "outcome", None) is not None
 
 
 TABLE["problem"] = holding_machine(Problem, "a Problem, from flexopt.load_problem")

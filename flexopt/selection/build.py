@@ -222,6 +222,8 @@ def _confirm_own(functions: Quantities, objectives: tuple[Objective, ...], scan:
 def _suiting(arguments: Arguments, machine: AnyMachine, asked: Constraints) -> Constraints:
     """The constraints, as far as they suit the machine; faults go to `arguments`."""
     faults = constraint_faults(build_plant(machine), asked)
+    if asked.outcome is not None:
+        faults.append(Fault("outcome", "is for flexopt.select of one target, or flexopt select: it wants a loop"))
     arguments.faults += [Fault(f"constraints.{f.field}", f.sentence, f.value) for f in faults]
     return Constraints(travel=asked.travel, own=asked.own) if faults else asked
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -18,11 +19,12 @@ from flexopt.foundation.later import later
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.choices import OUTCOMES
-from flexopt.model.constraints import AnyConstraints
+from flexopt.model.constraints import AnyConstraints, Constraints, LeastOutcomes
 from flexopt.model.loop import Loop, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import Uncertainty
+from flexopt.plant import build_plant
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
@@ -46,17 +48,34 @@ REPRESENTATIVES = 5
 
 
 def _notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    """As of `build_selection`; an objective of the loop is not its to check."""
+    """As of `build_selection`; an objective of the loop is not its to check, nor what a loop must do at least."""
+    least, given = _least(given.get("constraints")), {**given, "constraints": _without_loop(given.get("constraints"))}
     if given.get("objective") in OUTCOMES:
         if given.get("weights") is not None:
             arguments.note("weights", f"go with objective V only, not with {given['objective']}", given["weights"])
         given = {**given, "objective": "w1", "weights": None}
-    else:
+    elif least is None:
         for name in ("loop", "ranges"):
             if given.get(name) is not None:
-                sentence = f"goes with an objective of the loop, {', '.join(OUTCOMES)}; else see flexopt.verdict"
-                arguments.note(name, sentence, given[name])
+                words = ", ".join(OUTCOMES)
+                sentence = f"goes with an objective of the loop, {words}, or the constraint outcome"
+                arguments.note(name, f"{sentence}; else see flexopt.verdict", given[name])
+    elif not isinstance(given.get("objective"), str) or not re.fullmatch("V|w[0-9]+", given["objective"]):
+        sentence = f"must be w1, w2, …, V or, of the loop, one of {', '.join(OUTCOMES)} beside the constraint outcome"
+        arguments.note("objective", sentence, given.get("objective"))
+    elif given.get("weights") is not None and len(given["weights"]) > build_plant(arguments.of).n_passive:
+        arguments.note("weights", "have none for ε_max beside the constraint outcome", given["weights"])
     only_notes(arguments, given)
+
+
+def _least(constraints: Any) -> LeastOutcomes | None:
+    """What the loop must do at least."""
+    return constraints.outcome if isinstance(constraints, Constraints) else None
+
+
+def _without_loop(constraints: Any) -> Any:
+    """The constraints that are the configuration's alone."""
+    return constraints if _least(constraints) is None else constraints.model_copy(update={"outcome": None})
 
 
 @public(together=_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
@@ -79,7 +98,8 @@ def select(
             loop, each alone, are `"decay"`, `"allowed_gain"`, `"delay_margin"` and `"allowance"` (of its modes the
             least) of `flexopt.Outcome`, and the stability `"radius"` of `flexopt.stable_region`.
         loop: of the loop's objective: the real controller, as of `flexopt.evaluate`; by default the machine's
-            `[loop]`, or where there is none what follows from the machine. Of gains with a range (`kp_range`,
+            `[loop]`, or where there is none what follows from the machine. With the constraint `outcome` it must do so
+            much at least, also where w_i or V is the objective. Of gains with a range (`kp_range`,
             `kv_range`) the best for each configuration are chosen.
         ranges: of the loop's objective: what is uncertain, as of `flexopt.verdict`; the least over it counts. By
             default the machine's own numbers alone.
@@ -91,12 +111,15 @@ def select(
         NoSolutionFound: as `solve_selection`.
     """
     real, measure = cast("Loop | None", loop or machine.loop), keywords.get("objective")
-    if isinstance(measure, str) and measure in OUTCOMES:
+    least, of_loop = _least(constraints), isinstance(measure, str) and measure in OUTCOMES
+    if of_loop or least is not None:
         # Its room is built on this one.
         choose = later("flexopt.selection.outcomes", choice="outcome_selection")("outcome_selection")
-        problem = build_selection(machine, target, constraints=constraints, **keywords | {"objective": "w1"})
+        own_objective: Any = {"objective": "w1"} if of_loop else {}
+        problem = build_selection(machine, target, constraints=_without_loop(constraints), **keywords | own_objective)
         own = under_control(real or Loop(), machine, problem.control, "select")
-        return cast(Any, choose)(problem, own, ranges or (), _initial(problem), workers, progress, measure)
+        name = measure if of_loop else None
+        return cast(Any, choose)(problem, own, ranges or (), _initial(problem), workers, progress, name, least)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 

@@ -61,3 +61,13 @@ def test_a_choice_by_what_the_loop_bears(command: Command) -> None:
     assert shown["measure"] == "allowance"
     assert shown["best"]["outcome"]["allowance"]
     assert min(shown["best"]["outcome"]["allowance"]) == pytest.approx(shown["best"]["objective"], rel=1e-9)
+
+
+def test_least_outcomes_of_a_file(command: Command) -> None:
+    (command.folder / "own.toml").write_text(
+        'name = "own"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[loop]\nkp = 1e4\nkv = 1e3\n'
+        "dead_time = 0.02\n[constraints.outcome]\ndecay = 0.05\n"
+    )
+    shown = command.json("select", "own.toml")
+    assert shown["best"]["constraints"]["decay"]["value"] >= 0.05
+    assert shown["measure"] == "w1"

@@ -151,3 +151,46 @@ def test_several_factors_have_one_radius() -> None:
     found = MEASURES["radius"].value(loop, loop.outcome())
     region = flexopt.stable_region(EXCAVATOR, POSTURE, loop=LOOPS["radius"], ranges=each, boxes=0)
     assert found == pytest.approx(region.radius, rel=3e-3)
+
+
+def test_least_outcomes_bind_where_they_must() -> None:
+    """The best V without them decays less; with them it is kept to the bound, and no better place of a scan keeps it."""
+    free = flexopt.select(EXCAVATOR, TARGET, objective="V", weights=[1.0, 0.3, 0.3])
+    least = {"decay": 0.01, "delay_margin": 0.002}
+    found = flexopt.select(
+        EXCAVATOR, TARGET, objective="V", weights=[1.0, 0.3, 0.3], loop=LATE, constraints={"outcome": least}
+    )
+    assert isinstance(found, OutcomeSelection)
+    assert found.best.objective < free.best.objective
+    e = found.best.evaluation
+    assert e.outcome.decay == pytest.approx(0.01, rel=1e-5)
+    assert found.best.constraints["decay"].value == pytest.approx(e.outcome.decay)
+    assert found.best.constraints["delay_margin"].value >= 0.002
+    assert found.measure == "V"
+    best, alpha, measures = -math.inf, np.array([1.0, 0.3, 0.3]), flexopt.build_measures(EXCAVATOR)
+    for x, elbow in itertools.product(np.linspace(-3.3, 3.3, 101), ("up", "down")):
+        if told("allowance", x, elbow) == -math.inf:
+            continue
+        posture = flexopt.inverse_kinematics(EXCAVATOR, TARGET, base=x, elbow=elbow)[0]
+        value = float(alpha @ flexopt.evaluate_w(measures, np.array([[x]]), posture[:, None]).w[:, 0])
+        if value > best and flexopt.outcome(EXCAVATOR, posture, base=x, loop=LATE).decay >= 0.01:
+            best = value
+    assert found.best.objective >= best - 1e-12
+
+
+def test_least_outcomes_are_lifted_to_and_refused() -> None:
+    high = flexopt.select(
+        EXCAVATOR, TARGET, objective="allowance", loop=LATE, constraints={"outcome": {"decay": 0.09}}, starts=24
+    )
+    # Of 1,500 points one in a thousand decays as fast; the others climb there.
+    assert high.best.constraints["decay"].value >= 0.09 * (1 - 2e-6)
+    with pytest.raises(flexopt.NoSolutionFound, match="must do at least, decay 5"):
+        flexopt.select(EXCAVATOR, TARGET, loop=LATE, constraints={"outcome": {"decay": 5.0}}, starts=4)
+    for options, sentence in (
+        ({"objective": "epsilon_max", "loop": LATE}, "beside the constraint outcome"),
+        ({"objective": "decay", "loop": LATE, "ranges": {"dead_time": (0.0, 0.01)}}, "do not go with a least radius"),
+    ):
+        with pytest.raises(flexopt.InputError, match=sentence):
+            flexopt.select(EXCAVATOR, TARGET, constraints={"outcome": {"radius": 1.5}}, **options)  # type: ignore[arg-type]
+    with pytest.raises(flexopt.InputError, match="it wants a loop"):
+        flexopt.build_selection(EXCAVATOR, TARGET, constraints={"outcome": {"decay": 0.1}})

@@ -22,6 +22,7 @@ from flexopt.loop.region import stability_radius
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, DECAY, RADIUS
+from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.plant.inverse_kinematics import low_discrepancy
@@ -29,10 +30,10 @@ from flexopt.robustness import Evaluation
 from flexopt.selection.continua import travel
 from flexopt.selection.optima import SAME_POINT, Progress
 from flexopt.selection.outcomes.climb import Climbed, ahead, climbed
-from flexopt.selection.outcomes.measures import MEASURES, RADIUS_POINTS
+from flexopt.selection.outcomes.measures import MEASURES, RADIUS_POINTS, Measure, OfModes
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Attempt, Candidate, Selection
+from flexopt.selection.result import Attempt, Candidate, ConstraintValue, Selection
 from flexopt.selection.solve import constraint_values
 from flexopt.selection.starts import FEASIBLE
 
@@ -46,6 +47,7 @@ BLOCK = 50
 # Intervals whose corners are members from the beginning; points that are looked at behind a climb, and how often what
 # they find is added and climbed again.
 CORNERED, MEMBERS, ROUNDS = 3, 32, 6
+Bounds = tuple[tuple[Measure, float], ...]
 # Of the value, by which two are equal.
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -63,12 +65,14 @@ class OutcomeSelection(Selection):
         radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
             before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
         loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
+        present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
         unverified: the largest value of a climb that did not end where it could be verified, where that is more than
             the best candidate's; else None.
         others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
     """
 
-    sought: str = DECAY
+    criterion: Measure = field(default=MEASURES[DECAY], repr=False)
+    present: float | None = None
     radii: tuple[float, ...] = ()
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
     loop: Loop | None = field(default=None, repr=False)
@@ -86,11 +90,11 @@ class OutcomeSelection(Selection):
     @property
     def measure(self) -> str:
         """See the class."""
-        return self.sought
+        return self.problem.name if isinstance(self.criterion, OfModes) else self.criterion.name
 
     @property
     def _unit(self) -> str:
-        return MEASURES[self.measure].unit
+        return self.criterion.unit
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:
@@ -99,7 +103,7 @@ class OutcomeSelection(Selection):
     @property
     def status(self) -> str:
         """A sentence."""
-        count, ended, looked = len(self.candidates), len(self.attempts), MEASURES[self.measure].looked
+        count, ended, looked = len(self.candidates), len(self.attempts), self.criterion.looked
         return f"{count} distinct local optima verified to first order, the ends of {ended} climbs from {looked} points"
 
     @property
@@ -118,17 +122,11 @@ class OutcomeSelection(Selection):
         return ""
 
     @property
-    def _now(self) -> float:
-        """The measure of the present configuration, where its outcome tells it."""
-        told = None if self.initial is None else getattr(self.initial.outcome, self.measure, math.nan)
-        return math.nan if told is None else float(np.min(told))
-
-    @property
     def nothing_to_gain(self) -> str:
         """A sentence where the present configuration has as much of the measure as the best; else empty."""
-        if self.initial is None or self.initial.outcome is None or self.uncertainty:
+        now = self.present
+        if now is None or self.uncertainty:
             return ""
-        now = self._now
         if not now >= (1 - NEW) * self.best.objective:
             return ""
         return f"nothing to gain: the present configuration has as much {self.measure}"
@@ -155,8 +153,8 @@ class OutcomeSelection(Selection):
                 f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
             )
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain,) if sentence]
-        if self.initial is not None and self.initial.outcome is not None:
-            e, now = self.initial, self._now
+        if self.initial is not None and self.present is not None:
+            e, now = self.initial, self.present
             nominal = " with the machine's own numbers" if self.uncertainty else ""
             lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}{nominal}")
         return "\n".join([*lines, *repr(self.settings[0]).splitlines()])
@@ -169,7 +167,8 @@ def outcome_selection(
     initial: Evaluation | None,
     workers: int | None,
     progress: Progress | None,
-    name: str = DECAY,
+    name: str | None = DECAY,
+    least: LeastOutcomes | None = None,
 ) -> OutcomeSelection:
     """Local optima of a measure of the loop, verified to first order, the best first.
 
@@ -180,7 +179,8 @@ def outcome_selection(
             one of all springs.
         initial: the present configuration.
         workers, progress: as of `flexopt.solve_selection`.
-        name: of the measure.
+        name: of the measure; None: the problem's own objective.
+        least: what the loop must do at least.
 
     Raises:
         InputError: the uncertainty does not go with the loop or the measure; a measure of gains without one.
@@ -189,27 +189,31 @@ def outcome_selection(
     pool = _pool(problem, initial)
     n_base, machine = len(problem.machine.base_coordinates), problem.machine
     stand = initial or problem.quantities.evaluated(pool[0])
-    settings, measure = loop_settings(machine, loop, stand, gravity=problem.gravity), MEASURES[name]
+    settings, measure = (
+        loop_settings(machine, loop, stand, gravity=problem.gravity),
+        (OfModes(problem) if name is None else MEASURES[name]),
+    )
+    bounds = () if least is None else tuple((MEASURES[word], x) for word, x in least if x is not None)
     varied = (uncertainty or GROUND) if name == RADIUS else uncertainty
     box = UncertaintyBox(machine, varied, settings.dead_time)
-    raise_if_any(InputError, "select", [*box.faults(settings.rate), *_unfit(name, loop, settings, varied)])
+    raise_if_any(InputError, "select", [*box.faults(settings.rate), *_unfit(name, bounds, loop, settings, varied)])
     held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
     corners = box.corners(CORNERED) if uncertainty and name != RADIUS else np.zeros((0, 0))
-    program = OutcomeProgram(problem, held, gain_ranges(loop), corners, measure=measure)
+    program = OutcomeProgram(problem, held, gain_ranges(loop), corners, measure=measure, least=bounds)
     count = workers or available_cores()
     ys, values = _looked(program, pool, count)
+    if bounds and not any(map(math.isfinite, values)):
+        ys = _lifted(program, ys, count)
+        values = _valued(program, ys, count)
     known = [k for k, value in enumerate(values) if math.isfinite(value)]
     if not known:
-        sentence = f"select: none of {len(values)} configurations that were looked at has a {name}: every loop grows"
+        asked = ", ".join(f"{each.name} {x:g}" for each, x in bounds)
+        what = f"leads to what it must do at least, {asked}" if bounds else f"has a {name}: every loop grows"
+        sentence = f"select: none of {measure.looked} configurations that were looked at {what}"
         raise NoSolutionFound(sentence, violations={}, iterate={})
     ys, values = [ys[k] for k in known], [values[k] for k in known]
     program = replace(program, size=max(abs(max(values)), np.finfo(float).tiny))
-    distance = APART
-    for most, steps in measure.stages:
-        chosen = [ys[k] for k in _apart(program, ys, values, min(most, problem.starts or most), distance)]
-        done_with = in_parallel(partial(_ahead, program, chosen, steps), len(chosen), count, at_once=len(chosen) > 1)
-        ys, values = [y for y, _ in done_with], [value for _, value in done_with]
-        distance = ALIKE
+    ys, values, distance = _some_steps(program, ys, values, count)
     starts = [ys[k] for k in _apart(program, ys, values, CLIMBED, distance)]
     done = None if progress is None else partial(_told, progress, len(starts))
     found = in_parallel(partial(_climbed, program, starts), len(starts), count, done, at_once=len(starts) > 1)
@@ -227,7 +231,7 @@ def outcome_selection(
         raise _none(program, found)
     others = [each.value for each in found if each is not None and not each.holds]
     loops = [program.at(each.y).settings for each in distinct]
-    candidates = [_candidate(problem, each, chosen) for each, chosen in zip(distinct, loops, strict=True)]
+    candidates = [_candidate(program, each, chosen) for each, chosen in zip(distinct, loops, strict=True)]
     springs = UncertaintyBox(machine, GROUND, settings.dead_time)
     now = None if initial is None else with_outcome(machine, initial, loops[0], gravity=problem.gravity)
     return OutcomeSelection(
@@ -238,7 +242,8 @@ def outcome_selection(
         kept=(),
         problem=problem,
         provenance=provenance(machine, objective=name, target=problem.target.tolist(), seed=problem.seed),
-        sought=name,
+        criterion=measure,
+        present=None if initial is None else _present(program, initial, distinct[0]),
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
         loop=loop,
@@ -268,9 +273,42 @@ def _looked(program: OutcomeProgram, pool: Vector, workers: int) -> tuple[list[V
     places = [0, *np.minimum((unit[0, 1:] * len(pool)).astype(int), len(pool) - 1).tolist()]
     gains = lower + unit[1:].T * (upper - lower)
     ys = [np.append(pool[k] / program.problem.scale, own) for k, own in zip(places, gains, strict=True)]
+    return ys, _valued(program, ys, workers)
+
+
+def _valued(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[float]:
+    """Their values."""
     blocks = [ys[k : k + BLOCK] for k in range(0, len(ys), BLOCK)]
     found = in_parallel(partial(_values, program, blocks), len(blocks), workers)
-    return ys, [value for block in found for value in block]
+    return [value for block in found for value in block]
+
+
+def _some_steps(
+    program: OutcomeProgram, ys: list[Vector], values: list[float], workers: int
+) -> tuple[list[Vector], list[float], float]:
+    """Where the measure's stages lead, the values there, and how far apart points then count as two."""
+    distance = APART
+    for most, steps in program.measure.stages:
+        chosen = [ys[k] for k in _apart(program, ys, values, min(most, program.problem.starts or most), distance)]
+        done = in_parallel(partial(_ahead, program, chosen, steps), len(chosen), workers, at_once=len(chosen) > 1)
+        ys, values = [y for y, _ in done], [value for _, value in done]
+        distance = ALIKE
+    return ys, values, distance
+
+
+def _lifted(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[Vector]:
+    """Points where the loop does what it must at least, by climbing one of these after another; none where none is."""
+    for k, (measure, least) in enumerate(program.least):
+        stage = replace(program, measure=measure, least=program.least[:k])
+        values = _valued(stage, ys, workers)
+        known = [i for i, value in enumerate(values) if math.isfinite(value)]
+        if not known:
+            return []
+        ys, values = [ys[i] for i in known], [values[i] for i in known]
+        stage = replace(stage, size=max(abs(max(values)), np.finfo(float).tiny))
+        ys, values, _ = _some_steps(stage, ys, values, workers)
+        ys = [y for y, value in zip(ys, values, strict=True) if value >= least]
+    return ys
 
 
 def _values(program: OutcomeProgram, blocks: list[list[Vector]], number: int) -> list[float]:
@@ -314,7 +352,10 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
             return None
         value, at = _least(program, found.y)
         if value >= found.value - NEW * abs(found.value):
-            break
+            broken = _broken(program, found.y)
+            if broken is None:
+                break
+            at = broken
         program = replace(program, members=np.concatenate([program.members, at[None]]))
         again = climbed(program, found.y)
         found = again if again is not None else replace(found, value=value)
@@ -325,19 +366,46 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
 
 def _least(program: OutcomeProgram, y: Vector) -> tuple[float, Vector]:
     """The least of the measure found over the uncertainty, and where."""
-    loop = program.at(y)
+    return _worst(program.at(y), program.measure)
+
+
+def _broken(program: OutcomeProgram, y: Vector) -> Vector | None:
+    """A member whose loop does less than it must."""
+    for measure, least in program.least:
+        value, at = _worst(program.at(y), measure)
+        if value < least - NEW * abs(least):
+            return at
+    return None
+
+
+def _worst(loop: UncertainLoop, measure: Measure) -> tuple[float, Vector]:
     members = loop.box.members(MEMBERS)
-    if program.measure.name == DECAY:
+    if measure.name == DECAY:
         return loop.slowest(members, loop.decays(members))
-    values = [program.measure.value(loop, loop.outcome(u)) for u in members]
+    values = [measure.value(loop, loop.outcome(u)) for u in members]
     k = int(np.argmin(values))
     return values[k], members[k]
 
 
-def _unfit(name: str, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]) -> list[Fault]:
-    """What a measure cannot be had of."""
-    found = list[Fault]()
-    if name == ALLOWED_GAIN and not settings.kp.any():
+def _kept(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:
+    """What the worst member's loop does of what it must at least."""
+    loop, points = program.at(y), program.points(y)
+    return {
+        measure.name: ConstraintValue(
+            min(measure.value(loop, point) for point in points), least, math.inf, measure.unit
+        )
+        for measure, least in program.least
+    }
+
+
+def _unfit(
+    name: str | None, bounds: Bounds, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]
+) -> list[Fault]:
+    """What measures cannot be had of."""
+    found, asked = list[Fault](), {name, *(measure.name for measure, _ in bounds)}
+    if RADIUS in asked - {name} and varied:
+        found.append(Fault("ranges", "do not go with a least radius, which is that of all springs"))
+    if ALLOWED_GAIN in asked and not settings.kp.any():
         found.append(Fault("loop.kp", "is 0, and the objective allowed_gain asks for the largest Kp"))
     if name == ALLOWANCE and gain_ranges(loop):
         found.append(Fault("loop", "has ranges of gains, which the objective allowance does not depend on"))
@@ -371,7 +439,16 @@ def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFou
     )  # fmt: skip
 
 
-def _candidate(problem: SelectionProblem, end: Climbed, settings: LoopSettings) -> Candidate:
+def _present(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> float | None:
+    """The measure of the present configuration with the best one's gains; None where it has none."""
+    z = np.concatenate([initial.base, initial.posture]) / program.problem.scale
+    own = replace(program, members=np.zeros((0, 0)), least=())
+    value = own.value(np.append(z, best.y[program.n_z :]))
+    return value if math.isfinite(value) else None
+
+
+def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) -> Candidate:
+    problem = program.problem
     z = end.y[: problem.scale.size] * problem.scale
     n_base, p = len(problem.machine.base_coordinates), problem.measures.plant.parameter_values
     reached = problem.rows(z)[: problem.target.size]
@@ -384,7 +461,7 @@ def _candidate(problem: SelectionProblem, end: Climbed, settings: LoopSettings) 
         w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
         objective=end.value,
         active=end.active,
-        constraints=constraint_values(problem, z),
+        constraints=constraint_values(problem, z) | _kept(program, end.y),
         target_error=float(np.linalg.norm(reached - problem.target)),
         stationarity=end.stationarity,
         iterations=end.steps,

@@ -124,7 +124,7 @@ def _search(program: OutcomeProgram, start: Vector, value: float, steps: int) ->
     def told(x: Vector) -> Branches:
         key = x.tobytes()
         if key not in known:
-            found = program.measure.branches(place(x)[0], float(x[-1]))
+            found = place(x)[0].branches(float(x[-1]))
             # Where two multipliers meet there is no slope; a search may go on from there, a proof may not.
             known[key] = replace(found, slopes=np.nan_to_num(found.slopes), by_level=np.nan_to_num(found.by_level))
         return known[key]

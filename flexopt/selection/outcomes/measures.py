@@ -22,9 +22,11 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint
 from flexopt.loop.region import LARGEST, stability_radius
-from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, DECAY, DELAY_MARGIN, RADIUS
 from flexopt.model.loop import DELAY_MAX
+from flexopt.model.uncertainty import GROUND
+from flexopt.selection.problem import SelectionProblem
 
 # Motions of a loop that count, the slowest first: at an optimum several are as slow. Places before a border that count.
 BRANCHES, PLACES = 6, 2
@@ -113,6 +115,34 @@ class Decay(Measure):
         near = [entry for entry in each[:BRANCHES] if entry[0] <= each[0][0] + FAR * at.size]
         slopes = [at.by_y(_slopes(point, k)) for _, point, k in near]
         return np.array([value for value, _, _ in near]) / at.size, np.array(slopes) / at.size
+
+
+@dataclass(frozen=True)
+class OfModes(Measure):
+    """A w_i, or a weighted sum of them: the objective of a problem, of the machine's own numbers."""
+
+    problem: SelectionProblem
+    name: ClassVar[str] = "V"
+    unit: ClassVar[str] = ""
+    looked: ClassVar[int] = 1500
+    stages: ClassVar[tuple[tuple[int, int], ...]] = ((96, 6), (24, 10))
+
+    def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
+        """See the class."""
+        z = np.concatenate([loop.base, loop.posture])
+        return float(self.problem.branches(self.problem.objective, z)[0][0])
+
+    def level(self, value: float, size: float) -> float:  # noqa: ARG002
+        """A share of the objective's scale."""
+        return value / self.problem.objective_scale
+
+    def branches(self, at: ProgramPoint, level: float) -> Branches:
+        """V, less the level."""
+        z = np.concatenate([at.loop.base, at.loop.posture])
+        values, slopes = at.once("modes", lambda: self.problem.branches(self.problem.objective, z))
+        wide = np.zeros((1, at.count))
+        wide[0, : z.size] = slopes[0] * self.problem.scale / self.problem.objective_scale
+        return Branches(values[:1] / self.problem.objective_scale - level, wide, np.full(1, -1.0))
 
 
 class Allowance(Measure):
@@ -293,6 +323,7 @@ class Radius(Border):
         """See the class."""
         if not point.loop.stable:
             return -math.inf
+        loop = _of_springs(loop)
         borders = [line.border(math.log(LARGEST)) for line in self._diagonals(loop, point)]
         found = math.exp(min(borders))
         if len(borders) == 2:
@@ -307,7 +338,7 @@ class Radius(Border):
 
     def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
         """Towards every corner."""
-        return self._diagonals(at.loop, point)
+        return self._diagonals(_of_springs(at.loop), point)
 
     def _diagonals(self, loop: UncertainLoop, point: LoopPoint) -> list[Line]:
         entries = loop.box.entries
@@ -326,6 +357,12 @@ class Radius(Border):
             return dict(slopes), float(slopes["p"] @ (ways * there.numbers["p"]))
 
         return Line(loop, lambda x: _rates(loop(x))[0], 0.0, by)
+
+
+def _of_springs(loop: UncertainLoop) -> UncertainLoop:
+    """The loop with one factor of all springs where nothing is said of factors."""
+    box = loop.box
+    return loop if box.uncertainty else replace(loop, box=UncertaintyBox(box.machine, GROUND, box.nominal_dead_time))
 
 
 def _first(point: LoopPoint) -> float:

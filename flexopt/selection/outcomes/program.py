@@ -6,6 +6,7 @@ in scaled variables y = [z / scale, ln kp, ln kv].
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,6 +23,9 @@ from flexopt.selection.outcomes.measures import MEASURES, Branches, Measure
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import row_gradients
 
+# Share of what the loop must do at least that it may fall short by: that of steps.
+SHORT = 1e-6
+
 
 @dataclass(frozen=True)
 class OutcomeProgram:
@@ -34,6 +38,7 @@ class OutcomeProgram:
         members: points of what is uncertain, (n, k); none: the nominal machine alone.
         size: what the measure is divided by, in its unit, where levels are shares of it.
         measure: what is largest.
+        least: what the loop of every member must do at least, by measure.
     """
 
     problem: SelectionProblem
@@ -42,6 +47,7 @@ class OutcomeProgram:
     members: Vector
     size: float = 1.0
     measure: Measure = MEASURES[DECAY]
+    least: tuple[tuple[Measure, float], ...] = ()
 
     @property
     def n_z(self) -> int:
@@ -80,9 +86,13 @@ class OutcomeProgram:
         return [loop.outcome(), *(loop.outcome(u) for u in self.members)]
 
     def value(self, y: Vector) -> float:
-        """The measure of the worst member; −∞ where one has none."""
-        loop = self.at(y)
-        return min(self.measure.value(loop, point) for point in self.points(y))
+        """The measure of the worst member; −∞ where one has none, or does less than it must."""
+        loop, points = self.at(y), self.points(y)
+        for measure, least in self.least:
+            short = SHORT * abs(least)
+            if not all(measure.value(loop, point) >= least - short for point in points):
+                return -math.inf
+        return min(self.measure.value(loop, point) for point in points)
 
     def level(self, value: float) -> float:
         """As what a value of the measure is climbed."""
@@ -94,7 +104,7 @@ class OutcomeProgram:
 
     def branches(self, y: Vector, level: float) -> Branches:
         """What must not be below zero at y for the measure to be that of a level."""
-        return self.measure.branches(self.place(y), level)
+        return self.place(y).branches(level)
 
     def rows(self, y: Vector) -> Vector:
         """Values of the problem's rows, in their scales: 0 for the target's."""
@@ -134,6 +144,17 @@ class ProgramPoint:
     def points(self) -> list[LoopPoint]:
         """Of every member."""
         return self.program.points(self.y)
+
+    def branches(self, level: float) -> Branches:
+        """What must not be below zero for the measure to be that of a level."""
+        found = [self.program.measure.branches(self, level)]
+        for measure, least in self.program.least:
+            told = measure.branches(self, measure.level(least, self.size))
+            found.append(Branches(told.values, told.slopes, np.zeros(len(told.values))))
+        values, slopes, by_level = (np.concatenate([getattr(each, name) for each in found])
+                                    for name in ("values", "slopes", "by_level"))  # fmt: skip
+        order = np.argsort(values, kind="stable")
+        return Branches(values[order], slopes[order], by_level[order])
 
     def once(self, name: str, made: Callable[[], Any]) -> Any:
         """What is the same at every level."""
