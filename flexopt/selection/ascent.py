@@ -268,11 +268,8 @@ class Ascent:
             inside = step.length < 0.99 * distance
             if inside and (step.length <= LEAST or max(step.slope, step.gain / step.length) <= STATIONARY):
                 return None, None, distance
-            there = self.restored(here.x + step.d)
+            there = self._corrected(self.restored(here.x + step.d), step, distance, second.cones)
             gain = -np.inf if there is None else there.value - here.value
-            if there is not None and gain < FINE * step.gain:
-                there = self._corrected(there, step, distance, second.cones)
-                gain = there.value - here.value
             if there is None or gain <= max(POOR * step.gain - rounding, -rounding):
                 distance = min(distance, step.length) / 4
                 continue
@@ -285,7 +282,7 @@ class Ascent:
             return there, step, distance
         return None, None, 0.0
 
-    def _corrected(self, there: Point, step: Step, distance: float, cones: tuple[int, ...]) -> Point:
+    def _corrected(self, there: Point | None, step: Step, distance: float, cones: tuple[int, ...]) -> Point | None:
         """Where the same second derivatives lead from the end of a step: back onto a ridge that is bent.
 
         Along the ridge, where V bends little, nearly nothing is moved.
@@ -293,6 +290,8 @@ class Ascent:
         values, vectors = np.linalg.eigh(step.bend)
         stiff = (vectors * np.maximum(values, STIFF * values[-1])) @ vectors.T
         for _ in range(CHORDS):
+            if there is None:
+                break
             again = self._step(there, stiff, distance, cones, step, coupled=step.coupled)
             if again is None or again.gain <= POOR * step.gain:
                 break
