@@ -20,9 +20,8 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
 from flexopt.model.parameter_values import with_parameters
-from flexopt.model.simulation import PART_OF_SAMPLE, placement_of
-from flexopt.plant import build_plant, inverse_kinematics
-from flexopt.simulation.scenario import checked_options
+from flexopt.model.simulation import PART_OF_SAMPLE
+from flexopt.simulation.scenario import checked_options, design_configuration
 
 # Options of a run that a loop brings itself, and which of its tables'.
 BROUGHT = ("feedback", "kp", "kv", "ki", "rate", "hold", "nullspace_damping", "gain")
@@ -97,11 +96,7 @@ def with_loop(
     """The machine as its drives brake it, the options of a call with those of a loop, the loop's numbers, sentences."""
     told = {name: value for name, value in given.items() if value is not None}
     options = checked_options(call, machine, told)
-    base = np.array(placement_of(options, machine))
-    posture = None if options.posture is None else np.array(options.posture)
-    if posture is None:
-        elbow = options.elbow or ("up" if build_plant(machine).closed_form else None)
-        posture = inverse_kinematics(machine, options.end_point, base=base, gravity=options.gravity, elbow=elbow)[0]
+    posture, base = (np.array(each) for each in design_configuration(machine, options))
     control = options.control if "control" in told else None
     settings, _ = settings_at(machine, posture, base, control, loop, gravity=options.gravity, call=call)
     waits = whole_samples(settings.dead_time, settings.rate)

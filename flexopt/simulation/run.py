@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import warnings as python_warnings
 from collections.abc import Mapping
@@ -49,7 +48,7 @@ def simulate(
     posture: Any = None,
     *,
     loop: Loop | Mapping[str, Any] | str | None = None,
-    options: SimulationOptions | None = None,
+    options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SimulationKeywords],
 ) -> Trajectory:
     """The nonlinear closed loop M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = [0; τ_a], simulated.
@@ -83,11 +82,15 @@ def simulate(
     if loop is not None:
         machine, given, settings, sentences = with_loop(machine, cast(Loop, loop), given, "simulate")
     # Drives that serve rates brake joints so much that steps for the modes may be too long.
-    for shorter in (None, *SHORTER) if loop is not None and given.get("substeps") is None else ():
-        with contextlib.suppress(NoSolutionFound):
-            options = checked_options("simulate", machine, given | {"substeps": shorter})
-            return simulate_checked(build_scenario(machine, options), settings, sentences)
-    return simulate_checked(build_scenario(machine, checked_options("simulate", machine, given)), settings, sentences)
+    tries = [{"substeps": steps} for steps in SHORTER] if loop is not None and given.get("substeps") is None else []
+    while True:
+        scenario = build_scenario(machine, checked_options("simulate", machine, given))
+        try:
+            return simulate_checked(scenario, settings, sentences)
+        except NoSolutionFound:
+            if not tries:
+                raise
+            given |= tries.pop(0)
 
 
 def simulate_checked(

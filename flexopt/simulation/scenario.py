@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -195,15 +195,7 @@ def build_scenario(
         InputError: the springs do not hold the machine; the step is too long for RK4.
         NoSolutionFound: the static deflection did not converge.
     """
-    design = _design(
-        machine,
-        options.posture,
-        options.end_point,
-        options.elbow,
-        placement_of(options, machine),
-        options.gravity,
-        options.control,
-    )
+    design = _design(machine, *design_configuration(machine, options), options.gravity, options.control)
     options = with_servo_gain(machine, options, design.posture)
     period = 1 / options.rate
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
@@ -295,20 +287,29 @@ class _Design:
 
 
 @lru_cache(maxsize=256)
+def _reaching(
+    machine: AnyMachine, end_point: tuple[float, ...], elbow: Any, base: tuple[float, ...], gravity: bool
+) -> tuple[float, ...]:
+    elbow = elbow or ("up" if build_plant(machine).closed_form else None)
+    return tuple(inverse_kinematics(machine, end_point, base=base, gravity=gravity, elbow=elbow)[0])
+
+
+def design_configuration(
+    machine: AnyMachine, options: SimulationOptions
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Posture (n,) and base (n_b,) about which a run works."""
+    base, end_point = placement_of(options, machine), options.end_point
+    if end_point is None:
+        return cast("tuple[float, ...]", options.posture), base
+    return _reaching(machine, end_point, options.elbow, base, options.gravity), base
+
+
+@lru_cache(maxsize=256)
 def _design(
-    machine: AnyMachine,
-    posture: tuple[float, ...] | None,
-    end_point: tuple[float, ...] | None,
-    elbow: Any,
-    base: tuple[float, ...],
-    gravity: bool,
-    control: Control,
+    machine: AnyMachine, posture: tuple[float, ...], base: tuple[float, ...], gravity: bool, control: Control
 ) -> _Design:
-    plant = build_plant(machine)
-    if posture is None:
-        elbow = elbow or ("up" if plant.closed_form else None)
-        posture = tuple(inverse_kinematics(machine, end_point, base=base, gravity=gravity, elbow=elbow)[0])
-    angles, placement, p, m = np.array(posture), np.array(base), plant.parameter_values, plant.n_passive
+    plant, angles, placement = build_plant(machine), np.array(posture), np.array(base)
+    p, m = plant.parameter_values, plant.n_passive
     q = plant.rest(placement, angles, p).full().ravel()
     check_regular(plant, q, placement, control)
     stiffness = plant.stiffness(p).full()

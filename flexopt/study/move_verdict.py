@@ -28,7 +28,7 @@ from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
-from flexopt.selection.outcomes.choice import OutcomeSelection
+from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.study.asked import reported
 from flexopt.study.confirmation import Runs, nonlinear_runs
 from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, faster

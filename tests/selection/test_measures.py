@@ -19,9 +19,9 @@ from flexopt.model.loop import Loop
 from flexopt.model.parameter_values import with_parameters
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.plant import build_plant
-from flexopt.selection.outcomes.choice import OutcomeSelection
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.starts import FEASIBLE, moved
 
 EXCAVATOR, TARGET, POSTURE = flexopt.load("excavator"), (0.0, 1.6), (0.0448, -2.0499)

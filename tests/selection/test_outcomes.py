@@ -15,9 +15,9 @@ from benchmarks.codesign import KP, KV, decay
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.loop import Loop
-from flexopt.selection.outcomes.choice import OutcomeSelection
 from flexopt.selection.outcomes.climb import first_order
 from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.starts import FEASIBLE, moved
 from tests.cli.command import Command
 

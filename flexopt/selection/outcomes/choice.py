@@ -6,9 +6,8 @@ In: a `SelectionProblem` whose own objective is not asked, a loop. Out: an `Outc
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -25,25 +24,19 @@ from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, DECAY, RADIUS
 from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import GROUND, Uncertainty
-from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.robustness import Evaluation
 from flexopt.selection.continua import travel
 from flexopt.selection.optima import SAME_POINT, Progress
-from flexopt.selection.outcomes.climb import Climbed, ahead, climbed
+from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.measures import MEASURES, RADIUS_POINTS, Measure, OfModes
 from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.result import OutcomeSelection
+from flexopt.selection.outcomes.starting import separation, starting_points
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Attempt, Candidate, ConstraintValue, Selection
+from flexopt.selection.result import Attempt, Candidate, ConstraintValue
 from flexopt.selection.solve import constraint_values
 from flexopt.selection.starts import FEASIBLE
 
-# How far starts stand apart, in scaled variables, and how many climb to the end. Basins are narrow: a measure's stages,
-# few steps from many starts, find more than many from few.
-APART, CLIMBED = 0.5, 8
-# Points nearer than this after some steps are on their way to one optimum.
-ALIKE = 0.1
-# Points that a process looks at together.
-BLOCK = 50
 # Intervals whose corners are members from the beginning; points that are looked at behind a climb, and how often what
 # they find is added and climbed again.
 CORNERED, MEMBERS, ROUNDS = 3, 32, 6
@@ -52,112 +45,6 @@ Bounds = tuple[tuple[Measure, float], ...]
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
 NEW = 1e-3
-
-
-@dataclass(frozen=True, repr=False)
-class OutcomeSelection(Selection):
-    """The answer to a configuration problem by what the loop does.
-
-    Attributes:
-        measure: what is largest, of `flexopt.Outcome`, of modes the least, or the stability `"radius"`;
-            `Candidate.objective` is its value, SI, over the uncertainty its least.
-        gains: kp and kv of each candidate, those that were chosen with the configuration.
-        radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
-            before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
-        loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
-        present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
-        unverified: the largest value of a climb that did not end where it could be verified, where that is more than
-            the best candidate's; else None.
-        others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
-    """
-
-    criterion: Measure = field(default=MEASURES[DECAY], repr=False)
-    present: float | None = None
-    radii: tuple[float, ...] = ()
-    settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
-    loop: Loop | None = field(default=None, repr=False)
-    uncertainty: tuple[Uncertainty, ...] = ()
-    unverified: float | None = None
-
-    DOCUMENT = Selection.DOCUMENT + " measure gains radii unverified uncertainty=_uncertainty"
-
-    @property
-    def gains(self) -> tuple[dict[str, float], ...]:
-        """See the class."""
-        names = {} if self.loop is None else gain_ranges(self.loop)
-        return tuple({name: float(getattr(each, name)[0]) for name in names} for each in self.settings)
-
-    @property
-    def measure(self) -> str:
-        """See the class."""
-        return self.problem.name if isinstance(self.criterion, OfModes) else self.criterion.name
-
-    @property
-    def _unit(self) -> str:
-        return self.criterion.unit
-
-    @property
-    def _uncertainty(self) -> list[dict[str, Any]]:
-        return [each.model_dump(exclude_none=True) for each in self.uncertainty]
-
-    @property
-    def status(self) -> str:
-        """A sentence."""
-        count, ended, looked = len(self.candidates), len(self.attempts), self.criterion.looked
-        return f"{count} distinct local optima verified to first order, the ends of {ended} climbs from {looked} points"
-
-    @property
-    def missed_chance(self) -> None:
-        """None: climbs that go to the end are chosen among others, not drawn."""
-        return
-
-    @property
-    def edges(self) -> tuple[str, ...]:
-        """None: the loop knows no numbers of modes."""
-        return ()
-
-    @property
-    def decided_by(self) -> str:
-        """Empty: candidates are ranked by the measure alone."""
-        return ""
-
-    @property
-    def nothing_to_gain(self) -> str:
-        """A sentence where the present configuration has as much of the measure as the best; else empty."""
-        now = self.present
-        if now is None or self.uncertainty:
-            return ""
-        if not now >= (1 - NEW) * self.best.objective:
-            return ""
-        return f"nothing to gain: the present configuration has as much {self.measure}"
-
-    def __repr__(self) -> str:
-        best = self.best.evaluation
-        names, measure = (*best.base_coordinates, *best.joints), f"{self.measure} {self._unit}".strip()
-        over = f", worst over {', '.join(each.name for each in self.uncertainty)}" if self.uncertainty else ""
-        lines = [
-            f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in self.problem.target)}) m, Jacobian "
-            f"{best.control} control, objective {self.measure}{over}: {self.status}",
-            "  rank " + " ".join(f"{name:>9}" for name in names) + f" {measure:>16} {'radius':>7}"
-            + "".join(f" {name:>10}" for name in self.gains[0]),
-        ]  # fmt: skip
-        each = zip(self.candidates, self.radii, self.gains, strict=True)
-        for rank, (candidate, radius, gains) in enumerate(each, start=1):
-            e = candidate.evaluation
-            numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
-            active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
-            chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
-            lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
-        if self.unverified is not None:
-            lines.append(
-                f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
-            )
-        lines += [f"  {sentence}" for sentence in (self.nothing_to_gain,) if sentence]
-        if self.initial is not None and self.present is not None:
-            e, now = self.initial, self.present
-            nominal = " with the machine's own numbers" if self.uncertainty else ""
-            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}{nominal}")
-        return "\n".join([*lines, *repr(self.settings[0]).splitlines()])
 
 
 def outcome_selection(
@@ -186,13 +73,11 @@ def outcome_selection(
         InputError: the uncertainty does not go with the loop or the measure; a measure of gains without one.
         NoSolutionFound: no climb ended at a feasible, stationary point.
     """
-    pool = _pool(problem, initial)
+    pool = _feasible(problem, initial)
     n_base, machine = len(problem.machine.base_coordinates), problem.machine
     stand = initial or problem.quantities.evaluated(pool[0])
-    settings, measure = (
-        loop_settings(machine, loop, stand, gravity=problem.gravity),
-        (OfModes(problem) if name is None else MEASURES[name]),
-    )
+    settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
+    measure = OfModes(problem) if name is None else MEASURES[name]
     bounds = () if least is None else tuple((MEASURES[word], x) for word, x in least if x is not None)
     varied = (uncertainty or GROUND) if name == RADIUS else uncertainty
     box = UncertaintyBox(machine, varied, settings.dead_time)
@@ -201,27 +86,14 @@ def outcome_selection(
     corners = box.corners(CORNERED) if uncertainty and name != RADIUS else np.zeros((0, 0))
     program = OutcomeProgram(problem, held, gain_ranges(loop), corners, measure=measure, least=bounds)
     count = workers or available_cores()
-    ys, values = _looked(program, pool, count)
-    if bounds and not any(map(math.isfinite, values)):
-        ys = _lifted(program, ys, count)
-        values = _valued(program, ys, count)
-    known = [k for k, value in enumerate(values) if math.isfinite(value)]
-    if not known:
-        asked = ", ".join(f"{each.name} {x:g}" for each, x in bounds)
-        what = f"leads to what it must do at least, {asked}" if bounds else f"has a {name}: every loop grows"
-        sentence = f"select: none of {measure.looked} configurations that were looked at {what}"
-        raise NoSolutionFound(sentence, violations={}, iterate={})
-    ys, values = [ys[k] for k in known], [values[k] for k in known]
-    program = replace(program, size=max(abs(max(values)), np.finfo(float).tiny))
-    ys, values, distance = _some_steps(program, ys, values, count)
-    starts = [ys[k] for k in _apart(program, ys, values, CLIMBED, distance)]
+    program, starts = starting_points(program, pool, count)
     done = None if progress is None else partial(_told, progress, len(starts))
     found = in_parallel(partial(_climbed, program, starts), len(starts), count, done, at_once=len(starts) > 1)
     attempts = tuple(_attempt(program, start, each) for start, each in zip(starts, found, strict=True))
     ends = sorted((each for each in found if each is not None and each.holds), key=lambda each: -each.value)
     distinct = list[Climbed]()
     for each in ends:
-        if all(float(np.max(np.abs(_away(program, each.y, other.y)))) > SAME_POINT for other in distinct):
+        if all(separation(program, each.y, other.y) > SAME_POINT for other in distinct):
             distinct.append(each)
     # What is as fast goes by the way there.
     level = distinct[0].value - EQUAL * abs(distinct[0].value) if distinct else 0.0
@@ -252,7 +124,7 @@ def outcome_selection(
     )
 
 
-def _pool(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
+def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
     """Feasible configurations (N, n_z): those that were scanned, and the present one."""
     scan = problem.scan
     feasible = scan.violation <= FEASIBLE
@@ -263,80 +135,6 @@ def _pool(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
         sentence = "select: no configuration that was looked at keeps every constraint"
         raise NoSolutionFound(sentence, violations={}, iterate={})
     return pool
-
-
-def _looked(program: OutcomeProgram, pool: Vector, workers: int) -> tuple[list[Vector], list[float]]:
-    """Points y, configurations of the pool with gains from their ranges, and their values."""
-    unit = low_discrepancy(1 + len(program.ranges), program.measure.looked, program.problem.seed)
-    lower, upper = (end[program.n_z :] for end in program.bounds)
-    # The present configuration is the first of the pool.
-    places = [0, *np.minimum((unit[0, 1:] * len(pool)).astype(int), len(pool) - 1).tolist()]
-    gains = lower + unit[1:].T * (upper - lower)
-    ys = [np.append(pool[k] / program.problem.scale, own) for k, own in zip(places, gains, strict=True)]
-    return ys, _valued(program, ys, workers)
-
-
-def _valued(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[float]:
-    """Their values."""
-    blocks = [ys[k : k + BLOCK] for k in range(0, len(ys), BLOCK)]
-    found = in_parallel(partial(_values, program, blocks), len(blocks), workers)
-    return [value for block in found for value in block]
-
-
-def _some_steps(
-    program: OutcomeProgram, ys: list[Vector], values: list[float], workers: int
-) -> tuple[list[Vector], list[float], float]:
-    """Where the measure's stages lead, the values there, and how far apart points then count as two."""
-    distance = APART
-    for most, steps in program.measure.stages:
-        chosen = [ys[k] for k in _apart(program, ys, values, min(most, program.problem.starts or most), distance)]
-        done = in_parallel(partial(_ahead, program, chosen, steps), len(chosen), workers, at_once=len(chosen) > 1)
-        ys, values = [y for y, _ in done], [value for _, value in done]
-        distance = ALIKE
-    return ys, values, distance
-
-
-def _lifted(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[Vector]:
-    """Points where the loop does what it must at least, by climbing one of these after another; none where none is."""
-    for k, (measure, least) in enumerate(program.least):
-        stage = replace(program, measure=measure, least=program.least[:k])
-        values = _valued(stage, ys, workers)
-        known = [i for i, value in enumerate(values) if math.isfinite(value)]
-        if not known:
-            return []
-        ys, values = [ys[i] for i in known], [values[i] for i in known]
-        stage = replace(stage, size=max(abs(max(values)), np.finfo(float).tiny))
-        ys, values, _ = _some_steps(stage, ys, values, workers)
-        ys = [y for y, value in zip(ys, values, strict=True) if value >= least]
-    return ys
-
-
-def _values(program: OutcomeProgram, blocks: list[list[Vector]], number: int) -> list[float]:
-    return [program.value(y) for y in blocks[number]]
-
-
-def _apart(program: OutcomeProgram, ys: list[Vector], values: list[float], count: int, distance: float) -> list[int]:
-    """Numbers of the best points, so many at most, none nearer to a better one than a distance."""
-    chosen = list[int]()
-    order: list[int] = np.argsort(-np.array(values), kind="stable").tolist()
-    for k in order:
-        if len(chosen) == count:
-            break
-        if all(float(np.max(np.abs(_away(program, ys[k], ys[other])))) > distance for other in chosen):
-            chosen.append(k)
-    return chosen
-
-
-def _away(program: OutcomeProgram, y: Vector, other: Vector) -> Vector:
-    """From one to the other, angles without limits the short way round."""
-    away, turning = other - y, program.problem.turning
-    inside = away[: program.n_z]
-    inside[turning] = (inside[turning] + math.pi) % math.tau - math.pi
-    return away
-
-
-def _ahead(program: OutcomeProgram, starts: list[Vector], steps: int, number: int) -> tuple[Vector, float]:
-    return ahead(program, starts[number], steps)
 
 
 def _told(progress: Progress, count: int, number: int) -> None:

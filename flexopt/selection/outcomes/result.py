@@ -1,0 +1,122 @@
+"""The answer to a choice by a measure of the loop, and how it is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from flexopt.loop.settings import LoopSettings
+from flexopt.model.choices import DECAY
+from flexopt.model.loop import Loop, gain_ranges
+from flexopt.model.uncertainty import Uncertainty
+from flexopt.selection.outcomes.measures import MEASURES, Measure, OfModes
+from flexopt.selection.result import Selection
+
+# Of the best value, by which the present one may be less and nothing is to gain.
+ALIKE = 1e-3
+
+
+@dataclass(frozen=True, repr=False)
+class OutcomeSelection(Selection):
+    """The answer to a configuration problem by what the loop does.
+
+    Attributes:
+        measure: what is largest, of `flexopt.Outcome`, of modes the least, or the stability `"radius"`;
+            `Candidate.objective` is its value, SI, over the uncertainty its least.
+        gains: kp and kv of each candidate, those that were chosen with the configuration.
+        radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
+            before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
+        loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
+        present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
+        unverified: the largest value of a climb that did not end where it could be verified, where that is more than
+            the best candidate's; else None.
+        others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
+    """
+
+    criterion: Measure = field(default=MEASURES[DECAY], repr=False)
+    present: float | None = None
+    radii: tuple[float, ...] = ()
+    settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
+    loop: Loop | None = field(default=None, repr=False)
+    uncertainty: tuple[Uncertainty, ...] = ()
+    unverified: float | None = None
+
+    DOCUMENT = Selection.DOCUMENT + " measure gains radii unverified uncertainty=_uncertainty"
+
+    @property
+    def gains(self) -> tuple[dict[str, float], ...]:
+        """See the class."""
+        names = {} if self.loop is None else gain_ranges(self.loop)
+        return tuple({name: float(getattr(each, name)[0]) for name in names} for each in self.settings)
+
+    @property
+    def measure(self) -> str:
+        """See the class."""
+        return self.problem.name if isinstance(self.criterion, OfModes) else self.criterion.name
+
+    @property
+    def _unit(self) -> str:
+        return self.criterion.unit
+
+    @property
+    def _uncertainty(self) -> list[dict[str, Any]]:
+        return [each.model_dump(exclude_none=True) for each in self.uncertainty]
+
+    @property
+    def status(self) -> str:
+        """A sentence."""
+        count, ended, looked = len(self.candidates), len(self.attempts), self.criterion.looked
+        return f"{count} distinct local optima verified to first order, the ends of {ended} climbs from {looked} points"
+
+    @property
+    def missed_chance(self) -> None:
+        """None: climbs that go to the end are chosen among others, not drawn."""
+        return
+
+    @property
+    def edges(self) -> tuple[str, ...]:
+        """None: the loop knows no numbers of modes."""
+        return ()
+
+    @property
+    def decided_by(self) -> str:
+        """Empty: candidates are ranked by the measure alone."""
+        return ""
+
+    @property
+    def nothing_to_gain(self) -> str:
+        """A sentence where the present configuration has as much of the measure as the best; else empty."""
+        now = self.present
+        if now is None or self.uncertainty:
+            return ""
+        if not now >= (1 - ALIKE) * self.best.objective:
+            return ""
+        return f"nothing to gain: the present configuration has as much {self.measure}"
+
+    def __repr__(self) -> str:
+        best = self.best.evaluation
+        names, measure = (*best.base_coordinates, *best.joints), f"{self.measure} {self._unit}".strip()
+        over = f", worst over {', '.join(each.name for each in self.uncertainty)}" if self.uncertainty else ""
+        lines = [
+            f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in self.problem.target)}) m, Jacobian "
+            f"{best.control} control, objective {self.measure}{over}: {self.status}",
+            "  rank " + " ".join(f"{name:>9}" for name in names) + f" {measure:>16} {'radius':>7}"
+            + "".join(f" {name:>10}" for name in self.gains[0]),
+        ]  # fmt: skip
+        each = zip(self.candidates, self.radii, self.gains, strict=True)
+        for rank, (candidate, radius, gains) in enumerate(each, start=1):
+            e = candidate.evaluation
+            numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
+            active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
+            chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
+            lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
+        if self.unverified is not None:
+            lines.append(
+                f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
+            )
+        lines += [f"  {sentence}" for sentence in (self.nothing_to_gain,) if sentence]
+        if self.initial is not None and self.present is not None:
+            e, now = self.initial, self.present
+            nominal = " with the machine's own numbers" if self.uncertainty else ""
+            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}{nominal}")
+        return "\n".join([*lines, *repr(self.settings[0]).splitlines()])

@@ -1,0 +1,127 @@
+"""Where climbs of a measure of the loop start: points are looked at, the best of them make some steps.
+
+In: an `OutcomeProgram`, configurations. Out: starts that stand apart, the best first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from flexopt.errors import NoSolutionFound
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.processes import in_parallel
+from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.selection.outcomes.climb import ahead
+from flexopt.selection.outcomes.program import OutcomeProgram
+
+# How far starts stand apart, in scaled variables, and how many climb to the end. Basins are narrow: a measure's stages,
+# few steps from many starts, find more than many from few.
+APART, CLIMBED = 0.5, 8
+# Points nearer than this after some steps are on their way to one optimum.
+ALIKE = 0.1
+# Points that a process looks at together.
+BLOCK = 50
+
+
+def starting_points(program: OutcomeProgram, pool: Vector, workers: int) -> tuple[OutcomeProgram, list[Vector]]:
+    """The program with the size of its values, and starts y.
+
+    Args:
+        pool: feasible configurations (N, n_z), the present one first.
+
+    Raises:
+        NoSolutionFound: no point has the measure, or leads to what the loop must do at least.
+    """
+    looked = _looked(program, pool)
+    known = _known(program, looked, workers)
+    if known is None and program.least:
+        known = _known(program, _lifted(program, looked, workers), workers)
+    if known is None:
+        asked = ", ".join(f"{each.name} {x:g}" for each, x in program.least)
+        name = program.measure.name
+        what = f"leads to what it must do at least, {asked}" if asked else f"has a {name}: every loop grows"
+        sentence = f"select: none of {program.measure.looked} configurations that were looked at {what}"
+        raise NoSolutionFound(sentence, violations={}, iterate={})
+    program, ys, values = known
+    ys, values, distance = _some_steps(program, ys, values, workers)
+    return program, [ys[k] for k in _apart(program, ys, values, CLIMBED, distance)]
+
+
+def _looked(program: OutcomeProgram, pool: Vector) -> list[Vector]:
+    """Points y: configurations of the pool with gains from their ranges."""
+    unit = low_discrepancy(1 + len(program.ranges), program.measure.looked, program.problem.seed)
+    lower, upper = (end[program.n_z :] for end in program.bounds)
+    # The present configuration is the first of the pool.
+    places = [0, *np.minimum((unit[0, 1:] * len(pool)).astype(int), len(pool) - 1).tolist()]
+    gains = lower + unit[1:].T * (upper - lower)
+    return [np.append(pool[k] / program.problem.scale, own) for k, own in zip(places, gains, strict=True)]
+
+
+def _known(
+    program: OutcomeProgram, ys: list[Vector], workers: int
+) -> tuple[OutcomeProgram, list[Vector], list[float]] | None:
+    """The program with the size of its values, points that have one, and these; None where none has."""
+    blocks = [ys[k : k + BLOCK] for k in range(0, len(ys), BLOCK)]
+    found = in_parallel(partial(_values, program, blocks), len(blocks), workers)
+    values = [value for block in found for value in block]
+    known = [k for k, value in enumerate(values) if math.isfinite(value)]
+    if not known:
+        return None
+    program = replace(program, size=max(abs(max(values)), np.finfo(float).tiny))
+    return program, [ys[k] for k in known], [values[k] for k in known]
+
+
+def _some_steps(
+    program: OutcomeProgram, ys: list[Vector], values: list[float], workers: int
+) -> tuple[list[Vector], list[float], float]:
+    """Where the measure's stages lead, the values there, and how far apart points then count as two."""
+    distance = APART
+    for most, steps in program.measure.stages:
+        chosen = [ys[k] for k in _apart(program, ys, values, min(most, program.problem.starts or most), distance)]
+        done = in_parallel(partial(_ahead, program, chosen, steps), len(chosen), workers, at_once=len(chosen) > 1)
+        ys, values = [y for y, _ in done], [value for _, value in done]
+        distance = ALIKE
+    return ys, values, distance
+
+
+def _lifted(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[Vector]:
+    """Points where the loop does what it must at least, by climbing one of these after another; none where none is."""
+    for k, (measure, least) in enumerate(program.least):
+        known = _known(replace(program, measure=measure, least=program.least[:k]), ys, workers)
+        if known is None:
+            return []
+        ys, values, _ = _some_steps(*known, workers)
+        ys = [y for y, value in zip(ys, values, strict=True) if value >= least]
+    return ys
+
+
+def _values(program: OutcomeProgram, blocks: list[list[Vector]], number: int) -> list[float]:
+    return [program.value(y) for y in blocks[number]]
+
+
+def _apart(program: OutcomeProgram, ys: list[Vector], values: list[float], count: int, distance: float) -> list[int]:
+    """Numbers of the best points, so many at most, none nearer to a better one than a distance."""
+    chosen = list[int]()
+    order: list[int] = np.argsort(-np.array(values), kind="stable").tolist()
+    for k in order:
+        if len(chosen) == count:
+            break
+        if all(separation(program, ys[k], ys[other]) > distance for other in chosen):
+            chosen.append(k)
+    return chosen
+
+
+def separation(program: OutcomeProgram, y: Vector, other: Vector) -> float:
+    """The largest scaled difference of two points, of angles without limits the short way round."""
+    away, turning = other - y, program.problem.turning
+    inside = away[: program.n_z]
+    inside[turning] = (inside[turning] + math.pi) % math.tau - math.pi
+    return float(np.max(np.abs(away)))
+
+
+def _ahead(program: OutcomeProgram, starts: list[Vector], steps: int, number: int) -> tuple[Vector, float]:
+    return ahead(program, starts[number], steps)
