@@ -26,7 +26,7 @@ SPRINGS = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("
 DAMPING = {"of": "damping", "factor": (0.5, 2.0)}
 PAYLOAD = {"of": "payload.mass", "value": (0.0, 100.0)}
 # Boxes that may be looked at: with three parameters, and with more.
-FEW, MANY = 300, 600
+FEW, MANY = 450, 800
 # Bars: proven share of what is stable, median time in s.
 BARS = {
     "3 stiffnesses": (0.90, 0.5),

@@ -25,7 +25,7 @@ from flexopt.model.uncertainty import LATE
 # Decay that is certified, 1/s: what rounding makes of eigenvalues is less.
 DECAY = 1e-6
 # The first cell of frequency in units of the Nyquist frequency, and the ratio of one cell's end to the last's.
-FIRST, RATIO = 0.004, 1.25
+FIRST, RATIO = 0.004, 1.12
 # How often cells of frequency are halved in a box before the box is, and how many boxes are looked at.
 HALVINGS, BOXES = 1, 400
 # With masses: how many times smaller a box is than the one that its function was made for, when that is made again.
@@ -144,17 +144,16 @@ class Search:
         while edges[-1] < of.nyquist:
             edges.append(min(edges[-1] * RATIO, of.nyquist))
         at = np.array(edges)
-        self._push(low, high, cells_of(of, at[:-1], at[1:]), of, float(np.prod(high - low)))
+        self.cells += len(at) - 1
+        self._push(low, high, _failing(cells_of(of, at[:-1], at[1:])), of, float(np.prod(high - low)))
 
-    def _push(self, low: Vector, high: Vector, cells: Cells, of: Characteristic, root: float) -> None:
-        self.cells += len(cells.low)
-        left = _failing(cells)
+    def _push(self, low: Vector, high: Vector, left: Cells, of: Characteristic, root: float) -> None:
         order = -float(np.prod(high - low)) if self.order is None else self.order(low, high)
         self.looked += 1
         heapq.heappush(self.heap, _Box(order, self.looked, low, high, left, of, root))
 
-    def run(self) -> Iterator[Leaf]:
-        """Leaves, as they are found; those that are left at the end last."""
+    def run(self) -> Iterator[tuple[Vector, Vector, bool]]:
+        """Ends of boxes that together are the whole, and whether zero is excluded there, as they are found."""
         while self.heap:
             box = heapq.heappop(self.heap)
             left = box.cells
@@ -167,9 +166,9 @@ class Search:
             if len(left.low) and box.of.masses and float(np.prod(box.high - box.low)) * AGAIN <= box.root:
                 box, left = self._again(box, left)
             if not len(left.low):
-                yield Leaf(box.low, box.high, self._decays(box.low, box.high))
+                yield box.low, box.high, True
             elif self.looked >= self.most or float(np.max(box.high - box.low)) <= SMALLEST:
-                yield Leaf(box.low, box.high, None)
+                yield box.low, box.high, False
             else:
                 self._divide(box, left)
 
@@ -181,44 +180,44 @@ class Search:
         cells = _failing(cells_of(of, left.low, left.high))
         return replace(box, of=of, root=float(np.prod(box.high - box.low))), cells
 
-    def _decays(self, low: Vector, high: Vector) -> bool:
-        return -self.loop.outcome((low + high) / 2).loop.growth_rate > self.decay
-
     def _divide(self, box: _Box, left: Cells) -> None:
         """In the direction that leaves the fewest cells."""
-        best: tuple[tuple[float, float], int, float, tuple[Cells, Cells]] | None = None
-        for axis in range(len(box.low)):
-            if box.high[axis] - box.low[axis] <= SMALLEST or self._fixed(axis):
-                continue
-            middle = (box.low[axis] + box.high[axis]) / 2
-            here = box.low.copy(), box.low.copy(), box.low.copy()
-            here[1][axis], here[2][axis] = middle, box.high[axis]
-            a, at, b = (float(self.loop.box.theta(u)[axis]) for u in here)
-            parts = left.split(axis, (at - a) / (b - a))
-            score = sum(len(_failing(part).low) for part in parts), -(box.high[axis] - box.low[axis])
-            if best is None or score < best[0]:
-                best = (score, axis, middle, parts)
-        assert best is not None
-        _, axis, middle, parts = best
-        lower, upper = box.high.copy(), box.low.copy()
-        lower[axis] = upper[axis] = middle
-        self._push(box.low, lower, parts[0], box.of, box.root)
-        self._push(upper, box.high, parts[1], box.of, box.root)
+        axes = [k for k in range(len(box.low)) if box.high[k] - box.low[k] > SMALLEST and not self._fixed[k]]
+        middle = (box.low + box.high) / 2
+        a, at, b = (self.loop.box.theta(u) for u in (box.low, middle, box.high))
+        parts = [part for k in axes for part in left.split(k, float((at[k] - a[k]) / (b[k] - a[k])))]
+        self.cells += sum(len(part.low) for part in parts)
+        stay = np.split(~parts[0].joined(parts[1:]).exclude_zero, len(parts))
+        scores = [
+            (int(stay[2 * i].sum() + stay[2 * i + 1].sum()), -(box.high[k] - box.low[k])) for i, k in enumerate(axes)
+        ]
+        best = min(range(len(axes)), key=scores.__getitem__)
+        k, (lower, upper) = axes[best], (box.high.copy(), box.low.copy())
+        lower[k] = upper[k] = middle[k]
+        for (low, high), i in (((box.low, lower), 2 * best), ((upper, box.high), 2 * best + 1)):
+            self._push(low, high, parts[i].chosen(stay[i]), box.of, box.root)
 
-    def _fixed(self, axis: int) -> bool:
-        low, high = np.zeros(len(self.loop.box.uncertainty)), np.ones(len(self.loop.box.uncertainty))
-        return float(self.loop.box.theta(low)[axis]) == float(self.loop.box.theta(high)[axis])
+    @cached_property
+    def _fixed(self) -> list[bool]:
+        """Of which directions nothing is uncertain."""
+        k = len(self.loop.box.uncertainty)
+        same: list[bool] = (self.loop.box.theta(np.zeros(k)) == self.loop.box.theta(np.ones(k))).tolist()
+        return same
 
 
 def _failing(cells: Cells) -> Cells:
-    return cells.chosen(cells.span >= math.pi) if len(cells.low) else cells
+    return cells.chosen(~cells.exclude_zero) if len(cells.low) else cells
 
 
 def certify(loop: UncertainLoop, *, decay: float = DECAY, boxes: int = BOXES) -> RegionProof:
     """What is proven of a loop over its box."""
     try:
         search = Search(loop, decay, boxes)
-        return RegionProof(tuple(search.run()), search.cells, search.looked, decay)
+        ends = list(search.run())
+        excluded = [(low + high) / 2 for low, high, each in ends if each]
+        decays = iter(loop.decays(np.array(excluded)) > decay if excluded else ())
+        leaves = tuple(Leaf(low, high, bool(next(decays)) if each else None) for low, high, each in ends)
+        return RegionProof(leaves, search.cells, search.looked, decay)
     except NotCovered as fault:
         k = len(loop.box.uncertainty)
         return RegionProof((Leaf(np.zeros(k), np.ones(k), None),), 0, 0, decay, str(fault))
@@ -235,9 +234,9 @@ def certified_radius(loop: UncertainLoop, size: float, *, decay: float = DECAY, 
         return float(np.maximum(np.maximum(low - 0.5, 0.5 - high), 0.0).max())
 
     try:
-        for leaf in Search(loop, decay, boxes, away).run():
-            if leaf.decays is not True:
-                return math.exp(2 * size * away(leaf.low, leaf.high))
+        for low, high, excluded in Search(loop, decay, boxes, away).run():
+            if not excluded or not loop.decays((low + high)[None] / 2)[0] > decay:
+                return math.exp(2 * size * away(low, high))
     except NotCovered:
         return 1.0
     return math.exp(size)

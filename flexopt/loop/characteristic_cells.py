@@ -13,10 +13,12 @@ aliases of other machines than the tabulated one make, and rounding.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.aliases import ELLIPSES, hold
@@ -64,18 +66,36 @@ class Cells:
         left, right = (_along(self.points, matrix, 2 + axis) for matrix in splitting(degree, at))
         return Cells(self.low, self.high, left, self.error), Cells(self.low, self.high, right, self.error)
 
+    def joined(self, others: Sequence[Cells]) -> Cells:
+        """These and others, in a row."""
+        every, both = (self, *others), np.concatenate
+        low, high = both([each.low for each in every]), both([each.high for each in every])
+        return Cells(low, high, both([each.points for each in every]), both([each.error for each in every]))
+
     @property
-    def span(self) -> Vector:
-        """Of the angles of all values, rad (K,): below π none is zero. Infinite where control points are within R."""
+    def exclude_zero(self) -> NDArray[np.bool_]:
+        """Whether no value is zero (K,): some line has all control points on one side of it, R away at least."""
         points = self.points.reshape(len(self.points), -1)
-        sizes = np.abs(points)
-        least = sizes.min(axis=1, initial=np.inf) > self.error
-        with np.errstate(divide="ignore", invalid="ignore"):
-            units = points / sizes
-            turned = np.angle(units * units.sum(axis=1).conj()[:, None])
-            wide = np.arcsin(np.minimum(self.error[:, None] / sizes, 1.0))
-            found = (turned + wide).max(axis=1) - (turned - wide).min(axis=1)
-        return np.where(least & np.isfinite(found), found, np.inf)
+        # Of most cells the line across the mean is one.
+        mean = points.sum(axis=1)
+        mean = mean / np.maximum(np.abs(mean), np.finfo(float).tiny)
+        ahead = points.real * mean.real[:, None] + points.imag * mean.imag[:, None]
+        found: NDArray[np.bool_] = ahead.min(axis=1, initial=np.inf) > self.error
+        left = np.flatnonzero(~found)
+        found[left] = _span(points[left], self.error[left]) < math.pi
+        return found
+
+
+def _span(points: Complex, error: Vector) -> Vector:
+    """Of the angles of all values, rad (K,): infinite where control points (K, …) are within their error (K,)."""
+    sizes = np.abs(points)
+    least = sizes.min(axis=1, initial=np.inf) > error
+    with np.errstate(divide="ignore", invalid="ignore"):
+        units = points / sizes
+        turned = np.angle(units * units.sum(axis=1).conj()[:, None])
+        wide = np.arcsin(np.minimum(error[:, None] / sizes, 1.0))
+        found = (turned + wide).max(axis=1) - (turned - wide).min(axis=1)
+    return np.where(least & np.isfinite(found), found, np.inf)
 
 
 def cells_of(of: Characteristic, low: Vector, high: Vector) -> Cells:
