@@ -144,8 +144,9 @@ class Search:
         while edges[-1] < of.nyquist:
             edges.append(min(edges[-1] * RATIO, of.nyquist))
         at = np.array(edges)
-        self.cells += len(at) - 1
-        self._push(low, high, _failing(cells_of(of, at[:-1], at[1:])), of, float(np.prod(high - low)))
+        cells = cells_of(of, at[:-1], at[1:])
+        self.cells += len(cells.low)
+        self._push(low, high, _failing(cells), of, float(np.prod(high - low)))
 
     def _push(self, low: Vector, high: Vector, left: Cells, of: Characteristic, root: float) -> None:
         order = -float(np.prod(high - low)) if self.order is None else self.order(low, high)
@@ -176,9 +177,9 @@ class Search:
         """The cells that are left of a box from their own function: remainders are smaller over smaller boxes."""
         around = box.of.around or box.of
         of = replace(self._of(box.low, box.high), around=around)
-        self.cells += len(left.low)
-        cells = _failing(cells_of(of, left.low, left.high))
-        return replace(box, of=of, root=float(np.prod(box.high - box.low))), cells
+        cells = cells_of(of, left.low, left.high)
+        self.cells += len(cells.low)
+        return replace(box, of=of, root=float(np.prod(box.high - box.low))), _failing(cells)
 
     def _divide(self, box: _Box, left: Cells) -> None:
         """In the direction that leaves the fewest cells."""

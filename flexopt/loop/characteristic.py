@@ -11,6 +11,9 @@ In: a loop whose machine is uncertain. Out: `Characteristic`: p(s, θ), the dete
 and nowhere else, as no eigenvalue of A lies above half the sampling rate. Only Z takes in springs, dampers and masses,
 each to the first degree, so p is a polynomial in each, of the rank that it has in Z. The aliases 𝓔 are smooth: a table
 for the middle of the box, and a bound on how far those of the others differ.
+
+Self-motions N of a redundant arm are neither held nor measured, K N = 0, C N = 0: their columns are s (s M + D) N and
+zeros, and are divided by s, by s² where D N = 0, so that p no longer vanishes with s.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from flexopt.loop.aliases import Aliases
 from flexopt.loop.bernstein import nodes_of
 from flexopt.loop.members import Machines, Ports
 from flexopt.loop.small_motions import Parts, SmallMotions
+from flexopt.loop.spectrum import OwnMotion
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.uncertainty import LATE
 
@@ -164,7 +168,29 @@ class Characteristic:
         free = np.asarray(eigh(of.stiffness, of.mass)[1])
         locked = np.zeros((len(free), len(free) - m))
         locked[m:] = np.linalg.inv(np.linalg.cholesky(of.mass[m:, m:])).T
-        return free, locked
+        # The first ones are the self-motions: what else stands in no spring's way they are turned into.
+        return self._led_by_neutral(free, of.mass), self._led_by_neutral(locked, of.mass)
+
+    def _led_by_neutral(self, by: Vector, mass: Vector) -> Vector:
+        directions = self.neutral[0]
+        return by @ np.linalg.qr(by.T @ mass @ directions, mode="complete")[0] if directions.size else by
+
+    @cached_property
+    def neutral(self) -> tuple[Vector, int]:
+        """Self-motions N (n_q, e) that nothing holds or measures, and how many of them, the first, nothing brakes."""
+        plant, place, p = self.motions.plant, self.loop.base, self.loop.box.numbers_at(self.middle)[0]
+        if self.around is not None or plant.n_actuated <= plant.n_task:
+            return (
+                (np.zeros((plant.n_passive + plant.n_actuated, 0)), 0) if self.around is None else self.around.neutral
+            )
+        to_q, corners = self.motions.loop.to_q, self._matrices[0]
+        q = plant.rest.call([place, self.loop.posture, p])[0].full().ravel()
+        found, n = OwnMotion.at(plant, q, place, p, to_q).directions, len(to_q)
+        measured = [self.law.measured[:, k : k + n] @ np.linalg.inv(to_q) for k in (0, n)]
+        found = found @ _unseen([*measured, *corners.stiffness], found)
+        braked = _unseen(list(corners.damping), found)
+        others = np.linalg.svd(braked.T)[2][braked.shape[1] :].T
+        return found @ np.hstack([braked, others]), braked.shape[1]
 
     @cached_property
     def corners(self) -> Vector:
@@ -216,11 +242,10 @@ class Characteristic:
         Raises:
             NotCovered: it is not.
         """
-        plant, settings, law, n = self.motions.plant, self.loop.settings, self.law, len(self.motions.loop.to_q)
+        settings, law, n = self.loop.settings, self.law, len(self.motions.loop.to_q)
         unheld = settings.ki == 0 if settings.feedback == "pid" else settings.kp == 0
         for sentence, fault in (
             ("weight bends the rest position, which depends on the springs", self.loop.gravity),
-            ("the self-motion of an arm with more joints than task rows is neutral", plant.n_actuated > plant.n_task),
             ("a direction without gain is neutral", bool(np.any(unheld))),
             ("a damper of the self-motion acts beside the dead time", bool(np.any(law.direct))),
             ("its drives feel the machine", bool(np.any(law.flow[2 * n :, : 2 * n]))),
@@ -340,3 +365,12 @@ class Characteristic:
     def aliases(self) -> Aliases:
         """What sampling adds."""
         return Aliases(self)
+
+
+def _unseen(matrices: Sequence[Vector], directions: Vector) -> Vector:
+    """Orthonormal combinations of directions (n, e) that all of some matrices take to nothing, (e, …)."""
+    sizes = (float(np.abs(x).max(initial=0.0)) for x in matrices)
+    seen = np.vstack([x @ directions / size for x, size in zip(matrices, sizes, strict=True) if size])
+    _, values, rows = np.linalg.svd(seen)
+    found: Vector = rows[int(np.sum(values > SAME)) :].T
+    return found

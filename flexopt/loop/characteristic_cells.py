@@ -29,6 +29,8 @@ from flexopt.loop.members import Complex, Machines, Ports
 # Degree in ω; passes of scaling before Hadamard's inequality.
 DEGREE = 8
 SCALINGS = 12
+# Share of the values that R may be; cells are halved, so often at most, where it is more for want of degrees in ω.
+FINE, FINER = 1e-5, 8
 # Rounding: so many unit roundoffs of the product of the determinants' rows.
 ROUNDING = 64 * float(np.finfo(float).eps)
 # Multiples of the aliases' error that bounds are taken over.
@@ -99,7 +101,23 @@ def _span(points: Complex, error: Vector) -> Vector:
 
 
 def cells_of(of: Characteristic, low: Vector, high: Vector) -> Cells:
-    """The cells [low, high] (K,) over the box of a characteristic function."""
+    """The cells [low, high] (K,) over the box of a characteristic function; of some both halves."""
+    cells, cut = _cells_of(of, low, high)
+    for _ in range(FINER):
+        values = np.median(np.abs(cells.points.reshape(len(cut), -1)), axis=1)
+        # Of halves `cut` is 2^DEGREE times smaller, and the rest is no larger.
+        coarse = (cells.error > FINE * values) & (cut > cells.error / 2)
+        if not coarse.any():
+            break
+        low, high = cells.low[coarse], cells.high[coarse]
+        middle, both = (low + high) / 2, np.concatenate
+        halves, of_halves = _cells_of(of, both([low, middle]), both([middle, high]))
+        cells, cut = cells.chosen(~coarse).joined([halves]), both([cut[~coarse], of_halves])
+    return cells
+
+
+def _cells_of(of: Characteristic, low: Vector, high: Vector) -> tuple[Cells, Vector]:
+    """These cells themselves, and what of R the interpolation in ω makes."""
     at = nodes_of(DEGREE, chebyshev=True)
     omega = low[:, None] + (high - low)[:, None] * at
     error = of.aliases.error(low, high)
@@ -111,7 +129,8 @@ def cells_of(of: Characteristic, low: Vector, high: Vector) -> Cells:
         points = _along(points, matrix, axis)
         amplified *= float(np.abs(matrix).sum(axis=1).max())
         constant *= lebesgue(nodes)
-    return Cells(low, high, points, _remainders(of, low, high, error, sensitivity * constant, amplified))
+    cut, rest = _remainders(of, low, high, error, sensitivity * constant, amplified)
+    return Cells(low, high, points, cut + rest), cut
 
 
 def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, Vector]:
@@ -165,12 +184,16 @@ def _pencil(of: Characteristic, machines: Machines, ports: Ports, s: Complex, al
     measured = ports.position + at * ports.rate
     found = np.zeros((len(s), *machines.mass.shape[:2], size, size), dtype=complex)
     found[..., :n, :n] = machines.pencil(s)
+    neutral, unbraked = of.neutral[0].shape[1], of.neutral[1]
+    found[..., :n, :neutral] = at * machines.mass[..., :neutral] + machines.damping[..., :neutral]
+    found[..., :n, :unbraked] = machines.mass[..., :unbraked]
     found[..., :n, n:torque] = -ports.servo
     found[..., :n, torque:force] = -late * ports.force
     found[..., n:torque, n:torque] = at * np.eye(torque - n) - servo
     found[..., n:torque, torque:force] = -late * into
     for rows, matrix in ((slice(torque, force), law.force), (slice(force, size), law.law)):
         found[..., rows, :n] = -matrix[:, k:] @ measured
+        found[..., rows, :neutral] = 0.0
         found[..., rows, torque:force] = -(matrix[:, k:] @ aliases)[:, None]
         found[..., rows, force:] = -matrix[:, :k]
     found[..., torque:, torque:] += np.diag(np.repeat([1.0, 0.0], [force - torque, size - force]))
@@ -183,8 +206,8 @@ def _pencil(of: Characteristic, machines: Machines, ports: Ports, s: Complex, al
 
 def _remainders(
     of: Characteristic, low: Vector, high: Vector, error: Vector, sensitivity: Vector, amplified: float
-) -> Vector:
-    """R (K,).
+) -> tuple[Vector, Vector]:
+    """R (K,): what interpolation in ω makes, and all else.
 
     Multiples of the aliases' error are let in everywhere: Cauchy's bounds in it are those of the terms of higher order,
     and of what interpolation makes of the first one.
@@ -202,7 +225,7 @@ def _remainders(
     for axis in of.smooth:
         smooth = smooth + _smooth_remainder(of, axis, high, error)
     others = lebesgue(nodes_of(DEGREE, chebyshev=True)) * math.prod(lebesgue(of.nodes(i)) for i in of.smooth)
-    return cut + sensitivity + second + others * smooth + ROUNDING * amplified * bounds[0]
+    return cut, sensitivity + second + others * smooth + ROUNDING * amplified * bounds[0]
 
 
 def _smooth_remainder(of: Characteristic, axis: int, high: Vector, error: Vector) -> Vector:
@@ -232,12 +255,14 @@ def _largest(
     size, real = of.decay + reach, of.decay + tall
     z, at = np.exp(real * of.period), size[:, None, None]
     late = np.asarray(z * np.exp(real * of.dead_times.max()) * turned)[:, None, None]
-    found = np.ones(len(reach))
+    found, neutral, unbraked = np.ones(len(reach)), of.neutral[0].shape[1], of.neutral[1]
     for most, apart, ports in of.largest:
         n = len(most.mass)
         (_, (torque, force), (_, whole)) = _places(of, n)
         bound = np.zeros((len(reach), whole, whole))
         bound[:, :n, :n] = at * at * (most.mass + stretch * apart.mass) + at * most.damping + most.stiffness
+        bound[:, :n, :neutral] = at * (most.mass + stretch * apart.mass)[:, :neutral] + most.damping[:, :neutral]
+        bound[:, :n, :unbraked] = (most.mass + stretch * apart.mass)[:, :unbraked]
         bound[:, :n, n:torque] = np.abs(ports.servo)
         bound[:, :n, torque:force] = late * np.abs(ports.force)
         bound[:, n:torque, n:torque] = at * np.eye(torque - n) + np.abs(servo)

@@ -14,6 +14,7 @@ from flexopt.loop.certificate import RegionProof, certified_radius, certify
 from flexopt.loop.characteristic import Characteristic
 from flexopt.loop.characteristic_cells import cells_of
 from flexopt.loop.evaluation import outcome
+from flexopt.loop.gains import rigid_gains
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.uncertainty import Uncertainty
 from tests.oracles.machines import NumpySource, Structure, draw_machine
@@ -22,6 +23,10 @@ from tests.oracles.sampled_loop import multipliers
 EXCAVATOR, B = flexopt.load("excavator"), np.array((0.0448, -2.0499))
 GAINS = {"kp": 1e4, "kv": 1e3}
 SPRINGS = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "y", "rotation")]
+REDUNDANT = {
+    "boom-stick-bucket": (-1.2, -1.5, -0.8), "slewing-excavator": (0.2, 0.5, -1.2, -0.5),
+    "truck-crane": (0.3, 0.9, -1.1, 2.5),
+}  # fmt: skip
 PAYLOAD, LATE = {"of": "payload.mass", "value": (0.0, 50.0)}, {"of": "dead_time", "value": (0.005, 0.009)}
 
 
@@ -46,22 +51,36 @@ def wrong(loop: UncertainLoop, proof: RegionProof, samples: int = 200) -> int:
 
 
 def characteristic(ranges: list[dict[str, Any]], **loop: float) -> Characteristic:
-    found = uncertain(ranges, **loop)
-    k = len(ranges)
-    return Characteristic(found, found.box.theta(np.zeros(k)), found.box.theta(np.ones(k)), 1e-6)
+    return over_whole(uncertain(ranges, **loop))
+
+
+def over_whole(loop: UncertainLoop) -> Characteristic:
+    k = len(loop.box.uncertainty)
+    return Characteristic(loop, loop.box.theta(np.zeros(k)), loop.box.theta(np.ones(k)), 1e-6)
+
+
+def redundant(name: str, *, braked: bool) -> UncertainLoop:
+    """A shipped machine with more joints than task rows, torque-served or by levers, which brake its joints."""
+    machine, posture = flexopt.load(name), REDUNDANT[name]
+    gains = rigid_gains(machine, flexopt.evaluate(machine, posture), 400.0)
+    loop: dict[str, Any] = {} if braked else {"kp": gains["kp"], "kv": gains["kv"], "rate": 400.0}
+    found = outcome(machine, posture, loop=loop).settings
+    box = UncertaintyBox(machine, (Uncertainty(of="stiffness", factor=(0.8, 1.25)),), found.dead_time)
+    return UncertainLoop(found, np.zeros(len(machine.base_coordinates)), np.asarray(posture), False, box)
 
 
 def exact(of: Characteristic, s: complex, theta: np.ndarray) -> complex:
     """det(z − Φ) of the loop's own sample over what makes it p: by eigenvalues, none of the certificate's code."""
+    p, late = of.loop.box.numbers_at(theta)
     point = of.loop.settings.outcome(
-        EXCAVATOR, np.zeros(1), B, gravity=False, parameters=of.loop.box.numbers_at(theta)[0],
-        dead_time=of.loop.box.numbers_at(theta)[1],
-    )  # fmt: skip
+        of.loop.box.machine, of.loop.base, of.loop.posture, gravity=False, parameters=p, dead_time=late
+    )
     z = np.exp(s * point.period)
     free, closed = np.linalg.eigvals(point.parts.flow), np.linalg.eigvals(point.sample.matrix)
     waiting = point.sample.waiting[0] * len(point.parts.force)
     ratio = np.prod(z - closed) / z**waiting
-    return complex(ratio * np.prod((s - free) / (z - np.exp(free * point.period))))
+    neutral, unbraked = of.neutral[0].shape[1], of.neutral[1]
+    return complex(ratio * np.prod((s - free) / (z - np.exp(free * point.period))) / s ** (neutral + unbraked))
 
 
 @pytest.mark.parametrize("loop", [{}, {"dead_time": 0.0123}, {"filter_hz": 25.0}, {"bandwidth_hz": 15.0}])
@@ -84,6 +103,33 @@ def test_the_characteristic_function_is_that_of_the_sampled_loop(loop: dict[str,
     assert np.array(found) == pytest.approx(found[0], rel=1e-8)
 
 
+@pytest.mark.parametrize("name", REDUNDANT)
+@pytest.mark.parametrize("braked", [False, True])
+def test_self_motions_are_divided_out_exactly(name: str, braked: bool) -> None:
+    """As above, over as many s as the sampled loop has neutral eigenvalues; and what is proven of such arms holds."""
+    loop = redundant(name, braked=braked)
+    of, rng, found = over_whole(loop), np.random.default_rng(3), []
+    directions, unbraked = of.neutral
+    assert directions.shape[1] == loop.posture.size - len(loop.settings.kp)
+    assert unbraked == (0 if braked else directions.shape[1])
+    for _ in range(5):
+        omega, theta = np.array([rng.uniform(3.0, 0.8 * of.nyquist)]), rng.uniform(0.8, 1.25, size=1)
+        [(machines, ports), _] = of.seen(theta[None, None])
+        here = Characteristic(of.loop, theta, theta, of.decay)
+        s = 1j * omega - of.decay
+        pencil = characteristic_cells._pencil(of, machines, ports, s, here.aliases.at(omega))
+        sign, size = np.linalg.slogdet(pencil)
+        value = exact(of, complex(s[0]), theta)
+        found.append((sign[0, 0, 0] * abs(value) / value, size[0, 0, 0] - np.log(abs(value))))
+    turns, sizes = zip(*found, strict=True)
+    # Of some twenty states, free poles at zero among them, eigenvalues hold fewer digits.
+    assert np.array(turns) == pytest.approx(turns[0], rel=1e-5)
+    assert np.array(sizes) == pytest.approx(sizes[0], abs=1e-5)
+    proof = certify(loop, boxes=60)
+    assert proof.share(None) < 1.0
+    assert wrong(loop, proof, samples=40) == 0
+
+
 def test_control_points_and_remainders_hold_the_function() -> None:
     """Of random members, frequencies and dead times; the function itself by one sample's exact matrices."""
     for ranges in (
@@ -94,7 +140,10 @@ def test_control_points_and_remainders_hold_the_function() -> None:
         of = characteristic(ranges)
         low, high = np.array([0.0, 18.0, 100.0]), np.array([2.5, 22.0, 120.0])
         cells, rng = cells_of(of, low, high), np.random.default_rng(5)
-        for k in range(3):
+        low, high = cells.low, cells.high
+        assert len(low) >= 3
+        assert float(np.sum(high - low)) == pytest.approx(26.5)
+        for k in range(len(low)):
             for _ in range(3):
                 t = rng.uniform(size=1 + len(ranges))
                 omega, theta = low[k] + (high[k] - low[k]) * t[:1], of.low + (of.high - of.low) * t[1:]
