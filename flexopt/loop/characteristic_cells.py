@@ -31,7 +31,7 @@ DEGREE = 8
 SCALINGS = 12
 # Share of the values that R may be; cells are halved, so often at most, where it is more for want of degrees in ω.
 FINE, FINER = 1e-5, 8
-# Rounding: so many unit roundoffs of the product of the determinants' rows.
+# Rounding: so many unit roundoffs of the largest entry of its column in every entry of a determinant.
 ROUNDING = 64 * float(np.finfo(float).eps)
 # Multiples of the aliases' error that bounds are taken over.
 SOME, FARTHER = 10.0, (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
@@ -121,22 +121,22 @@ def _cells_of(of: Characteristic, low: Vector, high: Vector) -> tuple[Cells, Vec
     at = nodes_of(DEGREE, chebyshev=True)
     omega = low[:, None] + (high - low)[:, None] * at
     error = of.aliases.error(low, high)
-    values, sensitivity = _values(of, omega, error)
-    points, amplified = values, 1.0
-    constant = 1.0
+    points, sensitivity, rounding = _values(of, omega, error)
+    amplified = constant = 1.0
     for axis, nodes in [(1, at), *((2 + i, of.nodes(i)) for i in range(len(of.low)))]:
         matrix = to_bernstein(nodes)
         points = _along(points, matrix, axis)
         amplified *= float(np.abs(matrix).sum(axis=1).max())
         constant *= lebesgue(nodes)
-    cut, rest = _remainders(of, low, high, error, sensitivity * constant, amplified)
-    return Cells(low, high, points, cut + rest), cut
+    cut, rest = _remainders(of, low, high, error)
+    return Cells(low, high, points, cut + rest + sensitivity * constant + rounding * amplified), cut
 
 
-def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, Vector]:
-    """Q (K, DEGREE + 1, nodes in each θ …), and the most that an error (K, 2r, r) of the aliases moves it there, (K,).
+def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, Vector, Vector]:
+    """Q (K, DEGREE + 1, nodes in each θ …), and the most that two errors move it there to the first order, (K,) each.
 
-    The latter to the first order.
+    These are an error (K, 2r, r) of the aliases, and rounding: a determinant by elimination is that of a matrix whose
+    entries differ by some units of the largest in their column, ∂p/∂N_ij = p · [N⁻¹]_ji.
     """
     s = np.asarray(1j * omega.ravel() - of.decay, dtype=np.complex128)
     smooth, own = list(of.smooth), [i for i in range(len(of.low)) if i not in of.smooth]
@@ -144,7 +144,7 @@ def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, 
     thetas = grid.reshape(-1, len(of.dead_times), len(of.low))
     aliases = of.aliases.at(omega.ravel())
     weights = np.repeat(error.transpose(0, 2, 1), omega.shape[1], axis=0)
-    found, moved = list[Complex](), np.zeros(len(s))
+    found, moved, rounded = list[Complex](), np.zeros(len(s)), list[Vector]()
     for k, (members, ports) in enumerate(of.seen(thetas)):
         each = [members.mass, members.damping, members.stiffness]
         machines = Machines(*(x[:1] for x in each)) if all(np.all(x == x[:1]) for x in each) else members
@@ -152,14 +152,20 @@ def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, 
         sign, size = np.linalg.slogdet(pencil)
         value = sign * np.exp(size)
         found.append(value)
+        inverse = np.linalg.inv(pencil)
+        rounded.append((np.abs(inverse).sum(axis=-1) * np.abs(pencil).max(axis=-2)).sum(axis=-1))
         if k == 0:
             # ∂p/∂𝓔_ij = p · [Y N⁻¹ W]_ji, W the columns through which aliases enter.
             into, rows = _entrance(of), slice(*_places(of, len(ports.force))[1])
-            solved = np.abs(np.linalg.inv(pencil)[..., rows, :] @ into)
+            solved = np.abs(inverse[..., rows, :] @ into)
             moved = np.abs(value) * (solved * weights[:, None, None]).sum(axis=(-2, -1))
-    moved = (moved * np.abs(found[1])).reshape(*omega.shape, -1).max(axis=(1, 2))
-    both = (found[0] * found[1].conj()).reshape(*omega.shape, *grid.shape[:-1])
-    return np.moveaxis(both, range(2, both.ndim), [2 + i for i in (*own, *smooth)]), moved
+    both = found[0] * found[1].conj()
+    worst = [
+        each.reshape(*omega.shape, -1).max(axis=(1, 2))
+        for each in (moved * np.abs(found[1]), ROUNDING * np.abs(both) * (rounded[0] + rounded[1]))
+    ]
+    both = both.reshape(*omega.shape, *grid.shape[:-1])
+    return np.moveaxis(both, range(2, both.ndim), [2 + i for i in (*own, *smooth)]), worst[0], worst[1]
 
 
 def _places(of: Characteristic, n: int) -> list[tuple[int, int]]:
@@ -204,10 +210,8 @@ def _pencil(of: Characteristic, machines: Machines, ports: Ports, s: Complex, al
 # Bounds.
 
 
-def _remainders(
-    of: Characteristic, low: Vector, high: Vector, error: Vector, sensitivity: Vector, amplified: float
-) -> tuple[Vector, Vector]:
-    """R (K,): what interpolation in ω makes, and all else.
+def _remainders(of: Characteristic, low: Vector, high: Vector, error: Vector) -> tuple[Vector, Vector]:
+    """Of R (K,): what interpolation in ω makes, and what that in masses and dead time and second orders do.
 
     Multiples of the aliases' error are let in everywhere: Cauchy's bounds in it are those of the terms of higher order,
     and of what interpolation makes of the first one.
@@ -225,7 +229,7 @@ def _remainders(
     for axis in of.smooth:
         smooth = smooth + _smooth_remainder(of, axis, high, error)
     others = lebesgue(nodes_of(DEGREE, chebyshev=True)) * math.prod(lebesgue(of.nodes(i)) for i in of.smooth)
-    return cut, sensitivity + second + others * smooth + ROUNDING * amplified * bounds[0]
+    return cut, second + others * smooth
 
 
 def _smooth_remainder(of: Characteristic, axis: int, high: Vector, error: Vector) -> Vector:
