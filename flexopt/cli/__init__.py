@@ -27,6 +27,7 @@ _COMMANDS = {
     "identify": "identifying",
     "map": "studies",
     "verdict": "judging",
+    "region": "judging",
     "report": "studies",
     "reproduce": "studies",
     "export": "bundles",

@@ -37,14 +37,14 @@ from flexopt.cli.common import (
     write_output,
 )
 from flexopt.cli.judging import LOOP, RANGES, real_loop
+from flexopt.cli.postures import asked_posture
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.writing import write_file
-from flexopt.model import AnyMachine, load, load_any
-from flexopt.model.choices import ELBOWS, OUTCOMES
+from flexopt.model import load, load_any
+from flexopt.model.choices import OUTCOMES
 from flexopt.model.problem import asks_for_loop
-from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import evaluate
 
 if TYPE_CHECKING:
@@ -77,40 +77,13 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
-        posture = _posture(loaded, options)
+        posture = asked_posture("evaluate", loaded, options)
         loop = real_loop(loaded.loop, options.pop("loop"))
         result = evaluate(loaded, posture, loop=loop, **given(options, "base", "control", "gain", "damped", "gravity"))
     if as_json:
         print_json(result.to_dict())
     else:
         say(repr(result))
-
-
-def _posture(machine: AnyMachine, options: dict[str, Any]) -> Any:
-    """The posture given, or the one that reaches the end-point given."""
-    posture, end_point, base = options["posture"], options["end_point"], options["base"]
-    faults: list[Fault] = []
-    if (posture is None) == (end_point is None):
-        faults.append(Fault("--posture, --end-point", "give one of the two"))
-    if posture is not None and options["elbow"] is not None:
-        faults.append(Fault("--elbow", "goes with --end-point only", options["elbow"]))
-    joints, closed_form = machine.joints, build_plant(machine).closed_form
-    if end_point is not None and len(joints) > len(machine.task_rows):
-        sentence = f"does not name one posture of {len(joints)} actuated joints; use select, or --posture"
-        faults.append(Fault("--end-point", sentence, typed(end_point)))
-    if options["elbow"] is not None and not closed_form:
-        faults.append(Fault("--elbow", "names a branch of planar arms only", options["elbow"]))
-    raise_if_any(InputError, "evaluate", faults)
-    if posture is not None:
-        return posture
-    arguments = Arguments("evaluate")
-    elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS) if closed_form else None
-    arguments.point(end_point, "end-point", machine)
-    if base is not None:
-        arguments.base(machine, base)
-    arguments.control(options["control"] or "inverse")
-    arguments.done()
-    return inverse_kinematics(machine, end_point, base=base, gravity=options["gravity"], elbow=elbow)[0]
 
 
 @click.command("select", short_help="Best placement and posture for a target, or for several.")

@@ -1,4 +1,4 @@
-"""`flexopt verdict`, and the options of the real controller and of what is uncertain."""
+"""`flexopt verdict` and `flexopt region`, and the options of the real controller and of what is uncertain."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from flexopt.cli.common import (
     BASE,
     CONTROL,
     ELBOW,
+    END_POINT,
+    GRAVITY,
     JSON,
     check_output,
     given,
@@ -24,8 +26,9 @@ from flexopt.cli.common import (
     warnings_to_stderr,
     whole,
 )
+from flexopt.cli.postures import asked_posture
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model import AnyMachine, Problem, load_any
+from flexopt.model import AnyMachine, Problem, load, load_any
 from flexopt.model.loop import DEFAULT_LOOP, Loop
 
 LOOP = value(
@@ -81,6 +84,37 @@ def verdict_command(as_json: bool, problem: str, out: str | None, **options: Any
         settings = given(options, "members", "runs", "duration")
         ranges = table("--ranges", options["ranges"])
         result = verdict(asked, loop=real_loop(own, options["loop"]), ranges=ranges, **settings)
+    hand_out(result, out, None, as_json=as_json)
+
+
+@click.command("region", short_help="Is a loop stable over all that is uncertain, and is it proven?")
+@click.argument("machine")
+@value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
+@END_POINT
+@ELBOW
+@BASE
+@CONTROL
+@GRAVITY
+@LOOP
+@RANGES
+@value("--points", "N", "Points of the ranges that decays are computed of (64 by default).", whole)
+@value("--boxes", "N", "Parts of the ranges that a proof may look at (400 by default; 0: none).", whole)
+@value("--out", "PATH", "Write the JSON document to a file, too.")
+@JSON
+def region_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+    """Whether the loop of MACHINE (a name or a file) in one posture is stable over all that is uncertain.
+
+    The least stable point, what share of the ranges is proven to be stable, and the radius of stability.
+    """
+    from flexopt.loop.region import stable_region  # noqa: PLC0415  (only this command needs it)
+
+    check_output("--out", out, (".json",))
+    loaded = read(load, machine)
+    with option_names(options), warnings_to_stderr(as_json):
+        posture = asked_posture("region", loaded, options)
+        settings = given(options, "base", "control", "gravity", "points", "boxes")
+        loop, ranges = real_loop(loaded.loop, options["loop"]), table("--ranges", options["ranges"])
+        result = stable_region(loaded, posture, loop=loop, ranges=ranges, **settings)
     hand_out(result, out, None, as_json=as_json)
 
 

@@ -108,9 +108,10 @@ def stable_region(
 
     The proof excludes zeros of the characteristic function of the exact sampled loop from e^{(jω − ρ)T}, ρ = 1e-6/s, by
     the control points of Bernstein polynomials in ω and all that is uncertain, with bounds on what interpolation and
-    aliases leave and rounding inflated, 64 units of the largest entry of each column; it is no interval arithmetic throughout. It
-    speaks of springs, dampers, masses and dead time, with filters, servos and integrals; not of weight, of a damper
-    of the self-motion, nor of machines with modes above half the sampling rate.
+    aliases leave and rounding inflated, 64 units of the largest entry of each column; it is no interval arithmetic
+    throughout. It speaks of springs, dampers, masses and dead time, with filters, servos and integrals, and of
+    redundant arms; not of weight, of a damper of the self-motion, nor of machines with modes above half the sampling
+    rate.
 
     Raises:
         InputError, SingularPosture, NoSolutionFound: as `flexopt.outcome`.

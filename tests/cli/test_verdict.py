@@ -6,6 +6,7 @@ import flexopt
 from tests.cli.command import Command
 
 LOOP = {"kp": 1e4, "kv": 1e3}
+B = (0.0448, -2.0499)
 GROUND = {"stiffness": (0.5, 2.0)}
 
 
@@ -21,12 +22,28 @@ def test_the_command_says_what_python_says(command: Command) -> None:
     assert "verdict" not in command("select", "article", "--json").document
 
 
+def test_regions_are_those_of_python(command: Command) -> None:
+    words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--ranges", "stiffness=0.5,2", "--points", "16")
+    found = flexopt.stable_region(flexopt.load("excavator"), B, loop=LOOP, ranges=GROUND, points=16)
+    said = command("region", "excavator", "--posture", "0.0448,-2.0499", *words)
+    assert said.stdout.strip() == repr(found)
+    document = command("region", "excavator", "--posture", "0.0448,-2.0499", *words, "--json").document
+    assert document["guaranteed"] is True
+    assert document == found.to_dict()
+    unproven = command("region", "excavator", "--posture", "0.0448,-2.0499", *words, "--boxes", "0", "--json").document
+    assert unproven["guaranteed"] is False
+
+
 def test_the_command_refuses(command: Command) -> None:
     for words, sentence in (
         (("verdict", "excavator"), "--end-point"),
         (("verdict", "article", "--base", "1"), "brings its own"),
         (("verdict", "stations"), "one target"),
         (("verdict", "article", "--ranges", "mass=1,2"), "ranges[0].of"),
+        (("region", "excavator"), "--posture, --end-point"),
+        (("region", "slewing-excavator", "--end-point", "5,0,1"), "does not name one posture"),
+        (("region", "excavator", "--posture", "0,-1", "--ranges", "mass=1,2"), "ranges[0].of"),
+        (("region", "excavator", "--posture", "0,-1", "--boxes", "-1"), "--boxes"),
         (("select", "stations", "--loop", "default"), "single target"),
         (("select", "stations", "--objective", "decay"), "single target"),
         (("select", "article", "--loop", "kq=1"), "unknown key"),
