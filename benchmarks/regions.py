@@ -26,7 +26,7 @@ SPRINGS = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("
 DAMPING = {"of": "damping", "factor": (0.5, 2.0)}
 PAYLOAD = {"of": "payload.mass", "value": (0.0, 100.0)}
 # Boxes that may be looked at: with three parameters, with more, and with masses, of which each costs more.
-FEW, MANY, HEAVY = 450, 800, 60
+FEW, MANY, HEAVY = 450, 800, 45
 # Bars: proven share of what is stable, median time in s.
 BARS = {
     "3 stiffnesses": (0.90, 0.5),

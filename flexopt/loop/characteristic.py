@@ -372,5 +372,5 @@ def _unseen(matrices: Sequence[Vector], directions: Vector) -> Vector:
     sizes = (float(np.abs(x).max(initial=0.0)) for x in matrices)
     seen = np.vstack([x @ directions / size for x, size in zip(matrices, sizes, strict=True) if size])
     _, values, rows = np.linalg.svd(seen)
-    found: Vector = rows[int(np.sum(values > SAME)) :].T
+    found: Vector = rows[int(np.sum(values > NOTHING)) :].T
     return found

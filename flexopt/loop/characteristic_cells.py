@@ -136,7 +136,7 @@ def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, 
     """Q (K, DEGREE + 1, nodes in each θ …), and the most that two errors move it there to the first order, (K,) each.
 
     These are an error (K, 2r, r) of the aliases, and rounding: a determinant by elimination is that of a matrix whose
-    entries differ by some units of the largest in their column, ∂p/∂N_ij = p · [N⁻¹]_ji.
+    entries differ by some units of the largest in their column, or of its terms; ∂p/∂N_ij = p · [N⁻¹]_ji.
     """
     s = np.asarray(1j * omega.ravel() - of.decay, dtype=np.complex128)
     smooth, own = list(of.smooth), [i for i in range(len(of.low)) if i not in of.smooth]
@@ -153,7 +153,12 @@ def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, 
         value = sign * np.exp(size)
         found.append(value)
         inverse = np.linalg.inv(pencil)
-        rounded.append((np.abs(inverse).sum(axis=-1) * np.abs(pencil).max(axis=-2)).sum(axis=-1))
+        size = np.abs(pencil).max(axis=-2)
+        # Near resonance what an entry is made of is more than what is left.
+        made = Machines(*(np.abs(x) for x in (machines.mass, machines.damping, machines.stiffness)))
+        n, terms = len(ports.force), made.pencil(np.abs(s)).real.max(axis=-2)
+        size[..., :n] = np.maximum(size[..., :n], terms)
+        rounded.append((np.abs(inverse).sum(axis=-1) * size).sum(axis=-1))
         if k == 0:
             # ∂p/∂𝓔_ij = p · [Y N⁻¹ W]_ji, W the columns through which aliases enter.
             into, rows = _entrance(of), slice(*_places(of, len(ports.force))[1])
