@@ -25,7 +25,7 @@ from flexopt.model.uncertainty import GROUND, Uncertainty
 
 # Largest factor that a radius is looked for up to, how exactly (of its logarithm), and points looked at in each box.
 LARGEST, EXACT, POINTS = 10.0, 1e-3, 64
-# How often the box that a guaranteed radius is looked for in is halved, until something is proven.
+# How often the box that a guaranteed radius is looked for in is halved, as long as a smaller one may prove more.
 TRIES = 4
 
 
@@ -175,13 +175,14 @@ def _radius_guaranteed(loop: UncertainLoop, radius: float, boxes: int) -> float:
     """The largest proven radius up to that which was found; 1 where nothing is."""
     if math.isnan(radius) or radius <= 1 or not boxes:
         return radius if math.isnan(radius) else 1.0
-    size = math.log(radius)
+    size, best = math.log(radius), 1.0
     for _ in range(TRIES):
-        found = certified_radius(_scaled(loop, size), size, boxes=boxes)
-        if found > 1:
-            return found
+        # Over smaller boxes less is left open.
+        if math.exp(size) <= best:
+            break
+        best = max(best, certified_radius(_scaled(loop, size), size, boxes=boxes))
         size /= 2
-    return 1.0
+    return best
 
 
 def _scaled(loop: UncertainLoop, size: float) -> UncertainLoop:
