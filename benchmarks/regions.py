@@ -11,11 +11,13 @@ import argparse
 import math
 import statistics
 import time
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 import flexopt
+from benchmarks.score import Row
 from flexopt.loop.certificate import RegionProof, certify
 from flexopt.loop.evaluation import outcome
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
@@ -33,6 +35,13 @@ BARS = {
     "and damping": (0.75, 5.0),
     "and payload": (0.75, 5.0),
     "and dead time": (0.75, 5.0),
+}
+# What is uncertain, boxes that may be looked at, and whether the dead time is, too, by 2 ms.
+KINDS: dict[str, tuple[list[dict[str, Any]], int, bool]] = {
+    "3 stiffnesses": (SPRINGS, FEW, False),
+    "and damping": ([*SPRINGS, DAMPING], MANY, False),
+    "and payload": ([*SPRINGS, PAYLOAD], HEAVY, False),
+    "and dead time": (SPRINGS[:2], FEW, True),
 }
 
 
@@ -68,33 +77,65 @@ def drawn(rng: np.random.Generator) -> tuple[tuple[float, float], dict[str, floa
     return posture, {"kp": float(kp), "kv": float(kv), "rate": RATE, "dead_time": late}
 
 
-def row(name: str, ranges: list[dict[str, Any]], boxes: int, count: int, samples: int, *, late: bool) -> None:
-    """One kind of box over many loops; those of which no sample is stable have no share."""
-    rng, shares, times, total, wrong, refused = np.random.default_rng(0), [], [], 0, 0, 0
+@dataclass
+class Reading:
+    """One kind of box over many loops.
+
+    Attributes:
+        shares: of what is stable the proven part; of loops of which any sample is stable.
+        times: s.
+        inside, wrong: samples in proven leaves, and those that are not as proven;  refused: loops.
+    """
+
+    shares: list[float] = field(default_factory=list[float])
+    times: list[float] = field(default_factory=list[float])
+    inside: int = 0
+    wrong: int = 0
+    refused: int = 0
+
+
+def reading(name: str, count: int, samples: int) -> Reading:
+    """Of so many loops, by so many samples of each."""
+    (ranges, boxes, late), rng, found = KINDS[name], np.random.default_rng(0), Reading()
     for k in range(count):
         posture, loop = drawn(rng)
         span = {"of": "dead_time", "value": (loop["dead_time"], loop["dead_time"] + 0.002)}
         uncertain_loop = uncertain(EXCAVATOR, posture, loop, [*ranges, *([span] if late else [])])
         begun = time.perf_counter()
         proof = certify(uncertain_loop, boxes=boxes)
-        times.append(time.perf_counter() - begun)
-        refused += bool(proof.sentence)
+        found.times.append(time.perf_counter() - begun)
+        found.refused += bool(proof.sentence)
         share, inside, bad = judged(uncertain_loop, proof, samples, k)
-        total, wrong = total + inside, wrong + bad
+        found.inside, found.wrong = found.inside + inside, found.wrong + bad
         if not math.isnan(share):
-            shares.append(share)
-    least, slowest = BARS[name]
-    print(f"{name}: unstable or wrong among {total} samples in proven leaves | {wrong} | 0")
-    shown = (
-        f"{statistics.mean(shares):.3f} mean, {statistics.median(shares):.3f} median of {len(shares)}"
-        if shares
-        else "–"
-    )
-    print(f"{name}: proven share of the stable volume ({refused} refused) | {shown} | ≥ {least:g}")
-    print(
-        f"{name}: time | {statistics.median(times):.2f} s median, {max(times):.2f} s at most | ≤ {slowest:g} s",
-        flush=True,
-    )
+            found.shares.append(share)
+    return found
+
+
+def told(name: str, found: Reading) -> None:
+    """Its lines."""
+    (least, slowest), shares = BARS[name], found.shares
+    shown = "none is stable"
+    if shares:
+        shown = f"{statistics.mean(shares):.3f} mean, {statistics.median(shares):.3f} median of {len(shares)}"
+    print(f"{name}: unstable or wrong among {found.inside} samples in proven leaves | {found.wrong} | 0")
+    print(f"{name}: proven share of the stable volume ({found.refused} refused) | {shown} | ≥ {least:g}")
+    times = f"{statistics.median(found.times):.2f} s median, {max(found.times):.2f} s at most"
+    print(f"{name}: time | {times} | ≤ {slowest:g} s", flush=True)
+
+
+def rows(quick: bool) -> list[Row]:
+    """For the score table: mean shares and median times of a few loops."""
+    scores = list[Row]()
+    for name, count in (("3 stiffnesses", 2 if quick else 30), ("and damping", 2 if quick else 8)):
+        found, (least, slowest), what = reading(name, count, 100 if quick else 1000), BARS[name], f"regions, {name}"
+        share, ran = statistics.mean(found.shares) if found.shares else 0.0, "NumPy, one thread"
+        scores += [
+            Row(f"{what}: share of the stable volume that is proven", share, least, True, ran),
+            Row(f"{what}: time of a proof, s", statistics.median(found.times), slowest, False, ran),
+            Row(f"{what}: samples that are not as proven", float(found.wrong), 0.0, False, ran),
+        ]
+    return scores
 
 
 def note() -> None:
@@ -123,13 +164,8 @@ def main() -> None:
     given = parser.parse_args()
     print("what | read | bar")
     note()
-    kinds: dict[str, tuple[list[dict[str, Any]], int, bool]] = {
-        "3 stiffnesses": (SPRINGS, FEW, False), "and damping": ([*SPRINGS, DAMPING], MANY, False),
-        "and payload": ([*SPRINGS, PAYLOAD], HEAVY, False), "and dead time": (SPRINGS[:2], FEW, True),
-    }  # fmt: skip
     for name in given.rows:
-        ranges, boxes, late = kinds[name]
-        row(name, ranges, boxes, given.loops, given.samples, late=late)
+        told(name, reading(name, given.loops, given.samples))
 
 
 if __name__ == "__main__":
