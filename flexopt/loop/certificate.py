@@ -168,10 +168,10 @@ class Search:
                 box, left = self._again(box, left)
             if not len(left.low):
                 yield box.low, box.high, True
-            elif self.looked >= self.most or float(np.max(box.high - box.low)) <= SMALLEST:
+            elif self.looked >= self.most or not (axes := self._axes(box)):
                 yield box.low, box.high, False
             else:
-                self._divide(box, left)
+                self._divide(box, left, axes)
 
     def _again(self, box: _Box, left: Cells) -> tuple[_Box, Cells]:
         """The cells that are left of a box from their own function: remainders are smaller over smaller boxes."""
@@ -181,9 +181,12 @@ class Search:
         self.cells += len(cells.low)
         return replace(box, of=of, root=float(np.prod(box.high - box.low))), _failing(cells)
 
-    def _divide(self, box: _Box, left: Cells) -> None:
-        """In the direction that leaves the fewest cells."""
-        axes = [k for k in range(len(box.low)) if box.high[k] - box.low[k] > SMALLEST and not self._fixed[k]]
+    def _axes(self, box: _Box) -> list[int]:
+        """Directions in which a box may be divided."""
+        return [k for k in range(len(box.low)) if box.high[k] - box.low[k] > SMALLEST and not self._fixed[k]]
+
+    def _divide(self, box: _Box, left: Cells, axes: list[int]) -> None:
+        """In the direction, of some, that leaves the fewest cells."""
         middle = (box.low + box.high) / 2
         a, at, b = (self.loop.box.theta(u) for u in (box.low, middle, box.high))
         parts = [part for k in axes for part in left.split(k, float((at[k] - a[k]) / (b[k] - a[k])))]
@@ -216,12 +219,17 @@ def certify(loop: UncertainLoop, *, decay: float = DECAY, boxes: int = BOXES) ->
         search = Search(loop, decay, boxes)
         ends = list(search.run())
         excluded = [(low + high) / 2 for low, high, each in ends if each]
-        decays = iter(loop.decays(np.array(excluded)) > decay if excluded else ())
-        leaves = tuple(Leaf(low, high, bool(next(decays)) if each else None) for low, high, each in ends)
+        decays = iter(loop.decays(np.array(excluded)).tolist() if excluded else ())
+        words = (_word(next(decays), decay) if each else None for _, _, each in ends)
+        leaves = tuple(Leaf(low, high, word) for (low, high, _), word in zip(ends, words, strict=True))
         return RegionProof(leaves, search.cells, search.looked, decay)
     except NotCovered as fault:
         k = len(loop.box.uncertainty)
         return RegionProof((Leaf(np.zeros(k), np.ones(k), None),), 0, 0, decay, str(fault))
+
+
+def _word(found: float, decay: float) -> bool | None:
+    return None if math.isnan(found) else found > decay
 
 
 def certified_radius(loop: UncertainLoop, size: float, *, decay: float = DECAY, boxes: int = BOXES) -> float:
@@ -235,6 +243,7 @@ def certified_radius(loop: UncertainLoop, size: float, *, decay: float = DECAY, 
         return float(np.maximum(np.maximum(low - 0.5, 0.5 - high), 0.0).max())
 
     try:
+        # One after another: the first that does not decay ends it.
         for low, high, excluded in Search(loop, decay, boxes, away).run():
             if not excluded or not loop.decays((low + high)[None] / 2)[0] > decay:
                 return math.exp(2 * size * away(low, high))

@@ -36,8 +36,13 @@ from flexopt.loop.spectrum import OwnMotion
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.uncertainty import LATE
 
-# Relative difference of what counts as the same number; a singular value that is no rank; a change that is none.
-SAME, NOTHING = 1e-9, 1e-12
+# Relative difference of what counts as the same number; a change, and a singular value, that are rounding: of degrees
+# too many cost time, too few would be wrong.
+SAME, NOTHING = 1e-9, 1e-13
+# Members at the nodes of all θ together, more of which cost more than a proof is worth.
+NODES = 600
+# Of what a self-motion is held or measured by, relative to the largest, that is none.
+NEUTRAL = 1e-12
 # Degrees that the dead time and masses are interpolated with, the latter by how much they change M.
 LATE_DEGREE, MASS_DEGREES = 12, ((0.25, 12), (0.1, 9), (0.03, 7), (-1.0, 5))
 
@@ -168,7 +173,7 @@ class Characteristic:
         free = np.asarray(eigh(of.stiffness, of.mass)[1])
         locked = np.zeros((len(free), len(free) - m))
         locked[m:] = np.linalg.inv(np.linalg.cholesky(of.mass[m:, m:])).T
-        # The first ones are the self-motions: what else stands in no spring's way they are turned into.
+        # Turned among what no spring holds, so that the self-motions come first.
         return self._led_by_neutral(free, of.mass), self._led_by_neutral(locked, of.mass)
 
     def _led_by_neutral(self, by: Vector, mass: Vector) -> Vector:
@@ -270,6 +275,8 @@ class Characteristic:
             known = f"of up to {self.fastest / math.tau:.3g} Hz, as bounds tell" if math.isfinite(self.fastest) else ""
             raise NotCovered(f"the machine may have modes above half the sampling rate ({known or 'payloads differ'})")
         _ = self.whole
+        if (nodes := math.prod(degree + 1 for degree in self.degrees)) > NODES:
+            raise NotCovered(f"so much is uncertain at once that a proof would take long ({nodes} machines a part)")
 
     def _check_affine(self) -> None:
         """Whether mass, damping and stiffness are of first degree in each θ, by their graphs."""
@@ -310,9 +317,8 @@ class Characteristic:
     @cached_property
     def masses(self) -> tuple[int, ...]:
         """Which θ are, or multiply, masses."""
-        least = SAME * float(np.abs(self._seen[0][1].mass).max())
-        swings = [None if swing is None else swing.seen(self.modes[0]) for swing in self._swings]
-        return tuple(i for i, x in enumerate(swings) if x is not None and np.any(np.abs(x.mass) > least))
+        whole = self.machines(self.corners).mass
+        return tuple(i for i, x in enumerate(self._swings) if x is not None and np.any(_changed(x.mass, whole)))
 
     @cached_property
     def smooth(self) -> tuple[int, ...]:
@@ -331,16 +337,10 @@ class Characteristic:
                 size = swing.seen(self.modes[0]).norms[0]
                 found.append(next(degree for least, degree in MASS_DEGREES if size > least))
                 continue
-            ranks = 0
-            for by, (corners, _, _) in zip(self.modes, self._seen, strict=True):
-                seen = swing.seen(by)
-                blocks = list[Vector]()
-                for x, whole in ((seen.damping, corners.damping), (seen.stiffness, corners.stiffness)):
-                    size = float(np.abs(x).max())
-                    if size > NOTHING * float(np.abs(whole).max(initial=0.0)):
-                        blocks.append(x.transpose(1, 0, 2).reshape(by.shape[1], -1) / size)
-                ranks += int(np.linalg.matrix_rank(np.hstack(blocks), tol=SAME)) if blocks else 0
-            found.append(ranks)
+            # In the machine's own coordinates, where what does not change is zero; with the base locked, its joints'.
+            m, whole = self.motions.plant.n_passive, self.machines(self.corners)
+            blocks = _changed(swing.damping, whole.damping), _changed(swing.stiffness, whole.stiffness)
+            found.append(sum(_rank(np.concatenate([x[:, k:, k:] for x in blocks])) for k in (0, m)))
         return tuple(found)
 
     def nodes(self, axis: int) -> Vector:
@@ -369,8 +369,25 @@ class Characteristic:
 
 def _unseen(matrices: Sequence[Vector], directions: Vector) -> Vector:
     """Orthonormal combinations of directions (n, e) that all of some matrices take to nothing, (e, …)."""
-    sizes = (float(np.abs(x).max(initial=0.0)) for x in matrices)
+    sizes = [float(np.abs(x).max(initial=0.0)) for x in matrices]
+    if not any(sizes):
+        return np.eye(directions.shape[1])
     seen = np.vstack([x @ directions / size for x, size in zip(matrices, sizes, strict=True) if size])
     _, values, rows = np.linalg.svd(seen)
-    found: Vector = rows[int(np.sum(values > NOTHING)) :].T
+    found: Vector = rows[int(np.sum(values > NEUTRAL)) :].T
     return found
+
+
+def _changed(swing: Vector, whole: Vector) -> Vector:
+    """What a θ changes, without what is rounding, from entries (…, n, n) at all corners."""
+    found: Vector = np.where(np.abs(swing) > NOTHING * np.abs(whole).max(axis=0), swing, 0.0)
+    return found
+
+
+def _rank(matrices: Vector) -> int:
+    """Of matrices (N, n, n) side by side, each row and column in its own unit."""
+    row = matrices.transpose(1, 0, 2).reshape(matrices.shape[1], -1)
+    for axis in (1, 0):
+        size = np.abs(row).max(axis=axis, keepdims=True, initial=0.0)
+        row = row / np.where(size > 0, size, 1.0)
+    return int(np.linalg.matrix_rank(row, tol=NOTHING)) if row.size else 0

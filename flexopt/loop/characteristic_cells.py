@@ -33,6 +33,8 @@ SCALINGS = 12
 FINE, FINER = 1e-5, 8
 # Rounding: so many unit roundoffs of the largest entry of its column in every entry of a determinant.
 ROUNDING = 64 * float(np.finfo(float).eps)
+# Of units, a mean that is rounding.
+CANCELLED = 1e-12
 # Multiples of the aliases' error that bounds are taken over.
 SOME, FARTHER = 10.0, (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
 
@@ -94,9 +96,12 @@ def _span(points: Complex, error: Vector) -> Vector:
     least = sizes.min(axis=1, initial=np.inf) > error
     with np.errstate(divide="ignore", invalid="ignore"):
         units = points / sizes
-        turned = np.angle(units * units.sum(axis=1).conj()[:, None])
+        mean = units.sum(axis=1).conj()[:, None]
+        turned = np.angle(units * mean)
         wide = np.arcsin(np.minimum(error[:, None] / sizes, 1.0))
         found = (turned + wide).max(axis=1) - (turned - wide).min(axis=1)
+    # Where units cancel the mean has no angle, and they lie on no side of a line.
+    least &= np.abs(mean[:, 0]) > CANCELLED * points.shape[1]
     return np.where(least & np.isfinite(found), found, np.inf)
 
 

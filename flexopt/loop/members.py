@@ -14,7 +14,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class Machines:
-    """M, D, K (…, n, n) of members of a box, in coordinates in which M of the middle is 1 and K diagonal."""
+    """M, D, K (…, n, n) of members of a box, in any coordinates."""
 
     mass: Vector
     damping: Vector

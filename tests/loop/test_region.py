@@ -258,3 +258,46 @@ def test_a_guaranteed_radius_is_one() -> None:
 def test_machines_are_of_first_degree_or_refused() -> None:
     """A centre of mass stands in the inertia squared."""
     assert "first degree" in certify(uncertain([{"of": "stick.com", "value": (0.5, 0.7)}])).sentence
+
+
+def test_degrees_do_not_depend_on_how_stiff_springs_are() -> None:
+    """One factor of two springs, one ten digits softer: a degree too few leaves out what grows."""
+    slow = 9e4 * float(np.sqrt(7e-10))
+    data = EXCAVATOR.to_dict()
+    data["base"]["stiffness"] = {"x": 8.1e12, "y": 1e3 * slow**2}
+    data["base"]["damping"] = {"x": 9e3, "y": 1e3 * slow * 0.3}
+    machine = flexopt.machine_from_dict(data)
+    gains = {"kp": 1e3 * slow**2, "kv": 200 * slow, "rate": 3e4}
+    loop = uncertain([{"of": "stiffness", "factor": (0.25, 4.0)}], machine, **gains)
+    assert over_whole(loop).degrees == (2,)
+    u = np.linspace(0, 1, 41)[:, None]
+    assert loop.decays(u).min() < 0
+    assert wrong(loop, certify(loop, boxes=60)) == 0
+
+
+def test_what_is_fixed_or_undamped_is_no_error() -> None:
+    fixed = [{"of": "stiffness", "factor": (1, 1)}]
+    edge = GAINS | {"kp": 5310.7658853378825, "dead_time": 0.02}
+    found = flexopt.stable_region(EXCAVATOR, B, loop=edge, ranges=fixed, points=4, boxes=10)
+    assert found.stable is None
+    both = [*fixed, {"of": "base.stiffness.rotation", "factor": (0.9, 1.1)}]
+    # It decays at 5e-6/s all over.
+    assert flexopt.stable_region(EXCAVATOR, B, loop=edge, ranges=both, points=4, boxes=10).stable is not False
+    data = flexopt.load("boom-stick-bucket").to_dict()
+    del data["base"]["damping"]
+    machine, posture = flexopt.machine_from_dict(data), REDUNDANT["boom-stick-bucket"]
+    loop = {"kp": 3e5, "kv": 7e5, "rate": 400.0, "control": "transpose"}
+    undamped = flexopt.stable_region(machine, posture, loop=loop, ranges=both[:1], points=4, boxes=10)
+    assert undamped.certified in (0.0, 1.0)
+
+
+def test_too_much_at_once_is_refused() -> None:
+    bodies = [{"of": f"{body}.mass", "factor": (0.5, 2.0)} for body in ("boom", "stick")]
+    found = certify(uncertain([*bodies, PAYLOAD, *SPRINGS]), boxes=2)
+    assert "at once" in found.sentence
+
+
+@pytest.mark.parametrize("pair", [(1, -1), (1j, -1j), (1 + 1e-15j, -1)])
+def test_opposite_values_do_not_exclude_zero(pair: tuple[complex, complex]) -> None:
+    points = np.array(pair, dtype=complex).reshape(1, 2, 1)
+    assert not characteristic_cells.Cells(np.zeros(1), np.ones(1), points, np.full(1, 1e-9)).exclude_zero.any()
