@@ -1,4 +1,4 @@
-"""Which files of tests are left out where an oracle cannot be installed."""
+"""One BLAS thread for each process of tests, and which files are left out where an oracle cannot be installed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ import sys
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+
+# Before NumPy comes in, here and in the processes of pytest-xdist, each of which would have as many threads as there
+# are processors, that wait for each other.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+    os.environ.setdefault(name, "1")
 
 ROOT = Path(__file__).resolve().parents[1]
 # Oracles without wheels, by platform: the same as the markers in pyproject.toml.

@@ -23,6 +23,7 @@ from multiprocessing.context import BaseContext
 from typing import Any, TypeVar, cast
 
 from flexopt.errors import FlexoptError
+from flexopt.foundation.turns import one_blas_thread
 
 T = TypeVar("T")
 Task = Callable[[int], T]
@@ -68,17 +69,8 @@ def in_parallel(
         Exception: the first one, by number, that the task raised.
         ProcessLost: as above.
     """
-    # BLAS threads of several processes wait for each other, and systems of some hundred rows are quicker with one.
-    with _one_thread():
+    with one_blas_thread():
         return _worked_off(task, count, workers, done, meanwhile, lost, at_once=at_once)
-
-
-def _one_thread() -> contextlib.AbstractContextManager[object]:
-    """BLAS with one thread, in this process and in those that are forked from it, until the end of the block."""
-    # Only where something is solved: `import flexopt` does without it.
-    from threadpoolctl import threadpool_limits  # noqa: PLC0415 # pyright: ignore[reportMissingTypeStubs]
-
-    return cast("contextlib.AbstractContextManager[object]", threadpool_limits(limits=1, user_api="blas"))
 
 
 def _worked_off(
@@ -262,8 +254,12 @@ def _work(task: Task[Any], connection: Connection, inherited: list[Connection]) 
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     for other in inherited:
         other.close()
-    # Not inherited where processes are not forked; the process ends before the limit would.
-    _one_thread()
+    # Not inherited where processes are not forked.
+    with one_blas_thread():
+        _answers(task, connection)
+
+
+def _answers(task: Task[Any], connection: Connection) -> None:
     while True:
         try:
             number = connection.recv()
