@@ -27,6 +27,7 @@ from flexopt.cli.common import (
     whole,
 )
 from flexopt.cli.fmu import fmu_options, write_fmu
+from flexopt.cli.judging import LOOP, real_loop
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import load
 
@@ -35,6 +36,8 @@ OF_BUNDLE = (
     "out", "parts", "real", "baked", "singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m", "prefix",
     "overwrite",
 )  # fmt: skip
+# What a bundle takes with a loop: where its margins are told.
+OF_LOOP = ("loop", "posture", "base")
 
 
 class _WithParts(click.Command):
@@ -62,6 +65,7 @@ class _WithParts(click.Command):
 @value("--limit-allowance-m", "M", "The same of a slide (0.05 by default).", number)
 @value("--prefix", "NAME", "Of every C name (from the machine's name by default).")
 @option("--overwrite", is_flag=True, help="Replace a bundle of which files were changed by hand, too.")
+@LOOP
 @fmu_options
 @JSON
 def export_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
@@ -79,7 +83,8 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)
-    settings = given(options, *(name for name in OF_BUNDLE if name != "out"), "control", "gain")
+    settings = given(options, *(name for name in OF_BUNDLE if name != "out"), "control", "gain", "posture", "base")
+    settings |= given({"loop": real_loop(loaded.loop, options["loop"])})
     with option_names(options | {"folder": out}), warnings_to_stderr(as_json):
         report = export_c(loaded, out, **settings)
     if as_json:
@@ -91,7 +96,7 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
 def _check_kind(options: dict[str, Any]) -> None:
     """No option of the bundle with --fmu, none of the FMU without it."""
     fmu = options["fmu"] is not None
-    other = OF_BUNDLE if fmu else set(options) - {*OF_BUNDLE, "fmu", "control", "gain"}
+    other = OF_BUNDLE if fmu else set(options) - {*OF_BUNDLE, *OF_LOOP, "fmu", "control", "gain"}
     sentence = "does not go with --fmu" if fmu else "goes with --fmu only"
     faults = [
         Fault(f"--{name.replace('_', '-')}", sentence, "given" if value is True else repr(value))

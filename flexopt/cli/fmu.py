@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from flexopt.cli.common import given, option_names, print_json, read, say, value, warnings_to_stderr
-from flexopt.cli.judging import LOOP, real_loop
+from flexopt.cli.judging import real_loop
 from flexopt.cli.simulation import TEXTS, loop_options, simulate_arguments
 from flexopt.errors import InputError
 from flexopt.model import load
@@ -21,7 +21,7 @@ def fmu_options(command: Callable[..., None]) -> Callable[..., None]:
     path = value("--fmu", "PATH", "Write an FMU of the closed loop instead, its reference run beside.")
     version = value("--fmi", "2.0|3.0", f"{LEAD}version of FMI (2.0 by default).")
     kind = value("--kind", "co-simulation|model-exchange", f"{LEAD}who integrates (co-simulation by default).")
-    return path(version(kind(LOOP(_OPTIONS(command)))))
+    return path(version(kind(_OPTIONS(command))))
 
 
 def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:

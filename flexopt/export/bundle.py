@@ -8,28 +8,33 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from flexopt.errors import ExportError, Fault, InputError, raise_if_any
+import numpy as np
+
+from flexopt.errors import ExportError, Fault, FlexoptWarning, InputError, raise_if_any
 from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
 from flexopt.export.kernels import Real, Unsupported
 from flexopt.export.operations import TOLERANCES, Field
-from flexopt.export.parts import PARTS
+from flexopt.export.parts import LOOP, PARTS
 from flexopt.export.project import project_files
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import by, number, public, words
 from flexopt.foundation.control import Control
-from flexopt.foundation.documents import package_version, provenance
+from flexopt.foundation.documents import json_ready, package_version, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import several
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import replace_folder
+from flexopt.loop.evaluation import outcome
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
+from flexopt.model.loop import Loop
 
 FORMAT = "flexopt C bundle"
 MANIFEST = "manifest.json"
@@ -39,6 +44,8 @@ SINGULARITY_MARGIN_DEG = 1.0
 # Below this share of accepted inputs an export says so.
 FULL = 0.995
 PREFIX_MAX = 31
+# What is told of a loop, from its `Outcome`.
+JUDGED = ("decay", "frequency_hz", "allowed_gain", "delay_margin", "disk_margin")
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 # What `make` and CMake leave behind when the README is followed.
 _PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
@@ -85,7 +92,17 @@ class ExportReport(Result):
             if o["acceptance"] < FULL
         ]
         lines += [f"  without {part}: {sentence}" for part, sentence in self.left_out.items()]
+        judged = self.manifest["options"]["loop"]
+        if judged is not None:
+            verb = "decays" if judged["decay"] > 0 else "grows"
+            lines.append(
+                f"  the loop {verb} at {abs(judged['decay']):.4g}/s in the posture {_listed(judged['posture'])}"
+            )
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
+
+
+def _listed(values: Sequence[float]) -> str:
+    return f"({', '.join(f'{x:.4g}' for x in values)})"
 
 
 def _check_parts(value: Any) -> tuple[str, ...]:
@@ -107,15 +124,28 @@ def _check_prefix(value: Any) -> str:
 
 
 def _allowed(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    """Parts that were asked for by name must be possible."""
+    """Parts that were asked for by name must be possible; a loop needs a posture to be judged in."""
     for part, sentence in _left_out(arguments.of, given["parts"] or ()).items():
         arguments.note("parts", f"{sentence}; {given['machine'].name} does not allow it", part)
+    if given["loop"] is None:
+        if LOOP in (given["parts"] or ()):
+            arguments.note("parts", _without_loop(None)[LOOP], LOOP)
+        for name in ("posture", "base"):
+            if given[name] is not None:
+                arguments.note(name, "goes with loop only", given[name])
+    elif given["posture"] is None and "posture" not in [fault.field for fault in arguments.faults]:
+        sentence = "is needed with loop: gains left out follow from it, and its margins are told there"
+        arguments.faults.append(Fault("posture", sentence))
 
 
 def _left_out(machine: AnyMachine | None, parts: Sequence[str]) -> dict[str, str]:
     """Parts that the machine does not allow, and why."""
     refused = {part: PARTS[part].refusal(machine) for part in parts} if machine is not None else {}
     return {part: sentence for part, sentence in refused.items() if sentence}
+
+
+def _without_loop(loop: Any) -> dict[str, str]:
+    return {LOOP: "it needs a loop and a posture to judge it in"} if loop is None else {}
 
 
 @public(
@@ -140,6 +170,9 @@ def export_c(
     limit_allowance_m: float = LIMIT_ALLOWANCE_M,
     prefix: str | None = None,
     overwrite: bool = False,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    posture: Any = None,
+    base: Any = None,
 ) -> ExportReport:
     """C for the controller of a machine: a folder with one file for each part.
 
@@ -164,6 +197,9 @@ def export_c(
             are above what sensors are calibrated to and end stops give, and below what a broken sensor shows.
         prefix: of every C name; from the machine's name by default.
         overwrite: replace a bundle of which files were changed by hand, too.
+        loop: the real controller, as of `flexopt.outcome`; the bundle then has the part `loop`, one sample of it with
+            its filter, integral and limits, whose numbers are constants, and README.md says what it does.
+        posture, base: with a loop: where its margins are told, and from which gains follow that it leaves out.
 
     Raises:
         InputError: an argument is not usable, or the folder holds something else.
@@ -171,8 +207,11 @@ def export_c(
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
     """
     prefix = c_identifier(machine.name)[:PREFIX_MAX].rstrip("_") if prefix is None else prefix
-    left_out = {} if parts is not None else _left_out(machine, tuple(PARTS))
-    wanted = tuple(part for part in (PARTS if parts is None else parts) if part not in left_out)
+    left_out = {} if parts is not None else _left_out(machine, tuple(PARTS)) | _without_loop(loop)
+    asked = PARTS if parts is None else parts
+    asked = {*asked, LOOP} if loop is not None else set(asked) - {LOOP}
+    wanted = tuple(part for part in PARTS if part in asked and part not in left_out)
+    judged = None if loop is None else judged_loop(machine, cast(Loop, loop), posture, base)
     target = Path(folder)
     check_replaceable(target, overwrite)
     texts, manifest = render_bundle(
@@ -186,6 +225,7 @@ def export_c(
         limit_allowance_deg=limit_allowance_deg,
         limit_allowance_m=limit_allowance_m,
         prefix=prefix,
+        loop=judged,
     )
     replace_folder(target, texts, _kept(target))
     return ExportReport(
@@ -200,6 +240,16 @@ def export_c(
         manifest=manifest,
         left_out=left_out,
     )
+
+
+def judged_loop(machine: AnyMachine, loop: Loop, posture: Any, base: Any) -> dict[str, Any]:
+    """A loop's numbers, and what it does in a posture, as a document."""
+    found = outcome(machine, posture, base=base, loop=loop)
+    if found.decay <= 0:
+        warnings.warn(f"export_c: in this posture the loop grows at {-found.decay:.4g}/s", FlexoptWarning, stacklevel=3)
+    told: dict[str, Any] = {name: json_ready(getattr(found, name)) for name in JUDGED}
+    place = [] if base is None else np.ravel(base).tolist()
+    return {"settings": found.settings.to_dict(), "posture": np.ravel(posture).tolist(), "base": place} | told
 
 
 def build_library(machine: AnyMachine, parts: Sequence[str], *, real: Real, prefix: str, **options: Any) -> Library:
@@ -318,7 +368,7 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         "statuses_with_output": list(WITH_OUTPUT),
         "limit_allowance": library.context.limit_allowance,
         "parts": parts,
-        "left_out": {part: said for part in PARTS if (said := PARTS[part].refusal(machine))},
+        "left_out": _left_out(machine, tuple(PARTS)) | _without_loop(library.context.judged_loop),
         "parameters": [dict(zip(("name", "unit", "value", "low", "high"), row, strict=True)) for row in listed],
         "compile_flags": list(COMPILE_FLAGS),
         "libraries": ["m"],

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -17,6 +18,7 @@ from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes
 from flexopt.export.parameters import machine_parameters
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
+from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.robustness.measures import Measures, build_measures
@@ -46,6 +48,7 @@ class Context:
         baked: whether the machine's parameters become constants.
         singularity_margin: square root of the smallest `Plant.singularity_sine_squared`.
         limit_allowance: unit -> how far measured joints may lie beyond their limits, rad and m.
+        judged_loop: the real controller and what it does in a posture, from `judged_loop`; None where none was given.
     """
 
     plant: Plant
@@ -55,6 +58,16 @@ class Context:
     baked: bool
     singularity_margin: float
     limit_allowance: Mapping[str, float]
+    judged_loop: Mapping[str, Any] | None = None
+
+    @cached_property
+    def loop(self) -> LoopSettings | None:
+        """The numbers of the real controller."""
+        if self.judged_loop is None:
+            return None
+        entries = cast("dict[str, Any]", self.judged_loop["settings"])
+        numbers: dict[str, Any] = {name: np.array(cast(Any, x)) for name, x in entries.items() if isinstance(x, list)}
+        return LoopSettings(**entries | numbers)
 
     @property
     def machine(self) -> AnyMachine:
@@ -227,11 +240,12 @@ def build_context(
     singularity_margin_deg: float,
     limit_allowance_deg: float = LIMIT_ALLOWANCE_DEG,
     limit_allowance_m: float = LIMIT_ALLOWANCE_M,
+    loop: Mapping[str, Any] | None = None,
 ) -> Context:
     """What the parts of this machine are built from."""
     sine = math.sin(math.radians(singularity_margin_deg))
     allowance = {"rad": math.radians(limit_allowance_deg), "m": limit_allowance_m}
-    return Context(build_plant(machine), control, gain, single, baked, sine, allowance)
+    return Context(build_plant(machine), control, gain, single, baked, sine, allowance, loop)
 
 
 def sine_squared(at: Context) -> ca.SX:

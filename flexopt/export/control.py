@@ -88,22 +88,15 @@ def _torque(at: Context, control: Control) -> Operation:
     result = law(base=at.base, posture=g.posture, p=g.p, **symbol)
     torque, size = result["torque"], result["torque_size"]
 
-    def position(name: str, text: str) -> Field:
-        limit = COORDINATE_MAX
-        return field(name, "TASK", "m", f"{text}, inertial frame", low=-limit, high=limit, sample=(-3.0, 3.0))
-
-    def speed(name: str, text: str) -> Field:
-        return field(name, "TASK", "m/s", f"{text}, inertial frame", low=-RATE_MAX, high=RATE_MAX, sample=(-1.0, 1.0))
-
     units = ("N/m", "N s/m") if control == "transpose" else ("N m", "N m s")
     kp = field("proportional_gain", "", units[0], "Kp", high=GAIN_MAX, sample=(1e3, 1e6))
     kv = field("derivative_gain", "", units[1], "Kv", high=GAIN_MAX, sample=(1e2, 1e5))
     inputs = [
         (at.joint_angles, g.posture),
-        (position("measured_point", "end-point r, measured"), symbol["r"]),
-        (speed("measured_rate", "its rate, measured"), symbol["r_rate"]),
-        (position("target_point", "where the end-point shall be"), symbol["target"]),
-        (speed("target_rate", "its rate"), symbol["target_rate"]),
+        (position(at, "measured_point", "end-point r, measured"), symbol["r"]),
+        (speed(at, "measured_rate", "its rate, measured"), symbol["r_rate"]),
+        (position(at, "target_point", "where the end-point shall be"), symbol["target"]),
+        (speed(at, "target_rate", "its rate"), symbol["target_rate"]),
         (kp, symbol["kp"]),
         (kv, symbol["kv"]),
     ]
@@ -134,6 +127,19 @@ def _torque(at: Context, control: Control) -> Operation:
     if damping is not None:
         text += f" f is in N m^2, and lambda = {damping:g} in the unit of Jv's entries. No posture is refused."
     return at.operation(f"torque_{method}", text, inputs, [(output, torque, size)], guards)
+
+
+def position(at: Context, name: str, text: str) -> Field:
+    """A point as an input."""
+    limit = COORDINATE_MAX
+    return at.sizes.field(name, "TASK", "m", f"{text}, inertial frame", low=-limit, high=limit, sample=(-3.0, 3.0))
+
+
+def speed(at: Context, name: str, text: str) -> Field:
+    """Its rate."""
+    return at.sizes.field(
+        name, "TASK", "m/s", f"{text}, inertial frame", low=-RATE_MAX, high=RATE_MAX, sample=(-1.0, 1.0)
+    )
 
 
 def torque_unit(at: Context) -> str:

@@ -12,6 +12,7 @@ from flexopt.export.context import Context
 from flexopt.export.control import controller, kinematics
 from flexopt.export.hydraulic import levers, levers_refusal
 from flexopt.export.kernels import Real
+from flexopt.export.loop_step import loop_step
 from flexopt.export.modal import margin, measures, nullspace
 from flexopt.export.operations import Operation
 from flexopt.export.optimiser import optimiser_refusal
@@ -45,9 +46,12 @@ class Part:
     refusal: Callable[[AnyMachine], str] = _takes_all
 
 
+# The part that only a bundle with a loop has.
+LOOP = "loop"
 PARTS: dict[str, Part] = {
     "kinematics": Part("end-point and Jacobians", kinematics),
     "controller": Part("task-space controller step", controller),
+    LOOP: Part("one sample of the machine's real controller, of a [loop] that is given", loop_step),
     "levers": Part("lever commands of hydraulic cylinders", levers, refusal=levers_refusal),
     "measures": Part("measures w_i, V and its gradient", measures),
     "nullspace": Part("nullspace update of base and joints", nullspace),

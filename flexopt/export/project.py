@@ -139,6 +139,8 @@ class _Project:
             acceptance_count=ACCEPTANCE_COUNT,
             guarded=any(o.guards for o in library.all_operations),
             loop_closed={"kinematics", "controller"} <= set(library.operations),
+            judged=library.context.judged_loop,
+            settings=library.context.loop,
             with_output=WITH_OUTPUT,
             allowance_deg=math.degrees(library.context.limit_allowance["rad"]),
         )

@@ -49,6 +49,18 @@ def nullspace_torque(jacobian: ca.SX, rates: ca.SX, damping: ca.SX) -> ca.SX:
     return -damping * (rates - apply_pseudo_inverse(jacobian, jacobian @ rates))
 
 
+def low_pass(now: ca.SX, before: ca.SX, corner: ca.SX, period: ca.SX | float) -> ca.SX:
+    """The low-pass ẏ = ω (m − y) over one sample, m held: y at its end.
+
+    Args:
+        now: m.
+        before: y at the start.
+        corner: ω, rad/s.
+        period: of the sample, s.
+    """
+    return now + ca.exp(-corner * period) * (before - now)
+
+
 def self_motion_damping(jacobian: NDArray[np.float64], mass: NDArray[np.float64], decay: float) -> float:
     """D with which the fastest self-motion decays like exp(−decay t): decay / λmax(Nᵀ M_a⁻¹ N), N the null space of Jv.
 

@@ -11,7 +11,7 @@ from functools import reduce
 import casadi as ca
 
 from flexopt.loop.directions import TurningFrame, paired
-from flexopt.loop.feedback import FeedbackLaw, joint_torque, nullspace_torque
+from flexopt.loop.feedback import FeedbackLaw, joint_torque, low_pass, nullspace_torque
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, Layout, LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.plant.hydraulics import Saturation, build_hydraulics
@@ -130,9 +130,7 @@ class Sample(SampleModel):
         arrived = self.x["queue"][: 2 * self.s.n_task] if self.s.delay else fresh
         if not self.s.filtered:
             return arrived
-        # The low-pass ẏ = ω (m − y) over one sample, m held.
-        kept = ca.exp(-self.of["filter"] * self.period)
-        return arrived + kept * (self.x["filter"] - arrived)
+        return low_pass(arrived, self.x["filter"], self.of["filter"], self.period)
 
     @property
     def period(self) -> ca.SX:

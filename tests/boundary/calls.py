@@ -187,6 +187,9 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         limit_allowance_m=0.01,
         prefix="small",
         overwrite=True,
+        loop={"kp": 1e4, "kv": 1e3},
+        posture=POSTURE,
+        base=0.0,
     ),
     "export_fmu": lambda: _machine(
         loop=None,

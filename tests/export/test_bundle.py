@@ -34,7 +34,7 @@ def test_the_folder_names_its_origin(machine: flexopt.Machine, tmp_path: Path) -
     manifest = json.loads((report.folder / "manifest.json").read_text())
     header = (report.folder / "include" / "excavator_control.h").read_text()
     assert set(manifest["parts"]) == set(report.parts) == set(PARTS) - set(report.left_out)
-    assert set(report.left_out) == {"levers"}
+    assert set(report.left_out) == {"levers", "loop"}
     assert manifest["machine_sha256"] == machine.content_hash
     assert machine.content_hash in header
     assert report.bundle_sha256 == manifest["bundle_sha256"]
@@ -167,4 +167,4 @@ def test_a_part_that_would_refuse_everything_is_not_written(tmp_path: Path) -> N
     with pytest.raises(ExportError, match=r"robust_margin.*leave its part out"):
         export_c(machine, tmp_path / "b")
     assert not (tmp_path / "b").exists()
-    export_c(machine, tmp_path / "b", parts=[part for part in PARTS if part not in ("margin", "levers")])
+    export_c(machine, tmp_path / "b", parts=[part for part in PARTS if part not in ("margin", "levers", "loop")])

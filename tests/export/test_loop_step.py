@@ -1,0 +1,90 @@
+"""The part `loop` of a bundle: its C asks for what the simulated controller of the same `[loop]` asks for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.errors import FlexoptWarning, InputError
+from flexopt.export.bundle import library_of
+from tests.export.bundle_library import BundleLibrary
+
+B = (0.0448, -2.0499)
+LOOPS: dict[str, tuple[str, Any, dict[str, Any]]] = {
+    "limits and dead time": ("excavator", B, {"kp": [1e4, 2e4], "kv": 1e3, "dead_time": 0.01, "torque_limit": 60.0}),
+    "integral and filter": ("excavator", B, {"kp": 1e4, "kv": 1e3, "feedback": "pid", "ki": 3e3, "filter_hz": 20.0}),
+    "transpose": ("excavator", B, {"kp": 2e3, "kv": 3e2, "control": "transpose"}),
+    "damped": ("excavator", B, {"kp": 1e4, "kv": 1e3, "control": "damped:0.3"}),
+    "self-motion": ("boom-stick-bucket", (-1.0, -1.2, -0.6), {"kp": 1e6, "kv": 3e5, "nullspace_damping": 2e4}),
+    "rates": ("slewing-excavator", (0.2, 0.5, -1.2, -0.5), {"drive": "velocity", "kp": 0.5, "nullspace_damping": 1e4}),
+}
+
+
+@pytest.mark.needs("gcc")
+@pytest.mark.parametrize("name", list(LOOPS))
+def test_c_asks_for_what_the_simulation_does(name: str, tmp_path: Path) -> None:
+    """Sample by sample along a nonlinear run, states of the law handed on."""
+    shipped, posture, loop = LOOPS[name]
+    machine = flexopt.load(shipped)
+    report = flexopt.export_c(machine, tmp_path / "bundle", parts=["kinematics"], loop=loop, posture=posture)
+    assert report.parts["loop"] == (f"{report.prefix}_loop_step",)
+    run = flexopt.simulate(machine, posture, loop=loop, duration=0.5)
+    c, settings, plant = BundleLibrary(report, tmp_path), run.loop, flexopt.build_plant(machine)
+    p, rate = plant.parameter_values, []
+    for q, v in zip(run.q, run.v, strict=True):
+        rate.append((plant.jacobian.call([q, run.base[0], p])[0].full() @ v).ravel())
+    late = round(settings.dead_time * settings.rate)
+    states: dict[str, Any] = {"integral": 0.0 * run.target[0]}
+    states |= {"filtered_point": run.end_point[0], "filtered_rate": rate[0]}
+    inputs = {field["name"] for field in c.operations["loop_step"]["inputs"]}
+    asked = []
+    for k in range(len(run.time)):
+        seen = max(k - late, 0)
+        given = {"joint_angles": run.q[k, run.n_passive :], "joint_rates": run.v[k, run.n_passive :]} | states
+        given |= {"measured_point": run.end_point[seen], "measured_rate": rate[seen], "placement": run.base[0]}
+        given |= {"target_point": run.target[k], "target_rate": 0 * run.target[k]}
+        status, out = c("loop_step", **{name: x for name, x in given.items() if name in inputs})
+        assert status == "OK"
+        states = {key.removeprefix("next_"): value for key, value in out.items() if key.startswith("next_")} or states
+        served = settings.drive == "velocity"
+        asked.append(settings.servo_gain * out["joint_rate_command"] if served else out["torque"])
+    # The last sample's torque acts on nothing any more.
+    size = np.abs(run.torque).max()
+    np.testing.assert_allclose(np.array(asked)[:-1], run.torque[:-1], rtol=0, atol=1e-9 * size)
+    if name == "limits and dead time":
+        assert np.isclose(np.abs(run.torque), 60.0).any()
+
+
+def test_what_a_bundle_says_of_its_loop(tmp_path: Path) -> None:
+    """Numbers in README.md and manifest.json, from which the same library is built again."""
+    excavator, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3, "dead_time": 0.01}
+    report = flexopt.export_c(excavator, tmp_path, parts=["controller"], loop=loop, posture=B)
+    told = json.loads((tmp_path / "manifest.json").read_text())["options"]["loop"]
+    found = flexopt.outcome(excavator, B, loop=loop)
+    assert told["decay"] == found.decay
+    assert told["settings"]["dead_time"] == 0.01
+    text = (tmp_path / "README.md").read_text()
+    assert f"{found.decay:.4g}/s" in text
+    assert f"{1e3 * found.delay_margin:.4g} ms more" in text.replace("\n", " ")
+    assert "decays at" in repr(report)
+    again = library_of(report.manifest)
+    names = [operation.name for operation in again.all_operations]
+    assert names == ["torque_transpose", "torque_inverse", "loop_step"]
+    assert again.header(report.bundle_sha256) == (tmp_path / "include" / "excavator_control.h").read_text()
+
+
+def test_what_does_not_go_together(tmp_path: Path) -> None:
+    excavator, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    with pytest.raises(InputError, match="parts = 'loop': it needs a loop") as caught:
+        flexopt.export_c(excavator, tmp_path, parts=["loop"], posture=B)
+    assert [fault.field for fault in caught.value.faults] == ["parts", "posture"]
+    with pytest.raises(InputError, match="posture: is needed with loop"):
+        flexopt.export_c(excavator, tmp_path, loop=loop)
+    with pytest.warns(FlexoptWarning, match="the loop grows at"):
+        flexopt.export_c(excavator, tmp_path / "grows", parts=["loop"], loop=loop, posture=(0.992, -2.63))
+    assert "loop" not in flexopt.export_c(excavator, tmp_path / "without").parts
