@@ -131,9 +131,8 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
             asked[name] = getattr(loaded.simulation, name).model_dump(exclude_unset=True) | asked[name]
     with option_names(options), warnings_to_stderr(as_json):
         if isinstance(loaded, Experiment):
-            if entries:
-                raise InputError("simulate: --loop goes with a machine; an experiment brings its own controller")
-            result = run_experiment(loaded, **asked)
+            own = loaded.loop or loaded.loaded_machine.loop
+            result = run_experiment(loaded, loop=real_loop(own, entries), **asked)
         else:
             if "posture" not in asked and "end_point" not in asked:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")

@@ -127,16 +127,13 @@ def _machine(source: Source) -> Machine | Tree:
 
 def _experiment(source: Source) -> Experiment:
     from flexopt.model.simulation import Experiment  # noqa: PLC0415  (what no file asks for is not loaded)
-    from flexopt.model.simulation_faults import simulation_faults  # noqa: PLC0415
+    from flexopt.model.simulation_faults import experiment_faults  # noqa: PLC0415
 
     if "simulation" not in source.data:
         raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
     experiment = validated(Experiment, source.data, source.name, ())
     machine = _machine_of(source, experiment.machine)
-    faults = [
-        Fault(f"simulation.{f.field}", f.sentence, f.value) for f in simulation_faults(experiment.simulation, machine)
-    ]
-    raise_if_any(ModelError, source.name, faults)
+    raise_if_any(ModelError, source.name, experiment_faults(experiment, machine))
     return experiment.with_machine(machine)
 
 

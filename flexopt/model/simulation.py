@@ -26,7 +26,18 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, GAIN, SEED, Elbow, check_objective, check_weights
 from flexopt.model.file_model import BuiltByCall, FileModel
-from flexopt.model.loop import BANDWIDTH, DEAD_TIME, LOOP_GAIN, RATE, SERVO_GAIN, Bandwidths, Gains, Numbers, Torques
+from flexopt.model.loop import (
+    BANDWIDTH,
+    DEAD_TIME,
+    LOOP_GAIN,
+    RATE,
+    SERVO_GAIN,
+    Bandwidths,
+    Gains,
+    Loop,
+    Numbers,
+    Torques,
+)
 from flexopt.model.machine import AnyMachine, OnMachine
 from flexopt.model.targets import TIMES
 
@@ -253,8 +264,12 @@ class NullspaceOptions(FileModel):
 
 
 class Experiment(OnMachine):
-    """A simulation in a file (`flexopt.load_experiment` reads one)."""
+    """A simulation in a file (`flexopt.load_experiment` reads one).
+
+    With a table `[loop]`, as a machine's, that controller runs, and `[simulation]` says nothing of it.
+    """
 
     LOADER = "flexopt.load_experiment"
     simulation: SimulationOptions
     nullspace: NullspaceOptions | None = None
+    loop: Loop | None = None

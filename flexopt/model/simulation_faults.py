@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any, cast
+
+from pydantic import BaseModel
+
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.coordinates import check_task
-from flexopt.model.loop import DELAY_MAX, length_faults
+from flexopt.model.loop import DELAY_MAX, length_faults, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.simulation import (
     PART_OF_SAMPLE,
     SAMPLES_MAX,
+    Experiment,
     Path,
     Sensor,
     SimulationOptions,
     shape_faults,
 )
+
+# Options of a run that a loop brings itself, and which of its tables'.
+BROUGHT = ("feedback", "kp", "kv", "ki", "rate", "hold", "nullspace_damping", "gain")
+BROUGHT_BY_TABLES = {
+    "sensor": ("delay", "filter_hz"),
+    "actuator": ("torque_limit", "rate_limit", "bandwidth_hz", "levers", "servo_gain"),
+}
 
 
 def simulation_faults(options: SimulationOptions, machine: AnyMachine, *, any_delay: bool = False) -> list[Fault]:
@@ -96,3 +109,29 @@ def _path_faults(path: Path, name: str, names: tuple[str, ...]) -> list[Fault]:
         sentence = f"must have {len(names)} coordinates each, in m or rad: {', '.join(names)}"
         found.append(Fault(f"{name}.points", sentence))
     return found
+
+
+def brought_twice(given: Mapping[str, Any]) -> list[Fault]:
+    """Options of a run that its `[loop]` brings itself."""
+    sentence = "comes with the loop; give it there"
+    found = [Fault(name, sentence) for name in BROUGHT if given.get(name) is not None]
+    for table, names in BROUGHT_BY_TABLES.items():
+        own = table_entries(given.get(table))
+        found += [Fault(f"{table}.{name}", sentence) for name in names if name in own]
+    return found
+
+
+def table_entries(table: Any) -> dict[str, Any]:
+    """What a call gives of a table."""
+    if isinstance(table, BaseModel):
+        return table.model_dump(exclude_unset=True)
+    return dict(cast("Mapping[str, Any]", table)) if isinstance(table, Mapping) else {}
+
+
+def experiment_faults(experiment: Experiment, machine: AnyMachine) -> list[Fault]:
+    """What does not go together in an experiment's file, or not with its machine."""
+    options, found = experiment.simulation, simulation_faults(experiment.simulation, machine)
+    if experiment.loop is not None:
+        found += brought_twice({name: getattr(options, name) for name in options.model_fields_set})
+    found = [Fault(f"simulation.{fault.field}", fault.sentence, fault.value) for fault in found]
+    return found if experiment.loop is None else found + loop_faults(experiment.loop, machine, "loop.")

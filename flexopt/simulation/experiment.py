@@ -6,15 +6,17 @@ In: an `Experiment`. Out: its `Trajectory`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 from flexopt.errors import InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import anything, public
 from flexopt.model.boundary import holding_machine
+from flexopt.model.loop import Loop, rate_of
 from flexopt.model.simulation import Experiment, OverrideKeywords
 from flexopt.plant import inverse_kinematics
 from flexopt.selection import nullspace_trajectory
+from flexopt.simulation.real_loop import note_loop
 from flexopt.simulation.run import simulate
 from flexopt.simulation.scenario import checked_options
 from flexopt.simulation.trajectory import Trajectory
@@ -38,16 +40,23 @@ def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
     if experiment is not None:
         options = _given(experiment, given["overrides"])
         arguments.collect("", lambda: checked_options(arguments.call, arguments.of, options))
+        note_loop(arguments, options | {"loop": given["loop"] or experiment.loop})
 
 
 @public(experiment=HELD, together=_note, overrides=anything)
-def run_experiment(experiment: Experiment, **overrides: Unpack[OverrideKeywords]) -> Trajectory:
+def run_experiment(
+    experiment: Experiment,
+    *,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    **overrides: Unpack[OverrideKeywords],
+) -> Trajectory:
     """Run what a file describes.
 
     With a table `[nullspace]` the base moves by the nullspace law from the posture and placement of `[simulation]`.
 
     Args:
         experiment: from `flexopt.load_experiment`.
+        loop: the real controller, as of `flexopt.simulate`, in place of the file's `[loop]`.
         overrides: arguments of `flexopt.simulate` that take the place of the file's; None leaves the file's.
 
     Raises:
@@ -55,18 +64,18 @@ def run_experiment(experiment: Experiment, **overrides: Unpack[OverrideKeywords]
             `base_path` and `[nullspace]`.
     """
     machine, given = experiment.loaded_machine, _given(experiment, overrides)
-    law = experiment.nullspace
+    law, real = experiment.nullspace, cast("Loop | None", loop or experiment.loop)
     if law is None:
-        return simulate(machine, **given)
+        return simulate(machine, **given, loop=real)
     if given.get("base_path") is not None:
         raise InputError(f"{experiment.name}: base_path and [nullspace] both move the base; give one of them")
     base, posture = given.get("base", 0.0), given.get("posture")
-    gravity, control = bool(given.get("gravity", False)), given.get("control", "inverse")
+    gravity, control = bool(given.get("gravity", False)), given.get("control") or (real and real.control) or "inverse"
     if posture is None:
         elbow = given.get("elbow", "up")
         posture = inverse_kinematics(machine, given["end_point"], base=base, gravity=gravity, elbow=elbow)[0]
     climb = nullspace_trajectory(
         machine, posture, base=base, control=control, gravity=gravity, gain=given.get("gain", 5e5),
-        rate=given.get("rate", 200.0), **law.model_dump(),
+        rate=given.get("rate", 200.0) if real is None else rate_of(real, machine), **law.model_dump(),
     )  # fmt: skip
-    return simulate(machine, **given, base_path=climb.path)
+    return simulate(machine, **given, base_path=climb.path, loop=real)

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 
-from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.evaluation import settings_at
@@ -21,14 +19,8 @@ from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
 from flexopt.model.parameter_values import with_parameters
 from flexopt.model.simulation import PART_OF_SAMPLE
+from flexopt.model.simulation_faults import BROUGHT_BY_TABLES, brought_twice, table_entries
 from flexopt.simulation.scenario import checked_options, design_configuration
-
-# Options of a run that a loop brings itself, and which of its tables'.
-BROUGHT = ("feedback", "kp", "kv", "ki", "rate", "hold", "nullspace_damping", "gain")
-BROUGHT_BY_TABLES = {
-    "sensor": ("delay", "filter_hz"),
-    "actuator": ("torque_limit", "rate_limit", "bandwidth_hz", "levers", "servo_gain"),
-}
 
 # Integration steps in a sample where those that the fastest mode needs are too long.
 SHORTER = (8, 64)
@@ -73,23 +65,6 @@ def note_loop(arguments: Arguments, given: Mapping[str, Any]) -> None:
         arguments.faults += brought_twice(given)
 
 
-def brought_twice(given: Mapping[str, Any]) -> list[Fault]:
-    """Options of a call that its loop brings itself."""
-    sentence = "comes with the loop; give it there"
-    found = [Fault(name, sentence) for name in BROUGHT if given.get(name) is not None]
-    for table, names in BROUGHT_BY_TABLES.items():
-        own = _entries(given.get(table))
-        found += [Fault(f"{table}.{name}", sentence) for name in names if name in own]
-    return found
-
-
-def _entries(table: Any) -> dict[str, Any]:
-    """What a call gives of a table."""
-    if isinstance(table, BaseModel):
-        return table.model_dump(exclude_unset=True)
-    return dict(cast("Mapping[str, Any]", table)) if isinstance(table, Mapping) else {}
-
-
 def with_loop(
     machine: AnyMachine, loop: Loop, given: Mapping[str, Any], call: str
 ) -> tuple[AnyMachine, dict[str, Any], LoopSettings, tuple[str, ...]]:
@@ -101,7 +76,7 @@ def with_loop(
     settings, _ = settings_at(machine, posture, base, control, loop, gravity=options.gravity, call=call)
     waits = whole_samples(settings.dead_time, settings.rate)
     brought = run_options(machine, settings, waits)
-    more = {name: brought[name] | _entries(told.get(name)) for name in BROUGHT_BY_TABLES}
+    more = {name: brought[name] | table_entries(told.get(name)) for name in BROUGHT_BY_TABLES}
     braked = braked_by(machine, settings, gravity=options.gravity)
     if braked.any():
         own = zip(machine.parameters, braked.tolist(), strict=True)

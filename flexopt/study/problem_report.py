@@ -22,6 +22,7 @@ from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop
 from flexopt.model.simulation import Experiment, SimulationOptions
+from flexopt.model.simulation_faults import brought_twice
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures
@@ -246,7 +247,8 @@ def report(
             heavy as the machine in the chosen configuration: a corner at 0.3 of its lowest mode, damped by 0.7, and
             halved until the linear loop is stable; see `flexopt.study.default_gains`.
         loop, ranges: the real controller and what is uncertain, as of `flexopt.verdict`; by default those of the
-            problem or machine. Where a controller is known the report says whether it pays to move.
+            experiment, the problem or the machine. Where a controller is known the report says whether it pays to move,
+            and the closed loops are its, unless `simulation` or the experiment's `[simulation]` say another.
         points: of the map, along each axis; 160, or with more than three passive coordinates 48.
         progress: called with the number of stages done and of all.
 
@@ -260,23 +262,26 @@ def report(
     selection = select(**problem.select_arguments()) if isinstance(problem, Problem) else solve_selection(problem)
     solved, notes = selection.problem, list[str]()
     given |= {"control": solved.control, "gravity": solved.gravity}
+    known = loop or (experiment and experiment.loop) or getattr(problem, "loop", None) or machine.loop
+    # What is said of the controller otherwise goes before a loop that is known.
+    real = None if brought_twice(given) else cast("Loop | None", known)
     stages.next()
     drawn = _attempt(notes, "the map", lambda: surroundings(selection, size))
     stages.next()
-    given = _with_gains(machine, selection.best.evaluation, given)
+    if real is None:
+        given = _with_gains(machine, selection.best.evaluation, given)
     stands, loops = stands_of(selection), dict[str, ReportLoop]()
     for name, stand in stands.items():
-        run = _attempt(notes, f"the closed loop, {name}", lambda s=stand: _run(machine, s, given))
+        run = _attempt(notes, f"the closed loop, {name}", lambda s=stand: _run(machine, s, given, real))
         if run is not None:
             loops[name] = ReportLoop(run)
             notes += _undecided(name, run)
     stages.next()
     borders: list[BorderRow] = []
-    for name in loops:
+    for name in loops if real is None else ():
         rows = _attempt(notes, f"the gains, {name}", lambda n=name: _borders(machine, n, stands[n], given))
         borders += rows or []
     stages.next()
-    known = loop or getattr(problem, "loop", None) or machine.loop
     judged = None
     if known is not None and solved.present_base is not None:
         ground = ranges or getattr(problem, "uncertainty", None) or None
@@ -360,8 +365,8 @@ def _undecided(name: str, run: Trajectory) -> list[str]:
     return [f"the closed loop, {name}: {said}"] if run.verdict == "undecided" or run.linear is None else []
 
 
-def _run(machine: AnyMachine, stand: Evaluation, given: Mapping[str, Any]) -> Trajectory:
-    return simulate(machine, stand.posture, base=stand.base, **given)
+def _run(machine: AnyMachine, stand: Evaluation, given: Mapping[str, Any], real: Loop | None) -> Trajectory:
+    return simulate(machine, stand.posture, base=stand.base, loop=real, **given)
 
 
 def _borders(machine: AnyMachine, name: str, stand: Evaluation, given: dict[str, Any]) -> list[BorderRow]:

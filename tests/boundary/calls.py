@@ -294,7 +294,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "progress": print,
     },
     "robust_margin": lambda: STATE_SPACE,
-    "run_experiment": lambda: {"experiment": experiment(), "overrides": {"duration": 0.02}},
+    "run_experiment": lambda: {"experiment": experiment(), "loop": None, "overrides": {"duration": 0.02}},
     "sampled_loop": lambda: _machine(posture=POSTURE, **SIMULATE),
     "select": lambda: _machine(
         target=TARGET,

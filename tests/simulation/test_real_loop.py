@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import flexopt
+from flexopt.cli import main
+from flexopt.errors import InputError, ModelError
 from flexopt.model.files import shipped_names
+from flexopt.model.simulation_faults import BROUGHT, BROUGHT_BY_TABLES
 from flexopt.plant import build_plant
-from flexopt.simulation.real_loop import BROUGHT, BROUGHT_BY_TABLES
 
 POSTURE = (0.0448, -2.0499)
 LOOPS = {
@@ -103,3 +106,58 @@ def test_an_fmu_holds_the_same_loop(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, run.end_point, atol=1e-9)
     with pytest.raises(flexopt.InputError, match="co-simulation"):
         flexopt.export_fmu(machine, tmp_path / "x.fmu", POSTURE, loop=loop, kind="model-exchange")
+
+
+FILE = """
+name = "late"
+machine = "excavator"
+
+[simulation]
+posture = [0.0448, -2.0499]
+duration = 0.5
+{more}
+
+[loop]
+kp = 1e4
+kv = 1e3
+dead_time = 0.01
+"""
+
+
+def test_an_experiment_with_a_loop(tmp_path, capsys):
+    """The same run as with the argument, in Python and by the command; another loop takes its place."""
+    (tmp_path / "late.toml").write_text(FILE.format(more=""))
+    experiment = flexopt.load_experiment(tmp_path / "late.toml")
+    loop = {"kp": 1e4, "kv": 1e3, "dead_time": 0.01}
+    excavator, own = flexopt.load("excavator"), {"duration": 0.5}
+    expected = flexopt.simulate(excavator, (0.0448, -2.0499), loop=loop, **own)
+    np.testing.assert_array_equal(flexopt.run_experiment(experiment).q, expected.q)
+    main(["simulate", str(tmp_path / "late.toml"), "--json"])
+    assert json.loads(capsys.readouterr().out)["end_error"] == expected.end_error
+    other = flexopt.simulate(excavator, (0.0448, -2.0499), loop=loop | {"dead_time": 0.02}, **own)
+    np.testing.assert_array_equal(flexopt.run_experiment(experiment, loop=loop | {"dead_time": 0.02}).q, other.q)
+    main(["simulate", str(tmp_path / "late.toml"), "--json", "--loop", "dead_time=0.02"])
+    assert json.loads(capsys.readouterr().out)["end_error"] == other.end_error
+
+
+def test_an_experiment_that_says_twice_what_its_loop_is(tmp_path):
+    text = FILE.format(more="kp = 2e4\nsensor = { delay = 0.01 }").replace("dead_time = 0.01", "rate_limit = 1.0")
+    (tmp_path / "twice.toml").write_text(text)
+    with pytest.raises(ModelError, match="comes with the loop") as caught:
+        flexopt.load_experiment(tmp_path / "twice.toml")
+    fields = [fault.field for fault in caught.value.faults]
+    assert fields == ["simulation.kp", "simulation.sensor.delay", "loop.rate_limit"]
+    experiment = flexopt.load_experiment("article-a")
+    with pytest.raises(InputError, match="kp: comes with the loop"):
+        flexopt.run_experiment(experiment, loop={"kp": 1e4, "kv": 1e3})
+
+
+def test_the_loops_of_a_report_are_those_of_its_verdict():
+    """Where a controller is known and nothing else is said."""
+    problem = flexopt.load_problem("article")
+    made = flexopt.report(problem, loop={"kp": 1e4, "kv": 1e3}, simulation={"duration": 0.5}, points=6)
+    assert set(made.loops) == {"present", "chosen"}
+    assert all(loop.run.loop.kp.tolist() == [1e4, 1e4] for loop in made.loops.values())
+    assert made.borders == ()
+    other = flexopt.report(problem, loop={"kp": 1e4, "kv": 1e3}, simulation={"duration": 0.5, "kp": 2e4}, points=6)
+    assert all(loop.run.loop is None for loop in other.loops.values())
