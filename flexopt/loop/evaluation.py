@@ -45,6 +45,8 @@ class Outcome(Result):
         delay_margin: dead time that may be added, s; see `LoopPoint.delay_margin`. Infinite (JSON: null) where no time
             of up to 100 samples is too long; NaN of a loop that grows.
         disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
+        h2_norm: root of the end-point's variance under white noise of unit intensity in every force on the base, m; see
+            `LoopPoint.h2_norm`.
         gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
             and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
             time of whole samples those are of a longer one.
@@ -68,12 +70,13 @@ class Outcome(Result):
     disk_margin: float
     sensitivity_peak: float
     complementary_peak: float
+    h2_norm: float
     gradient: Slopes
 
     DOCUMENT = """
     settings allowance allowance_isotropic lag[rad] lag_reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
     damping_ratios decay[1/s] frequency_hz[Hz] drift[1/s] allowed_gain gain_intervals delay_margin[s] disk_margin
-    sensitivity_peak complementary_peak gradient
+    sensitivity_peak complementary_peak h2_norm gradient
     """
 
     def __repr__(self) -> str:
@@ -97,6 +100,10 @@ class Outcome(Result):
             f"  delay margin {margin}; disk margin {_told(self.disk_margin)}; "
             f"peak of S {_told(self.sensitivity_peak)}, of T {_told(self.complementary_peak)}"
         )
+        if math.isfinite(self.h2_norm):
+            lines.append(
+                f"  the end-point's H2 norm from forces on the base {self.h2_norm:.4g} (m of unit white noise)"
+            )
         return "\n".join(lines)
 
 

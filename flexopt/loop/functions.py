@@ -127,7 +127,7 @@ def outcome_function(motions: SmallMotions, name: str, rate: float) -> ca.Functi
 
     Args:
         motions: from `small_motions` or `LoopSettings.motions`.
-        name: `"decay"`, `"allowed_gain"`, `"delay_margin"`, `"disk_margin"`, `"sensitivity_peak"` or
+        name: `"decay"`, `"allowed_gain"`, `"delay_margin"`, `"disk_margin"`, `"h2_norm"`, `"sensitivity_peak"` or
             `"complementary_peak"`; see `LoopPoint`.
         rate: of the samples, Hz.
 

@@ -20,7 +20,8 @@ from flexopt.coprime.norms import hinf_peak
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import stable_intervals
-from flexopt.loop.small_motions import INPUTS, Parts, SmallMotions
+from flexopt.loop.disturbance import Disturbed
+from flexopt.loop.small_motions import CONFIGURATION, INPUTS, Parts, SmallMotions
 from flexopt.loop.spectrum import (
     Complex,
     OwnMotion,
@@ -393,6 +394,30 @@ class LoopPoint:
             return UNDEFINED
         return Measured(1 / peak.value, peak.slopes and peak.slopes * (-1 / peak.value**2))
 
+    # Forces on the base.
+
+    def h2_norm(self) -> Measured:
+        """Root of the end-point's variance at the samples under white noise of unit intensity on every base force, m.
+
+        E[d(t) d(t′)ᵀ] = I δ(t − t′) of the forces d on the passive coordinates, N or N m: the H2 norm from them to the
+        end-point, m √s per N s and the like. NaN of a loop that grows or whose self-motion does; without a derivative
+        where nothing holds the self-motion of a redundant arm.
+
+        Source: Chen and Francis, Optimal Sampled-Data Control Systems, 1995, for what comes in within a sample.
+        """
+        if self._reduced is None:
+            return UNDEFINED
+        balanced, scale = balance(self.smooth.matrix)
+        _, kept = without_neutral(balanced, self._neutral)
+        of = [self.numbers[name] for name in (*CONFIGURATION, "held")]
+        found = Disturbed(self.smooth, self.motions.disturbance.call(of)[0].full(), kept, scale)
+        if self._neutral or not math.isfinite(found.norm):
+            return Measured(found.norm)
+        slopes, by_into = found.slopes()
+        parts = self.motions.disturbance_slopes.call([*of, by_into])
+        more = {name: part.full().ravel() for name, part in zip(CONFIGURATION, parts, strict=True)}
+        return Measured(found.norm, slopes, more)
+
 
 def _between(times: list[float], step: float) -> list[float]:
     """The times but the first, with a few between them, `step` apart or more, and after the last but one."""
@@ -409,6 +434,7 @@ MEASURES: dict[str, Callable[[LoopPoint], Measured]] = {
     "allowed_gain": LoopPoint.allowed_gain,
     "delay_margin": LoopPoint.delay_margin,
     "disk_margin": LoopPoint.disk_margin,
+    "h2_norm": LoopPoint.h2_norm,
     "sensitivity_peak": LoopPoint.sensitivity_peak,
     "complementary_peak": LoopPoint.complementary_peak,
 }

@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
+from flexopt.algebra import solve_spd
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control, control_damping, control_method
 from flexopt.loop.closed import ClosedLoop, closed_loop
@@ -28,6 +29,7 @@ from flexopt.plant.machine_motion import constants_at, full_structure, motion_of
 INPUTS = (
     "base", "posture", "p", "kp", "kv", "ki", "nullspace_damping", "servo_gain", "filter_hz", "bandwidth_hz",
 )  # fmt: skip
+CONFIGURATION = INPUTS[:3]
 PARTS = ("flow", "drive", "direct", "spread", "force", "law", "measured")
 
 
@@ -171,6 +173,32 @@ class SmallMotions:
         slopes = [ca.densify(ca.gradient(total, s[name])) for name in INPUTS]
         given, names = s | pulls, [f"V_{name}" for name in INPUTS]
         return ca.Function("small_motion_slopes", list(given.values()), slopes, list(given), names, {"cse": True})
+
+    @cached_property
+    def _disturbed(self) -> tuple[dict[str, ca.SX], ca.SX]:
+        """What B_d depends on, and it: rates of s by unit forces on the passive coordinates (n_s, n_p)."""
+        s, plant, to_q = self.symbols, self.plant, self.loop.to_q
+        given = {name: s[name] for name in (*CONFIGURATION, "held")}
+        at = plant.operating_point(s["base"], s["posture"], s["p"], s["held"] if self.gravity else None)
+        n, m = plant.n_coordinates, plant.n_passive
+        rates = ca.SX(np.linalg.inv(to_q)) @ solve_spd(at.mass, ca.SX.eye(n)[:, :m])
+        rest = flow_size(self.structure) - 2 * n
+        return given, ca.densify(ca.vertcat(ca.SX.zeros(n, m), rates, ca.SX.zeros(rest, m)))
+
+    @cached_property
+    def disturbance(self) -> ca.Function:
+        """(base, posture, p, held) -> B_d (n_s, n_p): rates of s by unit forces on the passive coordinates."""
+        given, into = self._disturbed
+        return ca.Function("disturbance", list(given.values()), [into], list(given), ["into"], {"cse": True})
+
+    @cached_property
+    def disturbance_slopes(self) -> ca.Function:
+        """(base, posture, p, held, ∂V/∂B_d as `by_into`) -> ∂V/∂ base, posture and p as `V_…`."""
+        given, into = self._disturbed
+        by = ca.SX.sym("by_into", *into.shape)
+        slopes = [ca.densify(ca.gradient(ca.dot(by, into), given[name])) for name in CONFIGURATION]
+        symbols, names = given | {"by_into": by}, [f"V_{name}" for name in CONFIGURATION]
+        return ca.Function("disturbance_slopes", list(symbols.values()), slopes, list(symbols), names, {"cse": True})
 
     def numbers(self, given: Mapping[str, Vector]) -> dict[str, Vector]:
         """All inputs as arrays, what is left out 0, and what is held."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,7 @@ from flexopt.loop.assembly import OneSample
 from flexopt.loop.functions import BY, outcome_function
 from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.small_motions import small_motions
+from flexopt.loop.tangent import exponential
 from tests.oracles.late_cases import draw_case, nonlinear_growth, slopes_off
 from tests.oracles.late_loop import LateLoop
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
@@ -42,6 +44,38 @@ def test_decay_of_random_loops(number):
     case = draw_case(number)
     ours, other = -case.outcome.decay().value, float(case.oracle.growth())
     assert ours == pytest.approx(other, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("number", [3, 4, 6, 7, 10])
+def test_noise_on_the_base_of_random_loops(number):
+    """The H2 norm beside 420 bits; those that decay of the like, redundant arms among them."""
+    case = draw_case(number)
+    measured, other = case.outcome.h2_norm(), float(case.oracle.h2_norm())
+    # Loops that hardly decay add up what their rounding leaves.
+    assert measured.value == pytest.approx(other, rel=1e-9)
+    assert (measured.slopes is None) == (len(case.oracle.machine.joints) > len(case.oracle.machine.task_rows))
+
+
+def test_variance_of_a_run_with_noise_on_the_base():
+    """Samples of a linear loop under random forces, each held over a twentieth of a sample."""
+    case, steps, runs = draw_case(7), 20, 200
+    here = replace(case.outcome, dead_time=case.outcome.period)
+    parts, h, decay = here.parts, here.period / steps, here.decay().value
+    of = [here.numbers[name] for name in ("base", "posture", "p", "held")]
+    into, settled = here.motions.disturbance.call(of)[0].full(), round(4 / (decay * here.period))
+    held, pushed = exponential(parts.flow, np.hstack([parts.drive, into]), h)
+    rng, state, squares = np.random.default_rng(0), np.zeros((len(parts.flow), runs)), []
+    waiting = [np.zeros((len(parts.force), runs))]
+    for k in range(3 * settled):
+        waiting.append(parts.force @ (parts.measured @ state))
+        command = parts.direct @ state + parts.spread @ waiting.pop(0)
+        if k >= settled:
+            squares.append(np.sum((parts.measured[: len(parts.measured) // 2] @ state) ** 2, axis=0).mean())
+        for _ in range(steps):
+            noise = rng.standard_normal((into.shape[1], runs)) / math.sqrt(h)
+            state = held @ state + pushed @ np.vstack([command, noise])
+    # Some 1,600 independent samples: 2 % of the root.
+    assert here.h2_norm().value == pytest.approx(math.sqrt(np.mean(squares)), rel=0.08)
 
 
 @pytest.mark.parametrize("number", [2, 4, 7, 11])
@@ -172,7 +206,7 @@ def test_peaks_over_a_fine_grid():
 def test_what_is_not_defined_is_nan():
     grows = outcome(EXCAVATOR, POSTURE_A)
     assert grows.decay().value < 0
-    for name in ("delay_margin", "disk_margin", "sensitivity_peak", "complementary_peak"):
+    for name in ("delay_margin", "disk_margin", "sensitivity_peak", "complementary_peak", "h2_norm"):
         measured = MEASURES[name](grows)
         assert math.isnan(measured.value)
         assert all(np.isnan(slope).all() for slope in grows.gradient(measured).values())

@@ -11,6 +11,7 @@ import pytest
 
 import flexopt
 from flexopt.errors import FlexoptWarning, InputError, ModelError
+from flexopt.loop.outcome import MEASURES
 from flexopt.loop.settings import loop_settings
 from flexopt.model.loop import drive_of, rate_of
 from tests.conftest import ROOT
@@ -151,7 +152,7 @@ def test_an_evaluation_tells_it():
         "rate": "the article's",
     }
     parameters, m = len(flexopt.build_plant(EXCAVATOR).parameter_names), len(found.w)
-    for name in ("decay", "allowed_gain", "delay_margin", "disk_margin", "sensitivity_peak", "complementary_peak"):
+    for name in MEASURES:
         assert np.shape(loop["gradient"][name]["parameters"]) == (parameters,)
     for name in ("allowance", "lag", "lag_reserve", "first_order_decay", "w_lagged", "damping_ratios"):
         assert np.shape(loop["gradient"][name]["posture"]) == (m, 2)

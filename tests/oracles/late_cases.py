@@ -101,6 +101,14 @@ def measured(case: Case) -> Iterator[tuple[str, Measured, Value]]:
         found, angle = getattr(outcome, name)(), outcome.peak_angle(name)
         if found.slopes is not None and 1e-3 < angle < math.pi - 1e-3:
             yield name, found, lambda loop, f=feed, s=sign, a=angle: peak_of(loop, a, f, s)
+    norm = outcome.h2_norm()
+    if norm.slopes is not None:
+        yield "h2_norm", norm, h2_of
+
+
+def h2_of(loop: LateLoop) -> Any:
+    """The norm of the end-point's response to forces on the base."""
+    return loop.h2_norm()
 
 
 def gain_of(loop: LateLoop) -> Any:

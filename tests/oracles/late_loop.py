@@ -180,6 +180,41 @@ class LateLoop:
             at = (at - h * (high - low) / (2 * (high - 2 * here + low))).mid()
         return self.gain(at, feed, sign)
 
+    def h2_norm(self) -> arb:
+        """Root of the end-point's variance where commands change, by white noise of unit intensity on the base.
+
+        The states here are those at the measurements; the command that they lead to comes `rest` after one.
+        """
+        a, _, c = self.plant
+        mass = evaluate_graph(at_rest(self.machine), self.numbers)[0].inv()
+        n, m, half = a.nrows(), build_plant(self.machine).n_passive, c.nrows() // 2
+        into = matrix(n, m, lambda i, j: mass[i, j] if i < mass.nrows() else arb(0))
+        square = into * into.transpose()
+
+        def noise(span: Any) -> arb_mat:
+            whole = matrix(2 * n, 2 * n, lambda i, j: span * (
+                a[i, j] if max(i, j) < n else square[i, j - n] if i < n else -a[j - n, i - n] if j >= n else arb(0)
+            )).exp()  # fmt: skip
+            held = block(whole, range(n), range(n))
+            return block(whole, range(n), range(n, 2 * n)) * held.transpose()
+
+        opened, force_in, force = self.sampled
+        closed, size = opened + force_in * force, opened.nrows()
+        come = noise(arb(self.period))
+        x = matrix(size, size, lambda i, j: come[i, j] if max(i, j) < n else arb(0))
+        for _ in range(60):
+            # Rounding that balls have taken up is left out; 420 bits have enough of them.
+            x, closed = (x + closed * x * closed.transpose()).mid(), (closed * closed).mid()
+        late = balls([self.dead_time])[0]
+        whole = int(float(late.mid()) / self.period + 1e-9)
+        rest, (held, driven) = late - whole * self.period, self.advanced(late - whole * self.period)
+        first = n + half * whole
+        moved = matrix(n, size, lambda i, j: held[i, j] if j < n
+                       else driven[i, j - first] if first <= j < first + half else arb(0))  # fmt: skip
+        covariance = moved * x * moved.transpose() + noise(rest)
+        shown = block(c, range(half), range(n))
+        return (shown * covariance * shown.transpose()).trace().mid().sqrt()
+
     def border(self, name: str, start: float) -> arb:
         """The value of a number next to `start` at which the loop neither grows nor decays, others as they are.
 
