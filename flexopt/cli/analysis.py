@@ -43,7 +43,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.writing import write_file
 from flexopt.model import load, load_any
-from flexopt.model.choices import OUTCOMES
+from flexopt.model.choices import OUTCOMES, of_loop
 from flexopt.model.problem import asks_for_loop
 from flexopt.robustness import evaluate
 
@@ -102,7 +102,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
 @value(
     "--objective",
     "w1|w2|…|V|epsilon_max|decay|…",
-    f"What to maximise (w1 by default); several in order: w1,epsilon_max; of the loop (--loop): {', '.join(OUTCOMES)}.",
+    f"What to maximise (w1 by default); of the loop (--loop): {', '.join(OUTCOMES)}; several in order: w1,decay.",
 )
 @value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
 @value("--slack", "SHARE", "What an objective may give up for the next in order (1e-5 by default).", number)
@@ -221,7 +221,7 @@ def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], 
     if "target" not in settings:
         sentence = "goes with a single target: of several there is no verdict"
         faults += [Fault(f"--{name}", sentence) for name, given_ones in judged.items() if given_ones]
-        if settings.get("objective") in OUTCOMES:
+        if of_loop(settings.get("objective")):
             faults.append(Fault("--objective", "goes with a single target", settings["objective"]))
     elif (
         any(judged.values())

@@ -30,18 +30,21 @@ BASE_RATE, BASE_ACCELERATION = Quantity("m/s", above=0.0, high=1e3), Quantity("m
 
 @Checked
 def check_objective(value: Any) -> str:
-    """`w1`, `w2`, …, `V`, `epsilon_max`, or several of them in order, separated by commas; or one of `OUTCOMES`."""
-    if isinstance(value, str) and value in OUTCOMES:
-        return value
+    """`w1`, `w2`, …, `V`, `epsilon_max`, one of `OUTCOMES`, or several of them in order, separated by commas."""
     words = value.replace(" ", "").split(",") if isinstance(value, str) else []
-    if not words or not all(re.fullmatch(r"V|epsilon_max|w[1-9][0-9]?", word) for word in words):
+    if not words or not all(word in OUTCOMES or re.fullmatch(r"V|epsilon_max|w[1-9][0-9]?", word) for word in words):
         raise ValueError(
-            "must be w1, w2, … (one mode), V (a weighted sum) or epsilon_max, or several of them in order of "
-            f"importance, separated by commas; or, of a loop, one of {', '.join(OUTCOMES)}"
+            f"must be w1, w2, … (one mode), V (a weighted sum) or epsilon_max, of a loop {', '.join(OUTCOMES)}, or "
+            "several of them in order of importance, separated by commas"
         )
     if len(set(words)) < len(words):
         raise ValueError("names the same objective twice")
     return ",".join(words)
+
+
+def of_loop(objective: Any) -> bool:
+    """Whether an objective, or one of several in order, is a measure of the loop."""
+    return isinstance(objective, str) and not set(OUTCOMES).isdisjoint(objective.split(","))
 
 
 @Checked

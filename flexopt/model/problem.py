@@ -21,7 +21,6 @@ from flexopt.model.choices import (
     EVERYTHING,
     GAIN,
     MARGIN_DEG,
-    OUTCOMES,
     SEED,
     SINGULARITY_MARGIN_DEG,
     SLACK,
@@ -31,6 +30,7 @@ from flexopt.model.choices import (
     Elbow,
     check_assume,
     check_weights,
+    of_loop,
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.file_model import BuiltByCall
@@ -183,8 +183,7 @@ class Problem(OnMachine):
 
 def asks_for_loop(objective: Any, constraints: Any) -> bool:
     """Whether a choice is by what the real loop does: its objective, or a constraint."""
-    of_loop = isinstance(objective, str) and objective in OUTCOMES
-    return of_loop or getattr(constraints, "outcome", None) is not None
+    return of_loop(objective) or getattr(constraints, "outcome", None) is not None
 
 
 TABLE["problem"] = holding_machine(Problem, "a Problem, from flexopt.load_problem")

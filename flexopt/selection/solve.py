@@ -18,7 +18,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.choices import OUTCOMES
+from flexopt.model.choices import OUTCOMES, of_loop
 from flexopt.model.constraints import AnyConstraints, Constraints, LeastOutcomes
 from flexopt.model.loop import Loop, under_control
 from flexopt.model.own import OBJECTIVES
@@ -50,10 +50,17 @@ REPRESENTATIVES = 5
 def _notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """As of `build_selection`; an objective of the loop is not its to check, nor what a loop must do at least."""
     least, given = _least(given.get("constraints")), {**given, "constraints": _without_loop(given.get("constraints"))}
-    if given.get("objective") in OUTCOMES:
-        if given.get("weights") is not None:
+    if of_loop(given.get("objective")):
+        words = given["objective"].split(",")
+        own = [word for word in words if word not in OUTCOMES]
+        if given.get("weights") is not None and "V" not in words:
             arguments.note("weights", f"go with objective V only, not with {given['objective']}", given["weights"])
-        given = {**given, "objective": "w1", "weights": None}
+        if "epsilon_max" in words:
+            arguments.note("objective", "cannot have epsilon_max beside a measure of the loop", given["objective"])
+        elif _too_many(arguments, given.get("weights")):
+            arguments.note("weights", "have none for ε_max beside a measure of the loop", given["weights"])
+        named = ",".join(word for word in own if word != "epsilon_max") or "w1"
+        given = {**given, "objective": named, "weights": given.get("weights") if "V" in words else None}
     elif least is None:
         for name in ("loop", "ranges"):
             if given.get(name) is not None:
@@ -63,9 +70,14 @@ def _notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
     elif not isinstance(given.get("objective"), str) or not re.fullmatch("V|w[0-9]+", given["objective"]):
         sentence = f"must be w1, w2, …, V or, of the loop, one of {', '.join(OUTCOMES)} beside the constraint outcome"
         arguments.note("objective", sentence, given.get("objective"))
-    elif given.get("weights") is not None and len(given["weights"]) > build_plant(arguments.of).n_passive:
+    elif _too_many(arguments, given.get("weights")):
         arguments.note("weights", "have none for ε_max beside the constraint outcome", given["weights"])
     only_notes(arguments, given)
+
+
+def _too_many(arguments: Arguments, weights: Any) -> bool:
+    """Whether weights have one for ε_max."""
+    return weights is not None and len(weights) > build_plant(arguments.of).n_passive
 
 
 def _least(constraints: Any) -> LeastOutcomes | None:
@@ -94,9 +106,9 @@ def select(
     """Choose placement and posture: `build_selection` and `solve_selection` in one.
 
     Args:
-        machine, target, constraints, options, keywords: as in `flexopt.build_selection`. Objectives of the
-            loop, each alone, are `"decay"`, `"allowed_gain"`, `"delay_margin"` and `"allowance"` (of its modes the
-            least) of `flexopt.Outcome`, and the stability `"radius"` of `flexopt.stable_region`.
+        machine, target, constraints, options, keywords: as in `flexopt.build_selection`. Objectives of the loop, alone
+            or in order with each other, w_i and V, are `"decay"`, `"allowed_gain"`, `"delay_margin"` and `"allowance"`
+            (of its modes the least) of `flexopt.Outcome`, and the stability `"radius"` of `flexopt.stable_region`.
         loop: of the loop's objective: the real controller, as of `flexopt.evaluate`; by default the machine's
             `[loop]`, or where there is none what follows from the machine. With the constraint `outcome` it must do so
             much at least, also where w_i or V is the objective. Of gains with a range (`kp_range`,
@@ -111,15 +123,22 @@ def select(
         NoSolutionFound: as `solve_selection`.
     """
     real, measure = cast("Loop | None", loop or machine.loop), keywords.get("objective")
-    least, of_loop = _least(constraints), isinstance(measure, str) and measure in OUTCOMES
-    if of_loop or least is not None:
+    least = _least(constraints)
+    if of_loop(measure) or least is not None:
         # Its room is built on this one.
-        choose = later("flexopt.selection.outcomes", choice="outcome_selection")("outcome_selection")
-        own_objective: Any = {"objective": "w1"} if of_loop else {}
-        problem = build_selection(machine, target, constraints=_without_loop(constraints), **keywords | own_objective)
+        room = later("flexopt.selection.outcomes", in_order="outcome_selection_in_order")
+        problems = dict[str, SelectionProblem]()
+        for word in (measure or "w1").split(","):
+            named: Any = {"objective": "w1", "weights": None} if word in OUTCOMES else {"objective": word}
+            if word != "V":
+                named["weights"] = None
+            problems[word] = build_selection(
+                machine, target, constraints=_without_loop(constraints), **keywords | named
+            )
+        problem = next(iter(problems.values()))
         own = under_control(real or Loop(), machine, problem.control, "select")
-        name = measure if of_loop else None
-        return cast(Any, choose)(problem, own, ranges or (), _initial(problem), workers, progress, name, least)
+        choose = cast(Any, room("outcome_selection_in_order"))
+        return choose(problems, own, ranges or (), _initial(problem), workers, progress, least)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 

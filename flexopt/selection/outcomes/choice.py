@@ -6,6 +6,7 @@ In: a `SelectionProblem` whose own objective is not asked, a loop. Out: an `Outc
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -31,9 +32,9 @@ from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.measures import MEASURES, RADIUS_POINTS, Measure, OfModes
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.outcomes.starting import separation, starting_points
+from flexopt.selection.outcomes.starting import Seed, separation, starting_points
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Attempt, Candidate, ConstraintValue
+from flexopt.selection.result import Attempt, Candidate, ConstraintValue, Kept
 from flexopt.selection.solve import constraint_values
 from flexopt.selection.starts import FEASIBLE
 
@@ -54,8 +55,12 @@ def outcome_selection(
     initial: Evaluation | None,
     workers: int | None,
     progress: Progress | None,
-    name: str | None = DECAY,
+    name: str = DECAY,
     least: LeastOutcomes | None = None,
+    *,
+    bounds: Bounds = (),
+    seeds: Sequence[Seed] = (),
+    kept: tuple[Kept, ...] = (),
 ) -> OutcomeSelection:
     """Local optima of a measure of the loop, verified to first order, the best first.
 
@@ -66,8 +71,10 @@ def outcome_selection(
             one of all springs.
         initial: the present configuration.
         workers, progress: as of `flexopt.solve_selection`.
-        name: of the measure; None: the problem's own objective.
-        least: what the loop must do at least.
+        name: of the measure; none of `OUTCOMES`: the problem's own objective.
+        least: what the loop must do at least;  bounds: the like, of any measures.
+        seeds: configurations to start from, besides those that were scanned.
+        kept: what is said of the bounds.
 
     Raises:
         InputError: the uncertainty does not go with the loop or the measure; a measure of gains without one.
@@ -77,8 +84,8 @@ def outcome_selection(
     n_base, machine = len(problem.machine.base_coordinates), problem.machine
     stand = initial or problem.quantities.evaluated(pool[0])
     settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
-    measure = OfModes(problem) if name is None else MEASURES[name]
-    bounds = () if least is None else tuple((MEASURES[word], x) for word, x in least if x is not None)
+    measure = measure_of(name, problem)
+    bounds = (*(() if least is None else ((MEASURES[word], x) for word, x in least if x is not None)), *bounds)
     varied = (uncertainty or GROUND) if name == RADIUS else uncertainty
     box = UncertaintyBox(machine, varied, settings.dead_time)
     raise_if_any(InputError, "select", [*box.faults(settings.rate), *_unfit(name, bounds, loop, settings, varied)])
@@ -86,7 +93,7 @@ def outcome_selection(
     corners = box.corners(CORNERED) if uncertainty and name != RADIUS else np.zeros((0, 0))
     program = OutcomeProgram(problem, held, gain_ranges(loop), corners, measure=measure, least=bounds)
     count = workers or available_cores()
-    program, starts = starting_points(program, pool, count)
+    program, starts = starting_points(program, pool, count, seeds)
     done = None if progress is None else partial(_told, progress, len(starts))
     found = in_parallel(partial(_climbed, program, starts), len(starts), count, done, at_once=len(starts) > 1)
     attempts = tuple(_attempt(program, start, each) for start, each in zip(starts, found, strict=True))
@@ -111,7 +118,7 @@ def outcome_selection(
         candidates=tuple(candidates),
         initial=now,
         attempts=attempts,
-        kept=(),
+        kept=kept,
         problem=problem,
         provenance=provenance(machine, objective=name, target=problem.target.tolist(), seed=problem.seed),
         criterion=measure,
@@ -122,6 +129,11 @@ def outcome_selection(
         uncertainty=uncertainty,
         unverified=max((x for x in others if x > (1 + NEW) * distinct[0].value), default=None),
     )
+
+
+def measure_of(name: str, problem: SelectionProblem) -> Measure:
+    """What a word asks for: a measure of the loop, or the problem's own objective."""
+    return MEASURES[name] if name in MEASURES else OfModes(problem)
 
 
 def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
@@ -189,7 +201,7 @@ def _kept(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:
     """What the worst member's loop does of what it must at least."""
     loop, points = program.at(y), program.points(y)
     return {
-        measure.name: ConstraintValue(
+        measure.told: ConstraintValue(
             min(measure.value(loop, point) for point in points), least, math.inf, measure.unit
         )
         for measure, least in program.least
@@ -197,7 +209,7 @@ def _kept(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:
 
 
 def _unfit(
-    name: str | None, bounds: Bounds, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]
+    name: str, bounds: Bounds, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]
 ) -> list[Fault]:
     """What measures cannot be had of."""
     found, asked = list[Fault](), {name, *(measure.name for measure, _ in bounds)}

@@ -72,6 +72,12 @@ class Measure(ABC):
     unit: ClassVar[str]
     looked: ClassVar[int] = 300
     stages: ClassVar[tuple[tuple[int, int], ...]] = ((32, 6), (12, 10))
+    of_modes: ClassVar[bool] = False
+
+    @property
+    def told(self) -> str:
+        """What results call it."""
+        return self.name
 
     @abstractmethod
     def value(self, loop: UncertainLoop, point: LoopPoint) -> float:
@@ -126,6 +132,12 @@ class OfModes(Measure):
     unit: ClassVar[str] = ""
     looked: ClassVar[int] = 1500
     stages: ClassVar[tuple[tuple[int, int], ...]] = ((96, 6), (24, 10))
+    of_modes: ClassVar[bool] = True
+
+    @property
+    def told(self) -> str:
+        """See the class."""
+        return self.problem.name
 
     def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
         """See the class."""
@@ -139,7 +151,7 @@ class OfModes(Measure):
     def branches(self, at: ProgramPoint, level: float) -> Branches:
         """V, less the level."""
         z = np.concatenate([at.loop.base, at.loop.posture])
-        values, slopes = at.once("modes", lambda: self.problem.branches(self.problem.objective, z))
+        values, slopes = at.once(f"modes of {self.told}", lambda: self.problem.branches(self.problem.objective, z))
         wide = np.zeros((1, at.count))
         wide[0, : z.size] = slopes[0] * self.problem.scale / self.problem.objective_scale
         return Branches(values[:1] / self.problem.objective_scale - level, wide, np.full(1, -1.0))

@@ -149,7 +149,8 @@ class ProgramPoint:
         """What must not be below zero for the measure to be that of a level."""
         found = [self.program.measure.branches(self, level)]
         for measure, least in self.program.least:
-            told = measure.branches(self, measure.level(least, self.size))
+            own = KeptPoint(self.program, self.y, parent=self, bound=abs(least) or 1.0)
+            told = measure.branches(own, measure.level(least, own.size))
             found.append(Branches(told.values, told.slopes, np.zeros(len(told.values))))
         values, slopes, by_level = (np.concatenate([getattr(each, name) for each in found])
                                     for name in ("values", "slopes", "by_level"))  # fmt: skip
@@ -168,3 +169,32 @@ class ProgramPoint:
         ratio: Mapping[str, float] = by.get("ratio") or {name: float(by[name].sum()) * x for name, x in gains.items()}
         of_z = np.concatenate([by["base"], by["posture"]]) * self.program.problem.scale
         return np.append(of_z, [ratio[name] for name in gains])
+
+
+@dataclass(frozen=True, eq=False)
+class KeptPoint(ProgramPoint):
+    """The same place for a measure that is kept, in units of what it must be at least.
+
+    Attributes:
+        parent: the place, whose loops and values these are, too.
+        bound: what the measure must be at least, without its sign.
+    """
+
+    parent: ProgramPoint | None = None
+    bound: float = 1.0
+
+    @property
+    def size(self) -> float:
+        """Of what is kept."""
+        return self.bound
+
+    @cached_property
+    def points(self) -> list[LoopPoint]:
+        """Of every member."""
+        return super().points if self.parent is None else self.parent.points
+
+    def once(self, name: str, made: Callable[[], Any]) -> Any:
+        """As of the place."""
+        if self.parent is None:
+            return super().once(name, made)
+        return self.parent.once(f"{name} kept by {self.bound!r}", made)

@@ -9,7 +9,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model.choices import DECAY
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
-from flexopt.selection.outcomes.measures import MEASURES, Measure, OfModes
+from flexopt.selection.outcomes.measures import MEASURES, Measure
 from flexopt.selection.result import Selection
 
 # Of the best value, by which the present one may be less and nothing is to gain.
@@ -52,7 +52,7 @@ class OutcomeSelection(Selection):
     @property
     def measure(self) -> str:
         """See the class."""
-        return self.problem.name if isinstance(self.criterion, OfModes) else self.criterion.name
+        return self.criterion.told
 
     @property
     def _unit(self) -> str:
@@ -114,7 +114,7 @@ class OutcomeSelection(Selection):
             lines.append(
                 f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
             )
-        lines += [f"  {sentence}" for sentence in (self.nothing_to_gain,) if sentence]
+        lines += [f"  {sentence}" for sentence in (self.nothing_to_gain, *map(str, self.kept)) if sentence]
         if self.initial is not None and self.present is not None:
             e, now = self.initial, self.present
             nominal = " with the machine's own numbers" if self.uncertainty else ""

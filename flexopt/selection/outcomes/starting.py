@@ -6,8 +6,10 @@ In: an `OutcomeProgram`, configurations. Out: starts that stand apart, the best 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,21 +29,35 @@ ALIKE = 0.1
 BLOCK = 50
 
 
-def starting_points(program: OutcomeProgram, pool: Vector, workers: int) -> tuple[OutcomeProgram, list[Vector]]:
+# With gains that are chosen, so many of them for a seed that has none.
+GAINS_OF_SEED = 12
+
+
+class Seed(NamedTuple):
+    """A configuration z to start from, and the gains that were chosen with it."""
+
+    z: Vector
+    gains: Mapping[str, float] = {}
+
+
+def starting_points(
+    program: OutcomeProgram, pool: Vector, workers: int, seeds: Sequence[Seed] = ()
+) -> tuple[OutcomeProgram, list[Vector]]:
     """The program with the size of its values, and starts y.
 
     Args:
         pool: feasible configurations (N, n_z), the present one first.
+        seeds: configurations that are looked at whatever is drawn from the pool.
 
     Raises:
         NoSolutionFound: no point has the measure, or leads to what the loop must do at least.
     """
-    looked = _looked(program, pool)
+    looked = [*_sown(program, seeds), *_looked(program, pool)]
     known = _known(program, looked, workers)
     if known is None and program.least:
         known = _known(program, _lifted(program, looked, workers), workers)
     if known is None:
-        asked = ", ".join(f"{each.name} {x:g}" for each, x in program.least)
+        asked = ", ".join(f"{each.told} {x:g}" for each, x in program.least)
         name = program.measure.name
         what = f"leads to what it must do at least, {asked}" if asked else f"has a {name}: every loop grows"
         sentence = f"select: none of {program.measure.looked} configurations that were looked at {what}"
@@ -59,6 +75,18 @@ def _looked(program: OutcomeProgram, pool: Vector) -> list[Vector]:
     places = [0, *np.minimum((unit[0, 1:] * len(pool)).astype(int), len(pool) - 1).tolist()]
     gains = lower + unit[1:].T * (upper - lower)
     return [np.append(pool[k] / program.problem.scale, own) for k, own in zip(places, gains, strict=True)]
+
+
+def _sown(program: OutcomeProgram, seeds: Sequence[Seed]) -> list[Vector]:
+    """Points y of seeds, with their gains or some from the ranges."""
+    lower, upper = (end[program.n_z :] for end in program.bounds)
+    unit = low_discrepancy(max(1, len(program.ranges)), GAINS_OF_SEED, program.problem.seed)
+    found = list[Vector]()
+    for seed in seeds:
+        own = [np.log([seed.gains[name] for name in program.ranges])] if seed.gains else list[Vector]()
+        drawn = lower + unit[: len(program.ranges)].T * (upper - lower) if program.ranges else np.zeros((1, 0))
+        found += [np.append(seed.z / program.problem.scale, gains) for gains in own or list(drawn)]
+    return found
 
 
 def _known(

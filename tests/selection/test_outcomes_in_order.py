@@ -1,0 +1,76 @@
+"""Objectives in order with measures of the loop: what is kept is kept, and a scan that climbs nothing sees no better."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.selection.outcomes.result import OutcomeSelection
+
+EXCAVATOR, TARGET = flexopt.load("excavator"), (0.0, 1.6)
+LOOP = {"kp": 1e4, "kv": 1e3, "dead_time": 0.0031}
+
+
+def measure(name: str, x: float, posture: np.ndarray) -> float:
+    """By the public definitions."""
+    if name.startswith("w"):
+        return float(flexopt.evaluate(EXCAVATOR, posture, base=x).w[int(name[1:]) - 1])
+    found = getattr(flexopt.outcome(EXCAVATOR, posture, base=x, loop=LOOP), name)
+    return float(np.min(found)) if not np.all(np.isnan(found)) else -math.inf
+
+
+@pytest.mark.parametrize("objective", ["w1,decay", "decay,w1", "decay,allowance"])
+def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective: str) -> None:
+    first, second = objective.split(",")
+    found = flexopt.select(EXCAVATOR, TARGET, objective=objective, loop=LOOP, slack=0.2, workers=1)
+    assert isinstance(found, OutcomeSelection)
+    (kept,), e = found.kept, found.best.evaluation
+    assert kept.objective == first
+    # The climbs keep their bounds to a millionth.
+    room = 1e-5 * abs(kept.best - kept.at_least)
+    assert measure(first, e.base[0], e.posture) >= kept.at_least - room
+    assert found.best.objective == pytest.approx(measure(second, e.base[0], e.posture), rel=1e-6, abs=1e-12)
+    best_first = best = -math.inf
+    for x, elbow in itertools.product(np.linspace(-3.3, 3.3, 81), ("up", "down")):
+        try:
+            posture = flexopt.inverse_kinematics(EXCAVATOR, TARGET, base=x, elbow=elbow)[0]
+        except flexopt.UnreachableTarget:
+            continue
+        value = measure(first, x, posture)
+        best_first = max(best_first, value)
+        if value >= kept.at_least:
+            best = max(best, measure(second, x, posture))
+    assert kept.best >= best_first - 1e-12
+    assert best > -math.inf
+    assert found.best.objective >= best - 1e-6 * abs(best)
+    assert f"{first} kept: at least" in repr(found)
+    assert found.to_dict()["kept"][0]["at_least"] == kept.at_least
+
+
+def test_gains_are_kept_with_the_configuration() -> None:
+    """The largest decay by gains, then of all that decay nearly as fast the one that bears most."""
+    loop = {"kp_range": (1e3, 1e5), "kv_range": (1e2, 1e4), "dead_time": 0.01}
+    options = {"loop": loop, "base": 0.5, "starts": 4, "workers": 1, "base_range": (0.4, 0.6)}
+    fast = flexopt.select(EXCAVATOR, TARGET, objective="decay", **options)
+    found = flexopt.select(EXCAVATOR, TARGET, objective="decay,delay_margin", slack=0.1, **options)
+    assert found.kept[0].best == pytest.approx(fast.best.objective, rel=1e-6)
+    assert found.best.evaluation.outcome.decay >= 0.9 * fast.best.objective * (1 - 1e-5)
+    assert found.best.objective > fast.best.evaluation.outcome.delay_margin
+
+
+def test_what_does_not_go_together() -> None:
+    for options, sentence in (
+        ({"objective": "epsilon_max,decay"}, "cannot have epsilon_max beside a measure of the loop"),
+        ({"objective": "decay,decay"}, "names the same objective twice"),
+        ({"objective": "decay,w1", "weights": [1.0, 1.0, 1.0]}, "go with objective V only"),
+        ({"objective": "V,decay", "weights": [1.0, 1.0, 1.0, 1.0]}, "have none for ε_max beside a measure"),
+        ({"objective": "speed,w1"}, "must be w1, w2"),
+    ):
+        with pytest.raises(flexopt.InputError, match=sentence):
+            flexopt.select(EXCAVATOR, TARGET, loop=LOOP, **options)
+    with pytest.raises(flexopt.InputError, match="it wants a loop"):
+        flexopt.build_selection(EXCAVATOR, TARGET, objective="w1,decay")
