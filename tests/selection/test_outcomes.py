@@ -158,7 +158,7 @@ def test_what_does_not_go_together() -> None:
     for options, sentence in (
         ({"objective": "decay", "weights": [1, 0, 0]}, "weights"),
         ({"objective": "w1", "loop": FIXED}, "goes with an objective of the loop"),
-        ({"objective": "decay,w1"}, "must be w1"),
+        ({"objective": "decay,speed"}, "must be w1"),
         ({"objective": "decay", "loop": {"control": "transpose"}}, "control that is asked for"),
     ):
         with pytest.raises(flexopt.InputError, match=sentence):
