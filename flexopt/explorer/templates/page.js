@@ -1,0 +1,590 @@
+"use strict";
+// The page: what is dragged, typed and slid, and what it shows of it. One pass for each frame in which something moved.
+
+const $ = (id) => document.getElementById(id);
+const digits = (x, n = 3) => (Number.isFinite(x) ? String(Number(x.toPrecision(n))).replace("-", "−").replace(/e\+?/, "·10^") : "–");
+// Of a frame for the map, ms; how a mode is shown: displacement as a share of the machine's size, and how often, Hz.
+const MAP_BUDGET = 7, SHOWN_SIZE = 0.035, SHOWN_HZ = 0.7;
+// A key moves by this share of the machine's size, or of a joint's range; with Shift so many times that.
+const STEP = 0.004, FAR = 8;
+const ARROW = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+
+class Explorer {
+  constructor(data, graphs) {
+    this.data = data;
+    this.model = new Model(data, graphs);
+    this.loop = new Loop(this.model);
+    this.map = new JointMap(this.model);
+    this.rows = data.rows.map((name) => "xyz".indexOf(name));
+    this.mode = 0;
+    this.measure = data.n_passive > 1 ? -1 : 0;
+    this.axes = data.joints.length < 2 ? null : data.dimensions === 2 || data.joints.length < 3 ? [0, 1] : [1, 2];
+    this.factors = { kp: 1, kv: 1, ki: 1, soil: 1 };
+    this.payload = data.payload === null ? null : data.parameters[data.payload];
+    this.deadTime = data.loop.dead_time;
+    this.changed = true;
+    this.playing = null;
+    this.log = { frames: [], maps: [], verdict: 0 };
+    this.makeViews();
+    this.makeControls();
+    this.go("present" in data.configurations ? "present" : Object.keys(data.configurations)[0]);
+    this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (e) => this.setTheme(e.matches ? "dark" : "light"));
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches) $("motion").value = "off";
+    new ResizeObserver(() => { this.resized = true; this.wake(); }).observe($("views"));
+    this.resized = true;
+    this.wake();
+  }
+
+  // Configuration.
+
+  go(name) {
+    const { base, posture } = this.data.configurations[name];
+    this.base = Float64Array.from(base);
+    this.posture = Float64Array.from(posture);
+    this.target = Array.from(this.model.endPoint(this.base, this.posture));
+    this.note = "";
+    this.touched(true);
+  }
+
+  touched(refit = false) {
+    this.changed = true;
+    this.refit ||= refit;
+    this.wake();
+  }
+
+  // The arm to a target; where it does not reach, as near as it comes.
+  moveEnd(target) {
+    const { posture, error } = this.model.place(target, this.base, this.posture);
+    this.posture = posture;
+    const short = error > 1e-6 * this.data.size;
+    this.target = short ? Array.from(this.model.endPoint(this.base, posture)) : target;
+    this.note = short ? "Out of reach, or beyond a joint's limit: this is the nearest point." : "";
+    this.touched();
+  }
+
+  // The base to a placement, the end-point kept; where it cannot be kept, the base stays.
+  moveBase(base) {
+    const { posture, error } = this.model.place(this.target, base, this.posture);
+    if (error > 1e-6 * this.data.size) {
+      this.note = "From there the arm does not reach the end-point: the base stays.";
+    } else {
+      this.base = Float64Array.from(base);
+      this.posture = posture;
+      this.note = "";
+    }
+    this.touched();
+  }
+
+  movePosture(posture) {
+    posture.forEach((x, k) => {
+      const [low, high] = this.data.limits[k];
+      posture[k] = Math.min(high ?? Infinity, Math.max(low ?? -Infinity, x));
+    });
+    this.posture = posture;
+    this.target = Array.from(this.model.endPoint(this.base, posture));
+    this.note = "";
+    this.touched();
+  }
+
+  get gains() {
+    const found = { dead_time: this.deadTime };
+    for (const name of ["kp", "kv", "ki"]) found[name] = this.data.loop.numbers[name].map((x) => this.factors[name] * x);
+    return found;
+  }
+
+  // Views and handles.
+
+  makeViews() {
+    const d = this.data.dimensions;
+    this.views = d === 2 ? [new View("", 2, true)] : [new View("from the side", 3, true), new View("from above", 3, false)];
+    for (const view of this.views) {
+      $("views").append(view.box);
+      view.end = this.handle(view, "end", "End-point: drag it, or move it with the arrow keys");
+      if (this.data.placement.some((name) => "xy".includes(name))) view.stand = this.handle(view, "base", "Base: drag it, or move it with the arrow keys; the end-point stays");
+    }
+  }
+
+  handle(view, kind, label) {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = `handle ${kind}`;
+    button.setAttribute("aria-label", view.name ? `${label} (${view.name})` : label);
+    button.title = label;
+    view.box.append(button);
+    let last = null;
+    button.addEventListener("pointerdown", (e) => {
+      button.setPointerCapture(e.pointerId);
+      button.focus({ preventScroll: true });
+      last = { x: e.clientX, y: e.clientY, target: this.target.slice(), base: Float64Array.from(this.base) };
+      this.dragged = true;
+      e.preventDefault();
+    });
+    button.addEventListener("pointermove", (e) => {
+      if (last !== null) this.pull = { view, kind, from: last, dx: e.clientX - last.x, dy: e.clientY - last.y };
+      if (last !== null) this.wake();
+    });
+    const drop = () => { last = null; this.dragged = false; this.touched(); };
+    button.addEventListener("pointerup", drop);
+    button.addEventListener("pointercancel", drop);
+    button.addEventListener("keydown", (e) => {
+      const way = ARROW[e.key];
+      if (!way) return;
+      e.preventDefault();
+      const far = view.scale * STEP * this.data.size * (e.shiftKey ? FAR : 1);
+      this.moveBy(view, kind, { target: this.target, base: this.base }, far * way[0], -far * way[1]);
+    });
+    return button;
+  }
+
+  moveBy(view, kind, from, dx, dy) {
+    const move = view.world(dx, dy);
+    if (kind === "end") {
+      this.moveEnd(from.target.map((x, k) => x + (this.rows[k] < 0 ? 0 : move[this.rows[k]])));
+    } else {
+      const base = Float64Array.from(from.base);
+      this.data.placement.forEach((name, k) => { if ("xy".includes(name)) base[k] += move["xy".indexOf(name)]; });
+      this.moveBase(base);
+    }
+  }
+
+  // Controls.
+
+  slider(box, { label, low, high, value, show, set, step = "any" }) {
+    const row = document.createElement("label"), text = document.createElement("span");
+    const input = document.createElement("input"), output = document.createElement("output");
+    text.textContent = label;
+    Object.assign(input, { type: "range", min: low, max: high, step, value });
+    input.setAttribute("aria-label", label);
+    row.append(text, input, output);
+    box.append(row);
+    const put = (x) => { if (document.activeElement !== input || Math.abs(input.value - x) > 1e-9) input.value = x; output.textContent = show(x); };
+    input.addEventListener("input", () => { set(Number(input.value)); output.textContent = show(Number(input.value)); });
+    // Steps of keys on a slider without steps are one of a hundred.
+    input.addEventListener("keydown", (e) => {
+      const way = ARROW[e.key];
+      if (!way) return;
+      e.preventDefault();
+      input.value = Number(input.value) + (way[0] + way[1]) * (high - low) / 100;
+      input.dispatchEvent(new Event("input"));
+    });
+    put(value);
+    return put;
+  }
+
+  makeControls() {
+    const { data } = this, box = $("sliders");
+    $("subtitle").textContent = data.description;
+    $("unit").textContent = `w and |a||b| in ${data.unit}; Jacobian ${data.control} control.`;
+    const gain = (name) => {
+      const numbers = data.loop.numbers[name], same = numbers.every((x) => x === numbers[0]);
+      const show = (x) => (same ? digits(numbers[0] * 10 ** x) : `× ${digits(10 ** x)}`);
+      const set = (x) => { this.factors[name] = 10 ** x; this.touched(); };
+      return this.slider(box, { label: { kp: "gain Kp", kv: "gain Kv", ki: "gain Ki" }[name], low: -2, high: 2, value: 0, show, set });
+    };
+    this.put = { };
+    for (const name of ["kp", "kv", "ki"]) if (data.loop.numbers[name].some((x) => x > 0)) this.put[name] = gain(name);
+    this.put.dead = this.slider(box, {
+      label: "dead time", low: 0, high: data.loop.dead_time_max, value: this.deadTime,
+      show: (x) => `${digits(1e3 * x)} ms`, set: (x) => { this.deadTime = x; this.touched(); },
+    });
+    const parameters = () => { this.model.setParameters(this.factors.soil, this.payload); this.touched(); };
+    if (data.payload !== null) {
+      this.put.payload = this.slider(box, {
+        label: "payload", low: 0, high: data.payload_max, value: this.payload,
+        show: (x) => `${digits(x)} kg`, set: (x) => { this.payload = x; parameters(); },
+      });
+    }
+    this.put.soil = this.slider(box, {
+      label: "soil, all springs", low: -1, high: 1, value: 0,
+      show: (x) => `× ${digits(10 ** x)}`, set: (x) => { this.factors.soil = 10 ** x; parameters(); },
+    });
+    const sources = Object.entries(data.loop.sources).map(([name, why]) => `${name}: ${why}`).join("; ");
+    $("loop").textContent = `Loop at the start: ${data.loop.description}.${sources ? ` Not given: ${sources}.` : ""}`;
+    this.makeConfiguration();
+    this.makeMapControls();
+    this.makeModes();
+    $("motion").addEventListener("change", () => { this.playing = null; this.wake(); });
+    for (const id of ["show-map", "show-arrows"]) $(id).addEventListener("change", () => this.touched());
+    $("fit").addEventListener("click", () => this.touched(true));
+    $("theme").addEventListener("click", () => this.setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
+    $("reset").addEventListener("click", () => this.reset());
+    $("recommend").hidden = !("recommended" in data.configurations);
+    $("recommend").addEventListener("click", () => this.go("recommended"));
+  }
+
+  reset() {
+    Object.assign(this.factors, { kp: 1, kv: 1, ki: 1, soil: 1 });
+    this.payload = this.data.payload === null ? null : this.data.parameters[this.data.payload];
+    this.deadTime = this.data.loop.dead_time;
+    for (const name of ["kp", "kv", "ki", "soil"]) this.put[name]?.(0);
+    this.put.dead(this.deadTime);
+    this.put.payload?.(this.payload);
+    this.model.setParameters(1, this.payload);
+    this.go("present" in this.data.configurations ? "present" : Object.keys(this.data.configurations)[0]);
+  }
+
+  makeConfiguration() {
+    const { data } = this, unit = (u) => (u === "rad" ? " rad" : " m");
+    const whole = { x: data.size, y: data.size, yaw: Math.PI };
+    this.putBase = data.placement.map((name, k) => this.slider($("joints"), {
+      label: `base ${name}`, low: -whole[name], high: whole[name], value: 0, show: (x) => digits(x) + unit(data.placement_units[k]),
+      set: (x) => { const base = Float64Array.from(this.base); base[k] = x; this.moveBase(base); },
+    }));
+    this.putJoints = data.joints.map((name, k) => this.slider($("joints"), {
+      label: name, low: data.ranges[k][0], high: data.ranges[k][1], value: 0, show: (x) => digits(x) + unit(data.joint_units[k]),
+      set: (x) => { const posture = Float64Array.from(this.posture); posture[k] = x; this.movePosture(posture); },
+    }));
+  }
+
+  makeMapControls() {
+    const { data } = this, choice = (value, text) => new Option(text, value);
+    if (data.n_passive > 1) $("measure").append(choice(-1, "V = Σ w"));
+    for (let i = 0; i < data.n_passive; i++) $("measure").append(choice(i, `w${i + 1}`));
+    $("measure").value = this.measure;
+    $("measure").addEventListener("change", () => { this.measure = Number($("measure").value); this.recolour = true; this.wake(); });
+    if (this.axes === null) {
+      $("map-box").hidden = true;
+      return;
+    }
+    ["map-x", "map-y"].forEach((id, axis) => {
+      data.joints.forEach((name, k) => $(id).append(choice(k, name)));
+      $(id).value = this.axes[axis];
+      $(id).addEventListener("change", () => {
+        const chosen = Number($(id).value);
+        if (chosen === this.axes[1 - axis]) this.axes[1 - axis] = this.axes[axis];
+        this.axes[axis] = chosen;
+        ["map-x", "map-y"].forEach((other, k) => { $(other).value = this.axes[k]; });
+        this.touched();
+      });
+    });
+    const canvas = $("map"), set = (u, v) => {
+      const posture = Float64Array.from(this.posture);
+      [u, v].forEach((x, k) => { const [low, high] = data.ranges[this.axes[k]]; posture[this.axes[k]] = low + (high - low) * Math.min(1, Math.max(0, x)); });
+      this.movePosture(posture);
+    };
+    const point = (e) => { const box = canvas.getBoundingClientRect(), { left, top, width, height } = this.frame; set((e.clientX - box.left - left) / width, 1 - (e.clientY - box.top - top) / height); };
+    canvas.addEventListener("pointerdown", (e) => { canvas.setPointerCapture(e.pointerId); point(e); });
+    canvas.addEventListener("pointermove", (e) => { if (canvas.hasPointerCapture(e.pointerId)) point(e); });
+    canvas.addEventListener("keydown", (e) => {
+      const way = ARROW[e.key];
+      if (!way) return;
+      e.preventDefault();
+      set(...this.axes.map((joint, k) => {
+        const [low, high] = data.ranges[joint];
+        return (this.posture[joint] - low) / (high - low) + way[k] * 0.005 * (e.shiftKey ? FAR : 1);
+      }));
+    });
+  }
+
+  makeModes() {
+    const body = $("modes").tBodies[0];
+    this.cells = Array.from({ length: this.data.n_passive }, (_, i) => {
+      const row = body.insertRow(), button = document.createElement("button");
+      button.type = "button";
+      button.textContent = i + 1;
+      button.style.borderLeftColor = MODE_COLOURS[i % MODE_COLOURS.length];
+      button.setAttribute("aria-label", `show mode ${i + 1}`);
+      row.insertCell().append(button);
+      for (let k = 0; k < 5; k++) row.insertCell();
+      row.addEventListener("click", () => { this.mode = i; this.playing = null; this.touched(); });
+      return row;
+    });
+  }
+
+  setTheme(name) {
+    document.documentElement.dataset.theme = name;
+    $("theme").textContent = name === "dark" ? "◑ Light" : "◐ Dark";
+    const style = getComputedStyle(document.documentElement), get = (key) => style.getPropertyValue(`--${key}`).trim();
+    this.theme = {
+      present: get("present"), chosen: get("chosen"), base: get("base"), undercarriage: get("undercarriage"), edge: get("edge"),
+      ground: get("ground"), groundLine: get("ground-line"), text: get("text"), muted: get("muted"), halo: get("halo"),
+    };
+    this.touched();
+  }
+
+  // Frames.
+
+  wake() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame((now) => { this.waiting = false; this.frameAt(now); });
+  }
+
+  frameAt(now) {
+    const begun = performance.now();
+    if (this.pull) {
+      const { view, kind, from, dx, dy } = this.pull;
+      this.pull = null;
+      this.moveBy(view, kind, from, dx, dy);
+    }
+    if (this.changed) this.recompute(now);
+    if (this.resized) this.layout();
+    if (this.refit) this.fit();
+    if (this.axes !== null) {
+      this.map.want(this.base, this.posture, ...this.axes);
+      if (this.map.step(MAP_BUDGET)) {
+        this.recolour = true;
+        this.log.maps.push(this.map.milliseconds);
+        this.wake();
+      }
+      if (this.map.job !== null) this.wake();
+      if (this.recolour) { this.map.colour(this.measure); this.legend(); }
+    }
+    this.draw(now);
+    this.changed = this.recolour = this.resized = this.refit = false;
+    this.log.frames.push(performance.now() - begun);
+    if (this.log.frames.length > 2000) this.log.frames.splice(0, 1000);
+    if (this.log.first === undefined) this.log.first = performance.now();
+    if ($("motion").value !== "off" && this.modes && !document.hidden) this.wake();
+  }
+
+  recompute(now) {
+    const { model, base, posture } = this;
+    this.rest = Float64Array.from(model.rest(base, posture));
+    this.modes = model.modes(base, posture);
+    this.shape = shapeOf(model, this.rest, base);
+    if (!this.dragged) for (const view of this.views) view.face(this.shape.points);
+    this.ghosts = Object.entries(this.data.configurations).filter(([name]) => name !== "present").map(([, at]) => {
+      const [b, q] = [Float64Array.from(at.base), Float64Array.from(at.posture)];
+      return { shape: shapeOf(model, Float64Array.from(model.rest(b, q)), b), posture: q };
+    });
+    this.judge();
+    this.tell();
+    this.playing = null;
+    this.phase ??= now;
+  }
+
+  judge() {
+    const begun = performance.now();
+    this.verdict = this.modes && this.loop.verdict(this.base, this.posture, this.gains);
+    this.log.verdict = performance.now() - begun;
+  }
+
+  // Words and numbers.
+
+  tell() {
+    const { modes, verdict, data } = this, box = $("verdict");
+    let word = "undecided", sentence = "Within rounding of neither growth nor decay.";
+    if (!modes) {
+      sentence = "Singular posture: the end-point cannot be moved in every direction. Bend the arm.";
+    } else if (verdict.decay === -Infinity) {
+      [word, sentence] = ["grows", "Beyond the largest number within one sample."];
+    } else if (!(Math.abs(verdict.decay) <= verdict.rounding)) {
+      word = verdict.decay > 0 ? "settles" : "grows";
+      sentence = `The slowest motion oscillates at ${digits(verdict.hz)} Hz.`;
+      if (verdict.hz === 0) sentence = "The slowest motion does not oscillate.";
+    }
+    box.className = word;
+    const rate = word === "undecided" || verdict.decay === -Infinity ? "" : ` at ${digits(Math.abs(verdict.decay))} /s`;
+    const mark = { grows: "▲ ", settles: "▼ ", undecided: "" }[word];
+    box.replaceChildren();
+    const strong = document.createElement("strong");
+    strong.innerHTML = `<span class="word">${mark}${word}</span>${rate}`;
+    box.append("With this controller the sampled loop ", strong, ". ", sentence);
+    $("note").textContent = this.note;
+    this.cells.forEach((row, i) => {
+      const cells = Array.from(row.cells);
+      row.classList.toggle("chosen", i === this.mode);
+      if (!modes) { cells.slice(1).forEach((cell) => { cell.textContent = "–"; }); return; }
+      const { hz, w, size, angle, dot, zeta, omega, alone } = modes[i];
+      const numbers = [digits(hz), digits(w), digits(size), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another"];
+      numbers.forEach((text, k) => { cells[k + 1].textContent = text; });
+      const grows = dot < 0, kappa = 2 * zeta * omega / -dot;
+      const bound = grows ? (zeta > 0 ? `if Kv > κ = ${digits(kappa)}` : "at any Kv > 0") : "";
+      cells[5].innerHTML = `<span class="word ${grows ? "grows" : "settles"}">${grows ? "▲ grows" : "▼ settles"}</span><span class="kappa">${bound}</span>`;
+    });
+    this.putBase.forEach((put, k) => put(this.base[k]));
+    this.putJoints.forEach((put, k) => put(this.posture[k]));
+    document.body.dataset.word = word;
+    $("recommend").disabled = !("recommended" in data.configurations);
+  }
+
+  legend() {
+    const canvas = $("bar"), c = canvas.getContext("2d");
+    for (let x = 0; x < canvas.width; x++) {
+      c.fillStyle = `rgb(${SHADES[Math.floor(256 * x / canvas.width)].join()})`;
+      c.fillRect(x, 0, 1, canvas.height);
+    }
+    $("worst").textContent = `${digits(this.map.worst)} and less`;
+    const others = this.data.joints.filter((_, k) => !this.axes.includes(k));
+    const held = others.length ? ` ${others.join(", ")} held as now.` : "";
+    const where = this.data.dimensions === 2 ? " In the picture of the machine each cell lies where the end-point is, the arm bent to the present side." : "";
+    $("map-note").textContent = `100 × 100 postures, computed exactly at each cell's middle; blank: singular.${held}${where}`;
+  }
+
+  // Drawing.
+
+  layout() {
+    const narrow = window.innerWidth < 700, planar = this.data.dimensions === 2;
+    for (const view of this.views) view.resize(planar ? (narrow ? 0.85 : 0.72) : narrow ? 0.75 : 0.5);
+    this.refit = true;
+  }
+
+  // The part of the plane that holds what the arm reaches from here, and the ghost.
+  fit() {
+    const { model, data, base } = this, d = data.dimensions;
+    const points = [...this.shape.points, ...this.ghosts.flatMap((ghost) => ghost.shape.points)];
+    const seed = { x: 1 }, random = () => { seed.x = (seed.x * 48271) % 2147483647; return seed.x / 2147483647; };
+    for (let k = 0; k < 400; k++) {
+      const posture = Float64Array.from(data.ranges, ([low, high]) => low + (high - low) * random());
+      points.push(...columns(model.skeleton(model.rest(base, posture), base), d));
+    }
+    const floor = this.shape.points[0][d - 1] - 0.35 * data.size;
+    for (const view of this.views) {
+      const flat = points.map((p) => view.flat(p)), low = [0, 1].map((k) => Math.min(...flat.map((p) => p[k])));
+      const high = [0, 1].map((k) => Math.max(...flat.map((p) => p[k])));
+      if (view.upright) low[1] = Math.max(low[1], floor);
+      const room = 0.06 * data.size;
+      view.show(low.map((x) => x - room), high.map((x) => x + room));
+    }
+  }
+
+  displayed(now) {
+    const kind = $("motion").value, q = Float64Array.from(this.rest);
+    if (kind === "off" || !this.modes || this.dragged) return q;
+    if (kind === "loop") return this.played(now, q);
+    const { shape } = this.modes[this.mode];
+    const size = this.shown(shape) * Math.sin(2 * Math.PI * SHOWN_HZ * (now - this.phase) / 1e3);
+    return q.map((x, k) => x + size * shape[k]);
+  }
+
+  // By which a displacement is to be multiplied to be seen.
+  shown(shape) {
+    const { model, data, base, rest } = this, d = data.dimensions, tiny = 1e-6, moved = rest.map((x, k) => x + tiny * shape[k]);
+    const before = columns(model.skeleton(rest, base), d), after = columns(model.skeleton(moved, base), d);
+    const most = Math.max(...before.map((p, k) => Math.hypot(...p.map((x, i) => x - after[k][i])))) / tiny;
+    return SHOWN_SIZE * data.size / Math.max(most, 1e-30);
+  }
+
+  // The linear loop after a push into the chosen mode, in real time, enlarged; again once it is gone or too large.
+  played(now, q) {
+    const count = q.length, { period, to_q: toQ } = this.data.loop;
+    if (this.playing === null) {
+      const { matrix } = this.loop.sample(this.base, this.posture, this.gains), { shape } = this.modes[this.mode];
+      const size = this.shown(shape), u = Linear.solve(Float64Array.from(toQ), shape.map((x) => size * x), count, 1);
+      const x = new Matrix(matrix.m, 1);
+      x.a.set(u);
+      this.playing = { matrix, x, begun: now, done: 0, first: Math.hypot(...u) };
+    }
+    const play = this.playing, until = (now - play.begun) / 1e3 / period;
+    for (; play.done < until && play.done < 1e5; play.done++) play.x = play.matrix.times(play.x);
+    const size = Math.hypot(...play.x.a.subarray(0, count));
+    if (!(size < 6 * play.first) || until * period > 8) { this.playing = null; return q; }
+    const move = Linear.multiply(Float64Array.from(toQ), play.x.a.slice(0, count), count, count, 1);
+    return q.map((x, k) => x + move[k]);
+  }
+
+  draw(now) {
+    const q = this.displayed(now), shape = shapeOf(this.model, q, this.base), d = this.data.dimensions;
+    this.views.forEach((view) => this.drawView(view, shape, d));
+    if (this.axes !== null && (this.changed || this.recolour || this.resized)) this.drawMap();
+    this.caption();
+  }
+
+  drawView(view, shape, d) {
+    const { theme, data } = this, painter = new Painter(view, theme, data.segments, data.size), { points } = this.shape;
+    painter.begin();
+    const lifted = data.support.length === 0 && view.upright, height = points[0][d - 1] - (lifted ? 0.12 * data.size : 0);
+    if (view.upright) painter.ground(height);
+    if (d === 2 && $("show-map").checked && this.map.shown !== null) this.underlay(view, painter.c, points[0]);
+    if (lifted) painter.springs(shape.points[0], points[0], view.scale * 0.12 * data.size);
+    for (const ghost of this.ghosts) painter.machine(ghost.shape, theme.chosen, true);
+    painter.machine(shape, theme.present, false);
+    if (data.target) {
+      const target = points[points.length - 1].map((x, k) => (this.rows.includes(k) ? data.target[this.rows.indexOf(k)] : x));
+      painter.cross(target, theme.text);
+    }
+    const tip = shape.points[shape.points.length - 1];
+    if (this.modes) {
+      const longest = 0.2 * Math.min(view.width, view.height) + 20;
+      const most = ["a", "b"].map((key) => Math.max(...this.modes.map((mode) => Math.hypot(...mode[key]))));
+      const order = this.modes.map((_, i) => i).filter((i) => i === this.mode || $("show-arrows").checked).sort((i, j) => (i === this.mode) - (j === this.mode));
+      for (const i of order) {
+        const mode = this.modes[i], width = i === this.mode ? 3.5 : 2, colour = MODE_COLOURS[i % MODE_COLOURS.length];
+        ["a", "b"].forEach((key, k) => painter.arrow(tip, this.inSpace(mode[key], d), longest * Math.hypot(...mode[key]) / most[k], colour, key === "b", width));
+      }
+    }
+    const put = (button, point) => { const [x, y] = view.at(point); button.style.left = `${x}px`; button.style.top = `${y}px`; };
+    put(view.end, points[points.length - 1]);
+    if (view.stand) put(view.stand, points[0]);
+  }
+
+  inSpace(rows, d) { return Array.from({ length: d }, (_, k) => (this.rows.includes(k) ? rows[this.rows.indexOf(k)] : 0)); }
+
+  underlay(view, context, ground) {
+    const { overlay } = view, width = Math.round(view.width), height = Math.round(view.height);
+    const elbow = this.map.model.data.joints.length > 1 ? this.branch() : 0;
+    const key = [width, height, view.scale, ...view.origin, elbow, this.axes].join();
+    if (this.recolour || key !== view.drawn || overlay.width !== width) {
+      overlay.width = width;
+      overlay.height = height;
+      view.drawn = key;
+      view.ground = ground;
+      const c = overlay.getContext("2d"), picture = c.createImageData(width, height);
+      this.map.workspace(picture, this.posture, (x, y) => view.at([x + ground[0], y + ground[1]]), 255);
+      c.putImageData(picture, 0, 0);
+    }
+    const move = view.scale * (ground[0] - view.ground[0]);
+    context.globalAlpha = 0.75;
+    context.drawImage(overlay, move, -view.scale * (ground[1] - view.ground[1]), view.width, view.height);
+    context.globalAlpha = 1;
+  }
+
+  // To which side the two joints of the map bend the arm.
+  branch() {
+    const { J } = this.model.graphs.reach.run([this.base, this.posture, this.model.p]), { r, n_b } = this.model, [x, y] = this.axes;
+    return r < 2 ? 0 : Math.sign(J[(n_b + x) * r] * J[(n_b + y) * r + 1] - J[(n_b + x) * r + 1] * J[(n_b + y) * r]);
+  }
+
+  drawMap() {
+    const canvas = $("map"), scale = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect(), { data, theme, axes } = this;
+    if (canvas.width !== Math.round(box.width * scale)) canvas.width = Math.round(box.width * scale);
+    if (canvas.height !== Math.round(box.height * scale)) canvas.height = Math.round(box.height * scale);
+    const c = canvas.getContext("2d"), left = 46, top = 6, width = box.width - left - 8, height = box.height - top - 38;
+    this.frame = { left, top, width, height };
+    c.setTransform(scale, 0, 0, scale, 0, 0);
+    c.clearRect(0, 0, box.width, box.height);
+    c.imageSmoothingEnabled = false;
+    c.drawImage(this.map.image, left, top, width, height);
+    c.strokeStyle = theme.muted;
+    c.lineWidth = 1;
+    c.strokeRect(left, top, width, height);
+    c.fillStyle = theme.text;
+    c.font = "12px system-ui, 'DejaVu Sans', sans-serif";
+    const [x, y] = axes, name = (k) => `${data.joints[k]}, ${data.joint_units[k]}`, place = (posture) => axes.map((joint, k) => {
+      const [low, high] = data.ranges[joint], share = (posture[joint] - low) / (high - low);
+      return k ? top + height * (1 - share) : left + width * share;
+    });
+    for (let k = 0; k <= 2; k++) {
+      const share = k / 2, at = (joint) => digits(data.ranges[joint][0] + share * (data.ranges[joint][1] - data.ranges[joint][0]), 3);
+      c.textAlign = k === 0 ? "left" : k === 1 ? "center" : "right";
+      c.fillText(at(x), left + share * width, top + height + 15);
+      c.textAlign = "right";
+      c.fillText(at(y), left - 5, top + height * (1 - share) + (k === 0 ? 0 : k === 2 ? 10 : 4));
+    }
+    c.textAlign = "center";
+    c.fillText(name(x), left + width / 2, top + height + 31);
+    c.save();
+    c.translate(11, top + height / 2);
+    c.rotate(-Math.PI / 2);
+    c.fillText(name(y), 0, 0);
+    c.restore();
+    const mark = ([u, v], colour) => {
+      c.beginPath();
+      c.arc(u, v, 6, 0, 2 * Math.PI);
+      for (const [stroke, wide] of [["#ffffff", 5], [colour, 2.5]]) { c.strokeStyle = stroke; c.lineWidth = wide; c.stroke(); }
+    };
+    for (const ghost of this.ghosts) mark(place(ghost.posture), "#c05500");
+    mark(place(this.posture), "#003f8a");
+  }
+
+  caption() {
+    if (this.note || !this.modes) return;
+    const kind = $("motion").value, hz = digits(this.modes[this.mode].hz), mode = `mode ${this.mode + 1}`;
+    const words = { mode: `Shown: ${mode}, ${hz} Hz, slowed and enlarged.`, loop: `Shown: the closed loop after a push into ${mode}, in real time, enlarged.`, off: "" };
+    if ($("note").textContent !== words[kind]) $("note").textContent = words[kind];
+  }
+}
+
+window.explorer = new Explorer(DATA, GRAPHS);
