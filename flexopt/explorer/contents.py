@@ -109,6 +109,7 @@ def _loop(machine: AnyMachine, settings: LoopSettings) -> dict[str, Any]:
     return {
         "description": repr(settings).splitlines()[0],
         "sources": dict(settings.sources),
+        "drive": settings.drive,
         "numbers": {name: value.tolist() for name, value in numbers.items() if name != "period"},
         "period": period,
         DEAD_TIME: settings.dead_time,

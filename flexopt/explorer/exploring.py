@@ -22,6 +22,7 @@ from flexopt.foundation.boundary import path, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.rendering import render
+from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import settings_at
 from flexopt.model import AnyMachine, Problem
@@ -39,7 +40,7 @@ TRIED = 64
 
 
 @dataclass(frozen=True)
-class Explorer:
+class Explorer(Result):
     """A page that shows a machine and computes with its own graphs; a notebook shows it by itself.
 
     Attributes:
@@ -53,6 +54,8 @@ class Explorer:
         >>> flexopt.explore(flexopt.load("excavator"), [1.0, -2.0])
         Explorer(excavator: present configuration, page of …kB)
     """
+
+    DOCUMENT = "machine configurations=stands bytes provenance"
 
     machine: str
     configurations: Mapping[str, tuple[Vector, Vector]]
@@ -69,13 +72,15 @@ class Explorer:
         """
         write_file(path, self.page)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready summary, without the page itself."""
-        listed = {name: {"base": base, "posture": posture} for name, (base, posture) in self.configurations.items()}
-        size = len(self.page.encode())
-        return json_ready(
-            {"machine": self.machine, "configurations": listed, "bytes": size, "provenance": self.provenance}
-        )
+    @property
+    def bytes(self) -> int:
+        """Size of the page."""
+        return len(self.page.encode())
+
+    @property
+    def stands(self) -> dict[str, dict[str, Vector]]:
+        """The configurations as tables."""
+        return {name: {"base": base, "posture": posture} for name, (base, posture) in self.configurations.items()}
 
     def _repr_html_(self) -> str:
         title = html.escape(f"flexopt explorer: {self.machine}")
@@ -86,7 +91,7 @@ class Explorer:
 
     def __repr__(self) -> str:
         words = " and ".join(self.configurations)
-        return f"Explorer({self.machine}: {words} configuration, page of {len(self.page.encode()) / 1e3:.0f} kB)"
+        return f"Explorer({self.machine}: {words} configuration, page of {self.bytes / 1e3:.0f} kB)"
 
 
 def _explored(arguments: Arguments, field: str, value: Any) -> Any:

@@ -15,6 +15,7 @@ import numpy as np
 import flexopt
 from flexopt.explorer.exploring import Explorer
 from flexopt.loop.evaluation import settings_at
+from flexopt.loop.outcome import LoopPoint
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import SPRINGS, parameters_of
 from flexopt.plant import build_plant
@@ -94,8 +95,6 @@ def by_python(machine: AnyMachine, explorer: Explorer, cases: list[dict[str, Any
         motions = settings.motions(machine, gravity=False)
         given = settings.numbers | {"base": at[0], "posture": at[1], "p": p}
         given |= {name: case["gain"] * given[name] for name in ("kp", "kv", "ki")}
-        from flexopt.loop.outcome import LoopPoint
-
         loop = LoopPoint(motions, motions.numbers(given), case["deadTime"]).loop
         q = values["q"].full().ravel()
         found.append({

@@ -223,7 +223,8 @@ class Loop {
       M = kept.times(M).times(kept.T);
       U = kept.times(U);
     }
-    let values = Linear.eigenvalues(M.a, M.n);
+    // The real ones among them come with a rounded imaginary part.
+    let values = Linear.eigenvalues(M.a, M.n).map(([x, y]) => [x, Math.abs(y) <= 1e-11 * Math.abs(x) ? 0 : y]);
     const removed = size - M.n, drift = [];
     if (this.data.excess > 0 && removed < 2 * this.data.excess) {
       const own = this.drifting(base, posture, M, U, scale, values, 2 * this.data.excess - removed);
@@ -245,7 +246,7 @@ class Loop {
     const own = new Matrix(q, n - r).put(m, 0, new Matrix(n, n, Linear.singular(square.a, n).vectors).columns(r, n));
     const toQ = new Matrix(q, q, Float64Array.from(data.loop.to_q)), inner = own.T.times(mass).times(own);
     const shares = values.map(([x, y], index) => {
-      if (Math.abs(y) > 1e-13 * Math.abs(x) || x <= 0) return { index, share: 0 };
+      if (y !== 0 || x <= 0) return { index, share: 0 };
       const shifted = M.a.slice();
       for (let k = 0; k < M.n; k++) shifted[k + k * M.n] -= x * (1 + 1e-14);
       let v = new Float64Array(M.n).map((_, k) => 1 + 0.1 * Math.sin(k));

@@ -3,7 +3,7 @@
 
 const CELLS = 100;
 // Of the regular cells this share is drawn in the colour of the worst: near singular postures measures fall without end.
-const WORST_SHOWN = 0.12;
+const WORST_SHOWN = 0.25;
 // Dark blue to yellow, also for those who do not tell red from green (after Nuñez, Anderton and Renslow, 2018).
 const ANCHORS = [[0, 34, 78], [46, 68, 109], [96, 100, 112], [140, 137, 120], [193, 180, 108], [254, 232, 56]];
 const SHADES = Array.from({ length: 256 }, (_, k) => {
@@ -97,7 +97,8 @@ class JointMap {
     for (let k = 0; k < cells; k++) {
       const v = values[k], good = !Number.isNaN(v), row = CELLS - 1 - Math.floor(k / CELLS);
       this.regular[k] = good;
-      this.shade[k] = good ? Math.round(255 * (1 - Math.min(1, this.worst < 0 ? Math.max(0, v / this.worst) : 0))) : 0;
+      // By the square root: what matters lies near 0.
+      this.shade[k] = good ? Math.round(255 * (1 - Math.sqrt(Math.min(1, this.worst < 0 ? Math.max(0, v / this.worst) : 0)))) : 0;
       const at = 4 * (row * CELLS + k % CELLS), colour = SHADES[this.shade[k]];
       for (let c = 0; c < 3; c++) picture.data[at + c] = colour[c];
       picture.data[at + 3] = good ? 255 : 0;

@@ -2,7 +2,15 @@
 // The page: what is dragged, typed and slid, and what it shows of it. One pass for each frame in which something moved.
 
 const $ = (id) => document.getElementById(id);
-const digits = (x, n = 3) => (Number.isFinite(x) ? String(Number(x.toPrecision(n))).replace("-", "−").replace(/e\+?/, "·10^") : "–");
+const RAISED = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+function digits(x, n = 3) {
+  if (!Number.isFinite(x)) return "–";
+  if (x !== 0 && (Math.abs(x) < 1e-3 || Math.abs(x) >= 1e6)) {
+    const [mantissa, exponent] = x.toExponential(n - 1).split("e");
+    return `${String(Number(mantissa)).replace("-", "−")}·10${[...String(Number(exponent))].map((c) => RAISED[c]).join("")}`;
+  }
+  return String(Number(x.toPrecision(n))).replace("-", "−");
+}
 // Of a frame for the map, ms; how a mode is shown: displacement as a share of the machine's size, and how often, Hz.
 const MAP_BUDGET = 7, SHOWN_SIZE = 0.035, SHOWN_HZ = 0.7;
 // A key moves by this share of the machine's size, or of a joint's range; with Shift so many times that.
@@ -175,6 +183,7 @@ class Explorer {
   makeControls() {
     const { data } = this, box = $("sliders");
     $("subtitle").textContent = data.description;
+    $("kappa").hidden = data.loop.drive !== "torque";
     $("unit").textContent = `w and |a||b| in ${data.unit}; Jacobian ${data.control} control.`;
     const gain = (name) => {
       const numbers = data.loop.numbers[name], same = numbers.every((x) => x === numbers[0]);
@@ -206,6 +215,7 @@ class Explorer {
     this.makeModes();
     $("motion").addEventListener("change", () => { this.playing = null; this.wake(); });
     for (const id of ["show-map", "show-arrows"]) $(id).addEventListener("change", () => this.touched());
+    $("map-shown").hidden = data.dimensions !== 2 || this.axes === null;
     $("fit").addEventListener("click", () => this.touched(true));
     $("theme").addEventListener("click", () => this.setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
     $("reset").addEventListener("click", () => this.reset());
@@ -388,11 +398,11 @@ class Explorer {
       row.classList.toggle("chosen", i === this.mode);
       if (!modes) { cells.slice(1).forEach((cell) => { cell.textContent = "–"; }); return; }
       const { hz, w, size, angle, dot, zeta, omega, alone } = modes[i];
-      const numbers = [digits(hz), digits(w), digits(size), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another"];
-      numbers.forEach((text, k) => { cells[k + 1].textContent = text; });
+      const numbers = [digits(hz), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another", digits(w), digits(size)];
+      numbers.forEach((text, k) => { cells[k + 2].textContent = text; });
       const grows = dot < 0, kappa = 2 * zeta * omega / -dot;
-      const bound = grows ? (zeta > 0 ? `if Kv > κ = ${digits(kappa)}` : "at any Kv > 0") : "";
-      cells[5].innerHTML = `<span class="word ${grows ? "grows" : "settles"}">${grows ? "▲ grows" : "▼ settles"}</span><span class="kappa">${bound}</span>`;
+      const torques = this.data.loop.drive === "torque", bound = !grows || !torques ? "" : zeta > 0 ? `if Kv > κ = ${digits(kappa)}` : "at any Kv > 0";
+      cells[1].innerHTML = `<span class="word ${grows ? "grows" : "settles"}">${grows ? "▲ grows" : "▼ settles"}</span><span class="kappa">${bound}</span>`;
     });
     this.putBase.forEach((put, k) => put(this.base[k]));
     this.putJoints.forEach((put, k) => put(this.posture[k]));
@@ -406,7 +416,8 @@ class Explorer {
       c.fillStyle = `rgb(${SHADES[Math.floor(256 * x / canvas.width)].join()})`;
       c.fillRect(x, 0, 1, canvas.height);
     }
-    $("worst").textContent = `${digits(this.map.worst)} and less`;
+    $("worst").textContent = `≤ ${digits(this.map.worst)}`;
+    $("middle").textContent = digits(this.map.worst / 4);
     const others = this.data.joints.filter((_, k) => !this.axes.includes(k));
     const held = others.length ? ` ${others.join(", ")} held as now.` : "";
     const where = this.data.dimensions === 2 ? " In the picture of the machine each cell lies where the end-point is, the arm bent to the present side." : "";
@@ -541,7 +552,7 @@ class Explorer {
     const canvas = $("map"), scale = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect(), { data, theme, axes } = this;
     if (canvas.width !== Math.round(box.width * scale)) canvas.width = Math.round(box.width * scale);
     if (canvas.height !== Math.round(box.height * scale)) canvas.height = Math.round(box.height * scale);
-    const c = canvas.getContext("2d"), left = 46, top = 6, width = box.width - left - 8, height = box.height - top - 38;
+    const c = canvas.getContext("2d"), left = 62, top = 6, width = box.width - left - 8, height = box.height - top - 38;
     this.frame = { left, top, width, height };
     c.setTransform(scale, 0, 0, scale, 0, 0);
     c.clearRect(0, 0, box.width, box.height);
@@ -566,7 +577,7 @@ class Explorer {
     c.textAlign = "center";
     c.fillText(name(x), left + width / 2, top + height + 31);
     c.save();
-    c.translate(11, top + height / 2);
+    c.translate(10, top + height / 2);
     c.rotate(-Math.PI / 2);
     c.fillText(name(y), 0, 0);
     c.restore();

@@ -140,7 +140,7 @@ class Painter {
     const { c, view, theme, size, segments } = this, flat = points.map((p) => view.at(p));
     c.globalAlpha = ghost ? 0.4 : 1;
     for (const { ends: [p, q], radius } of capsules) {
-      c.globalAlpha = ghost ? 0.08 : 0.16;
+      c.globalAlpha = ghost ? 0.1 : 0.22;
       c.strokeStyle = colour;
       c.lineWidth = 2 * radius * view.scale;
       this.line([view.at(p), view.at(q)]);
