@@ -51,8 +51,8 @@ class Explorer(Result):
 
     Example:
         >>> import flexopt
-        >>> flexopt.explore(flexopt.load("excavator"), [1.0, -2.0])
-        Explorer(excavator: present configuration, page of …kB)
+        >>> sorted(flexopt.explore(flexopt.load_problem("article")).configurations)
+        ['present', 'recommended']
     """
 
     DOCUMENT = "machine configurations=stands bytes provenance"
@@ -157,9 +157,9 @@ def explore(
     found = solve_selection(problem)
     stands = {PRESENT: found.initial, BEST: found.best.evaluation}
     configurations = {name: (stand.base, stand.posture) for name, stand in stands.items() if stand is not None}
-    named = {"title": asked.name, "loop": loop or asked.loop} if isinstance(asked, Problem) else {}
-    told = {"title": named.get("title", problem.machine.name), "target": problem.target.tolist()}
-    return _page(problem.machine, configurations, problem.control, named.get("loop", loop), told)
+    title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)
+    told = {"title": title, "target": problem.target.tolist()}
+    return _page(problem.machine, configurations, problem.control, own if loop is None else loop, told)
 
 
 def _page(
@@ -186,25 +186,19 @@ def _page(
 
 
 def _open_posture(machine: AnyMachine, base: Vector) -> Vector:
-    """Of some postures within the limits, always the same, one that is far from singular and whose arm is up."""
-    plant, rng = build_plant(machine), np.random.default_rng(0)
-    whole = {"rad": np.pi, "m": 1.0}
-    low, high = np.array(
-        [
-            [max(limits[0], -whole[unit]), min(limits[1], whole[unit])]
-            for limits, unit in zip(machine.limits, machine.joint_units, strict=True)
-        ]
-    ).T
+    """Of some postures within the limits, always the same, the one farthest from singular with the arm above ground."""
+    rng, whole = np.random.default_rng(0), {"rad": np.pi, "m": 1.0}
+    ends = zip(machine.limits, [whole[unit] for unit in machine.joint_units], strict=True)
+    low, high = np.array([(max(limits[0], -most), min(limits[1], most)) for limits, most in ends], dtype=np.float64).T
     tried = low + (high - low) * rng.uniform(0.15, 0.85, (TRIED, len(low)))
-    sines = [float(plant.singularity_sine_squared(base, posture, plant.parameter_values)) for posture in tried]
-    heights = [_lowest(machine, base, posture) for posture in tried]
-    best = np.array(sines) + np.array(heights)
-    return tried[int(np.argmax(best))]
+    found: Vector = tried[int(np.argmax([_openness(machine, base, posture) for posture in tried]))]
+    return found
 
 
-def _lowest(machine: AnyMachine, base: Vector, posture: Vector) -> float:
-    """−1 where the arm is below the ground point, else 0."""
+def _openness(machine: AnyMachine, base: Vector, posture: Vector) -> float:
+    """The mean sin² of `singularity_sine_squared`, less 1 where a joint or the end-point is below the ground point."""
     plant = build_plant(machine)
     p = plant.parameter_values
-    points = plant.skeleton.call([plant.rest(base, posture, p), base, p])[0].full()
-    return -1.0 if np.any(points[-1, 1:] < points[-1, 0]) else 0.0
+    heights = plant.skeleton.call([plant.rest(base, posture, p), base, p])[0].full()[-1]
+    sine_squared = float(plant.singularity_sine_squared(base, posture, p))
+    return sine_squared - float(np.any(heights[1:] < heights[0]))

@@ -31,12 +31,13 @@ def explorer_functions(measures: Measures, motions: SmallMotions) -> dict[str, c
     plant, expansion, g = measures.plant, measures.expansion, measures.plant.graph
     at, names = measures.inputs, ["base", "posture", "p"]
     rest = plant.rest(*at)
+    end_point = plant.end_point(rest, g.base, g.p)
     stiffness, mass, factors = expansion.graphs
     screen = screened(plant)["screen"]
     found = {
         "skeleton": plant.skeleton,
         "rest": plant.rest,
-        "reach": _function("reach", at, names, {"r": plant.end_point(rest, g.base, g.p), "J": plant.base_jacobian(*at)}),
+        "reach": _function("reach", at, names, {"r": end_point, "J": plant.base_jacobian(*at)}),
         "reduced": _function("reduced", at, names, {"K": stiffness, "M": mass, "F": factors, "screen": screen}),
         "more": _function("more", at, names, {"follow": expansion.pencil.follow, "D": expansion.point.damping}),
         "own": _function("own", at, names, {"M": plant.mass(rest, g.base, g.p),

@@ -120,7 +120,10 @@ def deviations(browser: list[dict[str, Any]], python: list[dict[str, Any]]) -> d
             elif name in ("r", "points"):
                 scale = np.full_like(y, np.abs(y).max())
             elif name == "decay":
-                # The eigenvalues' own rounding stands beside it.
-                scale = np.maximum(scale, 1e9 * two["rounding"] / 10)
+                # What Python itself says a rate may be off, `SampledLoop.rounding`, counts as 1e-9.
+                own = float(np.abs(x - y) / two["rounding"])
+                worst["decay / rounding"] = max(worst.get("decay / rounding", 0.0), own)
+                worst["decay, strictly"] = max(worst.get("decay, strictly", 0.0), float(np.max(np.abs(x - y) / scale)))
+                scale = np.maximum(scale, 1e9 * two["rounding"])
             worst[name] = max(worst.get(name, 0.0), float(np.max(np.abs(x - y) / scale)))
     return worst

@@ -59,7 +59,9 @@ def test_drags_and_keys_move_end_point_and_base(name: str, chromium: Browser, pa
 
         drag(page, ".handle.base", 12, 0)
         stood = state(page)
-        assert np.linalg.norm(np.subtract(stood["base"], after["base"])) == pytest.approx(12 / before["scale"], rel=1e-6)
+        assert np.linalg.norm(np.subtract(stood["base"], after["base"])) == pytest.approx(
+            12 / before["scale"], rel=1e-6
+        )
         assert np.allclose(end_point(machine, stood), after["target"], rtol=0, atol=1e-6)
         same_as_python(machine, explorer, stood)
 
