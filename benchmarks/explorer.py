@@ -78,8 +78,7 @@ def main() -> None:
     options = parser.parse_args()
     numbers = [("machine", "omega", "zeta", "w", "|a||b|", "end-point", "w after drags", "decay", "decay / rounding")]
     times = [
-        ("machine", "page kB", "first picture ms", "frames", "median ms", "95 % ms", "longest ms", "work median ms")
-        + ("work 95 % ms", "map of 10^4 ms", "maps")
+        ("machine", "page kB", "first picture", "frames", "median", "95 %", "longest", "work", "95 %", "map", "maps")
     ]
     with browser_of() as browser, tempfile.TemporaryDirectory() as place:
         for name in MACHINES:
@@ -100,7 +99,12 @@ def main() -> None:
             times.append((name, f"{explorer.bytes / 1e3:.0f}", f"{np.median(first):.0f}", str(gaps.size),
                           *(f"{x:.1f}" for x in row), cost, str(maps.size)))  # fmt: skip
     print(table(f"Largest relative deviation from Python, {options.count} random configurations each", numbers))
-    print(table(f"Dragging the end-point, map live (load of this machine {os.getloadavg()[0]:.1f})", times))
+    print(
+        table(
+            f"Dragging, map live, ms; map: all of its 10^4 cells (load {os.getloadavg()[0]:.1f})",
+            times,
+        )
+    )
 
 
 if __name__ == "__main__":

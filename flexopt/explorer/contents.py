@@ -68,7 +68,7 @@ def contents(
             for c in machine.capsules
         ],
         "support": [list(point) for point in machine.support_points],
-        "size": _size(machine, *next(iter(configurations.values()))),
+        "size": size_of(machine, *next(iter(configurations.values()))),
         "parameters": values,
         "springs": list(parameters_of((SPRINGS,), machine)),
         "payload": payload,
@@ -87,7 +87,7 @@ def _range(limits: tuple[float, float], unit: str) -> list[float]:
     return [limit if math.isfinite(limit) else end for limit, end in zip(limits, (-whole, whole), strict=True)]
 
 
-def _size(machine: AnyMachine, base: Vector, posture: Vector) -> float:
+def size_of(machine: AnyMachine, base: Vector, posture: Vector) -> float:
     """Length of all segments, m."""
     plant = build_plant(machine)
     p = plant.parameter_values

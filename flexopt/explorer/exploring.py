@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.explorer.contents import contents
+from flexopt.explorer.contents import contents, size_of
 from flexopt.explorer.graphs import explorer_functions, scripts
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
@@ -186,7 +186,7 @@ def _page(
 
 
 def _open_posture(machine: AnyMachine, base: Vector) -> Vector:
-    """Of some postures within the limits, always the same, the one farthest from singular with the arm above ground."""
+    """Of some postures within the limits, always the same, one far from singular, stretched out, above ground."""
     rng, whole = np.random.default_rng(0), {"rad": np.pi, "m": 1.0}
     ends = zip(machine.limits, [whole[unit] for unit in machine.joint_units], strict=True)
     low, high = np.array([(max(limits[0], -most), min(limits[1], most)) for limits, most in ends], dtype=np.float64).T
@@ -196,9 +196,10 @@ def _open_posture(machine: AnyMachine, base: Vector) -> Vector:
 
 
 def _openness(machine: AnyMachine, base: Vector, posture: Vector) -> float:
-    """The mean sin² of `singularity_sine_squared`, less 1 where a joint or the end-point is below the ground point."""
+    """`singularity_sine_squared` + how far out the end-point is, of the machine's size; 1 less where a part is low."""
     plant = build_plant(machine)
     p = plant.parameter_values
-    heights = plant.skeleton.call([plant.rest(base, posture, p), base, p])[0].full()[-1]
+    points = plant.skeleton.call([plant.rest(base, posture, p), base, p])[0].full()
+    out = np.linalg.norm(points[:-1, -1] - points[:-1, 0]) / size_of(machine, base, posture)
     sine_squared = float(plant.singularity_sine_squared(base, posture, p))
-    return sine_squared - float(np.any(heights[1:] < heights[0]))
+    return sine_squared + float(out) - float(np.any(points[-1, 1:] < points[-1, 0]))

@@ -184,7 +184,7 @@ class Explorer {
     const { data } = this, box = $("sliders");
     $("subtitle").textContent = data.description;
     $("kappa").hidden = data.loop.drive !== "torque";
-    $("unit").textContent = `w and |a||b| in ${data.unit}; Jacobian ${data.control} control.`;
+    $("unit").textContent = `w and |a||b| in ${data.unit === "mixed" ? "mixed units" : data.unit.replace("kg m2", "kg m²")}; Jacobian ${data.control} control.`;
     const gain = (name) => {
       const numbers = data.loop.numbers[name], same = numbers.every((x) => x === numbers[0]);
       const show = (x) => (same ? digits(numbers[0] * 10 ** x) : `× ${digits(10 ** x)}`);
@@ -384,6 +384,8 @@ class Explorer {
       word = verdict.decay > 0 ? "settles" : "grows";
       sentence = `The slowest motion oscillates at ${digits(verdict.hz)} Hz.`;
       if (verdict.hz === 0) sentence = "The slowest motion does not oscillate.";
+      const drift = Math.max(...verdict.drift, -Infinity);
+      if (drift > verdict.rounding) sentence += ` Apart from it the arm's self-motion grows at ${digits(drift)} /s.`;
     }
     box.className = word;
     const rate = word === "undecided" || verdict.decay === -Infinity ? "" : ` at ${digits(Math.abs(verdict.decay))} /s`;
