@@ -32,6 +32,8 @@ from flexopt.robustness.measures import build_measures
 from flexopt.selection import SelectionProblem, build_selection, solve_selection
 from flexopt.study.asked import reported
 
+# What a problem would say.
+NOTHING_ASKED: dict[str, Any] = {"target": None, "objective": None, "weights": None}
 # Height of the page in a notebook, px.
 HEIGHT = 900
 PRESENT, BEST = "present", "recommended"
@@ -158,7 +160,8 @@ def explore(
     stands = {PRESENT: found.initial, BEST: found.best.evaluation}
     configurations = {name: (stand.base, stand.posture) for name, stand in stands.items() if stand is not None}
     title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)
-    told = {"title": title, "target": problem.target.tolist()}
+    sought = problem.objectives[-1]
+    told = {"title": title, "target": problem.target.tolist(), "objective": sought.name, "weights": sought.alpha}
     return _page(problem.machine, configurations, problem.control, own if loop is None else loop, told)
 
 
@@ -174,7 +177,7 @@ def _page(
     settings, _ = settings_at(machine, posture, base, control, loop, gravity=False, call="explore")
     measures, motions = build_measures(machine, settings.control), settings.motions(machine, gravity=False)
     functions = explorer_functions(measures, motions)
-    data = contents(machine, settings, functions, configurations) | {"target": None} | dict(told)
+    data = contents(machine, settings, functions, configurations) | NOTHING_ASKED | dict(told)
     page = render(
         "explorer/templates/page.html",
         # Inside a script element nothing may look like its end.

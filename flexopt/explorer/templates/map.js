@@ -18,6 +18,9 @@ class JointMap {
       w: Array.from({ length: model.m }, () => new Float64Array(cells)),
       corners: new Float64Array(2 * (CELLS + 1) ** 2), key: "", base: new Float64Array(model.n_b),
     });
+    // Of V = Σ α w: a problem's, or all alike.
+    const { objective, weights } = model.data;
+    this.weights = objective === "V" && weights.some((x) => x > 0) ? weights : new Array(model.m).fill(1);
     this.shown = null;
     this.spare = [blank(), blank()];
     this.job = null;
@@ -86,11 +89,11 @@ class JointMap {
     return true;
   }
 
-  // Colours of one measure, by its number, or of their sum: -1.
+  // Colours of one measure, by its number, or of their weighted sum: -1.
   colour(measure) {
     if (this.shown === null) return;
     const cells = CELLS * CELLS, { w } = this.shown, values = measure < 0 ? new Float64Array(cells) : w[measure];
-    if (measure < 0) for (const each of w) for (let k = 0; k < cells; k++) values[k] += each[k];
+    if (measure < 0) w.forEach((each, i) => { for (let k = 0; k < cells; k++) values[k] += this.weights[i] * each[k]; });
     const sorted = values.filter((v) => !Number.isNaN(v)).sort();
     this.worst = sorted.length ? sorted[Math.floor(WORST_SHOWN * (sorted.length - 1))] : 0;
     const context = this.image.getContext("2d"), picture = context.createImageData(CELLS, CELLS);

@@ -25,7 +25,8 @@ class Explorer {
     this.map = new JointMap(this.model);
     this.rows = data.rows.map((name) => "xyz".indexOf(name));
     this.mode = 0;
-    this.measure = data.n_passive > 1 ? -1 : 0;
+    const sought = /^w(\d+)$/.exec(data.objective ?? "");
+    this.measure = sought ? Number(sought[1]) - 1 : data.n_passive > 1 ? -1 : 0;
     this.axes = data.joints.length < 2 ? null : data.dimensions === 2 || data.joints.length < 3 ? [0, 1] : [1, 2];
     this.factors = { kp: 1, kv: 1, ki: 1, soil: 1 };
     this.payload = data.payload === null ? null : data.parameters[data.payload];
@@ -219,6 +220,7 @@ class Explorer {
     $("fit").addEventListener("click", () => this.touched(true));
     $("theme").addEventListener("click", () => this.setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
     $("reset").addEventListener("click", () => this.reset());
+    if ("recommended" in data.configurations) $("help").append(" Faint orange: the recommended configuration; cross: the target.");
     $("recommend").hidden = !("recommended" in data.configurations);
     $("recommend").addEventListener("click", () => this.go("recommended"));
   }
@@ -249,7 +251,7 @@ class Explorer {
 
   makeMapControls() {
     const { data } = this, choice = (value, text) => new Option(text, value);
-    if (data.n_passive > 1) $("measure").append(choice(-1, "V = Σ w"));
+    if (data.n_passive > 1) $("measure").append(choice(-1, this.map.weights.every((x) => x === 1) ? "V = Σ w" : "V = Σ αw"));
     for (let i = 0; i < data.n_passive; i++) $("measure").append(choice(i, `w${i + 1}`));
     $("measure").value = this.measure;
     $("measure").addEventListener("change", () => { this.measure = Number($("measure").value); this.recolour = true; this.wake(); });
@@ -588,7 +590,7 @@ class Explorer {
       c.arc(u, v, 6, 0, 2 * Math.PI);
       for (const [stroke, wide] of [["#ffffff", 5], [colour, 2.5]]) { c.strokeStyle = stroke; c.lineWidth = wide; c.stroke(); }
     };
-    for (const ghost of this.ghosts) mark(place(ghost.posture), "#c05500");
+    for (const ghost of this.ghosts) mark(place(ghost.posture), "#d95f02");
     mark(place(this.posture), "#003f8a");
   }
 
