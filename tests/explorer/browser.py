@@ -5,12 +5,24 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
+import flexopt
 from flexopt.explorer.exploring import Explorer
+from flexopt.model import AnyMachine
+
+POSTURE = [1.0, -2.0]
+
+
+@cache
+def explored(name: str) -> tuple[AnyMachine, Explorer]:
+    """A shipped machine and its page, at a posture that suits it."""
+    machine = flexopt.load(name)
+    return machine, flexopt.explore(machine, POSTURE if name == "excavator" else None)
 
 
 @contextmanager

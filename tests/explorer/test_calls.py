@@ -10,16 +10,15 @@ import pytest
 import flexopt
 from flexopt.cli import main
 from flexopt.errors import InputError, SingularPosture
-
-POSTURE = [1.0, -2.0]
+from tests.explorer.browser import POSTURE, explored
 
 
 def test_a_page_names_no_host_and_stays_small() -> None:
-    page = flexopt.explore(flexopt.load("excavator"), POSTURE).page
+    page = explored("excavator")[1].page
     assert "://" not in page
     assert "src=" not in page
     assert len(page.encode()) < 2**20
-    assert flexopt.explore(flexopt.load("slewing-excavator")).bytes < 4 * 2**20
+    assert explored("slewing-excavator")[1].bytes < 4 * 2**20
 
 
 def test_names_are_text_and_no_markup() -> None:
@@ -42,7 +41,7 @@ def test_faults_are_named_together() -> None:
     with pytest.raises(SingularPosture):
         flexopt.explore(flexopt.load("excavator"), [1.0, 0.0])
     with pytest.raises(InputError, match=r"must end in \.html"):
-        flexopt.explore(flexopt.load("excavator"), POSTURE).save("page.txt")
+        explored("excavator")[1].save("page.txt")
 
 
 def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 import flexopt
 from flexopt.explorer.javascript import PIECE, script_of
-from tests.explorer.browser import opened
+from tests.explorer.browser import explored, opened
 from tests.explorer.numbers import ASK, by_node, by_python, deviations, model_script, random_cases
 
 MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator")
@@ -25,9 +25,8 @@ NODE = shutil.which("node")
 @pytest.mark.needs("chromium")
 @pytest.mark.parametrize("name", MACHINES)
 def test_the_browser_computes_what_python_computes(name: str, chromium: Browser, pages: Path) -> None:
-    machine = flexopt.load(name)
-    explorer = flexopt.explore(machine)
-    cases = random_cases(machine, 40, seed=1)
+    machine, explorer = explored(name)
+    cases = random_cases(machine, 25, seed=1)
     with opened(chromium, explorer, pages) as page:
         found = page.evaluate(f"(cases) => ({ASK})(cases)", cases)
         if NODE is not None:
@@ -80,7 +79,7 @@ def test_every_operation_of_a_graph(chromium: Browser) -> None:
     function = ca.Function("f", [x, y], [ca.vertcat(*each, long)], ["x", "y"], ["all"])
     text = script_of(function)
     assert text.count("function(i,o,w)") > 2
-    script = model_script(flexopt.explore(flexopt.load("excavator"), [1.0, -2.0]).page).split("// The machine")[0]
+    script = model_script(explored("excavator")[1].page).split("// The machine")[0]
     page = chromium.new_page()
     for at in ((0.7, 1.9), (2.3, 0.4)):
         found = page.evaluate(f"() => {{ {script}; return [...{text}.run([[{at[0]}], [{at[1]}]]).all]; }}")
@@ -94,7 +93,7 @@ def test_every_operation_of_a_graph(chromium: Browser) -> None:
 @pytest.mark.needs("chromium")
 def test_linear_algebra_against_numpy(chromium: Browser) -> None:
     rng = np.random.default_rng(3)
-    script = model_script(flexopt.explore(flexopt.load("excavator"), [1.0, -2.0]).page)
+    script = model_script(explored("excavator")[1].page)
     page = chromium.new_page()
     for n in (1, 2, 5, 14, 30):
         matrix = rng.standard_normal((n, n)) * 10.0 ** rng.uniform(-2, 1, (n, 1))

@@ -13,10 +13,9 @@ from playwright.sync_api import Browser, Page
 import flexopt
 from flexopt.explorer.exploring import Explorer
 from flexopt.model import AnyMachine
-from tests.explorer.browser import drag, opened, settled, state
+from tests.explorer.browser import POSTURE, drag, explored, opened, settled, state
 
 pytestmark = pytest.mark.needs("chromium")
-POSTURE = [1.0, -2.0]
 
 
 def end_point(machine: AnyMachine, at: dict[str, Any]) -> np.ndarray:
@@ -41,10 +40,9 @@ def pressed(page: Page, handle: str, *keys: str) -> dict[str, Any]:
     return state(page)
 
 
-@pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket", "slewing-excavator"])
+@pytest.mark.parametrize("name", ["boom-stick-bucket", "slewing-excavator"])
 def test_drags_and_keys_move_end_point_and_base(name: str, chromium: Browser, pages: Path) -> None:
-    machine = flexopt.load(name)
-    explorer = flexopt.explore(machine, POSTURE if name == "excavator" else None)
+    machine, explorer = explored(name)
     with opened(chromium, explorer, pages) as page:
         page.locator("#motion").select_option("off")
         before = state(page)
@@ -75,8 +73,8 @@ def test_drags_and_keys_move_end_point_and_base(name: str, chromium: Browser, pa
 
 
 def test_limits_and_reach_are_kept(chromium: Browser, pages: Path) -> None:
-    machine = flexopt.load("boom-stick-bucket")
-    with opened(chromium, flexopt.explore(machine), pages) as page:
+    machine, explorer = explored("boom-stick-bucket")
+    with opened(chromium, explorer, pages) as page:
         drag(page, ".handle.end", 900, -500, steps=12)
         at = state(page)
         assert "Out of reach" in at["note"]
@@ -112,8 +110,8 @@ def test_sliders_change_the_verdict_as_python_has_it(chromium: Browser, pages: P
 
 
 def test_the_map_holds_what_python_computes(chromium: Browser, pages: Path) -> None:
-    machine = flexopt.load("excavator")
-    with opened(chromium, flexopt.explore(machine, POSTURE), pages) as page:
+    machine, explorer = explored("excavator")
+    with opened(chromium, explorer, pages) as page:
         page.wait_for_function("explorer.map.shown !== null")
         found = page.evaluate("""() => { const { shown } = explorer.map; return { w: shown.w.map((each) => [...each]),
           x: [0, 50, 99].map((k) => explorer.map.value(0, k + 0.5, 100)) }; }""")
@@ -148,7 +146,7 @@ def test_a_problem_shows_its_recommendation(chromium: Browser, pages: Path) -> N
 
 @pytest.mark.parametrize("width", [400, 1280])
 def test_it_fits_light_and_dark_and_takes_touches(width: int, chromium: Browser, pages: Path) -> None:
-    explorer = flexopt.explore(flexopt.load("excavator"), POSTURE)
+    _, explorer = explored("excavator")
     context = {"viewport": {"width": width, "height": 900}, "color_scheme": "dark", "has_touch": True}
     with opened(chromium, explorer, pages, **context) as page:
         assert page.evaluate("document.documentElement.dataset.theme") == "dark"
@@ -170,7 +168,7 @@ def test_it_fits_light_and_dark_and_takes_touches(width: int, chromium: Browser,
 
 
 def test_a_notebook_shows_it(chromium: Browser, pages: Path) -> None:
-    explorer = flexopt.explore(flexopt.load("excavator"), POSTURE)
+    _, explorer = explored("excavator")
     cell = pages / "cell.html"
     cell.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{explorer._repr_html_()}", encoding="utf-8")
     page = chromium.new_page()
