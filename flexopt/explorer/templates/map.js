@@ -10,6 +10,8 @@ const SHADES = Array.from({ length: 256 }, (_, k) => {
   const x = k / 255 * (ANCHORS.length - 1), i = Math.min(ANCHORS.length - 2, Math.floor(x));
   return ANCHORS[i].map((low, c) => Math.round(low + (x - i) * (ANCHORS[i + 1][c] - low)));
 });
+// The same as four bytes of a picture, opaque, in the order that this machine has them.
+const PACKED = Uint32Array.from(SHADES, (rgb) => new Uint32Array(Uint8Array.of(...rgb, 255).buffer)[0]);
 
 class JointMap {
   constructor(model) {
@@ -109,51 +111,56 @@ class JointMap {
     context.putImageData(picture, 0, 0);
   }
 
-  // The cells where the end-point is in them, of the branch of a posture, into the pixels of a picture (planar arms).
-  workspace(picture, posture, toPixel, alpha) {
-    const { x, y, corners } = this.shown, { width, height, data } = picture, side = CELLS + 1;
-    data.fill(0);
-    const place = new Float64Array(2 * side * side);
-    for (let k = 0; k < side * side; k++) {
-      const [u, v] = toPixel(corners[2 * k], corners[2 * k + 1]);
-      place[2 * k] = u;
-      place[2 * k + 1] = v;
+  // The cells where the end-point is in them, of the branch of a posture, into a picture: planar arms. A point x, y away
+  // from the ground point is at u = u0 + scale x, v = v0 − scale y. Thousands of cells: no object is made for one.
+  workspace(picture, posture, scale, u0, v0) {
+    const { x, y, corners } = this.shown, { width, height } = picture, side = CELLS + 1, count = side * side;
+    const pixels = new Uint32Array(picture.data.buffer), place = this.place ??= new Float64Array(2 * count);
+    pixels.fill(0);
+    for (let k = 0; k < count; k++) {
+      place[2 * k] = u0 + scale * corners[2 * k];
+      place[2 * k + 1] = v0 - scale * corners[2 * k + 1];
     }
-    const area = (i, j, k) => (place[2 * j] - place[2 * i]) * (place[2 * k + 1] - place[2 * i + 1])
-      - (place[2 * k] - place[2 * i]) * (place[2 * j + 1] - place[2 * i + 1]);
     const cell = (axis) => {
       const [low, high] = this.model.data.ranges[axis];
       return Math.max(0, Math.min(CELLS - 1, Math.floor(CELLS * (posture[axis] - low) / (high - low))));
     };
-    const of = (i, j) => [j * side + i, j * side + i + 1, (j + 1) * side + i + 1, (j + 1) * side + i];
-    const [a, b, c, d] = of(cell(x), cell(y)), branch = Math.sign(area(a, b, c) + area(a, c, d));
-    const fill = (i, j, k, colour) => {
-      const size = area(i, j, k);
-      if (size === 0) return;
-      const s = Math.sign(size), [x0, y0, x1, y1, x2, y2] = [i, j, k].flatMap((n) => [place[2 * n], place[2 * n + 1]]);
-      const left = Math.max(0, Math.ceil(Math.min(x0, x1, x2) - 0.5)), right = Math.min(width - 1, Math.floor(Math.max(x0, x1, x2) - 0.5));
-      const top = Math.max(0, Math.ceil(Math.min(y0, y1, y2) - 0.5)), low = Math.min(height - 1, Math.floor(Math.max(y0, y1, y2) - 0.5));
-      for (let v = top; v <= low; v++) {
-        for (let u = left; u <= right; u++) {
-          const px = u + 0.5, py = v + 0.5;
-          if (s * ((x1 - x0) * (py - y0) - (px - x0) * (y1 - y0)) < -1e-9) continue;
-          if (s * ((x2 - x1) * (py - y1) - (px - x1) * (y2 - y1)) < -1e-9) continue;
-          if (s * ((x0 - x2) * (py - y2) - (px - x2) * (y0 - y2)) < -1e-9) continue;
-          const at = 4 * (v * width + u);
-          data[at] = colour[0]; data[at + 1] = colour[1]; data[at + 2] = colour[2]; data[at + 3] = alpha;
-        }
-      }
-    };
+    const here = cell(y) * side + cell(x), branch = Math.sign(turn(place, here, side));
     for (let j = 0; j < CELLS; j++) {
       for (let i = 0; i < CELLS; i++) {
-        const k = j * CELLS + i;
-        if (!this.regular[k]) continue;
-        const [p, q, r, t] = of(i, j);
-        if (Math.sign(area(p, q, r) + area(p, r, t)) !== branch) continue;
-        const colour = SHADES[this.shade[k]];
-        fill(p, q, r, colour);
-        fill(p, r, t, colour);
+        const k = j * CELLS + i, p = j * side + i;
+        if (this.regular[k] === 0 || Math.sign(turn(place, p, side)) !== branch) continue;
+        const colour = PACKED[this.shade[k]];
+        triangle(pixels, width, height, place, p, p + 1, p + 1 + side, colour);
+        triangle(pixels, width, height, place, p, p + 1 + side, p + side, colour);
       }
+    }
+  }
+}
+
+// Twice the signed area of a cell whose first corner is p.
+function turn(place, p, side) {
+  const q = p + 1 + side, a = p + 1, b = p + side;
+  return (place[2 * q] - place[2 * p]) * (place[2 * b + 1] - place[2 * a + 1])
+    - (place[2 * b] - place[2 * a]) * (place[2 * q + 1] - place[2 * p + 1]);
+}
+
+// All pixels whose middles are in a triangle of corners i, j, k.
+function triangle(pixels, width, height, place, i, j, k, colour) {
+  const x0 = place[2 * i], y0 = place[2 * i + 1], x1 = place[2 * j], y1 = place[2 * j + 1], x2 = place[2 * k], y2 = place[2 * k + 1];
+  const size = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
+  if (size === 0) return;
+  const s = size > 0 ? 1 : -1;
+  const left = Math.max(0, Math.ceil(Math.min(x0, x1, x2) - 0.5)), right = Math.min(width - 1, Math.floor(Math.max(x0, x1, x2) - 0.5));
+  const top = Math.max(0, Math.ceil(Math.min(y0, y1, y2) - 0.5)), low = Math.min(height - 1, Math.floor(Math.max(y0, y1, y2) - 0.5));
+  for (let v = top; v <= low; v++) {
+    const py = v + 0.5;
+    for (let u = left; u <= right; u++) {
+      const px = u + 0.5;
+      if (s * ((x1 - x0) * (py - y0) - (px - x0) * (y1 - y0)) < -1e-9) continue;
+      if (s * ((x2 - x1) * (py - y1) - (px - x1) * (y2 - y1)) < -1e-9) continue;
+      if (s * ((x0 - x2) * (py - y2) - (px - x2) * (y0 - y2)) < -1e-9) continue;
+      pixels[v * width + u] = colour;
     }
   }
 }

@@ -12,7 +12,7 @@ function digits(x, n = 3) {
   return String(Number(x.toPrecision(n))).replace("-", "−");
 }
 // Of a frame for the map, ms; how a mode is shown: displacement as a share of the machine's size, and how often, Hz.
-const MAP_BUDGET = 7, SHOWN_SIZE = 0.035, SHOWN_HZ = 0.7;
+const MAP_BUDGET = 6, SHOWN_SIZE = 0.035, SHOWN_HZ = 0.7;
 // A key moves by this share of the machine's size, or of a joint's range; with Shift so many times that.
 const STEP = 0.004, FAR = 8;
 const ARROW = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -334,17 +334,21 @@ class Explorer {
     if (this.resized) this.layout();
     if (this.refit) this.fit();
     if (this.axes !== null) {
-      this.map.want(this.base, this.posture, ...this.axes);
-      if (this.map.step(MAP_BUDGET)) {
-        this.recolour = true;
-        this.log.maps.push(this.map.milliseconds);
-        this.wake();
+      // A frame computes a part of the map or draws a new one, not both.
+      if (!this.recolour) {
+        this.map.want(this.base, this.posture, ...this.axes);
+        if (this.map.step(MAP_BUDGET)) {
+          this.fresh = true;
+          this.log.maps.push(this.map.milliseconds);
+        }
       }
-      if (this.map.job !== null) this.wake();
+      if (this.fresh || this.map.job !== null) this.wake();
       if (this.recolour) { this.map.colour(this.measure); this.legend(); }
     }
     this.draw(now);
-    this.changed = this.recolour = this.resized = this.refit = false;
+    this.changed = this.resized = this.refit = false;
+    this.recolour = this.fresh;
+    this.fresh = false;
     this.log.frames.push(performance.now() - begun);
     if (this.log.frames.length > 2000) this.log.frames.splice(0, 1000);
     if (this.log.first === undefined) this.log.first = performance.now();
@@ -528,16 +532,15 @@ class Explorer {
   inSpace(rows, d) { return Array.from({ length: d }, (_, k) => (this.rows.includes(k) ? rows[this.rows.indexOf(k)] : 0)); }
 
   underlay(view, context, ground) {
-    const { overlay } = view, width = Math.round(view.width), height = Math.round(view.height);
-    const elbow = this.map.model.data.joints.length > 1 ? this.branch() : 0;
-    const key = [width, height, view.scale, ...view.origin, elbow, this.axes].join();
-    if (this.recolour || key !== view.drawn || overlay.width !== width) {
-      overlay.width = width;
-      overlay.height = height;
+    const { overlay } = view, elbow = this.data.joints.length > 1 ? this.branch() : 0;
+    const key = [view.width, view.height, view.scale, ...view.origin, elbow, this.axes].join();
+    if (this.recolour || key !== view.drawn) {
+      const width = Math.round(view.width), height = Math.round(view.height);
+      if (overlay.width !== width || overlay.height !== height) Object.assign(overlay, { width, height });
       view.drawn = key;
       view.ground = ground;
       const c = overlay.getContext("2d"), picture = c.createImageData(width, height);
-      this.map.workspace(picture, this.posture, (x, y) => view.at([x + ground[0], y + ground[1]]), 255);
+      this.map.workspace(picture, this.posture, view.scale, ...view.at(ground));
       c.putImageData(picture, 0, 0);
     }
     const move = view.scale * (ground[0] - view.ground[0]);
