@@ -145,22 +145,20 @@ function turn(place, p, side) {
     - (place[2 * b] - place[2 * a]) * (place[2 * q + 1] - place[2 * p + 1]);
 }
 
-// All pixels whose middles are in a triangle of corners i, j, k.
+// All pixels whose middles are in a triangle of corners i, j, k, row by row between its edges.
 function triangle(pixels, width, height, place, i, j, k, colour) {
   const x0 = place[2 * i], y0 = place[2 * i + 1], x1 = place[2 * j], y1 = place[2 * j + 1], x2 = place[2 * k], y2 = place[2 * k + 1];
-  const size = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
-  if (size === 0) return;
-  const s = size > 0 ? 1 : -1;
-  const left = Math.max(0, Math.ceil(Math.min(x0, x1, x2) - 0.5)), right = Math.min(width - 1, Math.floor(Math.max(x0, x1, x2) - 0.5));
   const top = Math.max(0, Math.ceil(Math.min(y0, y1, y2) - 0.5)), low = Math.min(height - 1, Math.floor(Math.max(y0, y1, y2) - 0.5));
   for (let v = top; v <= low; v++) {
-    const py = v + 0.5;
-    for (let u = left; u <= right; u++) {
-      const px = u + 0.5;
-      if (s * ((x1 - x0) * (py - y0) - (px - x0) * (y1 - y0)) < -1e-9) continue;
-      if (s * ((x2 - x1) * (py - y1) - (px - x1) * (y2 - y1)) < -1e-9) continue;
-      if (s * ((x0 - x2) * (py - y2) - (px - x2) * (y0 - y2)) < -1e-9) continue;
-      pixels[v * width + u] = colour;
-    }
+    const y = v + 0.5;
+    let left = Infinity, right = -Infinity;
+    if ((y0 <= y) !== (y1 <= y)) { const x = across(x0, y0, x1, y1, y); left = Math.min(left, x); right = Math.max(right, x); }
+    if ((y1 <= y) !== (y2 <= y)) { const x = across(x1, y1, x2, y2, y); left = Math.min(left, x); right = Math.max(right, x); }
+    if ((y2 <= y) !== (y0 <= y)) { const x = across(x2, y2, x0, y0, y); left = Math.min(left, x); right = Math.max(right, x); }
+    const end = Math.min(width - 1, Math.floor(right - 0.5));
+    for (let u = Math.max(0, Math.ceil(left - 0.5)); u <= end; u++) pixels[v * width + u] = colour;
   }
 }
+
+// Where an edge is at the height y, from its lower end, so that it is the same for both triangles beside it.
+function across(x0, y0, x1, y1, y) { return y0 < y1 ? x0 + (x1 - x0) * ((y - y0) / (y1 - y0)) : x1 + (x0 - x1) * ((y - y1) / (y0 - y1)); }
