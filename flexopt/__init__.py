@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from flexopt.coprime import nu_gap as nu_gap
     from flexopt.coprime import optimal_controller as optimal_controller
     from flexopt.coprime import robust_margin as robust_margin
+    from flexopt.explorer import Explorer as Explorer
+    from flexopt.explorer import explore as explore
     from flexopt.export import ExportReport as ExportReport
     from flexopt.export import Verification as Verification
     from flexopt.export import export_c as export_c
@@ -112,6 +114,7 @@ __all__ = [
     "Ensemble",
     "Evaluation",
     "Experiment",
+    "Explorer",
     "ExportError",
     "ExportReport",
     "FlexoptError",
@@ -161,6 +164,7 @@ __all__ = [
     "check",
     "evaluate",
     "evaluate_w",
+    "explore",
     "export_c",
     "export_fmu",
     "gap",
@@ -199,6 +203,7 @@ __all__ = [
 # What is imported when first asked for, by module: an import that needs nothing else takes milliseconds.
 _LATER = {
     "coprime": "RobustMargin StateSpace gap ncf_margin nu_gap optimal_controller robust_margin",
+    "explorer": "Explorer explore",
     "export": "ExportReport Verification export_c verify_bundle",
     "export.fmu": "FmuReport export_fmu",
     "identification": "Identification identify",

@@ -1,4 +1,4 @@
-"""The command `flexopt`: evaluate, select, verdict, simulate, map, atlas, report, export and others.
+"""The command `flexopt`: evaluate, select, verdict, simulate, map, atlas, explore, report, export and others.
 
 In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
 go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
@@ -21,6 +21,7 @@ from flexopt.foundation.escapes import TERMINAL
 # Commands and their modules, imported when they are asked for: what one needs takes longest.
 _COMMANDS = {
     "evaluate": "analysis",
+    "explore": "exploring",
     "select": "analysis",
     "simulate": "simulation",
     "atlas": "atlas",

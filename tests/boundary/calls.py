@@ -175,6 +175,13 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "threads": 1,
         "gradient": False,
     },
+    "explore": lambda: {
+        "machine_or_problem": excavator(),
+        "posture": POSTURE,
+        "base": 0.0,
+        "control": "inverse",
+        "loop": {"kp": 1e4, "kv": 1e3},
+    },
     "export_c": lambda: _machine(
         folder="bundle",
         parts=["kinematics"],
@@ -470,6 +477,7 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "Ensemble": lambda: flexopt.simulate_ensemble(excavator(), POSTURE, vary={"kp": [1e4, 2e4]}, threads=1, **LOOP),
     "Evaluation": lambda: flexopt.evaluate(excavator(), POSTURE),
     "Experiment": experiment,
+    "Explorer": lambda: flexopt.explore(excavator(), POSTURE),
     "ExportReport": lambda: flexopt.export_c(excavator(), "bundle", parts=["kinematics"], overwrite=True),
     "FmuReport": lambda: flexopt.export_fmu(excavator(), "small.fmu", POSTURE, **LOOP),
     "Hydraulics": lambda: flexopt.build_hydraulics(hydraulic()),
@@ -523,6 +531,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "Ensemble.share": lambda: {"verdict": "converges"},
     "Ensemble.to_netcdf": lambda: {"path": "ensemble.nc"},
     "Experiment.with_machine": _machine,
+    "Explorer.save": lambda: {"path": "page.html"},
     "Hydraulics.driven": lambda: {"saturation": "each"},
     "Hydraulics.lever_map": lambda: {"saturation": "each"},
     "Hydraulics.states": lambda: {

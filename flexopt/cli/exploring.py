@@ -1,0 +1,58 @@
+"""`flexopt explore`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from flexopt.cli.common import (
+    BASE,
+    CONTROL,
+    JSON,
+    check_output,
+    given,
+    numbers,
+    option_names,
+    print_json,
+    read,
+    say,
+    value,
+    warnings_to_stderr,
+    write_output,
+)
+from flexopt.cli.judging import LOOP, real_loop
+from flexopt.model import Problem, load_any
+
+PAGE = "flexopt-explorer.html"
+
+
+@click.command("explore", short_help="One page to move a machine on, in any browser.")
+@click.argument("machine")
+@value("--posture", "A,B,…", "Of a machine: how it is held at first, rad (slides: m).", numbers)
+@BASE
+@CONTROL
+@LOOP
+@value("--out", "FILE.html", f"The page ({PAGE} by default).")
+@JSON
+def explore_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+    """Write a page on which MACHINE (a name or a file of a machine or problem) is moved with the mouse.
+
+    End-point and base can be dragged; modes, w_i, a map of them and how fast the loop decays follow. The browser
+    computes it all, without network or server. Of a problem the recommended configuration is computed and shown, too.
+
+    flexopt explore excavator --posture 1,-2 --out excavator.html
+    """
+    from flexopt.explorer import explore  # noqa: PLC0415  (only this command needs it)
+
+    path = out or PAGE
+    check_output("--out", path, (".html",))
+    loaded = read(load_any, machine)
+    own = loaded.loop or loaded.loaded_machine.loop if isinstance(loaded, Problem) else loaded.loop
+    with option_names(options), warnings_to_stderr(as_json):
+        result = explore(loaded, loop=real_loop(own, options.pop("loop")), **given(options))
+    write_output("--out", path, lambda: result.save(path))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        say(f"{result!r}\n\npage: {path}")

@@ -1,0 +1,208 @@
+"""`flexopt.explore`: a machine or a problem as one page that computes in the browser.
+
+In: a machine with a posture, or a problem, whose best configuration is found first. Out: an `Explorer`.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from flexopt.explorer.contents import contents, size_of
+from flexopt.explorer.graphs import explorer_functions, scripts
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import path, public
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.rendering import render
+from flexopt.foundation.results import Result
+from flexopt.foundation.writing import write_file
+from flexopt.loop.evaluation import settings_at
+from flexopt.model import AnyMachine, Problem
+from flexopt.model.loop import Loop
+from flexopt.plant import build_plant
+from flexopt.robustness.measures import build_measures
+from flexopt.selection import SelectionProblem, build_selection, solve_selection
+from flexopt.study.asked import reported
+
+# What a problem would say.
+NOTHING_ASKED: dict[str, Any] = {"target": None, "objective": None, "weights": None}
+# Height of the page in a notebook, px.
+HEIGHT = 900
+PRESENT, BEST = "present", "recommended"
+# Postures that are tried where none is given.
+TRIED = 64
+
+
+@dataclass(frozen=True)
+class Explorer(Result):
+    """A page that shows a machine and computes with its own graphs; a notebook shows it by itself.
+
+    Attributes:
+        machine: its name.
+        configurations: (base (n_b,), posture (n,)) by name: `present` and, of a problem, `recommended`.
+        page: the whole page, HTML.
+        provenance: machine, versions and options.
+
+    Example:
+        >>> import flexopt
+        >>> sorted(flexopt.explore(flexopt.load_problem("article")).configurations)
+        ['present', 'recommended']
+    """
+
+    DOCUMENT = "machine configurations=stands bytes provenance"
+
+    machine: str
+    configurations: Mapping[str, tuple[Vector, Vector]]
+    page: str = field(repr=False)
+    provenance: Mapping[str, Any] = field(repr=False)
+
+    @public(path=path(".html", parent=True))
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the page to a file, `.html`.
+
+        Raises:
+            InputError: the name does not end in `.html`, or there is no such folder.
+            WriteError: the file cannot be written.
+        """
+        write_file(path, self.page)
+
+    @property
+    def bytes(self) -> int:
+        """Size of the page."""
+        return len(self.page.encode())
+
+    @property
+    def stands(self) -> dict[str, dict[str, Vector]]:
+        """The configurations as tables."""
+        return {name: {"base": base, "posture": posture} for name, (base, posture) in self.configurations.items()}
+
+    def _repr_html_(self) -> str:
+        title = html.escape(f"flexopt explorer: {self.machine}")
+        return (
+            f'<iframe title="{title}" srcdoc="{html.escape(self.page)}" '
+            f'style="width: 100%; height: {HEIGHT}px; border: 1px solid #8888"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        words = " and ".join(self.configurations)
+        return f"Explorer({self.machine}: {words} configuration, page of {self.bytes / 1e3:.0f} kB)"
+
+
+def _explored(arguments: Arguments, field: str, value: Any) -> Any:
+    """A machine, or a problem of one target."""
+    if isinstance(value, AnyMachine):
+        arguments.of = value
+        return value
+    if isinstance(value, Problem | SelectionProblem):
+        return reported(arguments, field, value)
+    arguments.note(field, "must be a machine or a problem, from flexopt.load or flexopt.load_problem", value)
+    return value
+
+
+def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """A problem brings control and configuration."""
+    if isinstance(given["machine_or_problem"], Problem | SelectionProblem):
+        for name in ("posture", "base", "control"):
+            if given[name] is not None:
+                arguments.note(name, "goes with a machine; the problem brings its own", given[name])
+
+
+@public(machine_or_problem=_explored, together=_together)
+def explore(
+    machine_or_problem: Any,
+    posture: Any = None,
+    *,
+    base: Any = None,
+    control: Control | None = None,
+    loop: Any = None,
+) -> Explorer:
+    """One HTML page on which a machine is moved with the mouse, computed in the browser with its own graphs.
+
+    The end-point and the base can be dragged. The page shows, for each mode of K φ = ω² M φ, frequency, w_i, |a_i||b_i|
+    and the angle between a_i and b_i; a map of w_i or V = Σ αi wi over two joints; and how fast the sampled loop of
+    given gains, dead time, payload and soil decays or grows. It needs no network and no server.
+
+    Args:
+        machine_or_problem: from `flexopt.load`, `flexopt.load_problem` or `flexopt.build_selection`. Of a problem the
+            recommended configuration is computed and shown as a ghost.
+        posture: of a machine: the actuated joints at first, (n,), rad or m; by default one far from singular ones.
+        base: of a machine: its placement at first, (n_b,), m and rad; 0 by default.
+        control: of a machine: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default the loop's.
+        loop: the real controller, as in `flexopt.outcome`; the machine's own by default.
+
+    Returns:
+        An `Explorer`: `.save("page.html")`; a notebook shows it by itself.
+
+    Raises:
+        InputError: an argument is not usable; the start is a singular posture.
+
+    Example:
+        >>> import flexopt
+        >>> page = flexopt.explore(flexopt.load("excavator"), [1.0, -2.0])
+        >>> page.save("excavator.html")
+    """
+    if isinstance(machine_or_problem, AnyMachine):
+        machine = machine_or_problem
+        place = np.zeros(len(machine.base_coordinates)) if base is None else base
+        start = _open_posture(machine, place) if posture is None else posture
+        return _page(machine, {PRESENT: (place, start)}, control, loop, {"title": machine.name})
+    asked: Problem | SelectionProblem = machine_or_problem
+    problem = build_selection(**asked.select_arguments()) if isinstance(asked, Problem) else asked
+    found = solve_selection(problem)
+    stands = {PRESENT: found.initial, BEST: found.best.evaluation}
+    configurations = {name: (stand.base, stand.posture) for name, stand in stands.items() if stand is not None}
+    title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)
+    sought = problem.objectives[-1]
+    told = {"title": title, "target": problem.target.tolist(), "objective": sought.name, "weights": sought.alpha}
+    return _page(problem.machine, configurations, problem.control, own if loop is None else loop, told)
+
+
+def _page(
+    machine: AnyMachine,
+    configurations: Mapping[str, tuple[Vector, Vector]],
+    control: Control | None,
+    loop: Loop | None,
+    told: Mapping[str, Any],
+) -> Explorer:
+    """The page of configurations by name, the first of which it shows at first; `told`: title and target."""
+    base, posture = next(iter(configurations.values()))
+    settings, _ = settings_at(machine, posture, base, control, loop, gravity=False, call="explore")
+    measures, motions = build_measures(machine, settings.control), settings.motions(machine, gravity=False)
+    functions = explorer_functions(measures, motions)
+    data = contents(machine, settings, functions, configurations) | NOTHING_ASKED | dict(told)
+    page = render(
+        "explorer/templates/page.html",
+        # Inside a script element nothing may look like its end.
+        data=json.dumps(json_ready(data), allow_nan=False, ensure_ascii=False).replace("<", "\\u003c"),
+        graphs=scripts(functions),
+        title=told["title"],
+    )
+    return Explorer(machine.name, dict(configurations), page, provenance(machine, control=settings.control))
+
+
+def _open_posture(machine: AnyMachine, base: Vector) -> Vector:
+    """Of some postures within the limits, always the same, one far from singular, stretched out, above ground."""
+    rng, whole = np.random.default_rng(0), {"rad": np.pi, "m": 1.0}
+    ends = zip(machine.limits, [whole[unit] for unit in machine.joint_units], strict=True)
+    low, high = np.array([(max(limits[0], -most), min(limits[1], most)) for limits, most in ends], dtype=np.float64).T
+    tried = low + (high - low) * rng.uniform(0.15, 0.85, (TRIED, len(low)))
+    found: Vector = tried[int(np.argmax([_openness(machine, base, posture) for posture in tried]))]
+    return found
+
+
+def _openness(machine: AnyMachine, base: Vector, posture: Vector) -> float:
+    """`singularity_sine_squared` + how far out the end-point is, of the machine's size; 1 less where a part is low."""
+    plant = build_plant(machine)
+    p = plant.parameter_values
+    points = plant.skeleton.call([plant.rest(base, posture, p), base, p])[0].full()
+    out = np.linalg.norm(points[:-1, -1] - points[:-1, 0]) / size_of(machine, base, posture)
+    sine_squared = float(plant.singularity_sine_squared(base, posture, p))
+    return sine_squared + float(out) - float(np.any(points[-1, 1:] < points[-1, 0]))

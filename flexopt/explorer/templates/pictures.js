@@ -1,0 +1,188 @@
+"use strict";
+// What a frame draws: the machine in its views, how it moves, and the map.
+
+const $ = (id) => document.getElementById(id);
+const RAISED = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+function digits(x, n = 3) {
+  if (!Number.isFinite(x)) return "–";
+  if (x !== 0 && (Math.abs(x) < 1e-3 || Math.abs(x) >= 1e6)) {
+    const [mantissa, exponent] = x.toExponential(n - 1).split("e");
+    return `${String(Number(mantissa)).replace("-", "−")}·10${[...String(Number(exponent))].map((c) => RAISED[c]).join("")}`;
+  }
+  return String(Number(x.toPrecision(n))).replace("-", "−");
+}
+// How a mode is shown: displacement as a share of the machine's size, and how often, Hz.
+const SHOWN_SIZE = 0.035, SHOWN_HZ = 0.7;
+
+// The drawing half of the page: of an object that knows configuration, modes, map and theme.
+class Pictures {
+  layout() {
+    const narrow = window.innerWidth < 700, planar = this.data.dimensions === 2;
+    for (const view of this.views) view.resize(planar ? (narrow ? 0.85 : 0.72) : narrow ? 0.75 : 0.5);
+    this.refit = true;
+  }
+
+  // The part of the plane that holds what the arm reaches from here, and the ghost.
+  fit() {
+    const { model, data, base } = this, d = data.dimensions;
+    const points = [...this.shape.points, ...this.ghosts.flatMap((ghost) => ghost.shape.points)];
+    const seed = { x: 1 }, random = () => { seed.x = (seed.x * 48271) % 2147483647; return seed.x / 2147483647; };
+    for (let k = 0; k < 400; k++) {
+      const posture = Float64Array.from(data.ranges, ([low, high]) => low + (high - low) * random());
+      points.push(...columns(model.skeleton(model.rest(base, posture), base), d));
+    }
+    const floor = this.shape.points[0][d - 1] - 0.35 * data.size;
+    for (const view of this.views) {
+      const flat = points.map((p) => view.flat(p)), low = [0, 1].map((k) => Math.min(...flat.map((p) => p[k])));
+      const high = [0, 1].map((k) => Math.max(...flat.map((p) => p[k])));
+      if (view.upright) low[1] = Math.max(low[1], floor);
+      const room = 0.06 * data.size;
+      view.show(low.map((x) => x - room), high.map((x) => x + room));
+    }
+  }
+
+  displayed(now) {
+    const kind = $("motion").value, q = Float64Array.from(this.rest);
+    if (kind === "off" || !this.modes || this.dragged) return q;
+    if (kind === "loop") return this.played(now, q);
+    const { shape } = this.modes[this.mode];
+    const size = this.shown(shape) * Math.sin(2 * Math.PI * SHOWN_HZ * (now - this.phase) / 1e3);
+    return q.map((x, k) => x + size * shape[k]);
+  }
+
+  // By which a displacement is to be multiplied to be seen.
+  shown(shape) {
+    const { model, data, base, rest } = this, d = data.dimensions, tiny = 1e-6, moved = rest.map((x, k) => x + tiny * shape[k]);
+    const before = columns(model.skeleton(rest, base), d), after = columns(model.skeleton(moved, base), d);
+    const most = Math.max(...before.map((p, k) => Math.hypot(...p.map((x, i) => x - after[k][i])))) / tiny;
+    return SHOWN_SIZE * data.size / Math.max(most, 1e-30);
+  }
+
+  // The linear loop after a push into the chosen mode, in real time, enlarged; again once it is gone or too large.
+  played(now, q) {
+    const count = q.length, { period, to_q: toQ } = this.data.loop;
+    if (this.playing === null) {
+      const { matrix } = this.loop.sample(this.base, this.posture, this.gains), { shape } = this.modes[this.mode];
+      const size = this.shown(shape), u = Linear.solve(Float64Array.from(toQ), shape.map((x) => size * x), count, 1);
+      const x = new Matrix(matrix.m, 1);
+      x.a.set(u);
+      this.playing = { matrix, x, begun: now, done: 0, first: Math.hypot(...u) };
+    }
+    const play = this.playing, until = (now - play.begun) / 1e3 / period;
+    for (; play.done < until && play.done < 1e5; play.done++) play.x = play.matrix.times(play.x);
+    const size = Math.hypot(...play.x.a.subarray(0, count));
+    if (!(size < 6 * play.first) || until * period > 8) { this.playing = null; return q; }
+    const move = Linear.multiply(Float64Array.from(toQ), play.x.a.slice(0, count), count, count, 1);
+    return q.map((x, k) => x + move[k]);
+  }
+
+  draw(now) {
+    const q = this.displayed(now), shape = shapeOf(this.model, q, this.base), d = this.data.dimensions;
+    this.views.forEach((view) => this.drawView(view, shape, d));
+    if (this.axes !== null && (this.changed || this.recolour || this.resized)) this.drawMap();
+    this.caption();
+  }
+
+  drawView(view, shape, d) {
+    const { theme, data } = this, painter = new Painter(view, theme, data.segments, data.size), { points } = this.shape;
+    painter.begin();
+    const lifted = data.support.length === 0 && view.upright, height = points[0][d - 1] - (lifted ? 0.12 * data.size : 0);
+    if (view.upright) painter.ground(height);
+    if (d === 2 && $("show-map").checked && this.map.shown !== null) this.underlay(view, painter.c, points[0]);
+    if (lifted) painter.springs(shape.points[0], points[0], view.scale * 0.12 * data.size);
+    for (const ghost of this.ghosts) painter.machine(ghost.shape, theme.chosen, true);
+    painter.machine(shape, theme.present, false);
+    if (data.target) {
+      const target = points[points.length - 1].map((x, k) => (this.rows.includes(k) ? data.target[this.rows.indexOf(k)] : x));
+      painter.cross(target, theme.text);
+    }
+    const tip = shape.points[shape.points.length - 1];
+    if (this.modes) {
+      const longest = 0.2 * Math.min(view.width, view.height) + 20;
+      const most = ["a", "b"].map((key) => Math.max(...this.modes.map((mode) => Math.hypot(...mode[key]))));
+      const order = this.modes.map((_, i) => i).filter((i) => i === this.mode || $("show-arrows").checked).sort((i, j) => (i === this.mode) - (j === this.mode));
+      for (const i of order) {
+        const mode = this.modes[i], width = i === this.mode ? 3.5 : 2, colour = MODE_COLOURS[i % MODE_COLOURS.length];
+        ["a", "b"].forEach((key, k) => painter.arrow(tip, this.inSpace(mode[key], d), longest * Math.hypot(...mode[key]) / most[k], colour, key === "b", width));
+      }
+    }
+    const put = (button, point) => { const [x, y] = view.at(point); button.style.left = `${x}px`; button.style.top = `${y}px`; };
+    put(view.end, points[points.length - 1]);
+    if (view.stand) put(view.stand, points[0]);
+  }
+
+  inSpace(rows, d) { return Array.from({ length: d }, (_, k) => (this.rows.includes(k) ? rows[this.rows.indexOf(k)] : 0)); }
+
+  underlay(view, context, ground) {
+    const { overlay } = view, elbow = this.data.joints.length > 1 ? this.branch() : 0;
+    const key = [view.width, view.height, view.scale, ...view.origin, elbow, this.axes].join();
+    if (this.recolour || key !== view.drawn) {
+      const width = Math.round(view.width), height = Math.round(view.height);
+      if (overlay.width !== width || overlay.height !== height) Object.assign(overlay, { width, height });
+      view.drawn = key;
+      view.ground = ground;
+      const c = overlay.getContext("2d"), picture = c.createImageData(width, height);
+      this.map.workspace(picture, this.posture, view.scale, ...view.at(ground));
+      c.putImageData(picture, 0, 0);
+    }
+    const move = view.scale * (ground[0] - view.ground[0]);
+    context.globalAlpha = 0.75;
+    context.drawImage(overlay, move, -view.scale * (ground[1] - view.ground[1]), view.width, view.height);
+    context.globalAlpha = 1;
+  }
+
+  // To which side the two joints of the map bend the arm.
+  branch() {
+    const { J } = this.model.graphs.reach.run([this.base, this.posture, this.model.p]), { r, n_b } = this.model, [x, y] = this.axes;
+    return r < 2 ? 0 : Math.sign(J[(n_b + x) * r] * J[(n_b + y) * r + 1] - J[(n_b + x) * r + 1] * J[(n_b + y) * r]);
+  }
+
+  drawMap() {
+    const canvas = $("map"), scale = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect(), { data, theme, axes } = this;
+    if (canvas.width !== Math.round(box.width * scale)) canvas.width = Math.round(box.width * scale);
+    if (canvas.height !== Math.round(box.height * scale)) canvas.height = Math.round(box.height * scale);
+    const c = canvas.getContext("2d"), left = 62, top = 6, width = box.width - left - 8, height = box.height - top - 38;
+    this.frame = { left, top, width, height };
+    c.setTransform(scale, 0, 0, scale, 0, 0);
+    c.clearRect(0, 0, box.width, box.height);
+    c.imageSmoothingEnabled = false;
+    c.drawImage(this.map.image, left, top, width, height);
+    c.strokeStyle = theme.muted;
+    c.lineWidth = 1;
+    c.strokeRect(left, top, width, height);
+    c.fillStyle = theme.text;
+    c.font = "12px system-ui, 'DejaVu Sans', sans-serif";
+    const [x, y] = axes, name = (k) => `${data.joints[k]}, ${data.joint_units[k]}`, place = (posture) => axes.map((joint, k) => {
+      const [low, high] = data.ranges[joint], share = (posture[joint] - low) / (high - low);
+      return k ? top + height * (1 - share) : left + width * share;
+    });
+    for (let k = 0; k <= 2; k++) {
+      const share = k / 2, at = (joint) => digits(data.ranges[joint][0] + share * (data.ranges[joint][1] - data.ranges[joint][0]), 3);
+      c.textAlign = k === 0 ? "left" : k === 1 ? "center" : "right";
+      c.fillText(at(x), left + share * width, top + height + 15);
+      c.textAlign = "right";
+      c.fillText(at(y), left - 5, top + height * (1 - share) + (k === 0 ? 0 : k === 2 ? 10 : 4));
+    }
+    c.textAlign = "center";
+    c.fillText(name(x), left + width / 2, top + height + 31);
+    c.save();
+    c.translate(10, top + height / 2);
+    c.rotate(-Math.PI / 2);
+    c.fillText(name(y), 0, 0);
+    c.restore();
+    const mark = ([u, v], colour) => {
+      c.beginPath();
+      c.arc(u, v, 6, 0, 2 * Math.PI);
+      for (const [stroke, wide] of [["#ffffff", 5], [colour, 2.5]]) { c.strokeStyle = stroke; c.lineWidth = wide; c.stroke(); }
+    };
+    for (const ghost of this.ghosts) mark(place(ghost.posture), "#d95f02");
+    mark(place(this.posture), "#003f8a");
+  }
+
+  caption() {
+    if (this.note || !this.modes) return;
+    const kind = $("motion").value, hz = digits(this.modes[this.mode].hz), mode = `mode ${this.mode + 1}`;
+    const words = { mode: `Shown: ${mode}, ${hz} Hz, slowed and enlarged.`, loop: `Shown: the closed loop after a push into ${mode}, in real time, enlarged.`, off: "" };
+    if ($("note").textContent !== words[kind]) $("note").textContent = words[kind];
+  }
+}

@@ -1,0 +1,213 @@
+"use strict";
+// The machine drawn in one plane: a view of a planar machine, or of one in space from the side or from above.
+
+const MODE_COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
+
+class View {
+  // `axes`: two directions in the machine's space; `upright`: whether the second is the height.
+  constructor(name, dimensions, upright) {
+    this.name = name;
+    this.d = dimensions;
+    this.upright = upright;
+    this.axes = upright ? [[1, 0, 0], dimensions === 2 ? [0, 1, 0] : [0, 0, 1]] : [[1, 0, 0], [0, 1, 0]];
+    this.box = document.createElement("div");
+    this.box.className = "view";
+    this.canvas = document.createElement("canvas");
+    this.box.append(this.canvas);
+    if (name) {
+      const label = document.createElement("div");
+      label.className = "name";
+      label.textContent = name;
+      this.box.append(label);
+    }
+    this.overlay = document.createElement("canvas");
+    this.width = this.height = 0;
+  }
+
+  // Seen from the side, the plane through the ground point and the end-point; it stays while something is dragged.
+  face(points) {
+    if (this.d === 2 || !this.upright) return;
+    const n = points.length, x = points[n - 3] - points[0], y = points[n - 2] - points[1], length = Math.hypot(x, y);
+    if (length > 1e-3) this.axes[0] = [x / length, y / length, 0];
+  }
+
+  resize(ratio) {
+    const width = this.box.clientWidth, height = Math.round(width * ratio), scale = window.devicePixelRatio || 1;
+    this.canvas.style.height = `${height}px`;
+    if (this.canvas.width !== Math.round(width * scale) || this.canvas.height !== Math.round(height * scale)) {
+      this.canvas.width = Math.round(width * scale);
+      this.canvas.height = Math.round(height * scale);
+    }
+    this.width = width;
+    this.height = height;
+    this.pixels = scale;
+  }
+
+  // The part of the plane that is seen: holds low to high, in the middle.
+  show(low, high) {
+    this.scale = Math.min(this.width / (high[0] - low[0]), this.height / (high[1] - low[1]));
+    this.origin = [this.width / 2 - this.scale * (low[0] + high[0]) / 2, this.height / 2 + this.scale * (low[1] + high[1]) / 2];
+  }
+
+  flat(point) { return this.axes.map((axis) => point.reduce((s, x, k) => s + x * axis[k], 0)); }
+  pixel([x, y]) { return [this.origin[0] + this.scale * x, this.origin[1] - this.scale * y]; }
+  at(point) { return this.pixel(this.flat(point)); }
+  // A move of some pixels as one in space.
+  world(dx, dy) {
+    return Array.from({ length: this.d }, (_, k) => (this.axes[0][k] * dx - this.axes[1][k] * dy) / this.scale);
+  }
+}
+
+function columns(points, d) { return Array.from({ length: points.length / d }, (_, k) => Array.from(points.subarray(k * d, k * d + d))); }
+
+// Where the machine is at q: points, capsules and the corners of its support.
+function shapeOf(model, q, base) {
+  const { data } = model, d = data.dimensions, points = columns(model.skeleton(q, base), d);
+  let capsules = [];
+  if (data.capsules.length) {
+    const { origins, rotations } = model.graphs.frames.run([q, base, model.p]);
+    capsules = data.capsules.map(({ body, start, end, radius }) => {
+      const place = (point) => Array.from({ length: d }, (_, i) => origins[body * d + i]
+        + point.reduce((s, x, j) => s + rotations[(body * d + j) * d + i] * x, 0));
+      return { ends: [place(start), place(end)], radius };
+    });
+  }
+  const named = Object.fromEntries(data.placement.map((name, k) => [name, base[k]])), yaw = named.yaw ?? 0;
+  const support = data.support.map((corner) => {
+    const height = model.skeleton(model.rest(base, new Float64Array(model.n)), base)[d - 1];
+    if (d === 2) return [corner[0] + (named.x ?? 0), height];
+    return [Math.cos(yaw) * corner[0] - Math.sin(yaw) * corner[1] + (named.x ?? 0),
+      Math.sin(yaw) * corner[0] + Math.cos(yaw) * corner[1] + (named.y ?? 0), height];
+  });
+  return { points, capsules, support };
+}
+
+class Painter {
+  constructor(view, theme, segments, size) {
+    this.view = view; this.theme = theme; this.segments = segments; this.size = size;
+    this.c = view.canvas.getContext("2d");
+  }
+
+  begin() {
+    const { c, view } = this;
+    c.setTransform(view.pixels, 0, 0, view.pixels, 0, 0);
+    c.clearRect(0, 0, view.width, view.height);
+    c.lineJoin = c.lineCap = "round";
+  }
+
+  ground(height) {
+    const { c, view, theme } = this, y = view.pixel([0, height])[1];
+    c.fillStyle = theme.ground;
+    c.fillRect(0, y, view.width, Math.max(0, view.height - y));
+    c.strokeStyle = theme.groundLine;
+    c.lineWidth = 1.2;
+    this.line([[0, y], [view.width, y]]);
+  }
+
+  line(points) {
+    const { c } = this;
+    c.beginPath();
+    points.forEach(([x, y], k) => (k ? c.lineTo(x, y) : c.moveTo(x, y)));
+    c.stroke();
+  }
+
+  polygon(points, fill, stroke, width = 0.8) {
+    const { c } = this;
+    c.beginPath();
+    points.forEach(([x, y], k) => (k ? c.lineTo(x, y) : c.moveTo(x, y)));
+    c.closePath();
+    if (fill) { c.fillStyle = fill; c.fill(); }
+    if (stroke) { c.strokeStyle = stroke; c.lineWidth = width; c.stroke(); }
+  }
+
+  // Springs between the ground and an undercarriage that moves by what the base gives.
+  springs(ground, rest, high) {
+    const { c, view, theme, size } = this;
+    if (!view.upright) return;
+    const [x, y] = view.at(ground), [x0, y0] = view.at(rest), s = view.scale * size;
+    c.strokeStyle = theme.undercarriage;
+    c.lineWidth = 1.3;
+    for (const side of [-0.11, 0.11]) {
+      const from = [x0 + side * s, y0 + high], to = [x + side * s, y], steps = 9;
+      this.line(Array.from({ length: steps + 1 }, (_, k) => {
+        const t = k / steps, wave = k === 0 || k === steps ? 0 : (k % 2 ? 1 : -1) * 0.012 * s;
+        return [from[0] + t * (to[0] - from[0]) + wave, from[1] + t * (to[1] - from[1])];
+      }));
+    }
+  }
+
+  machine({ points, capsules, support }, colour, ghost) {
+    const { c, view, theme, size, segments } = this, flat = points.map((p) => view.at(p));
+    c.globalAlpha = ghost ? 0.4 : 1;
+    for (const { ends: [p, q], radius } of capsules) {
+      c.globalAlpha = ghost ? 0.1 : 0.22;
+      c.strokeStyle = colour;
+      c.lineWidth = 2 * radius * view.scale;
+      this.line([view.at(p), view.at(q)]);
+    }
+    c.globalAlpha = ghost ? 0.4 : 1;
+    if (support.length) {
+      const corners = support.map((p) => view.at(p));
+      if (view.upright) {
+        const xs = corners.map(([x]) => x), y = corners[0][1];
+        c.strokeStyle = theme.undercarriage;
+        c.lineWidth = 4;
+        this.line([[Math.min(...xs), y], [Math.max(...xs), y]]);
+      } else {
+        this.polygon(corners, "rgba(128,128,128,0.2)", theme.undercarriage, 1.2);
+      }
+    } else {
+      const [x, y] = flat[0], w = 0.16 * size * view.scale, h = (view.upright ? 0.035 : 0.16) * size * view.scale;
+      this.polygon([[x - w, y - h], [x + w, y - h], [x + w, y + h], [x - w, y + h]],
+        view.upright ? theme.undercarriage : "rgba(128,128,128,0.25)", theme.edge);
+    }
+    const before = new Array(points.length).fill(0);
+    segments.forEach(([i, j]) => { before[j] = before[i] + Math.hypot(...points[j].map((x, k) => x - points[i][k])); });
+    const longest = Math.max(...before) || 1;
+    segments.forEach(([i, j], k) => {
+      const length = before[j] - before[i];
+      if (length < 1e-3 * size) return;
+      const [x0, y0] = flat[i], [x1, y1] = flat[j], seen = Math.hypot(x1 - x0, y1 - y0) || 1;
+      const across = [-(y1 - y0) / seen, (x1 - x0) / seen];
+      const [thick, thin] = [i, j].map((n) => view.scale * size * (0.027 - 0.016 * before[n] / longest));
+      this.polygon([[x0 + thick * across[0], y0 + thick * across[1]], [x1 + thin * across[0], y1 + thin * across[1]],
+        [x1 - thin * across[0], y1 - thin * across[1]], [x0 - thick * across[0], y0 - thick * across[1]]],
+      k === 0 && !ghost ? theme.base : colour, theme.edge);
+    });
+    for (const [x, y] of flat.slice(1, -1)) {
+      c.beginPath();
+      c.arc(x, y, Math.max(2, 0.009 * size * view.scale), 0, 2 * Math.PI);
+      c.fillStyle = "#ffffff";
+      c.fill();
+      c.strokeStyle = theme.edge;
+      c.lineWidth = 1;
+      c.stroke();
+    }
+    c.globalAlpha = 1;
+  }
+
+  arrow(from, vector, length, colour, dashed, width) {
+    const { c, view } = this, flat = view.flat(vector), size = Math.hypot(...flat);
+    if (!(size > 0) || !(length > 4)) return;
+    const [x, y] = view.at(from), share = size / Math.hypot(...vector);
+    const u = flat[0] / size, v = -flat[1] / size, reach = length * share, end = [x + reach * u, y + reach * v];
+    // A halo keeps it apart from map and machine.
+    for (const [stroke, wide] of [[this.theme.halo, width + 2.5], [colour, width]]) {
+      c.strokeStyle = stroke;
+      c.lineWidth = wide;
+      c.setLineDash(dashed && stroke === colour ? [6, 5] : []);
+      this.line([[x, y], end]);
+      c.setLineDash([]);
+      const h = 9;
+      this.line([[end[0] - h * (u - 0.5 * v), end[1] - h * (v + 0.5 * u)], end, [end[0] - h * (u + 0.5 * v), end[1] - h * (v - 0.5 * u)]]);
+    }
+  }
+
+  cross(point, colour) {
+    const { c, view } = this, [x, y] = view.at(point);
+    c.strokeStyle = colour;
+    c.lineWidth = 2;
+    this.line([[x - 8, y], [x + 8, y]]);
+    this.line([[x, y - 8], [x, y + 8]]);
+  }
+}

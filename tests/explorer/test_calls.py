@@ -1,0 +1,70 @@
+"""The call and the command: what they take, refuse and write."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import flexopt
+from flexopt.cli import main
+from flexopt.errors import InputError, SingularPosture
+from tests.explorer.browser import POSTURE, explored
+
+
+def test_a_page_names_no_host_and_stays_small() -> None:
+    page = explored("excavator")[1].page
+    assert "://" not in page
+    assert "src=" not in page
+    assert len(page.encode()) < 2**20
+    assert explored("slewing-excavator")[1].bytes < 4 * 2**20
+
+
+def test_names_are_text_and_no_markup() -> None:
+    data = flexopt.load("excavator").to_dict() | {"description": "</script><b>bold</b> & <!-- so"}
+    page = flexopt.explore(flexopt.machine_from_dict(data), POSTURE).page
+    assert "<b>bold" not in page
+    assert page.count("</script>") == 2
+
+
+def test_faults_are_named_together() -> None:
+    with pytest.raises(InputError, match=r"(?s)posture.*base") as caught:
+        flexopt.explore(flexopt.load("excavator"), [1.0], base=[1.0, 2.0])
+    assert {fault.field for fault in caught.value.faults} == {"posture", "base"}
+    with pytest.raises(InputError, match="the problem brings its own"):
+        flexopt.explore(flexopt.load_problem("article"), POSTURE)
+    with pytest.raises(InputError, match="must have one target"):
+        flexopt.explore(flexopt.load_problem("stations"))
+    with pytest.raises(InputError, match="must be a machine or a problem"):
+        flexopt.explore("excavator")
+    with pytest.raises(SingularPosture):
+        flexopt.explore(flexopt.load("excavator"), [1.0, 0.0])
+    with pytest.raises(InputError, match=r"must end in \.html"):
+        explored("excavator")[1].save("page.txt")
+
+
+def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "page.html"
+    main(
+        [
+            "explore",
+            "excavator",
+            "--posture",
+            "1,-2",
+            "--loop",
+            "kp=1e4",
+            "--loop",
+            "kv=1e3",
+            "--out",
+            str(out),
+            "--json",
+        ]
+    )
+    document = json.loads(capsys.readouterr().out)
+    assert out.stat().st_size == document["bytes"]
+    assert document["configurations"]["present"] == {"base": [0.0], "posture": POSTURE}
+    with pytest.raises(SystemExit) as left:
+        main(["explore", "article", "--posture", "1,-2", "--out", str(out)])
+    assert left.value.code == 2
+    assert "--posture: goes with a machine" in capsys.readouterr().err.replace(" = [1.0, -2.0]", "")

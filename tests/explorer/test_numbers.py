@@ -1,0 +1,110 @@
+"""What the page computes against what Python computes, at random configurations, in Chromium and, where it is, Node."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from playwright.sync_api import Browser
+from scipy.linalg import expm
+from scipy.optimize import linear_sum_assignment
+
+import flexopt
+from flexopt.explorer.javascript import PIECE, script_of
+from tests.explorer.browser import explored, opened
+from tests.explorer.numbers import ASK, by_node, by_python, deviations, model_script, random_cases
+
+MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator")
+NODE = shutil.which("node")
+
+
+@pytest.mark.needs("chromium")
+@pytest.mark.parametrize("name", MACHINES)
+def test_the_browser_computes_what_python_computes(name: str, chromium: Browser, pages: Path) -> None:
+    machine, explorer = explored(name)
+    cases = random_cases(machine, 25, seed=1)
+    with opened(chromium, explorer, pages) as page:
+        found = page.evaluate(f"(cases) => ({ASK})(cases)", cases)
+        if NODE is not None:
+            assert deviations(by_node(explorer.page, cases, NODE), found)["w"] < 1e-9
+    known = by_python(machine, explorer, cases)
+    worst = deviations(found, known)
+    names = ("omega", "w", "size", "zeta", "decay", "r", "points")
+    assert max(worst[each] for each in names) < 1e-9, worst
+    if name == "excavator":
+        assert {value["decay"] > 0 for value in known} == {True, False}
+
+
+@pytest.mark.needs("chromium")
+def test_equal_frequencies_are_one_cluster(chromium: Browser, pages: Path) -> None:
+    """An arm that stands straight up on springs alike in x and y: λmin of the cluster's summed residue."""
+    data = flexopt.load("excavator").to_dict()
+    data["base"]["stiffness"] = {"x": 4e7, "y": 4e7}
+    data["base"]["damping"] = {"x": 50.0, "y": 50.0}
+    for link in data["links"]:
+        link["mass"] = 1e-9 * link["mass"]
+        link["inertia"] = 1e-9 * link["inertia"]
+    machine = flexopt.machine_from_dict(data)
+    explorer = flexopt.explore(machine, [1.0, -2.0], loop={"kp": 1e-4, "kv": 1e-5})
+    measures = flexopt.build_measures(machine)
+    found = measures.values(0, [1.0, -2.0], measures.plant.parameter_values)
+    values = dict(zip(measures.values.name_out(), found, strict=True))
+    assert np.all(values["same"].full() == 1)
+    with opened(chromium, explorer, pages) as page:
+        modes = page.evaluate("explorer.modes")
+        assert not any(mode["alone"] for mode in modes)
+        found, scale = [mode["w"] for mode in modes], max(mode["size"] for mode in modes)
+    assert np.allclose(found, values["w"].full().ravel(), rtol=0, atol=1e-7 * scale)
+
+
+@pytest.mark.needs("chromium")
+def test_every_operation_of_a_graph(chromium: Browser) -> None:
+    """Each operation that a graph may have, alone and in one long graph that is cut into pieces."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    each = [
+        x + y, x - y, x * y, x / y, -x, 1 / x, 2 * x, x**2, x**y, x**3.5, ca.sqrt(x), ca.sin(x), ca.cos(x), ca.tan(x),
+        ca.asin(x / 9), ca.acos(x / 9), ca.atan(x), ca.atan2(x, -y), ca.exp(x), ca.log(x), ca.log1p(x), ca.expm1(x),
+        ca.sinh(x), ca.cosh(x), ca.tanh(x), ca.floor(x), ca.ceil(x), ca.fabs(-x), ca.sign(-x), ca.fmin(x, y),
+        ca.fmax(x, y), ca.fmod(x, y), ca.hypot(x, y), ca.copysign(x, -y), x < y, x <= y, x == y, x != y,
+        ca.logic_not(x < y), ca.logic_and(x < y, y > 0), ca.logic_or(x < y, y > 9), ca.if_else(x < y, x, y),
+        ca.SX(-2.5), ca.SX(math.inf), x,
+    ]  # fmt: skip
+    long = x
+    for k in range(2 * PIECE):
+        long = ca.sin(long) + y * (1 + 1e-3 * k)
+    function = ca.Function("f", [x, y], [ca.vertcat(*each, long)], ["x", "y"], ["all"])
+    text = script_of(function)
+    assert text.count("function(i,o,w)") > 2
+    script = model_script(explored("excavator")[1].page).split("// The machine")[0]
+    page = chromium.new_page()
+    for at in ((0.7, 1.9), (2.3, 0.4)):
+        found = page.evaluate(f"() => {{ {script}; return [...{text}.run([[{at[0]}], [{at[1]}]]).all]; }}")
+        found = [math.inf if value is None else value for value in found]
+        assert np.allclose(found, function(*at).full().ravel(), rtol=1e-13, atol=0)
+    page.close()
+    with pytest.raises(NotImplementedError, match="no JavaScript"):
+        script_of(ca.Function("g", [x], [ca.erf(x)]))
+
+
+@pytest.mark.needs("chromium")
+def test_linear_algebra_against_numpy(chromium: Browser) -> None:
+    rng = np.random.default_rng(3)
+    script = model_script(explored("excavator")[1].page)
+    page = chromium.new_page()
+    for n in (1, 2, 5, 14, 30):
+        matrix = rng.standard_normal((n, n)) * 10.0 ** rng.uniform(-2, 1, (n, 1))
+        flat = matrix.ravel(order="F").tolist()
+        found = page.evaluate(f"""(a) => {{ {script}
+          const A = Float64Array.from(a), n = {n};
+          return {{ values: Linear.eigenvalues(A, n), e: [...Linear.exponential(A, n)], s: Linear.singular(A, n).sizes }};
+        }}""", flat)  # fmt: skip
+        apart = np.abs(np.array(found["values"]) @ [1, 1j] - np.linalg.eigvals(matrix)[:, None])
+        assert apart[linear_sum_assignment(apart)].max() < 1e-11 * np.abs(matrix).sum()
+        known = expm(matrix)
+        assert np.allclose(np.reshape(found["e"], (n, n), order="F"), known, rtol=0, atol=1e-12 * np.abs(known).max())
+        assert np.allclose(found["s"], np.linalg.svd(matrix)[1], rtol=1e-10)
+    page.close()

@@ -1,0 +1,180 @@
+"""The page in Chromium: real drags, keys, touches and sliders, and what it shows of them against Python."""
+
+from __future__ import annotations
+
+import html
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page
+
+import flexopt
+from flexopt.explorer.exploring import Explorer
+from flexopt.model import AnyMachine
+from tests.explorer.browser import POSTURE, drag, explored, opened, settled, state
+
+pytestmark = pytest.mark.needs("chromium")
+
+
+def end_point(machine: AnyMachine, at: dict[str, Any]) -> np.ndarray:
+    """Where Python says the end-point of the page's configuration is."""
+    plant = flexopt.build_plant(machine)
+    p = plant.parameter_values
+    return plant.end_point(plant.rest(at["base"], at["posture"], p), at["base"], p).full().ravel()
+
+
+def same_as_python(machine: AnyMachine, explorer: Explorer, at: dict[str, Any]) -> None:
+    """What the page shows of its configuration is what `flexopt.evaluate` says."""
+    known = flexopt.evaluate(machine, at["posture"], base=at["base"])
+    assert np.allclose([mode["w"] for mode in at["modes"]], known.w, rtol=0, atol=1e-9 * np.abs(known.w).max())
+    assert np.allclose([mode["hz"] for mode in at["modes"]], known.frequencies_hz, rtol=1e-9)
+
+
+def pressed(page: Page, handle: str, *keys: str) -> dict[str, Any]:
+    page.locator(handle).first.focus()
+    for key in keys:
+        page.keyboard.press(key)
+    settled(page)
+    return state(page)
+
+
+@pytest.mark.parametrize("name", ["boom-stick-bucket", "slewing-excavator"])
+def test_drags_and_keys_move_end_point_and_base(name: str, chromium: Browser, pages: Path) -> None:
+    machine, explorer = explored(name)
+    with opened(chromium, explorer, pages) as page:
+        page.locator("#motion").select_option("off")
+        before = state(page)
+        drag(page, ".handle.end", -35, 25)
+        after = state(page)
+        moved = np.subtract(after["target"], before["target"])
+        assert after["note"] == ""
+        assert np.linalg.norm(moved) == pytest.approx(np.hypot(35, 25) / before["scale"], rel=1e-6)
+        assert np.allclose(end_point(machine, after), after["target"], rtol=0, atol=1e-9)
+        assert after["base"] == before["base"]
+        same_as_python(machine, explorer, after)
+
+        drag(page, ".handle.base", 12, 0)
+        stood = state(page)
+        assert np.linalg.norm(np.subtract(stood["base"], after["base"])) == pytest.approx(
+            12 / before["scale"], rel=1e-6
+        )
+        assert np.allclose(end_point(machine, stood), after["target"], rtol=0, atol=1e-6)
+        same_as_python(machine, explorer, stood)
+
+        by_key = pressed(page, ".handle.end", "ArrowUp", "Shift+ArrowUp")
+        risen = np.subtract(by_key["target"], stood["target"])
+        assert risen[-1] > 0
+        assert np.allclose(risen[:-1], 0, atol=1e-9)
+        by_key_base = pressed(page, ".handle.base", "ArrowLeft")
+        assert not np.allclose(by_key_base["base"], by_key["base"])
+        assert np.allclose(end_point(machine, by_key_base), by_key["target"], rtol=0, atol=1e-6)
+
+
+def test_limits_and_reach_are_kept(chromium: Browser, pages: Path) -> None:
+    machine, explorer = explored("boom-stick-bucket")
+    with opened(chromium, explorer, pages) as page:
+        drag(page, ".handle.end", 900, -500, steps=12)
+        at = state(page)
+        assert "Out of reach" in at["note"]
+        for angle, (low, high) in zip(at["posture"], machine.limits, strict=True):
+            assert low <= angle <= high
+        assert np.allclose(end_point(machine, at), at["target"], rtol=0, atol=1e-9)
+
+
+def test_sliders_change_the_verdict_as_python_has_it(chromium: Browser, pages: Path) -> None:
+    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    with opened(chromium, flexopt.explore(machine, POSTURE, loop=loop), pages) as page:
+        settled(page)
+        known = flexopt.outcome(machine, POSTURE, loop=loop).decay
+        first = state(page)
+        assert first["decay"] == pytest.approx(known, rel=1e-8)
+        assert first["word"] == ("settles" if known > 0 else "grows")
+        slide = """([label, value]) => { const input = document.querySelector(`input[aria-label="${label}"]`);
+          input.value = value; input.dispatchEvent(new Event("input")); }"""
+        page.evaluate(slide, ["gain Kv", -1.5])
+        page.evaluate(slide, ["dead time", 0.02])
+        page.evaluate(slide, ["soil, all springs", 0.3])
+        settled(page)
+        later = state(page)
+        data = machine.to_dict()
+        data["base"]["stiffness"] = {k: 10**0.3 * v for k, v in data["base"]["stiffness"].items()}
+        other = {"kp": 1e4, "kv": 1e3 * 10**-1.5, "dead_time": 0.02}
+        known = flexopt.outcome(flexopt.machine_from_dict(data), POSTURE, loop=other).decay
+        assert later["decay"] == pytest.approx(known, rel=1e-8)
+        assert f"{'settles' if known > 0 else 'grows'} at" in later["text"]
+        page.get_by_role("button", name="Reset").click()
+        settled(page)
+        assert state(page)["decay"] == pytest.approx(first["decay"], rel=1e-12)
+
+
+def test_the_map_holds_what_python_computes(chromium: Browser, pages: Path) -> None:
+    machine, explorer = explored("excavator")
+    with opened(chromium, explorer, pages) as page:
+        page.wait_for_function("explorer.map.shown !== null")
+        found = page.evaluate("""() => { const { shown } = explorer.map; return { w: shown.w.map((each) => [...each]),
+          x: [0, 50, 99].map((k) => explorer.map.value(0, k + 0.5, 100)) }; }""")
+        w = np.array([[np.nan if v is None else v for v in each] for each in found["w"]]).reshape(3, 100, 100)
+        middle = -np.pi + 2 * np.pi * (np.arange(100) + 0.5) / 100
+        assert np.allclose(found["x"], middle[[0, 50, 99]], rtol=1e-14)
+        rows, columns = np.array([5, 30, 70, 88]), np.array([2, 40, 61, 97])
+        known = flexopt.evaluate_w(
+            flexopt.build_measures(machine), bases=[np.zeros(4)], postures=[middle[columns], middle[rows]]
+        ).w
+        assert np.allclose(w[:, rows, columns], known, rtol=0, atol=1e-9 * np.abs(known).max())
+        # A posture picked in the map is the machine's.
+        box = page.locator("#map").bounding_box()
+        assert box is not None
+        page.mouse.click(box["x"] + 62 + (box["width"] - 70) * 0.75, box["y"] + 6 + (box["height"] - 44) * 0.25)
+        settled(page)
+        assert np.allclose(state(page)["posture"], [np.pi / 2, np.pi / 2], atol=0.1)
+
+
+def test_a_problem_shows_its_recommendation(chromium: Browser, pages: Path) -> None:
+    problem = flexopt.load_problem("article")
+    explorer = flexopt.explore(problem)
+    best = flexopt.solve_problem(problem).best.evaluation
+    with opened(chromium, explorer, pages) as page:
+        page.get_by_role("button", name="recommended").click()
+        settled(page)
+        at = state(page)
+    assert np.allclose(at["posture"], best.posture, atol=1e-9)
+    assert np.allclose(at["base"], best.base, atol=1e-9)
+    assert np.allclose([mode["w"] for mode in at["modes"]], best.w, rtol=0, atol=1e-9 * np.abs(best.w).max() + 1e-12)
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_it_fits_light_and_dark_and_takes_touches(width: int, chromium: Browser, pages: Path) -> None:
+    _, explorer = explored("excavator")
+    context = {"viewport": {"width": width, "height": 900}, "color_scheme": "dark", "has_touch": True}
+    with opened(chromium, explorer, pages, **context) as page:
+        assert page.evaluate("document.documentElement.dataset.theme") == "dark"
+        page.locator("#theme").tap()
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        # A finger that drags the end-point does not scroll the page.
+        session, box = page.context.new_cdp_session(page), page.locator(".handle.end").bounding_box()
+        assert box is not None
+        x, y, before = box["x"] + 18, box["y"] + 18, state(page)
+        for kind, points in (
+            ("touchStart", [{"x": x, "y": y}]), ("touchMove", [{"x": x + 10, "y": y + 10}]),
+            ("touchMove", [{"x": x + 20, "y": y + 20}]), ("touchEnd", []),
+        ):  # fmt: skip
+            session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        settled(page)
+        moved = np.subtract(state(page)["target"], before["target"]) * before["scale"]
+        assert np.allclose(moved, [20, -20], atol=1e-6)
+
+
+def test_a_notebook_shows_it(chromium: Browser, pages: Path) -> None:
+    _, explorer = explored("excavator")
+    cell = pages / "cell.html"
+    cell.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{explorer._repr_html_()}", encoding="utf-8")
+    page = chromium.new_page()
+    page.goto(cell.as_uri())
+    frame = page.frame_locator("iframe")
+    frame.locator("#verdict .word").wait_for()
+    assert "at" in frame.locator("#verdict").inner_text()
+    page.close()
+    assert html.unescape(explorer._repr_html_().split('srcdoc="')[1].split('" style=')[0]) == explorer.page
