@@ -38,7 +38,15 @@ Entry = tuple[str, Parameter]
 
 
 class AnyMachine(BuiltByCall, Described):
-    """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more."""
+    """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more.
+
+    Attributes:
+        gravity: acceleration of free fall.
+        capsules: what the bodies fill, for clearances.
+        cylinders: what drives the joints.
+        loop: the controller that the machine has.
+        uncertainty: what nobody has measured of it.
+    """
 
     gravity: Acceleration = 9.81
     capsules: tuple[Capsule, ...] = ()
@@ -222,7 +230,11 @@ class AnyMachine(BuiltByCall, Described):
 
 
 class OnMachine(BuiltByCall, Described):
-    """A file that names the machine that it is about, and holds it once it is loaded."""
+    """A file that names the machine that it is about, and holds it once it is loaded.
+
+    Attributes:
+        machine: name of a shipped machine, or path of a machine file, from this file's folder.
+    """
 
     LOADER: ClassVar[str]
     machine: str = Field(min_length=1)

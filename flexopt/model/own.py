@@ -15,7 +15,7 @@ from typing import Any
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import by, check_text, number, public_class
-from flexopt.foundation.quantities import Checked, entries
+from flexopt.foundation.quantities import Checked, a_list, accepting, entries
 from flexopt.model.choices import check_objective
 
 NAME_MAX = 60
@@ -70,7 +70,8 @@ def check_function(value: Any) -> OwnFunction:
     return OwnFunction(hashlib.sha256(written.encode()).hexdigest(), value)
 
 
-@Checked
+# Files have words alone.
+@accepting({"anyOf": [{"type": "string"}, a_list({"type": "string"}, 1)]})
 def check_objectives(value: Any) -> str | tuple[str | OwnFunction, ...]:
     """As `check_objective`; or a Function, or several of both in order of importance."""
     if not isinstance(value, list | tuple) and not is_function(value) and not isinstance(value, OwnFunction):

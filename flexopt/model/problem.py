@@ -13,7 +13,8 @@ from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.quantities import (
     COORDINATE,
-    Checked,
+    a_list,
+    accepting,
     pair,
 )
 from flexopt.model.boundary import holding_machine
@@ -46,7 +47,10 @@ TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "pat
 PLACEMENTS = ("x", "y", "yaw")
 
 
-@Checked
+_RANGES = {name: a_list(COORDINATE["rad" if name == "yaw" else "m"].accepts or {}, 2, 2) for name in PLACEMENTS}
+
+
+@accepting({"anyOf": [_RANGES["x"], {"type": "object", "properties": _RANGES, "additionalProperties": False}]})
 def _check_any_range(value: Any) -> Any:
     """A range as a file may have it: a pair for a machine placed by x, or a table of pairs."""
     if isinstance(value, Mapping):
@@ -156,7 +160,16 @@ class StandKeywords(SharedKeywords, total=False):
 
 
 class Problem(OnMachine):
-    """A configuration problem (`flexopt.load_problem` reads one from a file)."""
+    """A configuration problem (`flexopt.load_problem` reads one from a file).
+
+    Attributes:
+        target: what the end-point shall reach.
+        motion: how a path is gone along.
+        selection: how to choose.
+        constraints: what a configuration must keep.
+        loop: the real controller; what is left out follows from the machine.
+        uncertainty: what nobody has measured; in place of the machine's.
+    """
 
     LOADER = "flexopt.load_problem"
     target: Target

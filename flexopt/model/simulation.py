@@ -85,7 +85,12 @@ class Actuator(BuiltByCall):
 
 
 class Path(BuiltByCall):
-    """Points at times, s, joined by straight lines; held before the first and after the last."""
+    """Points at times, s, joined by straight lines; held before the first and after the last.
+
+    Attributes:
+        times: s, increasing.
+        points: one for each time, each a list of coordinates, m or rad.
+    """
 
     times: Annotated[Numbers, TIMES]
     points: Annotated[tuple[Numbers, ...], _POINTS]
@@ -131,7 +136,7 @@ class SimulationOptions(BuiltByCall):
         integral_limit: largest |∫ ki e dt| for each axis.
         gain: servo gain kr for which `"robust"` is designed.
         offset: displacement of the joints at the start (n,), rad or m; +0.05, −0.05, … by default.
-        duration: s.
+        duration: of the run, s.
         rate: of the samples, Hz.
         hold: True: the command is computed at each sample and held; False: at every stage of the integrator.
         integrator: `"rk4"` (the article's), `"dop853"` (explicit, order 8) or `"gauss"` (Gauss–Legendre, order 6,
@@ -242,7 +247,16 @@ def dead_time(options: SimulationOptions) -> tuple[int, float]:
 
 
 class NullspaceOptions(FileModel):
-    """How the base moves by the nullspace law (keys of `[nullspace]`); see `flexopt.nullspace_trajectory`."""
+    """How the base moves by the nullspace law (keys of `[nullspace]`); see `flexopt.nullspace_trajectory`.
+
+    Attributes:
+        objective: that the way climbs: `"w1"`, … or `"V"`.
+        weights: α of `"V"`, one for each mode.
+        base_range: [lower, upper] of the placement.
+        max_base_rate: of the placement.
+        max_base_acceleration: of the placement; none by default.
+        duration: longest, of the way.
+    """
 
     objective: Annotated[str, check_objective] = "w1"
     weights: Annotated[tuple[float, ...], check_weights] | None = None
@@ -253,7 +267,12 @@ class NullspaceOptions(FileModel):
 
 
 class Experiment(OnMachine):
-    """A simulation in a file (`flexopt.load_experiment` reads one)."""
+    """A simulation in a file (`flexopt.load_experiment` reads one).
+
+    Attributes:
+        simulation: the closed loop and its run.
+        nullspace: how the base moves meanwhile; it stands still where left out.
+    """
 
     LOADER = "flexopt.load_experiment"
     simulation: SimulationOptions
