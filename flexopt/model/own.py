@@ -124,7 +124,10 @@ class Constraint:
     Example:
         >>> sag = ca.MX.sym("sag", 2)
         >>> g = ca.Function("sag_of_end_point", [sag], [ca.norm_2(sag)], ["sag"], ["length"])
-        >>> flexopt.select(machine, target, constraints=[flexopt.Constraint(g, upper=0.005, unit="m")])
+        >>> at_most = flexopt.Constraint(g, upper=0.005, unit="m")
+        >>> choice = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), constraints=[at_most], starts=4)
+        >>> bool(choice.best.constraints["sag_of_end_point"].value < 0.005)
+        True
     """
 
     function: Any
@@ -152,7 +155,14 @@ class Constraint:
         return self.name or self.function.name
 
     def to_dict(self) -> dict[str, Any]:
-        """Name, bounds (None where there is none), unit, and what the Function is told from others by."""
+        """Name, bounds (None where there is none), unit, and what the Function is told from others by.
+
+        Example:
+            >>> posture = ca.MX.sym("posture", 2)
+            >>> g = ca.Function("boom_angle", [posture], [posture[0]], ["posture"], ["angle"])
+            >>> flexopt.Constraint(g, upper=1.0, unit="rad").to_dict()["upper"]
+            1.0
+        """
         lower, upper = (bound if math.isfinite(bound) else None for bound in self.bounds)
         return {"name": self.label, "lower": lower, "upper": upper, "unit": self.unit, "digest": self.function.digest}
 

@@ -138,6 +138,13 @@ class Machine(AnyMachine):
         links: in order, from the base outwards.
         payload: a point mass at the end-point.
         support: what the undercarriage stands on.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> machine.joints, machine.coordinates
+        (('boom', 'stick'), ('base.x', 'base.y', 'base.rotation', 'boom', 'stick'))
+        >>> machine.links[0].mass
+        766.6
     """
 
     base: Base

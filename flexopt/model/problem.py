@@ -102,6 +102,12 @@ class SelectionOptions(BuiltByCall):
             other.
         combine: of a stand: `"worst"` maximises the smallest V_k, `"weighted"` the sum Σ share_k V_k.
         shares: of the targets in the sum, (K,), positive; even by default.
+
+    Example:
+        >>> options = flexopt.SelectionOptions(objective="V", weights=[1, 1, 1], base=0.0, starts=8)
+        >>> machine = flexopt.load("excavator")
+        >>> print(f"{flexopt.select(machine, (0.0, 1.6), options=options).best.objective:.3e}")
+        -1.240e-05
     """
 
     objective: Annotated[Any, check_objectives] = "w1"
@@ -123,7 +129,12 @@ class SelectionOptions(BuiltByCall):
 
     @classmethod
     def of(cls, kind: TargetKind) -> tuple[str, ...]:
-        """The fields that go with a kind of target."""
+        """The fields that go with a kind of target.
+
+        Example:
+            >>> flexopt.SelectionOptions.of("end_points")[-2:]
+            ('combine', 'shares')
+        """
         others = {key for other, keys in KINDS.items() if other != kind for key in keys}
         return tuple(name for name in cls.model_fields if name not in others)
 
@@ -169,6 +180,11 @@ class Problem(OnMachine):
         constraints: what a configuration must keep.
         loop: the real controller; what is left out follows from the machine.
         uncertainty: what nobody has measured; in place of the machine's.
+
+    Example:
+        >>> problem = flexopt.load_problem("article")
+        >>> problem.target.end_point, problem.machine
+        ((0.0, 1.6), 'excavator')
     """
 
     LOADER = "flexopt.load_problem"
@@ -184,7 +200,12 @@ class Problem(OnMachine):
         return problem_faults(self.model_dump(by_alias=True, exclude_unset=True))
 
     def select_arguments(self) -> dict[str, Any]:
-        """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target."""
+        """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target.
+
+        Example:
+            >>> flexopt.load_problem("article").select_arguments()["target"]
+            (0.0, 1.6)
+        """
         kind = self.target.kind
         options = {name: getattr(self.selection, name) for name in SelectionOptions.of(kind)}
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}

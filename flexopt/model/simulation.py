@@ -50,6 +50,13 @@ class Sensor(BuiltByCall):
         resolution, rate_resolution: steps to which they are rounded, m and m/s; 0: not rounded.
         delay: from measurement to command, s; a whole number of samples.
         filter_hz: corner of a first-order low-pass that the samples run through, Hz; none by default.
+
+    Example:
+        >>> late = flexopt.Sensor(delay=0.01, resolution=1e-4)
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> run = flexopt.simulate(machine, posture, kp=1e4, kv=1e3, sensor=late, duration=2.0)
+        >>> run.error.shape
+        (401, 2)
     """
 
     noise: Annotated[float, NOISE] = 0.0
@@ -74,6 +81,13 @@ class Actuator(BuiltByCall):
         servo_gain: with levers, the torque that follows from a joint rate, N m s/rad, or force, N s/m; by default the
             largest at which no full lever asks a joint for more than its effort, in the design posture, and the
             article's 1 where the machine names no effort.
+
+    Example:
+        >>> drives = flexopt.Actuator(torque_limit=5e4, bandwidth_hz=5.0)
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> run = flexopt.simulate(machine, posture, kp=1e4, kv=1e3, actuator=drives, duration=2.0)
+        >>> bool(abs(run.torque).max() <= 5e4)
+        True
     """
 
     torque_limit: Torques | None = None
@@ -90,6 +104,11 @@ class Path(BuiltByCall):
     Attributes:
         times: s, increasing.
         points: one for each time, each a list of coordinates, m or rad.
+
+    Example:
+        >>> way = flexopt.Path(times=[0.0, 4.0], points=[[0.0], [-1.0]])
+        >>> way.at([2.0, 10.0]).tolist()
+        [[-0.5], [-1.0]]
     """
 
     times: Annotated[Numbers, TIMES]
@@ -101,7 +120,12 @@ class Path(BuiltByCall):
 
     @public(times=array_of((), ("K",), unit="s"))
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points (len(times), size)."""
+        """Points (len(times), size).
+
+        Example:
+            >>> flexopt.Path(times=[0.0, 4.0], points=[[0.0], [-1.0]]).at([1.0]).tolist()
+            [[-0.25]]
+        """
         columns = [np.interp(times, self.times, column) for column in zip(*self.points, strict=True)]
         return np.array(columns).T
 
@@ -154,6 +178,12 @@ class SimulationOptions(BuiltByCall):
         seed: of the noise.
         baked: fold this machine's and controller's numbers into code of their own: a little faster, compiled anew for
             every set of numbers.
+
+    Example:
+        >>> options = flexopt.SimulationOptions(posture=(0.0448, -2.0499), kp=1e4, kv=1e3, duration=5.0)
+        >>> machine = flexopt.load("excavator")
+        >>> float(flexopt.simulate(machine, options=options).time[-1])
+        5.0
     """
 
     posture: Coordinates | None = None
@@ -272,6 +302,11 @@ class Experiment(OnMachine):
     Attributes:
         simulation: the closed loop and its run.
         nullspace: how the base moves meanwhile; it stands still where left out.
+
+    Example:
+        >>> experiment = flexopt.load_experiment("article-a")
+        >>> experiment.simulation.end_point, experiment.simulation.kp
+        ((0.0, 1.6), (100000.0,))
     """
 
     LOADER = "flexopt.load_experiment"

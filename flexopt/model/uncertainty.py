@@ -48,6 +48,13 @@ class Uncertainty(BuiltByCall):
         factor: (lower, upper) of one factor that multiplies all of them together, such as one of the soil's. Factors of
             several entries that concern one parameter multiply each other.
         value: (lower, upper) of a single one, in its own unit: of a payload, or of the dead time, s.
+
+    Example:
+        >>> soil = flexopt.Uncertainty(of="stiffness", factor=(0.5, 2.0))
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> region = flexopt.stable_region(machine, posture, loop={"kp": 1e4, "kv": 1e3}, ranges=[soil])
+        >>> region.stable, region.critical
+        (True, {'stiffness': 0.5})
     """
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["factor"]}, {"required": ["value"]}]})

@@ -17,8 +17,6 @@ import flexopt
 from flexopt.model.file_model import FileModel
 from flexopt.model.file_schema import MODELS, key_sentences
 from flexopt.model.files import shipped_folder, shipped_names
-from tests.cli.command import Command
-from tests.cli.conftest import command as command
 
 LOADERS = {"machine": flexopt.load, "problem": flexopt.load_problem, "experiment": flexopt.load_experiment}
 VALIDATORS = {kind: Draft202012Validator(flexopt.schema(kind)) for kind in MODELS}
@@ -186,13 +184,3 @@ def test_every_number_has_its_range_and_physical_ones_their_unit() -> None:
         if given.get("type") in ("number", "integer") and not {"maximum", "enum"} & given.keys()
     ]
     assert unbounded == []
-
-
-def test_the_command(command: Command) -> None:
-    for kind in MODELS:
-        assert json.loads(command("schema", kind).stdout) == flexopt.schema(kind)
-    command("schema", "machine", "--out", "machine.json")
-    assert json.loads(Path("machine.json").read_text(encoding="utf-8")) == flexopt.schema("machine")
-    assert command("schema", "robot").code == 2
-    assert "machine or problem or experiment" in command("schema", "robot").stderr
-    assert command("schema", "machine", "--out", "machine.toml").code == 2

@@ -85,8 +85,8 @@ class BaseTable(FileModel):
     """What the root link stands on.
 
     Attributes:
-        stiffness: by direction (x, y, z in N/m; roll, pitch, yaw in N m/rad; one left out is rigid), six numbers in this order,
-            or a symmetric 6 × 6 matrix.
+        stiffness: by direction (x, y, z in N/m; roll, pitch, yaw in N m/rad; one left out is rigid), six
+            numbers in this order, or a symmetric 6 × 6 matrix.
         damping: likewise, in N s/m and N m s/rad; 0 where left out.
         point: where the springs act, in the root link's frame.
         position: of the root link at rest in the anchor frame; from the robot file where left out.
