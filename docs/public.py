@@ -47,9 +47,10 @@ TOPICS: dict[str, tuple[str, str]] = {
     ),
 }
 # What classes of flexopt's own ask of each other: no user calls it.
-PLUMBING = frozenset(
-    "document document_keys structural_faults part_faults build_tree parameter_entries model_post_init".split()
-)
+PLUMBING = frozenset({
+    "build_tree", "document", "document_keys", "model_post_init", "parameter_entries", "part_faults",
+    "structural_faults",
+})  # fmt: skip
 
 
 def names(topic: str) -> list[str]:
