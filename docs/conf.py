@@ -8,15 +8,15 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from docs.docstrings import restructured
+from docs.docstrings import restructured, signature_of
 from docs.generated import write_pages
-
 from flexopt.foundation.documents import package_version
 
 project = "flexopt"
 copyright = "The flexopt developers"  # noqa: A001 - Sphinx's name
 release = package_version("flexopt")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.mathml"]
+html_math_renderer = "mathml"
 exclude_patterns = ["_build"]
 
 myst_enable_extensions = ["dollarmath", "deflist", "fieldlist"]
@@ -37,12 +37,12 @@ html_theme = "furo"
 html_title = "flexopt"
 html_static_path = ["_static"]
 html_css_files = ["flexopt.css"]
-# Equations in the browser: a page that is read without the network shows their TeX.
 html_copy_source = False
 html_show_sphinx = False
 
 
 def setup(app: Any) -> None:
     """Pages are written, docstrings become reStructuredText."""
-    app.connect("config-inited", lambda app, config: write_pages(Path(app.srcdir) / "generated"))
-    app.connect("autodoc-process-docstring", restructured, priority=400)
+    app.connect("config-inited", lambda app, _: write_pages(Path(app.srcdir) / "generated"))
+    app.connect("autodoc-process-docstring", lambda *given: restructured(given[-1]), priority=400)
+    app.connect("autodoc-process-signature", signature_of)

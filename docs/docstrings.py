@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import flexopt
+from flexopt.model.file_model import FileModel
 
 SECTIONS = ("Args:", "Attributes:", "Returns:", "Raises:", "Warns:", "Yields:", "Example:")
 _CODE = re.compile(r"(`[^`]*`)")
@@ -15,7 +16,14 @@ _NAMES = re.compile(r"^    (\w+(?:, \w+)+): ")
 _SPECIAL = re.compile(r"([*|\\]|_(?=\W|$))")
 
 
-def restructured(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+def signature_of(*given: Any) -> tuple[str, str] | None:
+    """None where it is shown: calls, and classes that users make objects of; what calls give has no signature."""
+    _, what, _, named, *_ = given
+    made = what != "class" or issubclass(named, (FileModel, Exception, flexopt.Constraint, flexopt.StateSpace))
+    return None if made else ("", "")
+
+
+def restructured(lines: list[str]) -> None:
     """Escape what only reStructuredText takes as markup, link public names, set equations as they stand."""
     prose = _as_prose(lines)
     lines[:] = _equations(prose)

@@ -7,9 +7,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-from docs.public import PLUMBING, TOPICS, names
+import click
 
 import flexopt
+from docs.public import PLUMBING, TOPICS, names
+from flexopt.cli import cli
 from flexopt.model.file_schema import MODELS
 
 IMPORTED = """Examples run as they stand after
@@ -35,8 +37,8 @@ REMEDIES = {
     "UnreachableTarget": "Move the base into `base_intervals`, or choose a target that is nearer by `miss`.",
     "SingularPosture": "Bend the arm: move `joint` away from `angle`.",
     "NotStabilizable": "Damp the mode that `mode` names, or give the plant an input or output that reaches it.",
-    "NoSolutionFound": "Read `violations`: a constraint that is violated at every start may exclude all configurations. "
-    "Ask for less (`constraints`, `base_range`, `assume`), or try more starts (`starts`).",
+    "NoSolutionFound": "Read `violations`: a constraint that is violated at every start may exclude all "
+    "configurations. Ask for less (`constraints`, `base_range`, `assume`), or try more starts (`starts`).",
     "MarginNotComputed": "The plant is scaled too badly, or damped too lightly. Ask for `w1`, which needs no ε_max.",
     "WrongSlope": "Nothing was solved. Where an own Function takes part, look whether it is smooth; else report it.",
     "ExportError": "Leave the part out (`parts`), or choose a control that has an equivalent in C.",
@@ -52,7 +54,7 @@ def write_pages(folder: Path) -> None:
     """All of them, those that are as they were left alone, so that Sphinx builds only what changed."""
     pages = {f"reference-{topic}.md": reference(topic) for topic in TOPICS}
     pages |= {f"keys-{kind}.md": keys(kind) for kind in MODELS}
-    pages["errors.md"] = errors()
+    pages |= {"errors.md": errors(), "commands.md": commands()}
     folder.mkdir(exist_ok=True)
     for old in folder.glob("*.md"):
         if old.name not in pages:
@@ -79,7 +81,8 @@ def reference(topic: str) -> str:
                 f"   :exclude-members: {hidden}, model_config, with_traceback, add_note",
             ]
         directive = "autoclass" if inspect.isclass(public) else "autofunction"
-        parts.append("\n".join([f"## {name}", "", "```{eval-rst}", f".. {directive}:: flexopt.{name}", *options, "```"]))
+        shown = [f".. {directive}:: flexopt.{name}", *options]
+        parts.append("\n".join([f"## {name}", "", "```{eval-rst}", *shown, "```"]))
     return "\n\n".join(parts) + "\n"
 
 
@@ -91,10 +94,14 @@ def keys(kind: Any) -> str:
         f"{INTRODUCTIONS[kind]} `flexopt schema {kind} --out {kind}.json` writes the same for editors, as JSON Schema.",
         "Units are SI and angles radians. A key without a default is required; one with – may be left out.",
     ]
-    roots = {model.__name__ for model in MODELS[kind]}
+    roots = [model.__name__ for model in MODELS[kind]]
+    headers = dict.fromkeys(roots, "")
+    for root in roots:
+        headers = _headers(layout["$defs"], root, "") | headers
     for name in sorted(layout["$defs"], key=lambda name: (name not in roots, name)):
         table = layout["$defs"][name]
-        parts.append(f"## {name}\n\n{_cell(table['description'])}")
+        where = f"In a file: {headers[name]}. " if headers[name] else ""
+        parts.append(f"## {name}\n\n{where}{_cell(table['description'])}")
         rows = ["| key | type | unit | range | default | what |", "| --- | --- | --- | --- | --- | --- |"]
         for key, given in table["properties"].items():
             required = key in table.get("required", ())
@@ -103,6 +110,32 @@ def keys(kind: Any) -> str:
             rows.append(f"| {' | '.join(cells)} |")
         parts.append("\n".join(rows))
     return "\n\n".join(parts) + "\n"
+
+
+def _headers(tables: dict[str, Any], name: str, path: str) -> dict[str, str]:
+    """How a file begins each table that lies in another, by the name of its class."""
+    found: dict[str, str] = {}
+    for key, given in tables[name]["properties"].items():
+        listed, inside = _tables(given, 0)
+        for table, depth in inside.items():
+            place = f"{path}{key}" + (".NAME" if listed else "")
+            header = f"`[[{place}]]`" if depth else f"`[{place}]`"
+            found |= {table: header} | _headers(tables, table, f"{place}.") | found
+    return found
+
+
+def _tables(given: Any, depth: int) -> tuple[bool, dict[str, int]]:
+    """Whether a key holds tables by name, and the classes of its tables: 1 in lists, else 0."""
+    if "$ref" in given:
+        return False, {given["$ref"].rpartition("/")[2]: depth}
+    by_name = isinstance(given.get("additionalProperties"), dict)
+    ways = [*given.get("anyOf", ()), *given.get("oneOf", ())]
+    found: dict[str, int] = {}
+    for way in [*ways, *([given["additionalProperties"]] if by_name else [])]:
+        found |= _tables(way, depth)[1]
+    if given.get("type") == "array" and isinstance(given.get("items"), dict):
+        found |= _tables(given["items"], 1)[1]
+    return by_name, found
 
 
 def errors() -> str:
@@ -128,6 +161,23 @@ def errors() -> str:
             named = [entry.partition(": ") for entry in listed]
             parts.append("\n".join(f"- `{name}`: {_cell(said)}" for name, _, said in named))
         parts.append(f"What to do: {REMEDIES[kind.__name__]}")
+    return "\n\n".join(parts) + "\n"
+
+
+def commands() -> str:
+    """Every command as its `--help` has it."""
+    parts = [
+        "# The command line",
+        "Every command takes `--json`, which prints one JSON document on standard output and nothing else there; "
+        "progress and warnings go to standard error. Exit codes: 0 success; 2 bad input, singular postures and "
+        "unreachable targets among it; 3 a solve that did not converge or a check that failed.",
+    ]
+    whole = click.Context(cli, info_name="flexopt")
+    for name in cli.list_commands(whole):
+        command = cli.get_command(whole, name)
+        assert command is not None
+        told = command.get_help(click.Context(command, info_name=f"flexopt {name}", max_content_width=100))
+        parts.append(f"## flexopt {name}\n\n```text\n{told}\n```")
     return "\n\n".join(parts) + "\n"
 
 

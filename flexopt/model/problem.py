@@ -70,7 +70,7 @@ class SelectionOptions(BuiltByCall):
         objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
             separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1 to
             within `slack`. Of several targets: one, without ε_max. Or a `casadi.Function` of named quantities with one
-            number as output, which is maximised (README.md, "Your own objectives and constraints"), alone or in a list
+            number as output, which is maximised (page "My own objective and constraints"), alone or in a list
             in order with others: `["w1", f]`.
         weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
         control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
