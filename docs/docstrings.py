@@ -12,7 +12,7 @@ SECTIONS = ("Args:", "Attributes:", "Returns:", "Raises:", "Warns:", "Yields:", 
 _CODE = re.compile(r"(`[^`]*`)")
 _NAME = re.compile(r"`flexopt\.(\w+)`")
 # Several names with one sentence, as an entry of a section.
-_NAMES = re.compile(r"^    (\w+(?:, \w+)+): ")
+_NAMES = re.compile(r"^    (\*{0,2}\w+(?:, \*{0,2}\w+)+): ")
 _SPECIAL = re.compile(r"([*|\\]|_(?=\W|$))")
 
 
@@ -38,6 +38,8 @@ def _as_prose(lines: list[str]) -> list[str]:
 
 def _one_word(entry: re.Match[str]) -> str:
     """`a, b:` without spaces, which fields take for types; lines may still break there."""
+    if entry[1].partition(",")[0] in flexopt.__all__:
+        return entry[0]  # errors, each of which is linked
     joined = entry[1].replace(", ", ",\u200b")
     return f"    {joined}: "
 

@@ -172,11 +172,11 @@ def commands() -> str:
         "progress and warnings go to standard error. Exit codes: 0 success; 2 bad input, singular postures and "
         "unreachable targets among it; 3 a solve that did not converge or a check that failed.",
     ]
-    whole = click.Context(cli, info_name="flexopt")
+    whole = click.Context(cli, info_name="flexopt", max_content_width=100, help_option_names=["-h", "--help"])
     for name in cli.list_commands(whole):
         command = cli.get_command(whole, name)
         assert command is not None
-        told = command.get_help(click.Context(command, info_name=f"flexopt {name}", max_content_width=100))
+        told = command.get_help(click.Context(command, info_name=name, parent=whole))
         parts.append(f"## flexopt {name}\n\n```text\n{told}\n```")
     return "\n\n".join(parts) + "\n"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from typing import Any, Literal, cast
+from typing import Any, Literal, cast, get_args
 
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
@@ -56,7 +56,7 @@ def schema(kind: FileKind) -> dict[str, Any]:
     tables = cast(dict[str, JsonSchema], found["$defs"])
     for name, model in _models(models).items():
         _say(tables[name], model)
-    ways = [cast(JsonSchema, refs[model, "validation"]) for model in models]
+    ways = [refs[model, "validation"] for model in models]
     layout: JsonSchema = {"$schema": DIALECT, "title": f"flexopt {kind} file", "type": "object"}
     if len(ways) == 1:
         return layout | ways[0] | {"$defs": tables}
@@ -95,7 +95,7 @@ def _models(roots: tuple[type[FileModel], ...]) -> dict[str, type[FileModel]]:
                 part.model_rebuild()
                 waiting += [field.annotation for field in part.model_fields.values()]
         else:
-            waiting += getattr(part, "__args__", ())
+            waiting += get_args(part)
     return found
 
 

@@ -32,7 +32,9 @@ def broken(path: Path, text: str) -> Iterator[str]:
             stem = target.stem.partition("-")[0]
             if f'"{stem}' not in written and f'f"{stem}-' not in written:
                 yield link
-        elif not target.exists() or (anchor and anchor not in anchors(target.read_text(encoding="utf-8"))):
+            continue
+        there = target.exists()
+        if not there or (anchor and anchor not in anchors(target.read_text(encoding="utf-8") if name else text)):
             yield link
 
 
