@@ -37,10 +37,10 @@ def _as_prose(lines: list[str]) -> list[str]:
 
 
 def _one_word(entry: re.Match[str]) -> str:
-    """`a, b:` without spaces, which fields take for types; lines may still break there."""
+    """`a/b:` for `a, b:`, which would be taken for a type and a name, or told twice; lines may still break there."""
     if entry[1].partition(",")[0] in flexopt.__all__:
         return entry[0]  # errors, each of which is linked
-    joined = entry[1].replace(", ", ",\u200b")
+    joined = entry[1].replace(", ", "/\u200b")
     return f"    {joined}: "
 
 

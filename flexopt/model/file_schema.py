@@ -52,9 +52,10 @@ def schema(kind: FileKind) -> dict[str, Any]:
         ('of the link.', 'kg', 0.0, 1000000000.0)
     """
     models = MODELS[kind]
+    parts = _models(models)  # built before anything asks for their layout, or for a default that is one of them
     refs, found = models_json_schema([(model, "validation") for model in models], ref_template="#/$defs/{model}")
     tables = cast(dict[str, JsonSchema], found["$defs"])
-    for name, model in _models(models).items():
+    for name, model in parts.items():
         _say(tables[name], model)
     ways = [refs[model, "validation"] for model in models]
     layout: JsonSchema = {"$schema": DIALECT, "title": f"flexopt {kind} file", "type": "object"}
@@ -126,6 +127,8 @@ def _key(given: JsonSchema) -> JsonSchema:
         key = {word: value for word, value in key.items() if word != "anyOf"} | ways[0]
     elif ways:
         key["anyOf"] = ways
+    for part in key.pop("allOf", ()):  # as older versions of pydantic put a reference beside a default
+        key |= part
     if isinstance(default := key.get("default"), dict) or default in (None, "", [], ()):
         key.pop("default", None)
     return key
