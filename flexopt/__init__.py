@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from flexopt.model import load_problem as load_problem
     from flexopt.model import machine_from_dict as machine_from_dict
     from flexopt.model import tree_from_dict as tree_from_dict
+    from flexopt.model.file_schema import schema as schema
     from flexopt.model.loop import Loop as Loop
     from flexopt.model.own import Constraint as Constraint
     from flexopt.model.robots import load_robot as load_robot
@@ -187,6 +188,7 @@ __all__ = [
     "robust_margin",
     "run_experiment",
     "sampled_loop",
+    "schema",
     "select",
     "select_stand",
     "simulate",
@@ -212,6 +214,7 @@ _LATER = {
     "model": (
         "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"
     ),
+    "model.file_schema": "schema",
     "model.loop": "Loop",
     "model.own": "Constraint",
     "model.robots": "load_robot",

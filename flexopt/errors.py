@@ -33,6 +33,13 @@ class FlexoptError(Exception):
     Attributes:
         faults: each fault on its own, when the input had several.
         heading: what they are faults of (a call, a file).
+
+    Example:
+        >>> try:
+        ...     flexopt.evaluate(flexopt.load("excavator"), (0.9, -2.6), gain=-1)
+        ... except flexopt.FlexoptError as error:
+        ...     print(error)
+        evaluate: gain = -1: must be greater than 0 and at most 1e+15
     """
 
     def __init__(self, message: str, faults: Sequence[Fault] = (), heading: str = "") -> None:
@@ -41,7 +48,15 @@ class FlexoptError(Exception):
         self.heading = heading
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready description of the error."""
+        """JSON-ready description of the error.
+
+        Example:
+            >>> try:
+            ...     flexopt.load("excavater")
+            ... except flexopt.FlexoptError as error:
+            ...     print(error.to_dict()["type"])
+            ModelError
+        """
         return {
             "type": type(self).__name__,
             "message": str(self),
@@ -50,11 +65,27 @@ class FlexoptError(Exception):
 
 
 class InputError(FlexoptError, ValueError):
-    """An argument or option is not usable: wrong shape, not finite, out of its range, unknown word."""
+    """An argument or option is not usable: wrong shape, not finite, out of its range, unknown word.
+
+    Example:
+        >>> try:
+        ...     flexopt.evaluate(flexopt.load("excavator"), (0.9,))
+        ... except flexopt.InputError as error:
+        ...     print(error)
+        evaluate: posture = (0.9,): needs 2 angles in rad, one for each actuated joint (boom, stick), not 1
+    """
 
 
 class ModelError(InputError):
-    """A machine or problem file (or the dictionary in its place) is not usable."""
+    """A machine or problem file (or the dictionary in its place) is not usable.
+
+    Example:
+        >>> try:
+        ...     flexopt.machine_from_dict({"name": "m", "base": {"mass": -1.0}})
+        ... except flexopt.ModelError as error:
+        ...     print(len(error.faults), error.faults[0])
+        6 base.length: is required and missing
+    """
 
 
 class UnreachableTarget(InputError):
@@ -63,6 +94,13 @@ class UnreachableTarget(InputError):
     Attributes:
         miss: how far outside the reach the target lies, m.
         base_intervals: intervals of the placement coordinate that would bring it within reach, m.
+
+    Example:
+        >>> try:
+        ...     flexopt.inverse_kinematics(flexopt.load("excavator"), (9.0, 1.6), base=0.0)
+        ... except flexopt.UnreachableTarget as error:
+        ...     print(f"{error.miss:.2f} m")
+        5.88 m
     """
 
     def __init__(self, message: str, *, miss: float, base_intervals: Sequence[tuple[float, float]] = ()) -> None:
@@ -71,7 +109,15 @@ class UnreachableTarget(InputError):
         self.base_intervals = tuple(base_intervals)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready description, with the miss and the placements that would do."""
+        """JSON-ready description, with the miss and the placements that would do.
+
+        Example:
+            >>> try:
+            ...     flexopt.inverse_kinematics(flexopt.load("excavator"), (9.0, 1.6), base=0.0)
+            ... except flexopt.UnreachableTarget as error:
+            ...     print(sorted(error.to_dict()))
+            ['base_intervals', 'faults', 'message', 'miss', 'type']
+        """
         intervals = [list(interval) for interval in self.base_intervals]
         return super().to_dict() | {"miss": self.miss, "base_intervals": intervals}
 
@@ -82,6 +128,13 @@ class SingularPosture(InputError):
     Attributes:
         joint: the joint that would lead out of the singularity fastest.
         angle: its value, rad (of a slide m).
+
+    Example:
+        >>> try:
+        ...     flexopt.evaluate(flexopt.load("excavator"), (0.9, 0.0))
+        ... except flexopt.SingularPosture as error:
+        ...     print(error.joint)
+        stick
     """
 
     def __init__(self, message: str, *, joint: str, angle: float) -> None:
@@ -96,6 +149,13 @@ class NotStabilizable(InputError):
     Attributes:
         mode: its eigenvalue (rad/s; dimensionless in discrete time).
         kind: which property fails, `"stabilizable"` (no input reaches the mode) or `"detectable"` (no output sees it).
+
+    Example:
+        >>> try:
+        ...     flexopt.robust_margin([[1.0]], [[0.0]], [[1.0]])  # grows, and no input reaches it
+        ... except flexopt.NotStabilizable as error:
+        ...     print(error.mode, error.kind)
+        (1+0j) stabilizable
     """
 
     def __init__(self, message: str, faults: Sequence[Fault] = (), *, mode: complex, kind: str) -> None:
@@ -104,7 +164,15 @@ class NotStabilizable(InputError):
         self.kind = kind
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready description, with the mode and the property that fails."""
+        """JSON-ready description, with the mode and the property that fails.
+
+        Example:
+            >>> try:
+            ...     flexopt.robust_margin([[1.0]], [[1.0]], [[0.0]])
+            ... except flexopt.NotStabilizable as error:
+            ...     print(error.to_dict()["kind"])
+            detectable
+        """
         return super().to_dict() | {"mode": [self.mode.real, self.mode.imag], "kind": self.kind}
 
 
@@ -114,6 +182,11 @@ class NoSolutionFound(FlexoptError):
     Attributes:
         violations: constraint name -> size of its violation, in the constraint's unit.
         iterate: the best iterate by variable name, SI.
+
+    Example:
+        >>> error = flexopt.NoSolutionFound("no solve converged", violations={"target": 0.1}, iterate={"base.x": 2.0})
+        >>> error.violations
+        {'target': 0.1}
     """
 
     def __init__(self, message: str, *, violations: dict[str, float], iterate: dict[str, float]) -> None:
@@ -122,20 +195,43 @@ class NoSolutionFound(FlexoptError):
         self.iterate = iterate
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready description, with the violated constraints and the best iterate."""
+        """JSON-ready description, with the violated constraints and the best iterate.
+
+        Example:
+            >>> error.to_dict()["iterate"]
+            {'base.x': 2.0}
+        """
         return super().to_dict() | {"violations": self.violations, "iterate": self.iterate}
 
 
 class WrongSlope(FlexoptError):
-    """The derivatives that a solver would climb by disagree with independent ones, so that nothing was solved."""
+    """The derivatives that a solver would climb by disagree with independent ones, so that nothing was solved.
+
+    Example:
+        >>> issubclass(flexopt.WrongSlope, flexopt.FlexoptError)
+        True
+    """
 
 
 class MarginNotComputed(NoSolutionFound):
-    """ε_max could not be computed to 1e-6: that says nothing about whether a controller stabilises the plant."""
+    """ε_max could not be computed to 1e-6: that says nothing about whether a controller stabilises the plant.
+
+    Example:
+        >>> issubclass(flexopt.MarginNotComputed, flexopt.NoSolutionFound)
+        True
+    """
 
 
 class ExportError(FlexoptError):
-    """A graph has no equivalent in C."""
+    """A graph has no equivalent in C.
+
+    Example:
+        >>> try:
+        ...     flexopt.export_c(flexopt.load("excavator"), "bundle", parts=["levers"])
+        ... except flexopt.FlexoptError as error:
+        ...     print(error)
+        export_c: parts = 'levers': the levers of boom, stick need a cylinder or a speed; excavator does not allow it
+    """
 
 
 class WriteError(InputError, OSError):
@@ -144,6 +240,13 @@ class WriteError(InputError, OSError):
     Attributes:
         path: of the file.
         size: bytes that it would have.
+
+    Example:
+        >>> try:
+        ...     flexopt.simulate(flexopt.load("excavator"), (0.9, -2.6), duration=0.1).to_csv("none/run.csv")
+        ... except flexopt.WriteError as error:
+        ...     print(error.path)
+        none/run.csv
     """
 
     def __init__(self, message: str, *, path: str, size: int, code: int | None = None) -> None:
@@ -154,7 +257,14 @@ class WriteError(InputError, OSError):
 
 
 class FlexoptWarning(UserWarning):
-    """A result is right but needs care: repeated frequencies, a feature that is missing."""
+    """A result is right but needs care: repeated frequencies, a feature that is missing.
+
+    Example:
+        >>> import warnings
+        >>> with warnings.catch_warnings():
+        ...     warnings.simplefilter("error", flexopt.FlexoptWarning)  # to stop at what needs care
+        ...     machine = flexopt.load("excavator")
+    """
 
 
 class CompilerNotFound(FlexoptWarning):
@@ -162,7 +272,14 @@ class CompilerNotFound(FlexoptWarning):
 
 
 class ImplausibleMachine(FlexoptWarning):
-    """A machine has numbers that are allowed but hardly meant, such as kN for N; `flexopt.check` tells them all."""
+    """A machine has numbers that are allowed but hardly meant, such as kN for N; `flexopt.check` tells them all.
+
+    Example:
+        >>> data = flexopt.load("excavator").to_dict()
+        >>> data["base"]["mass"] = 5.2915  # t, where kg are meant
+        >>> [finding.field for finding in flexopt.check(flexopt.machine_from_dict(data)).findings][:1]
+        ['base.inertia']
+    """
 
 
 def sentence_list(heading: str, faults: Sequence[Fault]) -> str:

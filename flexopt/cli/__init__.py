@@ -34,6 +34,7 @@ _COMMANDS = {
     "export": "bundles",
     "verify": "bundles",
     "check": "checking",
+    "schema": "layouts",
     "doctor": "studies",
 }
 

@@ -40,7 +40,7 @@ def identify_command(as_json: bool, machine: str, log: str, plot: str | None, ou
     """Springs, dampers and load of MACHINE (a name or a file) from LOG: a CSV file of a free swing, the arm held.
 
     Its first line names the columns: t [s] and some of gyro_x [rad/s], base.pitch [deg], end_point.x [mm], acc_x [g],
-    joints such as boom [rad]; README.md has the table.
+    joints such as boom [rad]; the page "Unknown ground" has the table.
     """
     from flexopt.identification import identify  # noqa: PLC0415  (only this command needs it)
 

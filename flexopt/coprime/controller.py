@@ -58,6 +58,12 @@ def optimal_controller(A: Any, B: Any = None, C: Any = None, D: Any = None, *, d
         NoSolutionFound: no proper controller was found whose margin is ε_max to 1e-6.
 
     Source: Glover and McFarlane, IEEE Transactions on Automatic Control 34(8), 1989.
+
+    Example:
+        >>> plant = ([[0, 1], [0, 0]], [[0], [1]], [[1, 0]])
+        >>> controller = flexopt.optimal_controller(*plant)
+        >>> round(flexopt.ncf_margin(plant, controller), 5)
+        0.38268
     """
     plant = from_arguments(A, B, C, D, dt, "optimal_controller")
     epsilon = solve_pairs(scale_for_riccati(plant), "optimal_controller")[0].epsilon

@@ -33,6 +33,10 @@ def ncf_margin(P: Any, K: Any, sign: int = -1) -> float:
         InputError: a system is not usable, sizes or sampling periods do not fit, or `sign` is neither −1 nor +1.
 
     Source: Vinnicombe, IEEE Transactions on Automatic Control 38(9), 1993.
+
+    Example:
+        >>> round(flexopt.ncf_margin(([[-1.0]], [[1.0]], [[1.0]]), 1.0), 4)  # 1/(s + 1) with gain 1
+        0.7071
     """
     loop = closed_loop(P, K, sign)
     if loop is None:

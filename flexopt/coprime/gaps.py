@@ -44,6 +44,11 @@ def gap(P1: Any, P2: Any) -> float:
 
     Source: Georgiou, Systems & Control Letters 11, 1988; the bounds: Vinnicombe, IEEE Transactions on Automatic Control
     38(9), 1993.
+
+    Example:
+        >>> first, second = ([[-1.0]], [[1.0]], [[1.0]]), ([[-1.1]], [[1.0]], [[1.0]])
+        >>> round(flexopt.gap(first, second), 4)
+        0.0476
     """
     one, two = _symbol_pair(P1, P2, "gap")
     nu = _nu_gap(one, two)
@@ -72,6 +77,11 @@ def nu_gap(P1: Any, P2: Any) -> float:
         NoSolutionFound: a Riccati equation has no numerical solution.
 
     Source: Vinnicombe, IEEE Transactions on Automatic Control 38(9), 1993.
+
+    Example:
+        >>> first, second = ([[-1.0]], [[1.0]], [[1.0]]), ([[-1.1]], [[1.0]], [[1.0]])
+        >>> round(flexopt.nu_gap(first, second), 4)
+        0.0476
     """
     return _nu_gap(*_symbol_pair(P1, P2, "nu_gap"))
 

@@ -39,6 +39,10 @@ class StateSpace(Result):
 
     Raises:
         InputError: entries that are not real, not finite, beyond 1e100, or of wrong shapes (all faults in one message).
+
+    Example:
+        >>> flexopt.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]).poles()
+        array([-1.+0.j])
     """
 
     DOCUMENT = "A B C D dt[s]"
@@ -76,12 +80,22 @@ class StateSpace(Result):
         return self.dt > 0.0
 
     def poles(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A (n,), rad/s (dimensionless in discrete time)."""
+        """Eigenvalues of A (n,), rad/s (dimensionless in discrete time).
+
+        Example:
+            >>> abs(flexopt.StateSpace([[0.0, 1.0], [-4.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]).poles())
+            array([2., 2.])
+        """
         return np.asarray(np.linalg.eigvals(self.A), dtype=complex) if self.n_states else np.zeros(0, complex)
 
     @public(points=array_of((), ("k",), kinds="iufc"))
     def at(self, points: Any) -> NDArray[np.complex128]:
-        """C (s I − A)⁻¹ B + D at complex `points` (k,) that are no poles; (k, p, m)."""
+        """C (s I − A)⁻¹ B + D at complex `points` (k,) that are no poles; (k, p, m).
+
+        Example:
+            >>> flexopt.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]).at([0.0, 1j]).ravel()
+            array([1. +0.j , 0.5-0.5j])
+        """
         s = np.atleast_1d(np.asarray(points, dtype=complex))
         shifted = s[:, None, None] * np.eye(self.n_states) - self.A
         return np.asarray(self.C @ np.linalg.solve(shifted, self.B.astype(complex)[None]) + self.D, dtype=complex)

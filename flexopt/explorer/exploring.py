@@ -71,6 +71,9 @@ class Explorer(Result):
         Raises:
             InputError: the name does not end in `.html`, or there is no such folder.
             WriteError: the file cannot be written.
+
+        Example:
+            >>> flexopt.explore(flexopt.load("excavator")).save("page.html")
         """
         write_file(path, self.page)
 

@@ -64,6 +64,10 @@ class ExportReport(Result):
         bundle_sha256: identifies the generated code; in the header, too.
         manifest: what manifest.json says.
         left_out: parts that the machine does not allow and nobody asked for, with the reason.
+
+    Example:
+        >>> list(report.parts)
+        ['kinematics']
     """
 
     DOCUMENT = "folder prefix parts left_out files bundle_sha256 provenance"
@@ -205,6 +209,11 @@ def export_c(
         InputError: an argument is not usable, or the folder holds something else.
         WriteError: the folder cannot be written; what was there is as it was.
         ExportError: a graph cannot be generated, or a function would refuse almost every input of this machine.
+
+    Example:
+        >>> report = flexopt.export_c(flexopt.load("excavator"), "bundle", parts=["kinematics"])
+        >>> "README.md" in [str(name) for name in report.files]
+        True
     """
     prefix = c_identifier(machine.name)[:PREFIX_MAX].rstrip("_") if prefix is None else prefix
     left_out = {} if parts is not None else _left_out(machine, tuple(PARTS)) | _without_loop(loop)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from flexopt.foundation.quantities import Checked, Quantity
+from flexopt.foundation.quantities import Quantity, accepting
 
 # "inverse", "transpose" or "damped:LAMBDA", as `check_control` gives it.
 Control = str
@@ -13,7 +13,7 @@ DAMPED = "damped"
 DAMPING_MAX = 1e9
 
 
-@Checked
+@accepting({"type": "string", "pattern": rf"^({'|'.join(CONTROLS)}|{DAMPED}:.+)$"})
 def check_control(value: Any) -> Control:
     """How forces at the end-point become joint commands: `inverse`, `transpose`, or `damped:LAMBDA` with λ > 0.
 

@@ -48,5 +48,9 @@ class Pictured:
 
         Returns:
             A matplotlib Figure.
+
+        Example:
+            >>> run = flexopt.simulate(flexopt.load("excavator"), (0.9929, -2.6306), duration=1.0)
+            >>> figure = run.plot("run.png")
         """
         return drawn(self, path)

@@ -11,13 +11,14 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, Generic, TypeVar, cast
 
-from pydantic import GetCoreSchemaHandler
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError
 from pydantic_core.core_schema import no_info_before_validator_function
 
 from flexopt.foundation.plain import plain
 
 T = TypeVar("T")
+JsonSchema = dict[str, Any]
 SUPPORTED_SCHEMA = 1
 ANGLE_MAX = 4 * math.pi
 DEGREES_MAX = 720.0
@@ -32,10 +33,13 @@ KINDS: dict[type, str] = {
 
 
 class Checked(Generic[T]):
-    """A check as a function and as the annotation of a field; decorates what raises `ValueError` with the sentence."""
+    """A check as a function and as the annotation of a field; decorates what raises `ValueError` with the sentence.
 
-    def __init__(self, check: Callable[[Any], T]) -> None:
-        self.check, self.__doc__ = check, check.__doc__
+    `accepts` is what it takes in a file, as JSON Schema; without it that of the annotated type.
+    """
+
+    def __init__(self, check: Callable[[Any], T], accepts: JsonSchema | None = None) -> None:
+        self.check, self.__doc__, self.accepts = check, check.__doc__, accepts
 
     def __call__(self, value: Any) -> T:
         """The value as it is kept."""
@@ -50,12 +54,28 @@ class Checked(Generic[T]):
 
         return no_info_before_validator_function(validate, handler(source))
 
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        return handler(core) if self.accepts is None else dict(self.accepts)
+
+
+def accepting(accepts: JsonSchema) -> Callable[[Callable[[Any], T]], Checked[T]]:
+    """As the decorator `Checked`, of what takes in files something else than its annotated type says."""
+    return lambda check: Checked(check, accepts)
+
+
+def a_list(of: JsonSchema, least: int | None = None, most: float | None = None) -> JsonSchema:
+    """A list as JSON Schema."""
+    counts = {"minItems": least, "maxItems": int(most) if most is not None and math.isfinite(most) else None}
+    return {"type": "array", "items": of} | {word: count for word, count in counts.items() if count is not None}
+
 
 class Quantity(Checked[float]):
     """A number in a range; `above` is an end that it does not reach."""
 
     def __init__(self, unit: str, *, above: float | None = None, low: float | None = None, high: float) -> None:
-        super().__init__(self._read)
+        ends = {"exclusiveMinimum": above, "minimum": low, "maximum": high, "x-unit": unit or None}
+        accepts: JsonSchema = {"type": "number"} | {word: end for word, end in ends.items() if end is not None}
+        super().__init__(self._read, accepts)
         self.unit, self.above, self.low, self.high = unit, above, low, high
 
     @property
@@ -103,7 +123,7 @@ def whole_number(low: int, high: int, most: str = "", what: str = "") -> Checked
             raise ValueError(f"must be a whole number between {low} and {most or high}{what}")
         return value
 
-    return Checked(check)
+    return Checked(check, {"type": "integer", "minimum": low, "maximum": high})
 
 
 def entries(value: Any) -> list[Any]:
@@ -145,7 +165,8 @@ def vector(what: str, quantity: Quantity, *names: Sequence[str]) -> Checked[tupl
             raise ValueError(f"must be {what}")
         return each_named(quantity, parts, named)
 
-    return Checked(check)
+    sizes = [len(words) for words in names]
+    return Checked(check, a_list(quantity.accepts or {}, min(sizes), max(sizes)))
 
 
 def numbers_in(quantity: Quantity) -> Checked[tuple[float, ...]]:
@@ -158,7 +179,8 @@ def numbers_in(quantity: Quantity) -> Checked[tuple[float, ...]]:
             raise ValueError(f"must be a number or a list of numbers{unit}")
         return each_named(quantity, parts, [f"entry {k}" for k in range(1, len(parts) + 1)])
 
-    return Checked(check)
+    one = quantity.accepts or {}
+    return Checked(check, {"anyOf": [one, a_list(one, 1)]})
 
 
 def list_of(what: str, check: Callable[[Any], T], name: str, least: int, most: float) -> Checked[tuple[T, ...]]:
@@ -170,7 +192,7 @@ def list_of(what: str, check: Callable[[Any], T], name: str, least: int, most: f
             raise ValueError(f"must be a list of {what}")
         return each(check, parts, [name.format(k) for k in range(1, len(parts) + 1)])
 
-    return Checked(check_all)
+    return Checked(check_all, a_list(getattr(check, "accepts", None) or {}, least, most))
 
 
 def pair(
@@ -188,10 +210,10 @@ def pair(
             raise ValueError(f"is reversed or empty: the lower end must be below the upper end{unit and ',' + unit}")
         return lower, upper
 
-    return Checked(check)
+    return Checked(check, a_list(quantity.accepts or {}, 2, 2))
 
 
-@Checked
+@accepting({"const": SUPPORTED_SCHEMA})
 def check_schema(value: Any) -> int:
     """The version of a file's layout."""
     if type(value) is not int or value != SUPPORTED_SCHEMA:

@@ -56,7 +56,13 @@ class Result:
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary (keys as in the command line's `--json`)."""
+        """JSON-ready dictionary (keys as in the command line's `--json`).
+
+        Example:
+            >>> evaluation = flexopt.evaluate(flexopt.load("excavator"), (0.9929, -2.6306))
+            >>> evaluation.to_dict()["joints"]
+            ['boom', 'stick']
+        """
         return cast(dict[str, Any], json_ready(self.document()))
 
     def _units(self, outer: str) -> Iterator[tuple[str, str]]:

@@ -115,11 +115,11 @@ def identify(
         Newey and West, Econometrica 55 (1987), for residuals that are not white.
 
     Example:
-        >>> import flexopt, numpy as np
         >>> t = np.arange(0, 5, 0.01)
-        >>> turn = 2e-3 * np.exp(-0.2 * t) * np.cos(12 * t)
-        >>> log = {"t [s]": t, "gyro_z [rad/s]": turn + 1e-5 * np.random.default_rng(1).standard_normal(t.size)}
-        >>> found = flexopt.identify(flexopt.load("excavator"), log, posture=[0.5, -1.2], unknown="base.*.rotation")
+        >>> turn = 2e-3 * np.exp(-0.2 * t) * np.cos(12 * t) + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+        >>> log = {"t [s]": t, "gyro_z [rad/s]": turn}
+        >>> machine = flexopt.load("excavator")
+        >>> found = flexopt.identify(machine, log, posture=[0.5, -1.2], unknown="base.*.rotation")
         >>> sorted(found.values)
         ['base.damping.rotation', 'base.stiffness.rotation']
     """

@@ -87,6 +87,13 @@ class Identification(Pictured, Result):
         converged: whether the least squares came to their end.
         time: (N,), s;  measured: (N, c), NaN where left out;  fitted: (N, c), with offsets.
         provenance: where the result comes from.
+
+    Example:
+        >>> found.units["base.stiffness.rotation"]
+        'N m/rad'
+        >>> low, high = found.intervals["base.stiffness.rotation"]
+        >>> low < found.values["base.stiffness.rotation"] < high
+        True
     """
 
     DOCUMENT = """

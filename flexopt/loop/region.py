@@ -49,6 +49,12 @@ class Region(Result):
             has values at its nominal one; NaN where no range is a factor, 1 where the nominal loop grows.
         radius_guaranteed: the largest s, at most `radius`, up to which that is proven; 1 where nothing is.
         radius_critical: the factors at which it grows first, just outside; empty where it never does.
+
+    Example:
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> region = flexopt.stable_region(machine, posture, loop={"kp": 1e4, "kv": 1e3})
+        >>> region.guaranteed, region.radius > 2
+        (True, True)
     """
 
     stable: bool | None
@@ -118,7 +124,8 @@ def stable_region(
         InputError, SingularPosture, NoSolutionFound: as `flexopt.outcome`.
 
     Example:
-        >>> found = flexopt.stable_region(flexopt.load("excavator"), (0.0448, -2.0499), loop={"kp": 1e4, "kv": 1e3})
+        >>> machine = flexopt.load("excavator")
+        >>> found = flexopt.stable_region(machine, (0.0448, -2.0499), loop={"kp": 1e4, "kv": 1e3})
         >>> found.stable, found.guaranteed
         (True, True)
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any, Literal
 
-from flexopt.foundation.quantities import Checked, Quantity, each_named, entries, whole_number
+from flexopt.foundation.quantities import Quantity, a_list, accepting, each_named, entries, whole_number
 
 Elbow = Literal["up", "down"]
 ELBOWS: tuple[Elbow, ...] = ("up", "down")
@@ -28,7 +28,7 @@ WEIGHT = Quantity("", low=0.0, high=1e6)
 BASE_RATE, BASE_ACCELERATION = Quantity("m/s", above=0.0, high=1e3), Quantity("m/s²", above=0.0, high=1e4)
 
 
-@Checked
+@accepting({"type": "string"})
 def check_objective(value: Any) -> str:
     """`w1`, `w2`, …, `V`, `epsilon_max`, one of `OUTCOMES`, or several of them in order, separated by commas."""
     words = value.replace(" ", "").split(",") if isinstance(value, str) else []
@@ -47,7 +47,7 @@ def of_loop(objective: Any) -> bool:
     return isinstance(objective, str) and not set(OUTCOMES).isdisjoint(objective.split(","))
 
 
-@Checked
+@accepting({"type": "string"})
 def check_assume(value: Any) -> str:
     """`everything`, `nothing`, or some of `ASSUMPTIONS`, separated by commas."""
     words = value.replace(" ", "").split(",") if isinstance(value, str) else []
@@ -61,7 +61,7 @@ def assumes(assume: str, name: str) -> bool:
     return assume == EVERYTHING or name in assume.split(",")
 
 
-@Checked
+@accepting(a_list(WEIGHT.accepts or {}, 1))
 def check_weights(value: Any) -> tuple[float, ...]:
     """The weights α of V = Σ αi wi: non-negative, not all zero."""
     values = entries(value)

@@ -25,6 +25,8 @@ from flexopt.foundation.quantities import (
     LENGTH_OR_ZERO,
     Checked,
     Quantity,
+    a_list,
+    accepting,
     each,
     entries,
     pair,
@@ -33,7 +35,7 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.file_model import FileModel, read_table, validated
 from flexopt.model.own import Constraint, check_own_constraints, is_function
-from flexopt.model.polygons import Corners, check_simple_polygon
+from flexopt.model.polygons import POLYGON, Corners, check_simple_polygon
 from flexopt.model.targets import SOME_COORDINATES
 
 Interval = tuple[float, float]
@@ -48,7 +50,7 @@ _POSITIVE = Quantity("", above=0.0, high=1e12)
 _LEAST = Quantity("1/s or s", low=-1e6, high=1e6)
 
 
-@Checked
+@accepting({"anyOf": [ANGLE.accepts, a_list(ANGLE.accepts or {}, 2, 2)]})
 def _check_tool_angle(value: Any) -> Interval:
     """[lo, hi], or one number for both."""
     if not isinstance(value, list | tuple):
@@ -62,7 +64,7 @@ def _check_tool_angle(value: Any) -> Interval:
     return low, high
 
 
-@Checked
+@accepting(a_list({"anyOf": [_INTERVAL.accepts, POLYGON]}, 1))
 def _check_areas(value: Any) -> tuple[Area, ...]:
     """Polygons, or for planar machines intervals [lo, hi] of x, m."""
 
@@ -77,7 +79,7 @@ def _check_areas(value: Any) -> tuple[Area, ...]:
     return each(check, areas, [f"entry {index}" for index in range(len(areas))])
 
 
-@Checked
+@accepting(_DIRECTION.accepts or {})
 def _check_normal(value: Any) -> tuple[float, ...]:
     """A direction, scaled to length 1."""
     parts = _DIRECTION(value)
@@ -89,7 +91,7 @@ def _check_normal(value: Any) -> tuple[float, ...]:
     return tuple(part / length for part in parts)
 
 
-@Checked
+@accepting(_SIDES.accepts or {})
 def _check_size(value: Any) -> tuple[float, ...]:
     sides = _SIDES(value)
     if not all(sides):
@@ -97,7 +99,7 @@ def _check_size(value: Any) -> tuple[float, ...]:
     return sides
 
 
-@Checked
+@accepting(a_list({"type": "string", "minLength": 1}, 1))
 def _check_bodies(value: Any) -> tuple[str, ...]:
     names = entries(value)
     if not names or not all(isinstance(name, str) and name for name in names):
@@ -111,7 +113,14 @@ Place = Annotated[tuple[float, ...], _PLACE]
 
 
 class Sphere(FileModel):
-    """A ball (in the plane a disc): `center` and `radius`, m, inertial frame."""
+    """A ball (in the plane a disc): `center` and `radius`, m, inertial frame.
+
+    Attributes:
+        kind: `"sphere"`.
+        name: in results; names differ.
+        center: in the inertial frame.
+        radius: of the ball.
+    """
 
     kind: Literal["sphere"] = "sphere"
     name: str = ""
@@ -123,6 +132,13 @@ class Box(FileModel):
     """A box (in the plane a rectangle): `center` and whole sides `size`, m, turned by `yaw`, rad, about the vertical.
 
     In the plane `yaw` turns it in the plane.
+
+    Attributes:
+        kind: `"box"`.
+        name: in results; names differ.
+        center: in the inertial frame.
+        size: whole lengths of the sides.
+        yaw: about the vertical; in the plane, within it.
     """
 
     kind: Literal["box"] = "box"
@@ -133,7 +149,14 @@ class Box(FileModel):
 
 
 class HalfPlane(FileModel):
-    """All on one side of a plane (in the plane: a line) through `point`, m: the side where `normal` does not point."""
+    """All on one side of a plane (in the plane: a line) through `point`, m: the side where `normal` does not point.
+
+    Attributes:
+        kind: `"half_plane"`.
+        name: in results; names differ.
+        point: on the plane, in the inertial frame.
+        normal: out of what is filled, of any length.
+    """
 
     kind: Literal["half_plane"] = "half_plane"
     name: str = ""
@@ -182,6 +205,12 @@ class Clearance(FileModel):
     """Least `distance`, m, of the machine's capsules from the ground (at height `ground`, m) and from `obstacles`.
 
     `bodies` are those that keep it, all that have capsules by default.
+
+    Attributes:
+        distance: least one of the capsules from ground and obstacles.
+        bodies: that keep it; all that have capsules by default.
+        ground: its height; no ground is kept from where left out.
+        obstacles: spheres, boxes and half-planes.
     """
 
     distance: Annotated[float, LENGTH_OR_ZERO]
@@ -191,7 +220,13 @@ class Clearance(FileModel):
 
 
 class Travel(FileModel):
-    """What leaving the present placement `base` and `posture` costs, as a share of the objective's scale."""
+    """What leaving the present placement `base` and `posture` costs, as a share of the objective's scale.
+
+    Attributes:
+        cost: of leaving the present configuration, as a share of the objective's scale.
+        base: present placement; that of [selection] by default.
+        posture: present posture; that of [selection] by default.
+    """
 
     cost: Annotated[float, _POSITIVE]
     base: Annotated[tuple[float, ...], SOME_COORDINATES] | None = None
@@ -202,8 +237,11 @@ class LeastOutcomes(FileModel):
     """What the real loop must do at least, as of `flexopt.Outcome` (keys of `[constraints.outcome]`).
 
     Attributes:
-        decay: of its slowest motion, 1/s;  allowed_gain: Kp, N/m and the like;  delay_margin: s.
-        allowance: of every mode, N s/m;  radius: the stability radius, of all springs together.
+        decay: of its slowest motion, 1/s.
+        allowed_gain: largest Kp, N/m and the like.
+        delay_margin: further dead time that it bears, s.
+        allowance: largest velocity gain that damps every mode, N s/m.
+        radius: the stability radius, of all springs together.
     """
 
     decay: Annotated[float, _LEAST] | None = None

@@ -29,7 +29,14 @@ class FileModel(BaseModel):
 
 
 class Described(FileModel):
-    """What every file says of itself."""
+    """What every file says of itself.
+
+    Attributes:
+        schema: version of the layout, 1.
+        name: what results, pictures and messages call it.
+        description: what it is, for people.
+        source: where its numbers come from.
+    """
 
     schema_version: Schema = Field(default=1, alias="schema")
     name: str = Field(min_length=1)

@@ -34,10 +34,11 @@ from flexopt.foundation.quantities import (
     LENGTH_OR_ZERO,
     OFFSET,
     SPEED,
-    Checked,
     Length,
     Offset,
     Quantity,
+    a_list,
+    accepting,
     pair,
     vector,
 )
@@ -57,7 +58,7 @@ _SPEEDS = vector(
 _FORCE = vector("a pair [pull, push] in N", Quantity("N", low=0.0, high=FORCE_MAX), ("pull", "push"))
 
 
-@Checked
+@accepting(a_list(LENGTH.accepts or {}, 2, 2))
 def check_stroke(value: Any) -> tuple[float, float]:
     """[retracted, extended], m, both positive."""
     low, high = pair(LENGTH_OR_ZERO)(value)
@@ -66,7 +67,7 @@ def check_stroke(value: Any) -> tuple[float, float]:
     return low, high
 
 
-@Checked
+@accepting(_FORCE.accepts or {})
 def check_cylinder_force(value: Any) -> tuple[float, float]:
     """[pull, push], N; a cylinder that acts one way has one zero."""
     pull, push = _FORCE(value)
@@ -84,6 +85,14 @@ class Rocker(FileModel):
     hinge's axis (in the plane: counter-clockwise). The rod is pinned to the rocker's end or, with `rod_offset` =
     [along, left], to a point that far from it, in the rocker's axes. Units m. In space the rocker's axis is parallel to
     the hinge's, and its end and the rod's pin lie in the plane of `pivot`.
+
+    Attributes:
+        pivot: about which the rocker turns, on the body that carries the joint.
+        length: from the pivot to the rocker's end.
+        coupler: length of the link between the rocker's end and the body that the joint moves, pin to pin.
+        coupler_point: its pin on the body that the joint moves.
+        branch: 1 where the rocker's end lies to the left of the line from pivot to coupler point, −1 to its right.
+        rod_offset: [along, left], from the rocker's end to the rod's pin, in the rocker's axes.
     """
 
     pivot: Place
@@ -101,6 +110,19 @@ class Cylinder(FileModel):
     """A hydraulic cylinder and the actuated joint that it drives. Keys and units are those of the module's docstring.
 
     The pins (2,) in the plane are [along, left], from the joint that carries the body; (3,) in space in its frame.
+
+    Attributes:
+        name: of the cylinder, in results and among the parameters.
+        joint: that it drives, an actuated one.
+        base_point: pin on the body that carries the joint, in its axes; a slide has none.
+        rod_point: pin on the body that the joint moves, in its axes; a slide or a linkage has none.
+        rocker: the linkage in place of `rod_point`.
+        offset: of a slide, the cylinder's length where the joint is at 0.
+        length: pin to pin, [retracted, extended].
+        speed: at full lever, [retracting, extending].
+        force: greatest [pull, push]; where left out, of no bound.
+        lever_sign: −1 where a positive lever retracts.
+        dead_band: share of the lever that does nothing.
     """
 
     name: str = Field(min_length=1)

@@ -54,6 +54,12 @@ class Loop(BuiltByCall):
             joint for more than its effort.
         torque_limit, rate_limit: of the drives, as in `flexopt.Actuator`; small motions do not feel them.
         nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad or N s/m.
+
+    Example:
+        >>> loop = flexopt.Loop(kp=1e4, kv=1e3, dead_time=0.01)
+        >>> machine = flexopt.load("excavator")
+        >>> print(f"{flexopt.outcome(machine, (0.0448, -2.0499), loop=loop).decay:.4f} 1/s")
+        0.0099 1/s
     """
 
     control: Annotated[Control, check_control] | None = None

@@ -38,7 +38,15 @@ Entry = tuple[str, Parameter]
 
 
 class AnyMachine(BuiltByCall, Described):
-    """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more."""
+    """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more.
+
+    Attributes:
+        gravity: acceleration of free fall.
+        capsules: what the bodies fill, for clearances.
+        cylinders: what drives the joints.
+        loop: the controller that the machine has.
+        uncertainty: what nobody has measured of it.
+    """
 
     gravity: Acceleration = 9.81
     capsules: tuple[Capsule, ...] = ()
@@ -83,7 +91,13 @@ class AnyMachine(BuiltByCall, Described):
         return tuple(body.joint.limits or unlimited for body in self.kinematic_tree.actuated)
 
     def joint_frame(self, joint: str) -> JointFrame:
-        """How an actuated joint stands between the bodies that it joins; its axis is the third of its frame."""
+        """How an actuated joint stands between the bodies that it joins; its axis is the third of its frame.
+
+        Example:
+            >>> machine = flexopt.load("boom-stick-bucket")
+            >>> machine.joint_frame("boom").slide
+            False
+        """
         self._check_joint("joint_frame", joint)
         tree = self.kinematic_tree
         i = next(i for i, body in enumerate(tree.bodies) if body.joint.name == joint)
@@ -100,7 +114,14 @@ class AnyMachine(BuiltByCall, Described):
             raise_if_any(InputError, call, [Fault("joint", sentence, shown(joint))])
 
     def travel(self, cylinder: Cylinder) -> CylinderTravel:
-        """A cylinder's length over its joint's coordinate, as numbers."""
+        """A cylinder's length over its joint's coordinate, as numbers.
+
+        Example:
+            >>> machine = flexopt.load("boom-stick-bucket")
+            >>> cylinder = machine.cylinders[0]
+            >>> round(machine.travel(cylinder).length(0.4), 3)  # m, pin to pin
+            3.033
+        """
         if not isinstance(cylinder, Cylinder):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise_if_any(InputError, "travel", [Fault("cylinder", "must be one of `cylinders`", shown(cylinder))])
         return CylinderTravel(
@@ -115,7 +136,13 @@ class AnyMachine(BuiltByCall, Described):
         return tuple(joint for joint, speed in pairs if joint not in driven and speed == float("inf"))
 
     def beyond_stroke(self, joint: str, q: Any) -> str:
-        """The end of a sentence about a value that its joint cannot take, where that is its cylinder's doing."""
+        """The end of a sentence about a value that its joint cannot take, where that is its cylinder's doing.
+
+        Example:
+            >>> machine = flexopt.load("boom-stick-bucket")
+            >>> machine.beyond_stroke("boom", 3.0)
+            '; boom cylinder would be 1.395 m long, its stroke is 1.745 to 3.005 m'
+        """
         self._check_joint("beyond_stroke", joint)
         try:
             q = JOINT_VALUE(q)
@@ -189,7 +216,13 @@ class AnyMachine(BuiltByCall, Described):
         """The parameters but those of cylinders, in order, and which of `KinematicTree.entries` each is."""
 
     def list_parameters(self) -> list[Parameter]:
-        """The parameters but those of cylinders."""
+        """The parameters but those of cylinders.
+
+        Example:
+            >>> machine = flexopt.load("excavator")
+            >>> machine.list_parameters()[0]
+            Parameter(name='base.length', value=0.541, unit='m')
+        """
         return [parameter for _, parameter in self.parameter_entries()]
 
     @cached_property
@@ -205,7 +238,15 @@ class AnyMachine(BuiltByCall, Described):
         return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
     def to_dict(self) -> dict[str, Any]:
-        """The machine as a dictionary, keys at their defaults left out: what it was validated from takes it back."""
+        """The machine as a dictionary, keys at their defaults left out: what it was validated from takes it back.
+
+        Example:
+            >>> machine = flexopt.load("excavator")
+            >>> machine.to_dict()["base"]["mass"]
+            5291.5
+            >>> flexopt.machine_from_dict(machine.to_dict()) == machine
+            True
+        """
         return self.model_dump(by_alias=True, exclude_defaults=True)
 
     def __hash__(self) -> int:
@@ -222,7 +263,11 @@ class AnyMachine(BuiltByCall, Described):
 
 
 class OnMachine(BuiltByCall, Described):
-    """A file that names the machine that it is about, and holds it once it is loaded."""
+    """A file that names the machine that it is about, and holds it once it is loaded.
+
+    Attributes:
+        machine: name of a shipped machine, or path of a machine file, from this file's folder.
+    """
 
     LOADER: ClassVar[str]
     machine: str = Field(min_length=1)
@@ -230,7 +275,14 @@ class OnMachine(BuiltByCall, Described):
     _loaded: AnyMachine | None = PrivateAttr(default=None)
 
     def with_machine(self, machine: AnyMachine) -> Self:
-        """The same, holding its machine."""
+        """The same, holding its machine.
+
+        Example:
+            >>> problem = flexopt.load_problem("article")
+            >>> heavy = problem.loaded_machine.to_dict() | {"payload": {"mass": 300.0}}
+            >>> problem.with_machine(flexopt.machine_from_dict(heavy)).loaded_machine.payload.mass
+            300.0
+        """
         if not isinstance(machine, AnyMachine):  # pyright: ignore[reportUnnecessaryIsInstance]
             sentence = 'must be a Machine, from flexopt.load("excavator") for example'
             raise_if_any(InputError, "with_machine", [Fault("machine", sentence, shown(machine))])

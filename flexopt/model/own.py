@@ -15,7 +15,7 @@ from typing import Any
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import by, check_text, number, public_class
-from flexopt.foundation.quantities import Checked, entries
+from flexopt.foundation.quantities import Checked, a_list, accepting, entries
 from flexopt.model.choices import check_objective
 
 NAME_MAX = 60
@@ -70,7 +70,8 @@ def check_function(value: Any) -> OwnFunction:
     return OwnFunction(hashlib.sha256(written.encode()).hexdigest(), value)
 
 
-@Checked
+# Files have words alone.
+@accepting({"anyOf": [{"type": "string"}, a_list({"type": "string"}, 1)]})
 def check_objectives(value: Any) -> str | tuple[str | OwnFunction, ...]:
     """As `check_objective`; or a Function, or several of both in order of importance."""
     if not isinstance(value, list | tuple) and not is_function(value) and not isinstance(value, OwnFunction):
@@ -123,7 +124,10 @@ class Constraint:
     Example:
         >>> sag = ca.MX.sym("sag", 2)
         >>> g = ca.Function("sag_of_end_point", [sag], [ca.norm_2(sag)], ["sag"], ["length"])
-        >>> flexopt.select(machine, target, constraints=[flexopt.Constraint(g, upper=0.005, unit="m")])
+        >>> at_most = flexopt.Constraint(g, upper=0.005, unit="m")
+        >>> choice = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), constraints=[at_most], starts=4)
+        >>> bool(choice.best.constraints["sag_of_end_point"].value < 0.005)
+        True
     """
 
     function: Any
@@ -151,7 +155,14 @@ class Constraint:
         return self.name or self.function.name
 
     def to_dict(self) -> dict[str, Any]:
-        """Name, bounds (None where there is none), unit, and what the Function is told from others by."""
+        """Name, bounds (None where there is none), unit, and what the Function is told from others by.
+
+        Example:
+            >>> posture = ca.MX.sym("posture", 2)
+            >>> g = ca.Function("boom_angle", [posture], [posture[0]], ["posture"], ["angle"])
+            >>> flexopt.Constraint(g, upper=1.0, unit="rad").to_dict()["upper"]
+            1.0
+        """
         lower, upper = (bound if math.isfinite(bound) else None for bound in self.bounds)
         return {"name": self.label, "lower": lower, "upper": upper, "unit": self.unit, "digest": self.function.digest}
 

@@ -35,7 +35,13 @@ LINK_JOINT = ("passive", "stiffness", "damping", "rest", "limits", "effort", "sp
 
 
 class BaseStiffness(FileModel):
-    """Springs between ground and base; a direction left out is rigid."""
+    """Springs between ground and base; a direction left out is rigid.
+
+    Attributes:
+        x: along the ground.
+        y: upwards.
+        rotation: against turning.
+    """
 
     x: Stiffness | None = None
     y: Stiffness | None = None
@@ -43,7 +49,13 @@ class BaseStiffness(FileModel):
 
 
 class BaseDamping(FileModel):
-    """Dampers beside the springs."""
+    """Dampers beside the springs.
+
+    Attributes:
+        x: along the ground.
+        y: upwards.
+        rotation: against turning.
+    """
 
     x: Damping = 0.0
     y: Damping = 0.0
@@ -51,7 +63,18 @@ class BaseDamping(FileModel):
 
 
 class Base(FileModel):
-    """The first body, from the ground point to the arm's first joint. `com` along it, `com_offset` to its left."""
+    """The first body, from the ground point to the arm's first joint. `com` along it, `com_offset` to its left.
+
+    Attributes:
+        length: from the ground point to the arm's first joint.
+        com: of the centre of mass, along the body from the ground point.
+        com_offset: of the centre of mass, to the left of that line.
+        mass: of the body.
+        inertia: about the centre of mass.
+        rest_angle: of the body at rest, from the horizontal, counter-clockwise positive.
+        stiffness: springs to the ground; a direction left out is rigid.
+        damping: dampers beside the springs.
+    """
 
     length: Annotated[float, LENGTH_OR_ZERO]
     com: Offset
@@ -67,6 +90,22 @@ class Link(FileModel):
     """A link and the hinge that carries it: actuated, or passive with a spring.
 
     An actuated hinge may have `limits`, rad, an `effort`, the largest torque either way, N m, and a `speed`, rad/s.
+
+    Attributes:
+        name: of the link and of its joint; numbered where left out.
+        length: from its joint to the next one, or to the end-point.
+        com: of the centre of mass, along the link from its joint.
+        com_offset: of the centre of mass, to the left of that line.
+        mass: of the link.
+        inertia: about the centre of mass.
+        limits: [lower, upper] of the joint's angle, relative to the body before it.
+        effort: largest torque of an actuated joint, either way.
+        speed: largest rate of an actuated joint, either way.
+        joint_damping: friction of an actuated joint, which grows with its rate.
+        passive: true makes a flexible joint: a hinge with a spring, which no drive moves.
+        stiffness: of a flexible joint's spring.
+        damping: of a flexible joint's damper.
+        rest: angle of a flexible joint at which its spring is slack.
     """
 
     name: str = ""
@@ -93,6 +132,19 @@ class Machine(AnyMachine):
     [[capsules]] (`Capsule`; `body` is "base" or a link's name) say what the bodies fill, [[cylinders]] (`Cylinder`)
     what drives the joints, [support] span = [rear, front] what the undercarriage stands on, [loop] (`Loop`) the
     controller, [[uncertainty]] (`Uncertainty`) what nobody has measured.
+
+    Attributes:
+        base: the first body; its joints to the ground are passive.
+        links: in order, from the base outwards.
+        payload: a point mass at the end-point.
+        support: what the undercarriage stands on.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> machine.joints, machine.coordinates
+        (('boom', 'stick'), ('base.x', 'base.y', 'base.rotation', 'boom', 'stick'))
+        >>> machine.links[0].mass
+        766.6
     """
 
     base: Base

@@ -10,15 +10,17 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from flexopt.foundation.quantities import COORDINATE, Checked, each, entries
+from flexopt.foundation.quantities import COORDINATE, a_list, accepting, each, entries
 
 Corner = tuple[float, float]
 Corners = tuple[Corner, ...]
 CORNERS_MAX = 500
 EDGE_MIN = 1e-6
+# As JSON Schema.
+POLYGON = a_list(a_list(COORDINATE["m"].accepts or {}, 2, 2), 3, CORNERS_MAX)
 
 
-@Checked
+@accepting(POLYGON)
 def check_simple_polygon(value: Any) -> Corners:
     """Corners [x, y] in m of a simple polygon, counter-clockwise whichever way they were given."""
     given = entries(value)
@@ -47,7 +49,7 @@ def check_simple_polygon(value: Any) -> Corners:
     return (corners[0], *reversed(corners[1:]))
 
 
-@Checked
+@accepting(POLYGON)
 def check_convex_polygon(value: Any) -> Corners:
     """Corners of a convex polygon, counter-clockwise."""
     corners = check_simple_polygon(value)

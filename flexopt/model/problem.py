@@ -13,7 +13,8 @@ from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.quantities import (
     COORDINATE,
-    Checked,
+    a_list,
+    accepting,
     pair,
 )
 from flexopt.model.boundary import holding_machine
@@ -46,7 +47,10 @@ TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "pat
 PLACEMENTS = ("x", "y", "yaw")
 
 
-@Checked
+_RANGES = {name: a_list(COORDINATE["rad" if name == "yaw" else "m"].accepts or {}, 2, 2) for name in PLACEMENTS}
+
+
+@accepting({"anyOf": [_RANGES["x"], {"type": "object", "properties": _RANGES, "additionalProperties": False}]})
 def _check_any_range(value: Any) -> Any:
     """A range as a file may have it: a pair for a machine placed by x, or a table of pairs."""
     if isinstance(value, Mapping):
@@ -66,7 +70,7 @@ class SelectionOptions(BuiltByCall):
         objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max; or several in order of importance,
             separated by commas: `"w1,epsilon_max"` maximises ε_max among the configurations that keep the best w1 to
             within `slack`. Of several targets: one, without ε_max. Or a `casadi.Function` of named quantities with one
-            number as output, which is maximised (README.md, "Your own objectives and constraints"), alone or in a list
+            number as output, which is maximised (page "My own objective and constraints"), alone or in a list
             in order with others: `["w1", f]`.
         weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
         control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
@@ -98,6 +102,12 @@ class SelectionOptions(BuiltByCall):
             other.
         combine: of a stand: `"worst"` maximises the smallest V_k, `"weighted"` the sum Σ share_k V_k.
         shares: of the targets in the sum, (K,), positive; even by default.
+
+    Example:
+        >>> options = flexopt.SelectionOptions(objective="V", weights=[1, 1, 1], base=0.0, starts=8)
+        >>> machine = flexopt.load("excavator")
+        >>> print(f"{flexopt.select(machine, (0.0, 1.6), options=options).best.objective:.3e}")
+        -1.240e-05
     """
 
     objective: Annotated[Any, check_objectives] = "w1"
@@ -119,7 +129,12 @@ class SelectionOptions(BuiltByCall):
 
     @classmethod
     def of(cls, kind: TargetKind) -> tuple[str, ...]:
-        """The fields that go with a kind of target."""
+        """The fields that go with a kind of target.
+
+        Example:
+            >>> flexopt.SelectionOptions.of("end_points")[-2:]
+            ('combine', 'shares')
+        """
         others = {key for other, keys in KINDS.items() if other != kind for key in keys}
         return tuple(name for name in cls.model_fields if name not in others)
 
@@ -156,7 +171,21 @@ class StandKeywords(SharedKeywords, total=False):
 
 
 class Problem(OnMachine):
-    """A configuration problem (`flexopt.load_problem` reads one from a file)."""
+    """A configuration problem (`flexopt.load_problem` reads one from a file).
+
+    Attributes:
+        target: what the end-point shall reach.
+        motion: how a path is gone along.
+        selection: how to choose.
+        constraints: what a configuration must keep.
+        loop: the real controller; what is left out follows from the machine.
+        uncertainty: what nobody has measured; in place of the machine's.
+
+    Example:
+        >>> problem = flexopt.load_problem("article")
+        >>> problem.target.end_point, problem.machine
+        ((0.0, 1.6), 'excavator')
+    """
 
     LOADER = "flexopt.load_problem"
     target: Target
@@ -171,7 +200,12 @@ class Problem(OnMachine):
         return problem_faults(self.model_dump(by_alias=True, exclude_unset=True))
 
     def select_arguments(self) -> dict[str, Any]:
-        """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target."""
+        """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target.
+
+        Example:
+            >>> flexopt.load_problem("article").select_arguments()["target"]
+            (0.0, 1.6)
+        """
         kind = self.target.kind
         options = {name: getattr(self.selection, name) for name in SelectionOptions.of(kind)}
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}

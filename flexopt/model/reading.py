@@ -33,6 +33,10 @@ def load(name_or_path: str | os.PathLike[str]) -> Machine | Tree:
 
     Raises:
         ModelError: a file is missing, cannot be read, or has faults; the message lists every one.
+
+    Example:
+        >>> flexopt.load("excavator")
+        Machine('excavator': base gives in x, y, rotation; actuated joints: boom, stick)
     """
     return _machine(read_source(name_or_path, ("models",)))
 
@@ -47,6 +51,10 @@ def load_problem(name_or_path: str | os.PathLike[str]) -> Problem:
 
     Raises:
         ModelError: as for `load`, for the problem and for its machine.
+
+    Example:
+        >>> flexopt.load_problem("stations").target.kind
+        'end_points'
     """
     return _problem(read_source(name_or_path, ("problems",)))
 
@@ -61,6 +69,10 @@ def load_experiment(name_or_path: str | os.PathLike[str]) -> Experiment:
 
     Raises:
         ModelError: as for `load`, for the experiment and for its machine.
+
+    Example:
+        >>> flexopt.load_experiment("article-move").nullspace.max_base_rate
+        0.25
     """
     return _experiment(read_source(name_or_path, ("problems",)))
 
@@ -109,6 +121,14 @@ def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
 
     Raises:
         ModelError: lists every fault.
+
+    Example:
+        >>> from flexopt.model.files import shipped_folder
+        >>> import tomllib
+        >>> data = tomllib.loads((shipped_folder("models") / "excavator.toml").read_text())
+        >>> data["payload"] = {"mass": 250.0}
+        >>> flexopt.machine_from_dict(data).payload.mass
+        250.0
     """
     named = _with_link_names(read_table(data, origin, "a machine file"))
     machine = validated(Machine, named, origin, machine_faults(named))

@@ -61,6 +61,13 @@ class Sensor(BuiltByCall):
         resolution, rate_resolution: steps to which they are rounded, m and m/s; 0: not rounded.
         delay: from measurement to command, s; a whole number of samples.
         filter_hz: corner of a first-order low-pass that the samples run through, Hz; none by default.
+
+    Example:
+        >>> late = flexopt.Sensor(delay=0.01, resolution=1e-4)
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> run = flexopt.simulate(machine, posture, kp=1e4, kv=1e3, sensor=late, duration=2.0)
+        >>> run.error.shape
+        (401, 2)
     """
 
     noise: Annotated[float, NOISE] = 0.0
@@ -85,6 +92,13 @@ class Actuator(BuiltByCall):
         servo_gain: with levers, the torque that follows from a joint rate, N m s/rad, or force, N s/m; by default the
             largest at which no full lever asks a joint for more than its effort, in the design posture, and the
             article's 1 where the machine names no effort.
+
+    Example:
+        >>> drives = flexopt.Actuator(torque_limit=5e4, bandwidth_hz=5.0)
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> run = flexopt.simulate(machine, posture, kp=1e4, kv=1e3, actuator=drives, duration=2.0)
+        >>> bool(abs(run.torque).max() <= 5e4)
+        True
     """
 
     torque_limit: Torques | None = None
@@ -96,7 +110,17 @@ class Actuator(BuiltByCall):
 
 
 class Path(BuiltByCall):
-    """Points at times, s, joined by straight lines; held before the first and after the last."""
+    """Points at times, s, joined by straight lines; held before the first and after the last.
+
+    Attributes:
+        times: s, increasing.
+        points: one for each time, each a list of coordinates, m or rad.
+
+    Example:
+        >>> way = flexopt.Path(times=[0.0, 4.0], points=[[0.0], [-1.0]])
+        >>> way.at([2.0, 10.0]).tolist()
+        [[-0.5], [-1.0]]
+    """
 
     times: Annotated[Numbers, TIMES]
     points: Annotated[tuple[Numbers, ...], _POINTS]
@@ -107,7 +131,12 @@ class Path(BuiltByCall):
 
     @public(times=array_of((), ("K",), unit="s"))
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points (len(times), size)."""
+        """Points (len(times), size).
+
+        Example:
+            >>> flexopt.Path(times=[0.0, 4.0], points=[[0.0], [-1.0]]).at([1.0]).tolist()
+            [[-0.25]]
+        """
         columns = [np.interp(times, self.times, column) for column in zip(*self.points, strict=True)]
         return np.array(columns).T
 
@@ -142,7 +171,7 @@ class SimulationOptions(BuiltByCall):
         integral_limit: largest |∫ ki e dt| for each axis.
         gain: servo gain kr for which `"robust"` is designed.
         offset: displacement of the joints at the start (n,), rad or m; +0.05, −0.05, … by default.
-        duration: s.
+        duration: of the run, s.
         rate: of the samples, Hz.
         hold: True: the command is computed at each sample and held; False: at every stage of the integrator.
         integrator: `"rk4"` (the article's), `"dop853"` (explicit, order 8) or `"gauss"` (Gauss–Legendre, order 6,
@@ -160,6 +189,12 @@ class SimulationOptions(BuiltByCall):
         seed: of the noise.
         baked: fold this machine's and controller's numbers into code of their own: a little faster, compiled anew for
             every set of numbers.
+
+    Example:
+        >>> options = flexopt.SimulationOptions(posture=(0.0448, -2.0499), kp=1e4, kv=1e3, duration=5.0)
+        >>> machine = flexopt.load("excavator")
+        >>> float(flexopt.simulate(machine, options=options).time[-1])
+        5.0
     """
 
     posture: Coordinates | None = None
@@ -253,7 +288,16 @@ def dead_time(options: SimulationOptions) -> tuple[int, float]:
 
 
 class NullspaceOptions(FileModel):
-    """How the base moves by the nullspace law (keys of `[nullspace]`); see `flexopt.nullspace_trajectory`."""
+    """How the base moves by the nullspace law (keys of `[nullspace]`); see `flexopt.nullspace_trajectory`.
+
+    Attributes:
+        objective: that the way climbs: `"w1"`, … or `"V"`.
+        weights: α of `"V"`, one for each mode.
+        base_range: [lower, upper] of the placement.
+        max_base_rate: of the placement.
+        max_base_acceleration: of the placement; none by default.
+        duration: longest, of the way.
+    """
 
     objective: Annotated[str, check_objective] = "w1"
     weights: Annotated[tuple[float, ...], check_weights] | None = None
@@ -267,6 +311,16 @@ class Experiment(OnMachine):
     """A simulation in a file (`flexopt.load_experiment` reads one).
 
     With a table `[loop]`, as a machine's, that controller runs, and `[simulation]` says nothing of it.
+
+    Attributes:
+        simulation: the closed loop and its run.
+        nullspace: how the base moves meanwhile; it stands still where left out.
+        loop: the real controller, as a machine's `[loop]`.
+
+    Example:
+        >>> experiment = flexopt.load_experiment("article-a")
+        >>> experiment.simulation.end_point, experiment.simulation.kp
+        ((0.0, 1.6), (100000.0,))
     """
 
     LOADER = "flexopt.load_experiment"

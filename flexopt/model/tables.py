@@ -18,7 +18,11 @@ Place = Annotated[
 
 
 class Payload(FileModel):
-    """A point mass at the end-point."""
+    """A point mass at the end-point.
+
+    Attributes:
+        mass: of the point mass, kg.
+    """
 
     mass: MassOrZero = 0.0
 
@@ -28,6 +32,12 @@ class Capsule(FileModel):
 
     The ends are in m, in the body's axes: in the plane (2,), along the body and to its left, from the joint that
     carries it (body `"base"`: from the ground point); in space (3,), in the body's frame. Equal ends make a ball.
+
+    Attributes:
+        body: that the capsule moves with: `"base"` or a link's name.
+        start: one end of the segment, m, in the body's axes.
+        end: its other end; equal ends make a ball.
+        radius: around the segment, m.
     """
 
     body: str = Field(min_length=1)
@@ -37,7 +47,11 @@ class Capsule(FileModel):
 
 
 class Span(FileModel):
-    """The two ends of what an undercarriage stands on in the plane: [rear, front], m, in the anchor frame."""
+    """The two ends of what an undercarriage stands on in the plane: [rear, front], m, in the anchor frame.
+
+    Attributes:
+        span: [rear, front], in the anchor frame.
+    """
 
     span: Annotated[tuple[float, float], pair(OFFSET)]
 
@@ -46,6 +60,9 @@ class Polygon(FileModel):
     """Corners (x, y), m, in the anchor frame, of the convex polygon that an undercarriage stands on.
 
     They are kept counter-clockwise seen from above, whichever way they were given.
+
+    Attributes:
+        polygon: corners [x, y] of a convex polygon, seen from above, in the anchor frame.
     """
 
     polygon: Annotated[tuple[tuple[float, float], ...], check_convex_polygon]

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
+from pydantic import ConfigDict
+
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import COORDINATE_MAX, DURATION, Quantity, list_of, numbers_in
 from flexopt.model.choices import TARGETS_MAX
@@ -44,6 +46,8 @@ class Target(FileModel):
         path: several in order, between which the base may move, for `flexopt.plan_base`.
     """
 
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [key]} for key in KINDS]})
+
     end_point: Annotated[Numbers, SOME_COORDINATES] | None = None
     end_points: Annotated[tuple[Numbers, ...], _TARGETS] | None = None
     path: Annotated[tuple[Numbers, ...], _PATH] | None = None
@@ -58,7 +62,8 @@ class PathMotion(FileModel):
     """How a path is gone along; see `flexopt.plan_base`, whose defaults hold for what is left out.
 
     Attributes:
-        times: when each target is due, s, increasing from 0;  duration: of the whole, s, the times then evenly spaced.
+        times: when each target is due, s, increasing from 0.
+        duration: of the whole, s, the times then evenly spaced.
         max_base_rate: of each placement coordinate, or one number for all, m/s and rad/s.
         max_joint_rate: of each actuated joint, or one number for all, rad/s or m/s.
         start: where the base stands at the first target, m and rad.

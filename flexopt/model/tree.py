@@ -28,6 +28,13 @@ class Tree(AnyMachine):
     Gravity acts along −z. `stiffness_matrix` and `damping_matrix` stand in for `stiffness` and `damping` of the passive
     joints that they name. `placement` lists the coordinates of the anchor frame that the operator chooses. `capsules`
     say what the bodies fill, `support` what the undercarriage stands on.
+
+    Example:
+        >>> machine = flexopt.load("slewing-excavator")
+        >>> machine.joints, machine.base_coordinates
+        (('slew', 'boom', 'stick', 'bucket'), ('x', 'y', 'yaw'))
+        >>> len(machine.bodies)
+        10
     """
 
     bodies: tuple[TreeBody, ...]
@@ -149,6 +156,12 @@ def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
 
     Raises:
         ModelError: lists every fault.
+
+    Example:
+        >>> data = flexopt.load("truck-crane").to_dict()
+        >>> data["payload"] = {"mass": 500.0}
+        >>> flexopt.tree_from_dict(data).payload.mass
+        500.0
     """
     frozen = read_table(data, origin, "flexopt.Tree")
     tree = validated(Tree, frozen, origin, tree_faults(frozen))

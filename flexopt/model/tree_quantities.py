@@ -14,8 +14,9 @@ from flexopt.foundation.quantities import (
     JOINT_VALUE,
     LENGTH_MAX,
     OFFSET,
-    Checked,
     Quantity,
+    a_list,
+    accepting,
     each_named,
     entries,
     pair,
@@ -46,7 +47,7 @@ _INERTIA = vector("six numbers [xx, yy, zz, xy, xz, yz] in kg m²", INERTIA_ENTR
 _ENTRY = Quantity("SI units", low=-JOINT_STIFFNESS.high, high=JOINT_STIFFNESS.high)
 
 
-@Checked
+@accepting(_DIRECTION.accepts or {})
 def check_axis(value: Any) -> Vector3:
     """A direction, scaled to length 1."""
     parts = _DIRECTION(value)
@@ -59,7 +60,7 @@ def check_axis(value: Any) -> Vector3:
     return x, y, z
 
 
-@Checked
+@accepting({"anyOf": [_ANGLES.accepts, a_list(_ROW.accepts or {}, 3, 3)]})
 def check_rotation(value: Any) -> Matrix3:
     """A rotation matrix by rows, or (roll, pitch, yaw) in rad."""
     rows = entries(value)
@@ -98,7 +99,7 @@ def _from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray[Any, np.dt
     return about_z @ about_y @ about_x
 
 
-@Checked
+@accepting(_INERTIA.accepts or {})
 def check_inertia(value: Any) -> tuple[float, float, float, float, float, float]:
     """Six entries of an inertia tensor that is not negative."""
     xx, yy, zz, xy, xz, yz = _INERTIA(value)
@@ -108,7 +109,7 @@ def check_inertia(value: Any) -> tuple[float, float, float, float, float, float]
     return xx, yy, zz, xy, xz, yz
 
 
-@Checked
+@accepting(a_list(a_list(_ENTRY.accepts or {}, 1), 1))
 def check_square(value: Any) -> tuple[tuple[float, ...], ...]:
     """A symmetric matrix by rows."""
     rows = [entries(row) for row in entries(value)]

@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Annotated, Any
 
+from pydantic import ConfigDict
+
 from flexopt.errors import Fault
 from flexopt.foundation.nearest import hint_or_list
-from flexopt.foundation.quantities import Checked, Quantity, pair, several
+from flexopt.foundation.quantities import Quantity, a_list, accepting, pair, several
 from flexopt.model.file_model import BuiltByCall
 from flexopt.model.loop import DEAD_TIME
 from flexopt.model.parameter_ranges import parameter_range
@@ -24,7 +26,7 @@ WORDS = (SPRINGS, DAMPERS, LATE)
 UNCERTAIN_MAX, NAME_MAX = 8, 200
 
 
-@Checked
+@accepting({"anyOf": [{"type": "string", "minLength": 1}, a_list({"type": "string", "minLength": 1}, 1)]})
 def _check_names(value: Any) -> tuple[str, ...]:
     """One name or several."""
     names = several(value)
@@ -46,7 +48,16 @@ class Uncertainty(BuiltByCall):
         factor: (lower, upper) of one factor that multiplies all of them together, such as one of the soil's. Factors of
             several entries that concern one parameter multiply each other.
         value: (lower, upper) of a single one, in its own unit: of a payload, or of the dead time, s.
+
+    Example:
+        >>> soil = flexopt.Uncertainty(of="stiffness", factor=(0.5, 2.0))
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> region = flexopt.stable_region(machine, posture, loop={"kp": 1e4, "kv": 1e3}, ranges=[soil])
+        >>> region.stable, region.critical
+        (True, {'stiffness': 0.5})
     """
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["factor"]}, {"required": ["value"]}]})
 
     of: Annotated[tuple[str, ...], _check_names]
     factor: Annotated[tuple[float, float], pair(FACTOR, allow_equal=True)] | None = None

@@ -64,6 +64,12 @@ class Hydraulics:
 
     Attributes:
         plant: the machine's plant.
+
+    Example:
+        >>> hydraulics = flexopt.build_hydraulics(flexopt.load("boom-stick-bucket"))
+        >>> p = hydraulics.plant.parameter_values
+        >>> hydraulics.lever(posture=[0.5, -1.2, -0.5], rates=[0.1, 0.0, 0.0], p=p)["lever"]
+        DM([-0.114856, 0, 0])
     """
 
     plant: Plant
@@ -153,6 +159,12 @@ class Hydraulics:
 
         Raises:
             InputError: a joint has neither cylinder nor speed.
+
+        Example:
+            >>> hydraulics = flexopt.build_hydraulics(flexopt.load("boom-stick-bucket"))
+            >>> p = hydraulics.plant.parameter_values
+            >>> hydraulics.lever_map("each")(posture=[0.5, -1.2, -0.5], rates=[9.0, 0.0, 0.0], p=p)["lever"]
+            DM([-1, 0, 0])
         """
         self._check_speeds()
         rates = ca.SX.sym("rates", self.plant.n_actuated)
@@ -179,6 +191,13 @@ class Hydraulics:
         """Joint rates (n,) that come of wanted ones when they pass through the levers. Inputs posture, rates, p.
 
         What full levers cannot give is cut; see `lever_map`. Output rates.
+
+        Example:
+            >>> hydraulics = flexopt.build_hydraulics(flexopt.load("boom-stick-bucket"))
+            >>> p = hydraulics.plant.parameter_values
+            >>> found = hydraulics.driven("each")(posture=[0.5, -1.2, -0.5], rates=[9.0, 0.0, 0.0], p=p)
+            >>> float(found["driven"][0]) < 9.0
+            True
         """
         g, rates = self.plant.graph, ca.SX.sym("rates", self.plant.n_actuated)
         lever = self.lever_map(saturation)(g.posture, rates, g.p)
@@ -213,7 +232,13 @@ class Hydraulics:
         q=array_of(("n_q",)),
     )
     def states(self, q: Vector, base: Vector) -> tuple[CylinderState, ...]:
-        """Every cylinder at a configuration q (n_q,) of the machine's plant, the placement being `base` (n_b,)."""
+        """Every cylinder at a configuration q (n_q,) of the machine's plant, the placement being `base` (n_b,).
+
+        Example:
+            >>> hydraulics = flexopt.build_hydraulics(flexopt.load("boom-stick-bucket"))
+            >>> [state.name for state in hydraulics.states([0, 0, 0, 0.5, -1.2, -0.5], [0.0])]
+            ['boom cylinder', 'stick cylinder', 'bucket cylinder']
+        """
         plant, p = self.plant, self.plant.parameter_values
         posture = np.asarray(q)[plant.n_passive :]
         torque = plant.gravity(q, base, p)[plant.n_passive :]
@@ -260,6 +285,11 @@ def build_hydraulics(machine: AnyMachine) -> Hydraulics:
     """The hydraulics of a machine, planar or in space (built once for each machine and kept).
 
     A machine without cylinders has the maps of its motors: `lever` and `joint_efforts` from its speeds and efforts.
+
+    Example:
+        >>> hydraulics = flexopt.build_hydraulics(flexopt.load("boom-stick-bucket"))
+        >>> [cylinder.name for cylinder in hydraulics.plant.machine.cylinders]
+        ['boom cylinder', 'stick cylinder', 'bucket cylinder']
     """
     return _built(machine)
 

@@ -70,6 +70,11 @@ def inverse_kinematics(
     Raises:
         InputError: an argument is not finite or has the wrong shape.
         UnreachableTarget: by how many metres, and for planar machines from which placements it would be reachable.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> [posture.round(3).tolist() for posture in flexopt.inverse_kinematics(machine, (0.0, 1.6))]
+        [[0.993, -2.63], [-0.026, 2.63]]
     """
     plant, point = build_plant(machine), target
     placement = np.zeros(plant.n_base) if base is None else base

@@ -52,6 +52,13 @@ class Plant:
     Attributes:
         machine: where it comes from.
         graph: the SX graphs themselves, with their symbols q, v, base, posture, p.
+
+    Example:
+        >>> plant = flexopt.build_plant(flexopt.load("excavator"))
+        >>> plant.n_passive, plant.n_coordinates
+        (3, 5)
+        >>> plant.mass
+        Function(mass:(q[5],base,p[26])->(M[5x5]) SXFunction)
     """
 
     machine: AnyMachine
@@ -273,6 +280,13 @@ class Plant:
 
         Under gravity two Newton steps start from `deflection`, held constant, so that first and second derivatives are
         exact, and gravity's stiffness enters the passive block only: the actuators hold their own weight.
+
+        Example:
+            >>> plant = flexopt.build_plant(flexopt.load("excavator"))
+            >>> graph = plant.graph
+            >>> point = plant.operating_point(graph.base, graph.posture, graph.p)
+            >>> type(point).__name__
+            'OperatingPoint'
         """
         m = self.n_passive
         q = self.rest(base, posture, p)
@@ -306,6 +320,12 @@ class Plant:
 
         Returns:
             Function of base, posture, p with outputs A (2 n_q, 2 n_q), B (2 n_q, n_task), C (n_task, 2 n_q).
+
+        Example:
+            >>> plant = flexopt.build_plant(flexopt.load("excavator"))
+            >>> found = plant.linearisation("inverse")(base=0, posture=[0.99, -2.63], p=plant.parameter_values)
+            >>> found["A"].shape, found["B"].shape, found["C"].shape
+            ((10, 10), (10, 2), (2, 10))
         """
         g, n, m = self.graph, self.n_coordinates, self.n_passive
         deflection = self.deflected(g.base, g.posture, g.p) if gravity else None
@@ -362,6 +382,11 @@ def build_plant(machine: AnyMachine) -> Plant:
 
     Raises:
         ModelError: the joints of a spatial machine are not independent.
+
+    Example:
+        >>> plant = flexopt.build_plant(flexopt.load("excavator"))
+        >>> plant.mass(q=[0, 0, 1.2451, 0.99, -2.63], p=plant.parameter_values)["M"].shape
+        (5, 5)
     """
     return _built(machine)
 

@@ -63,6 +63,15 @@ def evaluate_w(
 
     Raises:
         InputError: an argument is not usable, a shape does not fit.
+
+    Example:
+        >>> measures = flexopt.build_measures(flexopt.load("excavator"))
+        >>> postures = [[0.9929, 0.0448], [-2.6306, -2.0499]]  # a column each
+        >>> found = flexopt.evaluate_w(measures, [0.0], postures, gradient=True)
+        >>> found.w.shape
+        (3, 2)
+        >>> found.w[0].round(7)
+        array([-2.968e-04, -2.400e-06])
     """
     bases, postures = np.asarray(bases), np.asarray(postures)
     p = measures.plant.parameter_values.full().ravel()

@@ -38,6 +38,11 @@ class Check(Result):
         faults: what must be mended before anything can be computed.
         findings: numbers that are allowed but hardly meant.
         warnings: sentences of the reader about what it left out or found odd.
+
+    Example:
+        >>> found = flexopt.check("excavator")
+        >>> found.faults, found.findings
+        ((), ())
     """
 
     DOCUMENT = "status name kind machine faults findings warnings provenance"

@@ -114,6 +114,13 @@ class Evaluation(Result):
         cylinders: hydraulic cylinders in this posture, of a machine that has some.
         outcome: what the controller does, `flexopt.Outcome`, where one is known.
         warnings: sentences about repeated frequencies and the like.
+
+    Example:
+        >>> evaluation = flexopt.evaluate(flexopt.load("excavator"), (0.9929, -2.6306))
+        >>> evaluation.frequencies_hz.round(2)
+        array([ 3.04, 13.26, 22.3 ])
+        >>> evaluation.gradient.w.shape  # by base, boom and stick
+        (3, 3)
     """
 
     DOCUMENT = """
@@ -255,6 +262,16 @@ def evaluate(
 
     Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, eqs. (1)–(10); mode derivatives after Fox and
     Kapoor, AIAA Journal 6(12), 1968.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> evaluation = flexopt.evaluate(machine, (0.9929, -2.6306))
+        >>> evaluation.w.round(8)
+        array([-2.9675e-04, -3.0860e-05, -9.7000e-07])
+        >>> evaluation.frequencies_hz.round(3)
+        array([ 3.039, 13.258, 22.298])
+        >>> round(evaluation.epsilon_max, 4)
+        0.2865
     """
     warn_implausible(machine)
     placement = np.zeros(len(machine.base_coordinates)) if base is None else base

@@ -36,6 +36,11 @@ class Measures:
     """Measures of one machine under one controller.
 
     Functions take base (n_b,), posture (n,) and p (n_par,). The number of modes is m = `plant.n_passive`.
+
+    Example:
+        >>> measures = flexopt.build_measures(flexopt.load("excavator"))
+        >>> flexopt.evaluate_w(measures, [0.0], [[0.9929], [-2.6306]]).w.shape
+        (3, 1)
     """
 
     plant: Plant
@@ -250,6 +255,11 @@ def build_measures(machine: AnyMachine, control: Control = "inverse", gravity: b
 
     Raises:
         InputError: an argument is not usable.
+
+    Example:
+        >>> measures = flexopt.build_measures(flexopt.load("excavator"), "inverse")
+        >>> measures.plant.n_passive
+        3
     """
     return _built(machine, control, gravity)
 

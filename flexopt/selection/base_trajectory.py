@@ -69,6 +69,10 @@ class BaseTrajectory(Pictured, Result):
         stop: why it ends.
         descents: every sample after which V is lower.
         initial, final: every measure at the ends.
+
+    Example:
+        >>> bool(climb.end_point_error.max() < 1e-6)
+        True
     """
 
     DOCUMENT = """

@@ -94,6 +94,11 @@ def build_selection(
     Raises:
         InputError: arguments of wrong shape, not finite or out of range, all in one message.
         UnreachableTarget: no placement in the range reaches the target inside limits and margin.
+
+    Example:
+        >>> problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), objective="w1")
+        >>> [variable.name for variable in problem.variables]
+        ['base.x', 'boom', 'stick']
     """
     return build_one(machine, target, constraints, SelectionOptions.model_construct(**keywords), target[None, :])
 

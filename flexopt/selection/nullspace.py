@@ -167,6 +167,14 @@ def nullspace_trajectory(
         NoSolutionFound: V cannot be computed at the start.
 
     Source: ASME Letters in Dynamic Systems and Control 1(2), 021001, section 4.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> climb = flexopt.nullspace_trajectory(machine, (0.9929, -2.6306), base_range=(-1.5, 0.0), duration=2.0)
+        >>> bool(climb.V[-1] > climb.V[0])
+        True
+        >>> climb.stop.value
+        'the duration is over'
     """
     placement = _placement(machine, base)
     goal = read_objectives(Arguments("nullspace_trajectory", machine), machine, objective, weights)[0]

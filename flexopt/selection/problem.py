@@ -111,6 +111,11 @@ class SelectionProblem:
         singularity_margin: rad.
         starts: how many are tried at most, or None for the default;  seed: of the scan's sample.
         bounding: how many of the objectives are own constraints: they come first, and are kept from the beginning.
+
+    Example:
+        >>> problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
+        >>> problem.objective.name, problem.rows([0.0, 0.9929, -2.6306]).shape
+        ('w1', (3,))
     """
 
     machine: AnyMachine
@@ -190,6 +195,12 @@ class SelectionProblem:
         """What the objective being solved, at most `best`, may give up for the next one, in V's unit.
 
         The share `slack` of |best|, or of the typical Σ αi |a_i||b_i| where that is more: the w_i are best at 0.
+
+        Example:
+            >>> machine = flexopt.load("excavator")
+            >>> ordered = flexopt.build_selection(machine, (0.0, 1.6), objective="epsilon_max,w1", slack=1e-3)
+            >>> round(ordered.given_up(0.38), 6)
+            0.00038
         """
         return self.slack * max(abs(best), self.objective_scale - self.objective.beta)
 
@@ -246,6 +257,11 @@ class SelectionProblem:
         """V of an objective with each of the branches of ε_max, and gradients by z, as `Quantities.branches`.
 
         The cost of travel is taken off. `exact`: ε_max in extended precision.
+
+        Example:
+            >>> value, slope = problem.branches(problem.objective, [0.0, 0.9929, -2.6306])
+            >>> value.shape, slope.shape
+            ((1,), (1, 3))
         """
         n_base = len(self.machine.base_coordinates)
         values, gradients = self.quantities.branches(objective, z[:n_base], z[n_base:], exact=exact)
@@ -256,7 +272,13 @@ class SelectionProblem:
 
     @public(sizes=_sizes, z=array_of(("n_z",)))
     def factors(self, z: Vector) -> tuple[Vector, Vector, Vector]:
-        """As `split_factors`, slopes by z; and of every mode how many have its frequency, (m,)."""
+        """As `split_factors`, slopes by z; and of every mode how many have its frequency, (m,).
+
+        Example:
+            >>> factors, slopes, many = problem.factors([0.0, 0.9929, -2.6306])
+            >>> many
+            array([1., 1., 1.])
+        """
         plant, n_base = self.measures.plant, self.measures.plant.n_base
         f, f_z, same = (
             out.full() for out in self.measures.factors.call([z[:n_base], z[n_base:], plant.parameter_values])
@@ -265,7 +287,15 @@ class SelectionProblem:
 
     @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
     def travel_cost(self, objective: Objective, z: Vector) -> tuple[Vector, Vector]:
-        """What V of an objective is less by at z (…, n_z), and its gradient."""
+        """What V of an objective is less by at z (…, n_z), and its gradient.
+
+        Example:
+            >>> asked = {"travel": {"cost": 0.01, "base": 0.0, "posture": [0.9929, -2.6306]}}
+            >>> near = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), constraints=asked)
+            >>> cost, slope = near.travel_cost(near.objective, np.array([1.0, 0.9929, -2.6306]))
+            >>> float(cost) > 0
+            True
+        """
         if self.travel is None or objective.bounds:
             return np.zeros(z.shape[:-1]), np.zeros(z.shape)
         size = self.travel.cost * self.objective_scales[self.objectives.index(objective)]
@@ -281,14 +311,24 @@ class SelectionProblem:
 
     @public(sizes=_sizes, z=_MANY)
     def wrapped(self, z: Vector) -> Vector:
-        """The same configurations (…, n_z) with unlimited angles within half a turn of the present ones, or of 0."""
+        """The same configurations (…, n_z) with unlimited angles within half a turn of the present ones, or of 0.
+
+        Example:
+            >>> problem.wrapped(np.array([0.0, 0.9929 + 2 * np.pi, -2.6306])).round(4)
+            array([ 0.    ,  0.9929, -2.6306])
+        """
         now = np.zeros(z.shape[-1]) if self.travel is None else self.travel.now
         away = (z - now + math.pi) % (2 * math.pi) - math.pi
         return np.where(self.turning, now + away, z)
 
     @public(sizes=_sizes, z=array_of(("n_z",)))
     def rows(self, z: Vector) -> Vector:
-        """Values of all constraints, (n_rows,), in their units."""
+        """Values of all constraints, (n_rows,), in their units.
+
+        Example:
+            >>> problem.rows(np.array([0.0, 0.9929, -2.6306])).round(2).tolist()[1:]
+            [1.6, 0.24]
+        """
         n_base, p = len(self.machine.base_coordinates), self.measures.plant.parameter_values
         at = [z[:n_base], z[n_base:], p]
         parts = [self.measures.w.call(at)[2], self.measures.plant.singularity_sine_squared.call(at)[0]]
@@ -319,7 +359,15 @@ class SelectionProblem:
 
     @public(sizes=_sizes, z=array_of(("n_z",)))
     def own_values(self, z: Vector) -> Vector:
-        """The values of the user's own constraints at z, entry by entry."""
+        """The values of the user's own constraints at z, entry by entry.
+
+        Example:
+            >>> posture = ca.MX.sym("posture", 2)
+            >>> flat = ca.Function("flat", [posture], [1 - posture[0]], ["posture"], ["g"])
+            >>> bound = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), constraints=flat)
+            >>> bound.own_values(np.array([0.0, 0.75, -2.0]))
+            array([0.25])
+        """
         n_base = len(self.machine.base_coordinates)
         terms = [OwnTerm(constraint.function) for constraint in self.asked.own or ()]
         found = [self.quantities.of_own(term, z[:n_base], z[n_base:]).ravel() for term in terms]
@@ -331,17 +379,31 @@ class SelectionProblem:
 
         Raises:
             InputError: ε_max takes part: it has kinks, which `flexopt.select` climbs without a solver.
+
+        Example:
+            >>> problem.solver().name_in()[:2]
+            ['x0', 'p']
         """
         if any(form.kinks for form in self.forms):
             raise InputError("solver: objective: ε_max has kinks, which IPOPT is not told of; call flexopt.select")
         return build_solver(self.configuration, alone(self.scale.size), self.forms, "weighted", quick=quick)
 
     def solver_parameters(self) -> Vector:
-        """The numbers of this problem for `solver`, see `SolverParameters`."""
+        """The numbers of this problem for `solver`, see `SolverParameters`.
+
+        Example:
+            >>> problem.solver_parameters().ndim
+            1
+        """
         return packed_parameters((self,), alone(self.scale.size), np.ones(1), 0.0, self.shift)
 
     def to_dict(self) -> dict[str, Any]:
-        """Target, objective, variables with bounds, constraints."""
+        """Target, objective, variables with bounds, constraints.
+
+        Example:
+            >>> problem.to_dict()["target"]
+            [0.0, 1.6]
+        """
         present = {"present_base": self.present_base, "present_posture": self.present_posture}
         return {
             "target": self.target.tolist(),

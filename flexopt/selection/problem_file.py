@@ -23,6 +23,10 @@ def solve_problem(
 
     Raises:
         InputError, UnreachableTarget, NoSolutionFound: as these.
+
+    Example:
+        >>> flexopt.solve_problem(flexopt.load_problem("article")).status
+        '8 distinct local optima verified from 8 starts'
     """
     calls = {"end_point": select, "end_points": select_stand, "path": plan_base}
     return calls[problem.target.kind](**problem.select_arguments(), workers=workers, progress=progress)

@@ -67,6 +67,11 @@ class Candidate:
             them.
         representatives: some of these points, (n_z,) each, far apart. The candidate is the one of the set where the
             worst of the w_i that V leaves out is largest, or ε_max where V leaves none out.
+
+    Example:
+        >>> best = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), starts=8).best
+        >>> bool(best.target_error < 1e-9)
+        True
     """
 
     z: Vector
@@ -97,7 +102,12 @@ class Candidate:
         return self.evaluate()
 
     def to_dict(self) -> dict[str, Any]:
-        """The evaluation's dictionary with the candidate's own keys."""
+        """The evaluation's dictionary with the candidate's own keys.
+
+        Example:
+            >>> best.to_dict()["base_coordinates"]
+            ['x']
+        """
         own = {
             "objective": self.objective,
             "active": list(self.active),
@@ -151,6 +161,13 @@ class Selection(Pictured, Result):
         attempts: every start and its outcome.
         kept: of objectives in order, what those before the last keep.
         problem: what was solved.
+
+    Example:
+        >>> selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), base=0.0, starts=8)
+        >>> len(selection.candidates) > 1
+        True
+        >>> selection.best.z.shape  # base, boom, stick
+        (3,)
     """
 
     DOCUMENT = (

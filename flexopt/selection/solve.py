@@ -121,6 +121,16 @@ def select(
     Raises:
         InputError, UnreachableTarget: as `build_selection`.
         NoSolutionFound: as `solve_selection`.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> selection = flexopt.select(machine, (0.0, 1.6), base=0.0, starts=8)
+        >>> selection.status
+        '8 distinct local optima verified from 8 starts'
+        >>> bool(abs(selection.best.w[0]) < 1e-12)  # w_1 = 0, the most there is
+        True
+        >>> selection.best.evaluation.joints
+        ('boom', 'stick')
     """
     real, measure = cast("Loop | None", loop or machine.loop), keywords.get("objective")
     least = _least(constraints)
@@ -158,6 +168,11 @@ def solve_selection(
     Raises:
         NoSolutionFound: no start led to a point that passes the checks; names the violated constraints, their sizes
             and the best iterate.
+
+    Example:
+        >>> problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), starts=8)
+        >>> flexopt.solve_selection(problem).status
+        '8 distinct local optima verified from 8 starts'
     """
     return solved(problem, workers, progress)
 

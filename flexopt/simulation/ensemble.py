@@ -61,6 +61,12 @@ class Ensemble:
         linear_growth_rate: (N,) of the linear loop of each member, exact between the samples, 1/s; NaN where it rests
             nowhere. Computed when asked for, some 0.5 ms for each different loop.
         verdict: (N,) `"converges"`, `"grows"` or `"undecided"`, as of `Trajectory`: of run and eigenvalues together.
+
+    Example:
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> ensemble = flexopt.simulate_ensemble(machine, posture, vary={"kp": [1e4, 1e5]}, kv=2e3)
+        >>> ensemble.verdict.tolist()
+        ['converges', 'converges']
     """
 
     dataset: xr.Dataset
@@ -86,7 +92,12 @@ class Ensemble:
 
     @public(verdict=words(*VERDICTS))
     def share(self, verdict: LoopVerdict) -> float:
-        """Share of the members with a verdict."""
+        """Share of the members with a verdict.
+
+        Example:
+            >>> ensemble.share("converges")
+            1.0
+        """
         return float(np.count_nonzero(self.verdict == verdict) / self.n_members)
 
     @property
@@ -103,6 +114,10 @@ class Ensemble:
         """JSON-ready summary: shares, and 5th, 50th and 95th percentiles.
 
         Keys: `members`; `growing`, by the runs alone; `verdicts` (verdict -> share); `percentiles`; `provenance`.
+
+        Example:
+            >>> ensemble.to_dict()["members"]
+            2
         """
         quantiles = {
             name: self._quantiles(self.dataset[name].to_numpy())
@@ -130,6 +145,9 @@ class Ensemble:
 
         Raises:
             WriteError: the file cannot be written.
+
+        Example:
+            >>> ensemble.to_netcdf("ensemble.nc")
         """
         data = self.dataset.copy()
         data["grows"] = cast(Any, data["grows"]).astype("int8")
@@ -212,6 +230,13 @@ def simulate_ensemble(
         others: as `flexopt.simulate`.
 
     With noise every member draws its own, from `seed` and its number.
+
+    Example:
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> loads = {"payload.mass": [0.0, 200.0, 400.0]}
+        >>> ensemble = flexopt.simulate_ensemble(machine, posture, vary=loads, kp=1e4, kv=1e3)
+        >>> ensemble.dataset["growth_rate"].sizes["member"]
+        3
     """
     checked = checked_options("simulate_ensemble", machine, {"posture": posture} | keywords)
     varied = dict[str, Vector](vary)

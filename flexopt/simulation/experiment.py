@@ -62,6 +62,10 @@ def run_experiment(
     Raises:
         InputError and others: as `flexopt.simulate` and `flexopt.nullspace_trajectory`; or the file gives both a
             `base_path` and `[nullspace]`.
+
+    Example:
+        >>> flexopt.run_experiment(flexopt.load_experiment("article-a"), duration=5.0).verdict
+        'grows'
     """
     machine, given = experiment.loaded_machine, _given(experiment, overrides)
     law, real = experiment.nullspace, cast("Loop | None", loop or experiment.loop)

@@ -84,6 +84,12 @@ def sampled_loop(
 
     Raises:
         InputError: as `simulate`; or the design posture is no equilibrium (weight without compensation).
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> loop = flexopt.sampled_loop(machine, (0.0448, -2.0499), kp=1e4, kv=1e3)
+        >>> loop.growth_rate < 0
+        True
     """
     return linearised(linear_scenario(machine, {"posture": posture} | keywords, "sampled_loop"))
 
@@ -105,6 +111,12 @@ def stability_border(
 
     Raises:
         InputError: as `sampled_loop`.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> border = flexopt.stability_border(machine, (0.0448, -2.0499), kv=2e3)
+        >>> round(float(border.intervals[0][1]), -4)  # N/m
+        800000.0
     """
     scenario = linear_scenario(machine, {"posture": posture} | keywords, "stability_border")
     kv = float(scenario.options.kv[0])

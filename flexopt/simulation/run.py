@@ -77,6 +77,14 @@ def simulate(
         UnreachableTarget: no posture reaches `end_point`.
         NotStabilizable: `"robust"`: no controller can stabilise the plant.
         NoSolutionFound: the static deflection, or the implicit integrator, did not converge.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> run = flexopt.simulate(machine, (0.9929, -2.6306), kp=1e5, kv=2e3)
+        >>> run.verdict
+        'grows'
+        >>> flexopt.simulate(machine, (0.0448, -2.0499), kp=1e5, kv=2e3).verdict
+        'converges'
     """
     given, settings, sentences = {"posture": posture} | keywords, None, ()
     if loop is not None:

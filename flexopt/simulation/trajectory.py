@@ -77,6 +77,14 @@ class Trajectory(Pictured, Result):
         skeleton: points as in `Plant.skeleton` at each sample (K, points, 2 or 3), m.
         warnings: sentences.
         loop: the numbers of a `loop` that was given, and where they come from; else None.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> run = flexopt.simulate(machine, (0.9929, -2.6306), kp=1e5, kv=2e3)
+        >>> run.q.shape, run.coordinates
+        ((2001, 5), ('base.x', 'base.y', 'base.rotation', 'boom', 'stick'))
+        >>> run.linear_growth_rate > 0
+        True
     """
 
     DOCUMENT = """
@@ -175,6 +183,10 @@ class Trajectory(Pictured, Result):
 
         Returns:
             (K, points, 2 or 3), m.
+
+        Example:
+            >>> run.skeletons(run.q[:2], run.base[:2]).shape
+            (2, 4, 2)
         """
         plant, n = build_plant(self.model), len(q)
         p = np.repeat(plant.parameter_values.full(), n, axis=1)
@@ -212,6 +224,9 @@ class Trajectory(Pictured, Result):
 
         Raises:
             WriteError: the file cannot be written.
+
+        Example:
+            >>> run.to_netcdf("run.nc")
         """
         import json  # noqa: PLC0415
 
@@ -225,6 +240,9 @@ class Trajectory(Pictured, Result):
 
         Raises:
             WriteError: the file cannot be written.
+
+        Example:
+            >>> run.to_csv("run.csv")
         """
         names = ["time_s", *(f"q_{c}" for c in self.coordinates), *(f"v_{c}" for c in self.coordinates)]
         for word in ("end_point", "error"):
@@ -243,6 +261,10 @@ class Trajectory(Pictured, Result):
             path: the file.
             speed: of the film, relative to the machine.
             magnify: factor on the base's deflections, which are small.
+
+        Example:
+            >>> run = flexopt.simulate(machine, (0.9929, -2.6306), duration=0.2)
+            >>> run.animate("run.gif", magnify=20.0)
         """
         drawn(self, path, form="film", speed=speed, magnify=magnify)
 

@@ -132,10 +132,10 @@ def atlas(
         (SIAM, 2003), chapters 2 and 15.
 
     Example:
-        >>> import flexopt
-        >>> found = flexopt.atlas(flexopt.load("excavator"))
-        >>> [posture.modes for posture in found.doubly_robust].count((1, 2))
-        6
+        >>> machine = flexopt.load("excavator")
+        >>> found = flexopt.atlas(machine, x_range=(0.5, 1.5), y_range=(-2.5, -1.0), cells=(16, 16))
+        >>> len(found.curves) > 0
+        True
     """
     given = {"joints": joints, "posture": posture, "base": base, "x_range": x_range, "y_range": y_range}
     plane, rectangle = _read(Arguments("atlas", machine), machine, given)

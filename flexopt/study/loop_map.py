@@ -142,9 +142,8 @@ def map_loop(
         InputError, SingularPosture, NoSolutionFound: as `flexopt.outcome`, and where a parameter moves the end-point.
 
     Example:
-        >>> found = flexopt.map_loop(
-        ...     flexopt.load("excavator"), (0.0448, -2.0499), {"kp": (1e3, 1e5), "dead_time": (0, 0.02)},
-        ...     loop={"kv": 1e3}, points=(20, 20))
+        >>> machine, gains = flexopt.load("excavator"), {"kp": (1e3, 1e5), "dead_time": (0, 0.02)}
+        >>> found = flexopt.map_loop(machine, (0.0448, -2.0499), gains, loop={"kv": 1e3}, points=(20, 20))
         >>> found.dataset["decay"].dims
         ('dead_time', 'kp')
     """

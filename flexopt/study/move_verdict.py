@@ -99,6 +99,14 @@ def verdict(
     Raises:
         InputError: arguments are not usable; the problem has several targets, or no present placement.
         UnreachableTarget, NoSolutionFound: as `flexopt.select`.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> loop = {"kp": 1e4, "kv": 1e3}
+        >>> few = {"starts": 4, "members": 4, "runs": 1, "duration": 5.0}  # quick; leave them out
+        >>> answer = flexopt.verdict(machine, (0.0, 1.6), base=0.0, loop=loop, **few)
+        >>> answer.word
+        'move'
     """
     selection = _selected(problem, target, constraints, {k: v for k, v in keywords.items() if v is not None})
     solved = selection.problem

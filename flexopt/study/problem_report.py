@@ -83,6 +83,10 @@ class Report:
         verdict: whether it pays to move, where a real controller is known and a present placement; else None.
         notes: what could not be computed, sentences.
         provenance: machine, versions and options.
+
+    Example:
+        >>> report.selection.status
+        '8 distinct local optima verified from 8 starts'
     """
 
     name: str
@@ -109,6 +113,10 @@ class Report:
         """Share of each passive coordinate in the strain energy of each mode, (n_passive, modes): columns add to 1.
 
         φ_k (K φ)_k / φᵀ K φ; where springs are coupled a share may be negative.
+
+        Example:
+            >>> report.mode_shares(report.stands["chosen"]).sum(axis=0).round(6)
+            array([1., 1., 1.])
         """
         measures = build_measures(self.machine, stand.control, self.selection.problem.gravity)
         plant = measures.plant
@@ -119,7 +127,12 @@ class Report:
         return shares
 
     def figures(self) -> dict[str, Figure]:
-        """Pictures by name: `selection`, `map`, `loops` (several runs side by side), and each run as `run …`."""
+        """Pictures by name: `selection`, `map`, `loops` (several runs side by side), and each run as `run …`.
+
+        Example:
+            >>> sorted(report.figures())[:3]
+            ['loops', 'map', 'run chosen']
+        """
         from flexopt.plotting import plot_trajectories  # noqa: PLC0415  (matplotlib is slow to import)
 
         found = {"selection": self.selection.plot()}
@@ -138,6 +151,10 @@ class Report:
         (configuration -> coordinates × modes), `map` (as of `flexopt.map_workspace`), `loops` (configuration -> `run`,
         `linear`), `simulation`, `gains` (as of `flexopt reproduce`), `verdict` (as of `flexopt.verdict`), `notes`,
         `provenance`.
+
+        Example:
+            >>> report.to_dict()["name"]
+            'article'
         """
         return cast(
             dict[str, Any],
@@ -167,6 +184,10 @@ class Report:
 
         Raises:
             WriteError: a file cannot be written.
+
+        Example:
+            >>> [path.name for path in report.write("report")]
+            ['report.html', 'report.json']
         """
         from flexopt.study.page import write_files  # noqa: PLC0415  (imports what only reports need)
         from flexopt.study.problem_page import report_html  # noqa: PLC0415
@@ -254,6 +275,12 @@ def report(
 
     Raises:
         InputError, UnreachableTarget, NoSolutionFound: as `flexopt.select`; arguments are not usable.
+
+    Example:
+        >>> problem = flexopt.load_problem("article")
+        >>> report = flexopt.report(problem, simulation={"duration": 2.0}, points=8)
+        >>> sorted(report.loops)
+        ['chosen', 'present']
     """
     machine = problem.loaded_machine if isinstance(problem, Problem) else problem.machine
     given = _simulation(machine, experiment, simulation)

@@ -83,6 +83,10 @@ class Verdict(Result):
         uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
             was found among these points, and by a search from the slowest ones.
         selection: the problem's answer.
+
+    Example:
+        >>> len(answer.places) == len(answer.table)
+        True
     """
 
     word: Word

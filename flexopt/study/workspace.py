@@ -126,6 +126,12 @@ def map_workspace(
     Raises:
         InputError: every unusable argument, in one message.
         UnreachableTarget: over the base, the end-point is not reached from the placements next to `base`.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> chart = flexopt.map_workspace(machine, points=(8, 8), epsilon_max=False)
+        >>> chart.array("w").shape  # mode, y, x
+        (3, 8, 8)
     """
     size = _default_points(machine) if points is None else points
     given = {"joints": joints, "rows": rows, "coordinates": coordinates, "posture": posture, "end_point": end_point}

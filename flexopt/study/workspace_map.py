@@ -73,6 +73,10 @@ class WorkspaceMap:
             `description`. Attributes: `title`, `machine`, `control`, `gain`, `gravity`, `over`, `elbow`, `frame`,
             `marks` (JSON, name -> point of the plane), `provenance`.
         provenance: machine, versions and options.
+
+    Example:
+        >>> chart.dataset["w"].dims
+        ('mode', 'y', 'x')
     """
 
     machine: str
@@ -86,6 +90,10 @@ class WorkspaceMap:
 
         Raises:
             InputError: the map has none of that name.
+
+        Example:
+            >>> chart.array("frequency_hz").shape
+            (3, 8, 8)
         """
         if name not in self.dataset.variables:
             listed = ", ".join(map(str, self.dataset.variables))
@@ -102,7 +110,12 @@ class WorkspaceMap:
 
     @public(sizes=_sizes, mask=array_of(("n_y", "n_x"), kinds="biuf"))
     def fraction(self, mask: Any) -> float:
-        """Share of the mapped points (reachable and regular) where `mask` (n_y, n_x) holds."""
+        """Share of the mapped points (reachable and regular) where `mask` (n_y, n_x) holds.
+
+        Example:
+            >>> 0 < chart.fraction(chart.array("w")[0] > -1e-5) < 1
+            True
+        """
         mapped = self._mapped
         return float(np.count_nonzero(np.asarray(mask, dtype=bool) & mapped) / max(1, np.count_nonzero(mapped)))
 
@@ -112,7 +125,12 @@ class WorkspaceMap:
 
     @public(modes=_modes)
     def in_phase_fraction(self, *modes: int, strict: bool = False) -> float:
-        """Share of the mapped points where all `modes` (counted from 1) are in phase."""
+        """Share of the mapped points where all `modes` (counted from 1) are in phase.
+
+        Example:
+            >>> 0 < chart.in_phase_fraction(1) < 1
+            True
+        """
         numbers = range(1, self.dataset.sizes.get("mode", 0) + 1)
         if not modes or any(mode not in numbers for mode in modes):
             sentence = f"must be among the map's modes, {numbers.start} to {numbers.stop - 1}"
@@ -128,6 +146,9 @@ class WorkspaceMap:
         Raises:
             InputError: the name does not end in `.nc`.
             WriteError: the file cannot be written.
+
+        Example:
+            >>> chart.to_netcdf("map.nc")
         """
         write_netcdf(path, self.dataset)
 
@@ -143,13 +164,21 @@ class WorkspaceMap:
 
         Raises:
             WriteError: the file cannot be written.
+
+        Example:
+            >>> figure = chart.plot("map.png")
         """
         from flexopt.plotting.workspace import plot_workspace  # noqa: PLC0415  (matplotlib is slow to import)
 
         return plot_workspace(self.dataset, path, marks=marks)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready summary: ranges, means and shares of the area, with provenance; the arrays go to netCDF."""
+        """JSON-ready summary: ranges, means and shares of the area, with provenance; the arrays go to netCDF.
+
+        Example:
+            >>> chart.to_dict()["machine"]
+            'excavator'
+        """
         rows, columns = self.axes
         mapped = self._mapped
         extent = {name: self.array(name) for name in (columns, rows)}

@@ -254,6 +254,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         threads=1,
         progress=print,
     ),
+    "schema": lambda: {"kind": "machine"},
     "ncf_margin": lambda: {"P": PLANTS, "K": 0.1, "sign": -1},
     "nu_gap": lambda: {"P1": PLANTS, "P2": PLANTS},
     "nullspace_trajectory": lambda: _machine(

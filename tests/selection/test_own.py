@@ -344,9 +344,9 @@ def test_every_quantity_is_what_is_computed_elsewhere() -> None:
             np.testing.assert_allclose(found, np.ravel(wanted[name]), rtol=1e-7, atol=1e-11)
 
 
-def test_the_worked_example_and_the_table_of_the_readme() -> None:
-    """The lines of README.md run, and give what is said there; its table names every quantity."""
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+def test_the_worked_example_and_the_table_of_the_page() -> None:
+    """The lines of the page on own objectives run, and give what is said there; its table names every quantity."""
+    text = (Path(__file__).parents[2] / "docs" / "howto" / "own-objective.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```python\n(import casadi as ca\n.*?)```", text, re.DOTALL)
     names: dict[str, Any] = {"flexopt": flexopt, "machine": EXCAVATOR}
     exec(block, names)

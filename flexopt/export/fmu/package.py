@@ -61,6 +61,10 @@ class FmuReport:
         parameters, inputs, outputs: names of variables.
         files: inside the FMU.
         provenance: machine, versions, options.
+
+    Example:
+        >>> report.period  # s
+        0.005
     """
 
     path: Path
@@ -77,7 +81,12 @@ class FmuReport:
     provenance: dict[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
+        """JSON-ready dictionary.
+
+        Example:
+            >>> report.to_dict()["kind"]
+            'co-simulation'
+        """
         paths = {"path": str(self.path), "reference": str(self.reference)}
         return cast(dict[str, Any], json_ready(vars(self) | paths))
 
@@ -158,6 +167,12 @@ def export_fmu(
 
     Warns:
         CompilerNotFound: there is no C compiler, so the FMU holds sources alone.
+
+    Example:
+        >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+        >>> report = flexopt.export_fmu(machine, "loop.fmu", posture, kp=1e4, kv=1e3, duration=1.0)
+        >>> report.version, report.kind
+        ('2.0', 'co-simulation')
     """
     target = Path(path)
     given: dict[str, Any] = {"posture": posture} | keywords

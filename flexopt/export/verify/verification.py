@@ -55,6 +55,10 @@ class Verification(Result):
         checks: each finding.
         tools: versions of the programs used.
         manifest: the bundle's.
+
+    Example:
+        >>> verification.targets
+        ('host',)
     """
 
     DOCUMENT = """
@@ -117,7 +121,11 @@ class Verification(Result):
         return "\n".join([*lines, *left, self.sentence])
 
     def write(self) -> None:
-        """Write `report.html` and `report.json` into the bundle's folder `verification`."""
+        """Write `report.html` and `report.json` into the bundle's folder `verification`.
+
+        Example:
+            >>> verification.write()
+        """
         make_folder(self.page.parent)
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
         title = f"Verification of {self.machine} ({self.real})"
@@ -148,6 +156,12 @@ def verify_bundle(
 
     Raises:
         InputError: the folder is no bundle, or an argument is not usable.
+
+    Example:
+        >>> report = flexopt.export_c(flexopt.load("excavator"), "bundle", parts=["kinematics"])
+        >>> verification = flexopt.verify_bundle("bundle", target="host", inputs=10, fuzz_calls=10)
+        >>> verification.passed
+        True
     """
     path = Path(folder).resolve()
     if not path.is_dir():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import (
@@ -22,6 +22,7 @@ from flexopt.foundation.quantities import (
     Checked,
     Length,
     Quantity,
+    a_list,
     each,
     entries,
 )
@@ -72,11 +73,25 @@ def _by_direction(linear: Quantity, turning: Quantity) -> Checked[ByDirection | 
         numbers = dict(each(number, table.items(), [name if name in quantities else "" for name in table]))
         return {name: numbers[name] for name in DIRECTIONS if name in numbers}
 
-    return Checked(check)
+    sides = len(DIRECTIONS)
+    numbers = {name: quantity.accepts for name, quantity in quantities.items()}
+    table = {"type": "object", "properties": numbers, "additionalProperties": False}
+    largest = max(linear.high, turning.high)
+    six, square = a_list({"type": "number", "minimum": 0, "maximum": largest}, sides, sides), check_square.accepts or {}
+    return Checked(check, {"anyOf": [table, six, square | {"minItems": sides, "maxItems": sides}]})
 
 
 class BaseTable(FileModel):
-    """What the root link stands on."""
+    """What the root link stands on.
+
+    Attributes:
+        stiffness: by direction (x, y, z in N/m; roll, pitch, yaw in N m/rad; one left out is rigid), six
+            numbers in this order, or a symmetric 6 × 6 matrix.
+        damping: likewise, in N s/m and N m s/rad; 0 where left out.
+        point: where the springs act, in the root link's frame.
+        position: of the root link at rest in the anchor frame; from the robot file where left out.
+        rotation: of the root link at rest: roll, pitch, yaw in rad, or a rotation matrix.
+    """
 
     stiffness: Annotated[ByDirection | Matrix, _by_direction(STIFFNESS, ROTATIONAL_STIFFNESS)]
     damping: Annotated[ByDirection | Matrix, _by_direction(DAMPING, ROTATIONAL_DAMPING)] = Field(
@@ -88,7 +103,19 @@ class BaseTable(FileModel):
 
 
 class EndPointTable(FileModel):
-    """Where the work is done."""
+    """Where the work is done.
+
+    Attributes:
+        link: (a body, in MJCF) that carries the end-point; or give `site`.
+        site: of an MJCF file that is the end-point.
+        offset: of the end-point in the link's axes.
+        rotation: of its axes in the link's: roll, pitch, yaw in rad, or a rotation matrix.
+        rows: coordinates of the end-point that are the task.
+        reference: orientation from which roll, pitch and yaw rows are counted, in inertial axes.
+        length: by which roll, pitch and yaw rows are multiplied, so that they are in m, too.
+    """
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["link"]}, {"required": ["site"]}]})
 
     link: str | None = None
     site: str | None = None
@@ -100,7 +127,17 @@ class EndPointTable(FileModel):
 
 
 class JointTable(FileModel):
-    """What the machine file says in place of the robot file."""
+    """What the machine file says in place of the robot file.
+
+    Attributes:
+        stiffness: of a spring, which makes the joint passive.
+        damping: of a passive joint's damper, or friction of an actuated joint.
+        rest: value of a passive joint at which its spring is slack.
+        limits: [lower, upper] of the joint.
+        effort: largest torque or force either way.
+        speed: largest rate either way.
+        armature: inertia of a geared rotor, which turns with the joint alone.
+    """
 
     stiffness: Annotated[float, Quantity(JOINT_STIFFNESS.unit, low=0.0, high=JOINT_STIFFNESS.high)] | None = None
     damping: Annotated[float, JOINT_DAMPING] | None = None
@@ -112,7 +149,14 @@ class JointTable(FileModel):
 
 
 class CapsuleTable(FileModel):
-    """What a link fills, its ends in the link's frame; see `Capsule`."""
+    """What a link fills, its ends in the link's frame; see `Capsule`.
+
+    Attributes:
+        link: that the capsule moves with.
+        start: one end of the segment, in the link's frame.
+        end: its other end; equal ends make a ball.
+        radius: around the segment.
+    """
 
     link: str = Field(min_length=1)
     start: Point
@@ -121,7 +165,27 @@ class CapsuleTable(FileModel):
 
 
 class Overlay(Described):
-    """A spatial machine file."""
+    """A spatial machine file.
+
+    Attributes:
+        robot: URDF or MJCF file; its path starts from this file's folder.
+        root: link to start from; what carries it is left out.
+        gravity: along −z; the MJCF file's, or 9.81, where left out.
+        actuated: names of the driven joints, from the base outwards.
+        locked: joints that do not move, and where they stand, rad or m.
+        lock_others: true locks every joint that is neither actuated nor has a spring where the file has it.
+        ignore: what of the robot file is read as if it were not there.
+        placement: coordinates of the anchor frame that the operator chooses.
+        base: what the root link stands on; without it the root link is fixed to the ground.
+        joints: what holds in place of what the robot file says, by the joint's name.
+        end_point: the frame that does the work.
+        payload: a point mass at the end-point.
+        capsules: what the links fill; `"collision"` takes them from the robot file's collision geometry.
+        cylinders: what drives the joints.
+        support: what the undercarriage stands on.
+        loop: the controller that the machine has.
+        uncertainty: what nobody has measured of it.
+    """
 
     robot: str = Field(min_length=1)
     root: str | None = None

@@ -108,6 +108,11 @@ def load_robot(path: str | os.PathLike[str]) -> Tree:
 
     Warns:
         FlexoptWarning: what is readable but odd: an inertia that no rigid body has, dry friction, a medium.
+
+    Example:
+        >>> from flexopt.model.files import shipped_folder
+        >>> flexopt.load_robot(shipped_folder("models") / "truck-crane.toml").joints
+        ('slew', 'lift', 'knuckle', 'extend')
     """
     path = Path(path)
     try:

@@ -150,6 +150,12 @@ class Atlas(Result):
         w_largest: the largest |w_i| on the grid, (m,).
         unmapped: share of the grid without measures: frequencies that are shared, or nothing that holds the machine.
         provenance: machine, versions and options.
+
+    Example:
+        >>> found.varied
+        ('boom', 'stick')
+        >>> found.doubly_robust == () or found.doubly_robust[0].posture.shape
+        (2,)
     """
 
     DOCUMENT: ClassVar[str] = (
@@ -295,6 +301,9 @@ class Atlas(Result):
         Raises:
             InputError: the name does not end in `.nc`.
             WriteError: the file cannot be written.
+
+        Example:
+            >>> found.to_netcdf("atlas.nc")
         """
         write_netcdf(path, self.dataset)
 
@@ -308,6 +317,9 @@ class Atlas(Result):
 
         Raises:
             WriteError: the file cannot be written.
+
+        Example:
+            >>> figure = found.plot("atlas.png")
         """
         return drawn(self, path, width=width)
 

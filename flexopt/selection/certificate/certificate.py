@@ -50,6 +50,12 @@ class Certificate(Result):
         better: a better configuration z = [base, posture], (n_z,), or None.
         where: the middles of a few cells that could not be decided, placement and elbow (−1 up, +1 down).
         log: what an independent program needs to check it: machine, target, bounds, and every cell with its bound.
+
+    Example:
+        >>> selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), starts=8)
+        >>> certificate = flexopt.certify(selection)
+        >>> certificate.verdict
+        'proven'
     """
 
     DOCUMENT = "verdict status objective value upper gap gap_asked scale cells better where"
@@ -100,6 +106,9 @@ class Certificate(Result):
 
         Raises:
             WriteError: the file cannot be written.
+
+        Example:
+            >>> certificate.write_log("log.json")
         """
         write_file(path, json.dumps(self.log, allow_nan=False) + "\n")
 
@@ -155,8 +164,10 @@ def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
         InputError: the problem has more redundancy, ε_max in its objectives, or gravity.
 
     Example:
-        >>> certificate = flexopt.certify(flexopt.select(machine, (0.0, 1.6), objective="w3"))
-        >>> certificate.proven, certificate.gap
+        >>> selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), objective="w3", starts=8)
+        >>> certificate = flexopt.certify(selection)
+        >>> certificate.proven, certificate.gap <= certificate.gap_asked
+        (True, True)
     """
     problem = selection.problem
     scale, best = problem.objective_scale, selection.best

@@ -123,6 +123,12 @@ def plan_base(
         NoSolutionFound: no way passed the checks: rates too low, or constraints that no continuous way keeps.
 
     Source: the wish that ends ASME Letters in Dynamic Systems and Control 1(2), 021001, section 6.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> plan = flexopt.plan_base(machine, [(0.0, 1.6), (0.2, 1.6)], starts=1, workers=1)
+        >>> plan.base.shape, plan.time.shape
+        ((2, 1), (2,))
     """
     warn_implausible(machine)
     points, begin, count = path, start, workers or available_cores()

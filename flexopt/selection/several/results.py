@@ -104,6 +104,12 @@ class Stand(Pictured, ConfigurationSet):
     Attributes:
         worth: what was maximised: the worst V, or Σ share_k V_k.
         alternatives: worth and placement of the other local optima found, best first.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> stand = flexopt.select_stand(machine, [(0.0, 1.6), (0.2, 1.4)], starts=2, workers=1)
+        >>> bool(stand.worth == stand.V.min())
+        True
     """
 
     worth: float
@@ -120,7 +126,12 @@ class Stand(Pictured, ConfigurationSet):
         return self._found("placement for")
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
+        """JSON-ready dictionary.
+
+        Example:
+            >>> stand.to_dict()["converged"]
+            True
+        """
         others = [{"worth": worth, "base": base} for worth, base in self.alternatives]
         own = {"base": self.base, "worth": self.worth, "alternatives": others}
         return self._document(self.status, own, "targets")
@@ -160,6 +171,10 @@ class BasePlan(Pictured, ConfigurationSet):
         between: the smallest V between the targets, where base and end-point move along straight lines, and the time
             at which it is met;  −∞ where the end-point cannot be kept on its line.
         travelled: length of the base's way, m, (first in the plane of the ground), and its turning, rad.
+
+    Example:
+        >>> bool(plan.V.min() >= plan.still.V.min())
+        True
     """
 
     time: Vector
@@ -203,7 +218,12 @@ class BasePlan(Pictured, ConfigurationSet):
         return self._found("way along")
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
+        """JSON-ready dictionary.
+
+        Example:
+            >>> plan.to_dict()["converged"]
+            True
+        """
         own = {"time": self.time, "base": self.base, "posture": self.posture, "V": self.V, "worth": self.worth}
         own |= {"standing": self.standing, "still": self.still and vars(self.still)}
         own |= {"between": {"V": self.between[0], "time": self.between[1]}}

@@ -75,6 +75,12 @@ def select_stand(
         InputError: arguments of wrong shape, not finite or out of range, all in one message.
         UnreachableTarget: a target cannot be reached, or no placement reaches all; says which.
         NoSolutionFound: no start led to a point that passes the checks.
+
+    Example:
+        >>> machine = flexopt.load("excavator")
+        >>> stand = flexopt.select_stand(machine, [(0.0, 1.6), (0.2, 1.4)], starts=2, workers=1)
+        >>> len(stand.places), stand.base.shape
+        (2, (1,))
     """
     warn_implausible(machine)
     points, count, asked = targets, workers or available_cores(), SelectionOptions.model_construct(**keywords)
