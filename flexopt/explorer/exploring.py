@@ -29,7 +29,7 @@ from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop
 from flexopt.plant import build_plant
 from flexopt.robustness.measures import build_measures
-from flexopt.selection import SelectionProblem, build_selection, solve_selection
+from flexopt.selection import SelectionProblem, select, solve_selection
 from flexopt.study.asked import reported
 
 # What a problem would say.
@@ -158,8 +158,8 @@ def explore(
         start = _open_posture(machine, place) if posture is None else posture
         return _page(machine, {PRESENT: (place, start)}, control, loop, {"title": machine.name})
     asked: Problem | SelectionProblem = machine_or_problem
-    problem = build_selection(**asked.select_arguments()) if isinstance(asked, Problem) else asked
-    found = solve_selection(problem)
+    found = select(**asked.select_arguments()) if isinstance(asked, Problem) else solve_selection(asked)
+    problem = found.problem
     stands = {PRESENT: found.initial, BEST: found.best.evaluation}
     configurations = {name: (stand.base, stand.posture) for name, stand in stands.items() if stand is not None}
     title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)

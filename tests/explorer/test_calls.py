@@ -68,3 +68,13 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
         main(["explore", "article", "--posture", "1,-2", "--out", str(out)])
     assert left.value.code == 2
     assert "--posture: goes with a machine" in capsys.readouterr().err.replace(" = [1.0, -2.0]", "")
+
+
+def test_a_problem_by_what_the_loop_does() -> None:
+    """Its recommended configuration is that of `select`."""
+    problem = flexopt.load_problem("article")
+    own = problem.selection.model_copy(update={"objective": "decay", "starts": 2})
+    asked = problem.model_copy(update={"selection": own, "loop": flexopt.Loop(kp=1e4, kv=1e3)})
+    found = flexopt.select(**asked.select_arguments())
+    _, posture = flexopt.explore(asked).configurations["recommended"]
+    assert posture == pytest.approx(found.best.evaluation.posture)
