@@ -30,6 +30,7 @@ _COMMANDS = {
     "region": "judging",
     "report": "studies",
     "reproduce": "studies",
+    "explain": "explaining",
     "export": "bundles",
     "verify": "bundles",
     "check": "checking",

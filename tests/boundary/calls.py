@@ -175,6 +175,9 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "threads": 1,
         "gradient": False,
     },
+    "explain": lambda: _machine(
+        posture=POSTURE, base=0.0, control="inverse", gravity=False, loop={"kp": 1e4, "kv": 1e3}
+    ),
     "export_c": lambda: _machine(
         folder="bundle",
         parts=["kinematics"],
@@ -467,6 +470,7 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "Ensemble": lambda: flexopt.simulate_ensemble(excavator(), POSTURE, vary={"kp": [1e4, 2e4]}, threads=1, **LOOP),
     "Evaluation": lambda: flexopt.evaluate(excavator(), POSTURE),
     "Experiment": experiment,
+    "Explanation": lambda: flexopt.explain(excavator(), POSTURE),
     "ExportReport": lambda: flexopt.export_c(excavator(), "bundle", parts=["kinematics"], overwrite=True),
     "FmuReport": lambda: flexopt.export_fmu(excavator(), "small.fmu", POSTURE, **LOOP),
     "Hydraulics": lambda: flexopt.build_hydraulics(hydraulic()),
