@@ -26,6 +26,7 @@ _COMMANDS = {
     "atlas": "atlas",
     "identify": "identifying",
     "map": "studies",
+    "new": "new",
     "verdict": "judging",
     "region": "judging",
     "report": "studies",
