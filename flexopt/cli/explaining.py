@@ -22,13 +22,14 @@ from flexopt.cli.common import (
     value,
     warnings_to_stderr,
 )
+from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, real_loop
 from flexopt.cli.postures import asked_posture
 from flexopt.model import load
 
 
 @click.command("explain", short_help="Why a posture is good or bad, and what to move which way.")
-@click.argument("machine")
+@argument("machine")
 @value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
 @END_POINT
 @ELBOW

@@ -11,7 +11,19 @@ from typing import Any
 
 import click
 
-from flexopt.cli.common import JSON, check_output, names, numbers, option, print_json, say, typed, value, write_output
+from flexopt.cli.common import (
+    JSON,
+    check_output,
+    names,
+    numbers,
+    option,
+    print_json,
+    say,
+    typed,
+    value,
+    write_output,
+)
+from flexopt.cli.completing import argument
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.quantities import ANGLE, INERTIA, LENGTH, LENGTH_OR_ZERO, MASS, Quantity
 from flexopt.foundation.quantities import several as entries_or_one
@@ -227,7 +239,7 @@ def _spelt(name: str) -> str:
 
 
 @click.command("new", short_help="A commented machine file, from a few answers or a robot file.")
-@click.argument("file", required=False)
+@argument("file", "log", required=False)
 @value("--from", "ROBOT", "A URDF or MJCF file to write the machine file around.")
 @value("--out", "FILE", "The file to write, as FILE (the machine's name with .toml by default).")
 @option("--yes", is_flag=True, help="Ask nothing: what no option says is proposed.")
