@@ -39,7 +39,7 @@ _COMMANDS = {
     "export": "bundles",
     "verify": "bundles",
     "check": "checking",
-    "completion": "completing",
+    "completion": "shell",
     "doctor": "studies",
 }
 

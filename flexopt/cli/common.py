@@ -100,14 +100,6 @@ def read(load: Callable[[str], T], name: str) -> T:
 
 
 @contextmanager
-def quietly() -> Generator[None]:
-    """Without flexopt's warnings."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FlexoptWarning)
-        yield
-
-
-@contextmanager
 def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
     """A bar on standard error where that is a terminal, else one line at the end; nothing with --quiet."""
     if VOICE.quiet:

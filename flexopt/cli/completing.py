@@ -1,15 +1,16 @@
-"""What the shell may complete: machines, problems, and the values of options; and `flexopt completion`."""
+"""What the shell may complete: machines, problems, and the values of options."""
 
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import click
-from click.shell_completion import CompletionItem, get_completion_class
+from click.shell_completion import CompletionItem
 
-from flexopt.errors import Fault, FlexoptError, InputError
+from flexopt.errors import FlexoptError, FlexoptWarning
 from flexopt.foundation.control import CONTROLS, DAMPED
 from flexopt.model.choices import ASSUMPTIONS, ELBOWS, EVERYTHING, NOTHING, OUTCOMES
 from flexopt.model.files import shipped_names
@@ -18,7 +19,6 @@ Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 Words = Callable[[click.Context], Iterable[str]]
 
 SHELLS = ("bash", "zsh", "fish")
-VARIABLE = "_FLEXOPT_COMPLETE"
 LITERAL = re.compile(r"[a-z0-9][a-z0-9._-]*|V")
 FILE = re.compile(r"PATH|FILE|ROBOT|CSV")
 
@@ -49,13 +49,13 @@ def _modes(ctx: click.Context) -> list[str]:
 
 def _machine(ctx: click.Context) -> Any:
     """The machine that stands on the line already, where it can be read."""
-    from flexopt.cli.common import quietly  # noqa: PLC0415  (which imports this module)
     from flexopt.model import Problem, load_any  # noqa: PLC0415  (only these values need it)
 
     # An option that still lacks its value keeps click from counting arguments.
     name: Any = ctx.params.get("machine") or ctx.params.get("problem") or next(iter(ctx.args), "")
     try:
-        with quietly():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FlexoptWarning)
             found = load_any(name)
         return found.loaded_machine if isinstance(found, Problem) else found
     except FlexoptError:
@@ -125,30 +125,3 @@ def of_option(name: str, metavar: str | None) -> Complete | None:
 def argument(name: str, of: str | None = None, **settings: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """An argument of a command that the shell completes, as the one of `ARGUMENTS` that `of` or its name says."""
     return click.argument(name, shell_complete=ARGUMENTS[of or name], **settings)
-
-
-@click.command("completion", short_help="A script that completes commands, machines and values in the shell.")
-@argument("shell", metavar="|".join(SHELLS))
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-def completion_command(as_json: bool, shell: str) -> None:
-    """The script for a shell that completes commands, machines, problems and values with the tab key.
-
-    Of bash, in ~/.bashrc: eval "$(flexopt completion bash)"; of zsh the same in ~/.zshrc; of fish:
-    flexopt completion fish > ~/.config/fish/completions/flexopt.fish
-    """
-    from flexopt.cli import cli  # noqa: PLC0415  (which imports this module)
-    from flexopt.cli.common import print_json  # noqa: PLC0415  (which imports this module)
-
-    kind = get_completion_class(shell) if shell in SHELLS else None
-    if kind is None:
-        raise InputError(
-            f"completion: SHELL = {shell!r}: must be {', '.join(SHELLS)}",
-            [Fault("SHELL", f"must be {', '.join(SHELLS)}", shell)],
-        )
-    made = kind(cli, {}, "flexopt", VARIABLE)
-    # Not `source()`, which starts bash to ask for its version.
-    script = made.source_template % made.source_vars()
-    if as_json:
-        print_json({"shell": shell, "script": script})
-    else:
-        click.echo(script)

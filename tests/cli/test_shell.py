@@ -16,8 +16,9 @@ from click.shell_completion import ShellComplete
 
 import flexopt
 from flexopt.cli import _COMMANDS, cli, common, main
-from flexopt.cli.completing import SHELLS, VARIABLE
+from flexopt.cli.completing import SHELLS
 from flexopt.cli.examples import EXAMPLES
+from flexopt.cli.shell import VARIABLE
 from flexopt.cli.terminal import VOICE, folded
 from flexopt.model import shipped_names
 from tests.cli.command import Command
