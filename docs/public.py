@@ -18,7 +18,8 @@ TOPICS: dict[str, tuple[str, str]] = {
     "plant": ("The plant", "build_plant Plant inverse_kinematics build_hydraulics Hydraulics"),
     "measures": (
         "Measures of a posture",
-        "evaluate Evaluation build_measures Measures evaluate_w atlas Atlas map_workspace map_loop WorkspaceMap",
+        "evaluate Evaluation explain Explanation build_measures Measures evaluate_w atlas Atlas map_workspace map_loop "
+        "WorkspaceMap",
     ),
     "loops": (
         "What the controller does",

@@ -94,10 +94,12 @@ if TYPE_CHECKING:
     from flexopt.simulation import simulate as simulate
     from flexopt.simulation import simulate_ensemble as simulate_ensemble
     from flexopt.simulation import stability_border as stability_border
+    from flexopt.study import Explanation as Explanation
     from flexopt.study import Report as Report
     from flexopt.study import Verdict as Verdict
     from flexopt.study import WorkspaceMap as WorkspaceMap
     from flexopt.study import atlas as atlas
+    from flexopt.study import explain as explain
     from flexopt.study import map_loop as map_loop
     from flexopt.study import map_workspace as map_workspace
     from flexopt.study import report as report
@@ -115,6 +117,7 @@ __all__ = [
     "Ensemble",
     "Evaluation",
     "Experiment",
+    "Explanation",
     "Explorer",
     "ExportError",
     "ExportReport",
@@ -165,6 +168,7 @@ __all__ = [
     "check",
     "evaluate",
     "evaluate_w",
+    "explain",
     "explore",
     "export_c",
     "export_fmu",
@@ -232,7 +236,7 @@ _LATER = {
         "Actuator Ensemble Path Sensor Trajectory run_experiment sampled_loop simulate simulate_ensemble "
         "stability_border"
     ),
-    "study": "Verdict Report WorkspaceMap atlas map_loop map_workspace report verdict",
+    "study": "Explanation Verdict Report WorkspaceMap atlas explain map_loop map_workspace report verdict",
 }
 _ROOMS = {module.partition(".")[0] for module in _LATER}
 _named = _later(__name__, **_LATER)

@@ -36,6 +36,7 @@ from flexopt.cli.common import (
     whole,
     write_output,
 )
+from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, RANGES, real_loop
 from flexopt.cli.postures import asked_posture
 from flexopt.errors import Fault, InputError, raise_if_any
@@ -62,7 +63,7 @@ def ranges(text: str) -> Any:
 
 
 @click.command("evaluate", short_help="Frequencies, measures w_i and gradients in one posture.")
-@click.argument("machine")
+@argument("machine")
 @value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
 @END_POINT
 @ELBOW
@@ -87,7 +88,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
 
 
 @click.command("select", short_help="Best placement and posture for a target, or for several.")
-@click.argument("machine")
+@argument("machine", "machine or problem")
 @END_POINT
 @ELBOW
 @BASE

@@ -23,11 +23,12 @@ from flexopt.cli.common import (
     warnings_to_stderr,
     wholes,
 )
+from flexopt.cli.completing import argument
 from flexopt.model import load
 
 
 @click.command("atlas", short_help="All robust postures over two joints: where w_i = 0.")
-@click.argument("machine")
+@argument("machine")
 @CONTROL
 @GRAVITY
 @value("--joints", "A,B", "The two that vary, along x and y (the first two by default).", names)

@@ -26,6 +26,7 @@ from flexopt.cli.common import (
     warnings_to_stderr,
     whole,
 )
+from flexopt.cli.completing import argument
 from flexopt.cli.fmu import fmu_options, write_fmu
 from flexopt.cli.judging import LOOP, real_loop
 from flexopt.errors import Fault, InputError, raise_if_any
@@ -53,7 +54,7 @@ class _WithParts(click.Command):
 
 
 @click.command("export", cls=_WithParts, short_help="C for the machine's controller, or an FMU of its loop.")
-@click.argument("machine")
+@argument("machine")
 @value("--out", "DIR", "Folder to write; one that exists is replaced if it is an unchanged bundle.")
 @value("--parts", "A,B,…", "Some of those named above; by default all that the machine allows.", names)
 @value("--real", "double|float", "Precision of every computation (double by default).")
@@ -107,7 +108,7 @@ def _check_kind(options: dict[str, Any]) -> None:
 
 
 @click.command("verify", short_help="Examine exported C: numbers, compilers, processors.")
-@click.argument("folder", metavar="DIR")
+@argument("folder", metavar="DIR")
 @value("--target", "host|cortex-m4f|cortex-m7", "One target (all by default).")
 @value("--inputs", "N", "Random inputs for each function (1000 by default).", whole)
 @value("--fuzz-calls", "N", "Faulty calls for each function (10000 by default).", whole)

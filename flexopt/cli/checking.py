@@ -7,11 +7,12 @@ import sys
 import click
 
 from flexopt.cli.common import BAD_INPUT, JSON, print_json, say
+from flexopt.cli.completing import argument
 from flexopt.robustness.checking import check
 
 
 @click.command("check", short_help="Faults of a file, and numbers that are hardly meant.")
-@click.argument("file")
+@argument("file")
 @JSON
 def check_command(as_json: bool, file: str) -> None:
     """Every fault of FILE, and every number of its machine that is allowed but hardly meant: kN for N, mm for m.

@@ -12,13 +12,15 @@ from typing import Any, TypeVar, cast
 
 import click
 
+from flexopt.cli.completing import of_option
+from flexopt.cli.terminal import VOICE, Colour, fitted, painted
 from flexopt.errors import Fault, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
 from flexopt.foundation.control import CONTROLS, DAMPED
 from flexopt.foundation.escapes import terminal
 from flexopt.foundation.writing import write_file
 from flexopt.model.choices import ELBOWS
 
-BAD_INPUT, FAILED = 2, 3
+BAD_INPUT, FAILED, ABORTED = 2, 3, 130
 FILE_NAME_MAX = 255
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -27,7 +29,8 @@ Decorator = Callable[[Callable[..., None]], Callable[..., None]]
 
 
 def option(*names: str, **settings: Any) -> Decorator:
-    """An option of a command."""
+    """An option of a command, whose value the shell completes."""
+    settings["shell_complete"] = of_option(names[0], settings.get("metavar"))
     return cast(Decorator, click.option(*names, **settings))
 
 
@@ -36,10 +39,11 @@ def value(name: str, metavar: str, text: str, read: Callable[[str], Any] = str, 
     return option(name, metavar=metavar, help=text, type=read, multiple=multiple)
 
 
-def say(text: str, *, err: bool = False) -> None:
-    """Print text, whatever letters are in it."""
+def say(text: str, *, err: bool = False, colour: Colour | None = None) -> None:
+    """Print text, whatever letters are in it, as wide as the terminal is."""
     # Not `click.echo`, which writes UTF-8 where the terminal has only ASCII.
-    print(terminal(text), file=sys.stderr if err else sys.stdout, flush=True)
+    stream = sys.stderr if err else sys.stdout
+    print(painted(fitted(terminal(text), stream), colour, stream), file=stream, flush=True)
 
 
 def print_json(document: dict[str, Any]) -> None:
@@ -85,7 +89,8 @@ def warnings_to_stderr(as_json: bool) -> Generator[None]:
                 warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
             elif (as_json or issubclass(warning.category, ImplausibleMachine)) and sentence not in told:
                 told.add(sentence)
-                say(f"flexopt: warning: {sentence}", err=True)
+                if not VOICE.quiet:
+                    say(f"flexopt: warning: {sentence}", err=True, colour="yellow")
 
 
 def read(load: Callable[[str], T], name: str) -> T:
@@ -96,7 +101,10 @@ def read(load: Callable[[str], T], name: str) -> T:
 
 @contextmanager
 def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
-    """A bar on standard error where that is a terminal, else one line at the end."""
+    """A bar on standard error where that is a terminal, else one line at the end; nothing with --quiet."""
+    if VOICE.quiet:
+        yield lambda _done, _total: None
+        return
     if not sys.stderr.isatty():
         yield lambda done, total: click.echo(f"{what} {done}/{total}", err=True) if done == total else None
         return

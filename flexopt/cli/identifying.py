@@ -21,12 +21,13 @@ from flexopt.cli.common import (
     value,
     warnings_to_stderr,
 )
+from flexopt.cli.completing import argument
 from flexopt.model import load
 
 
 @click.command("identify", short_help="Springs, dampers and load from a log of how the machine swings.")
-@click.argument("machine")
-@click.argument("log")
+@argument("machine")
+@argument("log")
 @value("--posture", "A,B,…", "How the arm is held, rad (slides: m); by default where the log's joints stand.", numbers)
 @BASE
 @value("--unknown", "NAMES", "What is not known: stiffness,damping (the default), payload.mass and so on.", names)

@@ -26,6 +26,7 @@ from flexopt.cli.common import (
     warnings_to_stderr,
     whole,
 )
+from flexopt.cli.completing import argument
 from flexopt.cli.postures import asked_posture
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine, Problem, load, load_any
@@ -57,7 +58,7 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
 
 
 @click.command("verdict", short_help="Does it pay to move, with this controller, on this ground?")
-@click.argument("problem")
+@argument("problem")
 @value("--end-point", "X,Y[,Z]", "Of a machine: target of the end-point, inertial frame, m.", numbers)
 @value("--posture", "A,B,…", "Of a machine: how it is held now, rad (slides: m), with --base.", numbers)
 @BASE
@@ -88,7 +89,7 @@ def verdict_command(as_json: bool, problem: str, out: str | None, **options: Any
 
 
 @click.command("region", short_help="Is a loop stable over all that is uncertain, and is it proven?")
-@click.argument("machine")
+@argument("machine")
 @value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
 @END_POINT
 @ELBOW

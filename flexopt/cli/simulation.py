@@ -30,6 +30,7 @@ from flexopt.cli.common import (
     whole,
     write_output,
 )
+from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, real_loop
 from flexopt.errors import InputError
 from flexopt.model import load_simulated
@@ -105,7 +106,7 @@ def type_of(annotation: Any) -> Any:
 
 
 @click.command("simulate", short_help="The nonlinear closed loop, run and judged.")
-@click.argument("machine")
+@argument("machine", "machine or problem")
 @loop_options("", *TEXTS)
 @CONTROL
 @GAIN

@@ -36,6 +36,7 @@ from flexopt.cli.common import (
     wholes,
     write_output,
 )
+from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, RANGES, asked_problem, real_loop
 from flexopt.cli.simulation import loop_options
 from flexopt.errors import Fault, InputError, raise_if_any
@@ -48,7 +49,7 @@ REPORT_FOLDER, PROBLEM_FOLDER = "flexopt-reproduce", "flexopt-report"
 
 
 @click.command("map", short_help="Measures over end-points, two joints or placements.")
-@click.argument("machine")
+@argument("machine")
 @value("--points", "N,M", "Points along x and y (400,400; 60,60 with four passive coordinates and more).", wholes)
 @CONTROL
 @GAIN
@@ -136,7 +137,7 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
 
 
 @click.command("report", short_help="Everything about a problem on one page.")
-@click.argument("problem")
+@argument("problem")
 @value("--end-point", "X,Y[,Z]", "Of a machine: target of the end-point, inertial frame, m.", numbers)
 @value("--posture", "A,B,…", "Of a machine: how it is held now, with --base.", numbers)
 @BASE

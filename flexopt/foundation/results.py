@@ -5,9 +5,11 @@ In: objects of classes derived from `Result`. Out: dictionaries of plain data; r
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from functools import lru_cache
+from itertools import groupby
 from operator import attrgetter
 from typing import Any, ClassVar, NamedTuple, cast
 
@@ -19,6 +21,8 @@ from flexopt.foundation.rendering import render
 # Longer arrays are shown by their shape.
 ENTRIES_SHOWN = 12
 LETTERS_SHOWN = 200
+# A gap between two columns of a table.
+COLUMNS = re.compile(r"\S {2,}\S")
 
 
 class Key(NamedTuple):
@@ -29,7 +33,30 @@ class Key(NamedTuple):
     unit: str
 
 
-class Result:
+class Tabled:
+    """What shows itself in a notebook: what it says of itself as text, and its document as a table."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary."""
+        raise NotImplementedError
+
+    def _units(self, outer: str) -> Iterator[tuple[str, str]]:  # noqa: ARG002 - of those that know some
+        """Names as the table has them, with their units."""
+        return iter(())
+
+    def _repr_html_(self) -> str:
+        units = dict(self._units(""))
+        rows = [(name, text, units.get(name, "")) for name, text in _rows(self.to_dict(), "")]
+        # What is short lists the document's keys, as the table does.
+        summary = [] if type(self).__repr__ is Result.shortly else repr(self).splitlines()
+        # Lines of tables scroll, sentences go on in the next line.
+        blocks = [
+            (wide, list(lines)) for wide, lines in groupby(summary, key=lambda x: bool(COLUMNS.search(x.strip())))
+        ]
+        return render("foundation/templates/result.html", title=type(self).__name__, rows=rows, blocks=blocks)
+
+
+class Result(Tabled):
     """What a call found.
 
     Attributes:
@@ -39,6 +66,25 @@ class Result:
     """
 
     DOCUMENT: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "__repr__" not in cls.__dict__:
+            # In place of the one that dataclasses make, which prints whole arrays.
+            cls.__repr__ = Result.shortly
+
+    def shortly(self) -> str:
+        """Its class and the first of its keys on one line: what `repr` is where a class has none of its own."""
+        told = type(self).__name__ + "("
+        for k, (path, attribute, unit) in enumerate(self.document_keys()):
+            value = attrgetter(attribute)(self)
+            inside = isinstance(value, Result | dict)
+            text = type(cast(object, value)).__name__ if inside else _text(json_ready(value))
+            part = f"{', ' if k else ''}{'.'.join(path)}={text}{' ' + unit if unit else ''}"
+            if len(told) + len(part) > LETTERS_SHOWN:
+                return f"{told}, …)"
+            told += "" if path == ("provenance",) else part
+        return f"{told})"
 
     @classmethod
     def document_keys(cls) -> tuple[Key, ...]:
@@ -72,13 +118,6 @@ class Result:
             yield name, unit
             if isinstance(value, Result):
                 yield from value._units(f"{name}.")
-
-    def _repr_html_(self) -> str:
-        units = dict(self._units(""))
-        rows = [(name, text, units.get(name, "")) for name, text in _rows(self.to_dict(), "")]
-        # What dataclasses write of themselves lists every field, as the table does.
-        summary = [] if hasattr(type(self).__repr__, "__wrapped__") else repr(self).splitlines()
-        return render("foundation/templates/result.html", title=type(self).__name__, rows=rows, summary=summary)
 
 
 @lru_cache

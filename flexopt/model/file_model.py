@@ -19,6 +19,7 @@ ENTRIES_MAX = 1000
 BODIES_MAX = 250
 
 Table = Mapping[str, Any]
+PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("_"))
 
 
 class FileModel(BaseModel):
@@ -26,6 +27,19 @@ class FileModel(BaseModel):
 
     # Built when first used: a process that reads a machine needs no schema of problems.
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
+
+    def __dir__(self) -> list[str]:
+        """Without what comes from Pydantic: what completes in a notebook is the table's own."""
+        ours = [kind for kind in type(self).__mro__ if not issubclass(BaseModel, kind)]
+        own = {name for kind in ours for name in vars(kind) if not name.startswith("model_")}
+        return sorted(name for name in super().__dir__() if name in own or name not in PYDANTIC)
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        """What is not at its default."""
+        fields = type(self).model_fields
+        for name, value in super().__repr_args__():
+            if name not in fields or value != fields[name].get_default(call_default_factory=True):
+                yield name, value
 
 
 class Described(FileModel):

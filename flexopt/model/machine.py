@@ -290,6 +290,12 @@ class OnMachine(BuiltByCall, Described):
         twin._loaded = machine
         return twin
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r} about machine {self.machine!r})"
+
+    def __str__(self) -> str:
+        return repr(self)
+
     @property
     def loaded_machine(self) -> AnyMachine:
         """The machine that the file names."""

@@ -136,6 +136,11 @@ class Constraint:
     unit: str = ""
     name: str | None = None
 
+    def __repr__(self) -> str:
+        lower, upper = self.bounds
+        unit = f" {self.unit}" if self.unit else ""
+        return f"Constraint({self.name or self.function.name!r}: {lower:g} to {upper:g}{unit})"
+
     def __post_init__(self) -> None:
         lower, upper = self.bounds
         if not lower < upper:

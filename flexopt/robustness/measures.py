@@ -47,6 +47,11 @@ class Measures:
     control: Control
     gravity: bool
 
+    def __repr__(self) -> str:
+        under = " under gravity" if self.gravity else ""
+        modes = f"{self.plant.n_passive} mode{'s' if self.plant.n_passive > 1 else ''}"
+        return f"Measures({self.plant.machine.name!r}: {modes} under Jacobian {self.control} control{under})"
+
     @cached_property
     def expansion(self) -> Expansion:
         """Where derivatives come from."""

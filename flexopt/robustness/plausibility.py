@@ -50,7 +50,7 @@ def warn_implausible(machine: AnyMachine) -> None:
 def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     plant = build_plant(machine)
     try:
-        modes = [_modes(plant, posture) for posture in _postures(machine)]
+        modes = [modes_at(plant, posture) for posture in _postures(machine)]
     except np.linalg.LinAlgError:
         return ()
     frequencies, ratios = (np.array(part) for part in zip(*modes, strict=True))
@@ -80,7 +80,7 @@ def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     return tuple(found)
 
 
-def _modes(plant: Plant, posture: Array) -> tuple[Array, Array]:
+def modes_at(plant: Plant, posture: Array) -> tuple[Array, Array]:
     """Frequencies, Hz, ascending, and damping ratios φᵀDφ / (2 ω), with the joints free as in `robustness.modes`.
 
     In numbers: `flexopt.check` would take a fifth longer if it built the measures' graphs.

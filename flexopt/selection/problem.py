@@ -143,6 +143,13 @@ class SelectionProblem:
     seed: int
     bounding: int = 0
 
+    def __repr__(self) -> str:
+        point = ", ".join(f"{x:g}" for x in self.target)
+        return (
+            f"SelectionProblem({self.machine.name!r}: {self.name} at ({point}) m, Jacobian {self.control} control, "
+            f"{len(self.variables)} variables, {len(self.constraints)} constraints)"
+        )
+
     @property
     def sought(self) -> tuple[Objective, ...]:
         """The objectives that are maximised, in order."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
-from flexopt.foundation.results import Result
+from flexopt.foundation.results import Result, Tabled
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.continua import travel
@@ -42,7 +42,7 @@ class ConstraintValue:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Candidate(Tabled):
     """A local optimum that passed the independent checks.
 
     Attributes:
@@ -89,6 +89,13 @@ class Candidate:
     dimension: int | None = None
     extent: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     representatives: tuple[tuple[float, ...], ...] = ()
+
+    def __repr__(self) -> str:
+        z, w = (", ".join(f"{x:.{digits}g}" for x in values) for values, digits in ((self.z, 6), (self.w, 4)))
+        return f"Candidate(objective {self.objective:.5g} at z = [{z}], w = [{w}])"
+
+    def _units(self, outer: str) -> Iterator[tuple[str, str]]:
+        return self.evaluation._units(outer)  # pyright: ignore[reportPrivateUsage]
 
     @property
     def evaluation(self) -> Evaluation:

@@ -25,6 +25,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, of_machine, path, public, words
 from flexopt.foundation.documents import json_ready, provenance, write_netcdf
 from flexopt.foundation.plain import shown
+from flexopt.foundation.results import Tabled
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.parameter_ranges import parameter_range
@@ -50,7 +51,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Ensemble:
+class Ensemble(Tabled):
     """Measures of N members, one dataset.
 
     Attributes:

@@ -3,6 +3,8 @@
 In: machines and problems. Out: result objects, and pages of them.
 """
 
+from flexopt.study.explanation import Explanation as Explanation
+from flexopt.study.explanation import explain as explain
 from flexopt.study.joint_atlas import atlas as atlas
 from flexopt.study.loop_map import map_loop as map_loop
 from flexopt.study.move_verdict import verdict as verdict

@@ -19,6 +19,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import instance, public, table, whole
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.plain import shown
+from flexopt.foundation.results import Tabled
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop
 from flexopt.model.simulation import Experiment, SimulationOptions
@@ -50,7 +51,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class ReportLoop:
+class ReportLoop(Tabled):
     """The closed loop in one configuration: the nonlinear run, and the poles of the sampled linear loop."""
 
     run: Trajectory
@@ -67,7 +68,7 @@ class ReportLoop:
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Tabled):
     """Everything that `flexopt report` shows.
 
     Attributes:

@@ -20,6 +20,7 @@ from flexopt.foundation.coordinates import check_point
 from flexopt.foundation.documents import json_ready, write_netcdf
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import whole_number
+from flexopt.foundation.results import Tabled
 from flexopt.loop.many import Decays
 from flexopt.model import AnyMachine
 from flexopt.robustness.residues import posture_unit, residue_unit
@@ -56,7 +57,7 @@ def _marks(arguments: Arguments, field: str, value: Any) -> dict[str, tuple[floa
 
 
 @dataclass(frozen=True)
-class WorkspaceMap:
+class WorkspaceMap(Tabled):
     """Quantities over a grid; NaN where the arm does not reach, breaks a limit or is singular.
 
     Attributes:

@@ -182,6 +182,9 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "control": "inverse",
         "loop": {"kp": 1e4, "kv": 1e3},
     },
+    "explain": lambda: _machine(
+        posture=POSTURE, base=0.0, control="inverse", gravity=False, loop={"kp": 1e4, "kv": 1e3}
+    ),
     "export_c": lambda: _machine(
         folder="bundle",
         parts=["kinematics"],
@@ -479,6 +482,7 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "Evaluation": lambda: flexopt.evaluate(excavator(), POSTURE),
     "Experiment": experiment,
     "Explorer": lambda: flexopt.explore(excavator(), POSTURE),
+    "Explanation": lambda: flexopt.explain(excavator(), POSTURE),
     "ExportReport": lambda: flexopt.export_c(excavator(), "bundle", parts=["kinematics"], overwrite=True),
     "FmuReport": lambda: flexopt.export_fmu(excavator(), "small.fmu", POSTURE, **LOOP),
     "Hydraulics": lambda: flexopt.build_hydraulics(hydraulic()),

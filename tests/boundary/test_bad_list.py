@@ -89,7 +89,7 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
 
 # Classes whose objects come from functions alone, as the results of computing: nobody passes them numbers.
 RESULTS = {
-    "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Ensemble", "Evaluation", "Explorer",
+    "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Ensemble", "Evaluation", "Explanation", "Explorer",
     "ExportReport", "FmuReport", "Identification", "Outcome", "Region", "Report", "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory",
     "Verdict", "Verification", "WorkspaceMap",
 }  # fmt: skip

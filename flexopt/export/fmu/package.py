@@ -28,6 +28,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import path, public, words
 from flexopt.foundation.documents import json_ready, package_version, provenance
 from flexopt.foundation.escapes import c_identifier
+from flexopt.foundation.results import Tabled
 from flexopt.foundation.writing import write_files
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
@@ -48,7 +49,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models have equal bytes
 
 
 @dataclass(frozen=True)
-class FmuReport:
+class FmuReport(Tabled):
     """What was written.
 
     Attributes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
+from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
@@ -17,7 +19,7 @@ from flexopt.selection.result import ConstraintValue
 
 
 @dataclass(frozen=True)
-class TargetConfiguration:
+class TargetConfiguration(Tabled):
     """The configuration at one target.
 
     Attributes:
@@ -32,6 +34,9 @@ class TargetConfiguration:
     objective: float
     constraints: dict[str, ConstraintValue] = field(repr=False)
 
+    def _units(self, outer: str) -> Iterator[tuple[str, str]]:
+        return self.evaluation._units(outer)  # pyright: ignore[reportPrivateUsage]
+
     def to_dict(self) -> dict[str, Any]:
         """The evaluation's dictionary with the place's own keys."""
         constraints = {label: vars(value) for label, value in self.constraints.items()}
@@ -40,7 +45,7 @@ class TargetConfiguration:
 
 
 @dataclass(frozen=True)
-class ConfigurationSet:
+class ConfigurationSet(Tabled):
     """Configurations of K targets that were chosen together.
 
     Attributes:

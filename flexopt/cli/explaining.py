@@ -1,0 +1,56 @@
+"""`flexopt explain`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from flexopt.cli.common import (
+    BASE,
+    CONTROL,
+    ELBOW,
+    END_POINT,
+    GRAVITY,
+    JSON,
+    check_output,
+    given,
+    hand_out,
+    numbers,
+    option_names,
+    read,
+    value,
+    warnings_to_stderr,
+)
+from flexopt.cli.completing import argument
+from flexopt.cli.judging import LOOP, real_loop
+from flexopt.cli.postures import asked_posture
+from flexopt.model import load
+
+
+@click.command("explain", short_help="Why a posture is good or bad, and what to move which way.")
+@argument("machine")
+@value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
+@END_POINT
+@ELBOW
+@BASE
+@CONTROL
+@GRAVITY
+@LOOP
+@value("--out", "PATH", "Write the JSON document to a file, too.")
+@JSON
+def explain_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+    """Why a posture of MACHINE (a name or a file) is good or bad, mode by mode, and what to move and which way.
+
+    For each mode its size |a||b|, the angle between a, how the end-point moves in it, and b, how feedback acts on it,
+    its damping and, with a loop, the lag reserve; and what raises w most while the end-point stays.
+    """
+    from flexopt.study.explanation import explain  # noqa: PLC0415  (only this command needs it)
+
+    check_output("--out", out, (".json",))
+    loaded = read(load, machine)
+    with option_names(options), warnings_to_stderr(as_json):
+        posture = asked_posture("explain", loaded, options)
+        loop = real_loop(loaded.loop, options.pop("loop"))
+        result = explain(loaded, posture, loop=loop, **given(options, "base", "control", "gravity"))
+    hand_out(result, out, None, as_json=as_json)

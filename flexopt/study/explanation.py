@@ -1,0 +1,371 @@
+"""Why a posture is good or bad, mode by mode, and what to move and which way: `flexopt.explain`."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from flexopt.errors import FlexoptWarning
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import public
+from flexopt.foundation.control import Control
+from flexopt.foundation.results import Result
+from flexopt.loop.evaluation import Outcome
+from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop
+from flexopt.plant.reach import arm_length
+from flexopt.robustness import Evaluation, Measures, build_measures, evaluate
+from flexopt.robustness.plausibility import warn_implausible
+from flexopt.robustness.residues import residue_unit
+from flexopt.selection.nonnegative import nonnegative_least_squares
+
+Status = Literal["move", "stationary", "optimum", "at a limit", "end-point fixed", "singular", "shared", "unexcited"]
+
+# Slopes of w_i along all that keeps the end-point, below this share of |a_i||b_i| per rad or arm's length, are what
+# solving for a posture and rounding leave: verified optima have some 1e-11 of it, other postures 1e-2 to 10.
+STATIONARY = 1e-8
+# A measure of at most this share of |a_i||b_i| below 0 is as good as 0, its greatest value.
+NOTHING = 1e-12
+# Singular values of the end-point's motion below this share of the largest are none; limits nearer than this hold.
+DEPENDENT, AT_LIMIT = 1e-9, 1e-9
+WHY: Mapping[Status, str] = {
+    "stationary": "to first order no motion that keeps the end-point changes it: an optimum, or another point where "
+    "its slope is nothing to rounding (`flexopt select` tells which)",
+    "optimum": "it is 0, its greatest value",
+    "at a limit": "what would raise it while the end-point stays goes beyond joint limits",
+    "end-point fixed": "nothing can be moved without moving the end-point",
+    "singular": "here the end-point cannot be moved every way, and to first order nothing says how to keep it",
+    "shared": "its frequency is that of another mode, too: only the sum of both means something",
+    "unexcited": "the end-point does not see it, or does not excite it",
+}
+
+
+@dataclass(frozen=True)
+class ModeMove(Result):
+    """What raises one w_i most while the end-point stays, the passive coordinates settled.
+
+    The direction is the projection of ∂w_i/∂z, z = [base, posture], onto all motions that keep the end-point and do not
+    pass joint limits; metres count in lengths of the arm, so that they compare with radians.
+
+    Attributes:
+        status: `"move"`, or why there is no direction.
+        variable: what moves most, a joint or a coordinate of the base; None where nothing does. unit: its own.
+        direction: all of z for each unit of it, (n_b + n,), its own entry 1 or −1; NaN where there is none.
+        rate: ∂w_i along it, for each unit, positive.
+        effects: ∂w of each mode along it, (m,).
+        room: how far it may go, in its unit, until the first joint meets a limit, along the straight line; infinite
+            (JSON: null) without limits.
+    """
+
+    DOCUMENT = "status variable unit direction rate effects room"
+
+    status: Status
+    variable: str | None
+    unit: str
+    direction: Vector
+    rate: float
+    effects: Vector
+    room: float
+
+
+@dataclass(frozen=True)
+class Explanation(Result):
+    """Why a posture is good or bad. m modes, ordered by frequency; r task rows. SI and radians.
+
+    Attributes:
+        machine, control, base, base_coordinates, base_units, posture, joints, joint_units, end_point: as of
+            `flexopt.evaluate`; `variables` and `variable_units` are those of z = [base, posture].
+        frequencies_hz, damping_ratios, w: of each mode, (m,);  w_unit: of w and size, in words where rows differ.
+        size: |a_i||b_i|, how strongly the end-point sees and excites the mode, (m,).
+        angle: between a_i, how the end-point moves in the mode, and b_i, how its feedback acts on it, (m,), rad;
+            w_i = −2 |a_i||b_i| sin²(angle/2) for two and more task rows. NaN where frequencies are shared.
+        a, b: (r, m).
+        moves: for each mode what to move and which way.
+        outcome: what the loop allows and does, `flexopt.Outcome`; None without a loop.
+        sentences: the same in words, for each mode one.
+    """
+
+    DOCUMENT = """
+    machine control base base_coordinates base_units posture joints joint_units end_point[m] variables variable_units
+    frequencies_hz[Hz] damping_ratios w w_unit size angle[rad] a b moves outcome sentences provenance
+    """
+
+    machine: str
+    control: Control
+    base: Vector
+    base_coordinates: tuple[str, ...]
+    base_units: tuple[str, ...]
+    posture: Vector
+    joints: tuple[str, ...]
+    joint_units: tuple[str, ...]
+    end_point: Vector
+    frequencies_hz: Vector
+    damping_ratios: Vector
+    w: Vector
+    w_unit: str
+    size: Vector
+    angle: Vector
+    a: Vector
+    b: Vector
+    moves: tuple[ModeMove, ...]
+    outcome: Outcome | None
+    sentences: tuple[str, ...]
+    provenance: dict[str, Any] = field(repr=False)
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Coordinates of the base, then actuated joints."""
+        return (*self.base_coordinates, *self.joints)
+
+    @property
+    def variable_units(self) -> tuple[str, ...]:
+        """M or rad, of each."""
+        return (*self.base_units, *self.joint_units)
+
+    def __repr__(self) -> str:
+        named = zip(self.variables, (*self.base, *self.posture), self.variable_units, strict=True)
+        point = ", ".join(f"{x:.4f}" for x in self.end_point)
+        head = f"  mode   frequency    damping        |a||b|    angle             w   [{self.w_unit}]"
+        told = "" if self.outcome is None else f"{'κ':>12} {'reserve':>8} {'1st order':>13}"
+        lines = [
+            f"{self.machine}, Jacobian {self.control} control: "
+            + ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in named)
+            + f"; end-point ({point}) m",
+            f"{head} {told}".rstrip(),
+        ]
+        for i, w in enumerate(self.w):
+            row = (
+                f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e} {self.size[i]:13.5e} "
+                f"{math.degrees(self.angle[i]):7.2f}° {w:13.5e}"
+            )
+            if self.outcome is not None:
+                reserve = math.degrees(self.outcome.lag_reserve[i])
+                row += f"{'':{len(self.w_unit) + 5}} {self.outcome.allowance[i]:12.4g} {reserve:7.1f}° "
+                row += f"{self.outcome.first_order_decay[i]:+9.4g} 1/s"
+            lines.append(row)
+        lines += [f"{name} {sentence}" for name, sentence in zip(self._names(), self.sentences, strict=True)]
+        if self.outcome is not None:
+            verb = "decays" if self.outcome.decay > 0 else "grows"
+            lines.append(f"All together, with this loop: it {verb} at {abs(self.outcome.decay):.4g}/s.")
+        return "\n".join(lines)
+
+    def _names(self) -> Iterator[str]:
+        yield from (f"Mode {i + 1}:" for i in range(len(self.w)))
+
+
+@public()
+def explain(
+    machine: AnyMachine,
+    posture: Any,
+    *,
+    base: Any = None,
+    control: Control | None = None,
+    gravity: bool = False,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+) -> Explanation:
+    """Why a posture is good or bad: for each mode its size, angle, damping and lag, and what to move and which way.
+
+    R_i = a_i b_iᵀ; w_i = a_i·b_i − |a_i||b_i| is 0 where a_i and b_i point the same way, and the more negative the
+    larger the mode and the angle between them. Directions are first order: exact gradients, projected onto what keeps
+    the end-point.
+
+    Args:
+        machine, posture, base, control, gravity, loop: as of `flexopt.evaluate`. With a loop, its own or the machine's,
+            the damping against it (allowance κ_i) and the lag reserve are told, too.
+
+    Raises:
+        InputError, SingularPosture, NoSolutionFound: as `flexopt.evaluate`.
+
+    Example:
+        >>> import flexopt
+        >>> found = flexopt.explain(flexopt.load("excavator"), (0.9929, -2.6306))
+        >>> found.moves[0].status, found.moves[0].variable
+        ('move', 'boom')
+    """
+    warn_implausible(machine)
+    with warnings.catch_warnings():
+        # Of ε_max, which nobody asked for; of shared frequencies, which the result tells itself.
+        warnings.simplefilter("ignore", FlexoptWarning)
+        stand = evaluate(machine, posture, base=base, control=control, gravity=gravity, loop=loop)
+    measures = build_measures(machine, stand.control, gravity)
+    at = {"base": stand.base, "posture": stand.posture, "p": measures.plant.parameter_values}
+    held: dict[str, Any] = measures.values(**at)
+    a, b = held["a"].full(), held["b"].full()
+    shared = {i for group in stand.clusters for i in group}
+    angle = np.array([math.nan if i in shared else _angle(a[:, i], b[:, i]) for i in range(len(stand.w))])
+    unit = residue_unit(stand.control, machine.joint_units)
+    unit = "in mixed units" if unit == "mixed" else unit
+    moves = tuple(_moves(machine, measures, stand, shared))
+    outcome = stand.outcome if isinstance(stand.outcome, Outcome) else None
+    words = _Words(stand, angle, unit, outcome)
+    return Explanation(
+        machine=machine.name,
+        control=stand.control,
+        base=stand.base,
+        base_coordinates=stand.base_coordinates,
+        base_units=stand.base_units,
+        posture=stand.posture,
+        joints=stand.joints,
+        joint_units=stand.joint_units,
+        end_point=stand.end_point,
+        frequencies_hz=stand.frequencies_hz,
+        damping_ratios=stand.damping_ratios,
+        w=stand.w,
+        w_unit=unit,
+        size=stand.scale,
+        angle=angle,
+        a=a,
+        b=b,
+        moves=moves,
+        outcome=outcome,
+        sentences=tuple(words.of(i, move) for i, move in enumerate(moves)),
+        provenance=stand.provenance,
+    )
+
+
+def _angle(a: Vector, b: Vector) -> float:
+    """Between two vectors, rad, to all digits near 0 and π, too (Kahan); NaN where one is nothing."""
+    lengths = float(np.linalg.norm(a)), float(np.linalg.norm(b))
+    if not min(lengths) > 0:
+        return math.nan
+    along, across = a / lengths[0], b / lengths[1]
+    return 2 * math.atan2(float(np.linalg.norm(along - across)), float(np.linalg.norm(along + across)))
+
+
+def _moves(machine: AnyMachine, measures: Measures, stand: Evaluation, shared: set[int]) -> Iterator[ModeMove]:
+    """For each mode what raises its measure most."""
+    plant, names = measures.plant, stand.gradient.variables
+    units = (*stand.base_units, *stand.joint_units)
+    z = np.concatenate([stand.base, stand.posture])
+    free = np.full((len(stand.base), 2), [-math.inf, math.inf])
+    limits = np.concatenate([free, np.array(machine.limits, dtype=np.float64).reshape(-1, 2)])
+    scale = np.array([1.0 if unit == "rad" else arm_length(plant) for unit in units])
+    slope = measures.end_point_gradient.call([stand.base, stand.posture, plant.parameter_values])[0].full() * scale
+    _, sizes, rows = np.linalg.svd(slope)
+    rank = int(np.sum(sizes > DEPENDENT * sizes.max(initial=0.0)))
+    kept = rows[rank:].T
+    at_low, at_high = z - limits[:, 0] <= AT_LIMIT * scale, limits[:, 1] - z <= AT_LIMIT * scale
+    walls = np.concatenate([np.eye(len(z))[at_low], -np.eye(len(z))[at_high]])
+
+    def none(status: Status) -> ModeMove:
+        nothing: Vector = np.full(len(stand.w), math.nan)
+        return ModeMove(status, None, "", np.full(len(z), math.nan), math.nan, nothing, math.nan)
+
+    for i, (w, size) in enumerate(zip(stand.w, stand.scale, strict=True)):
+        whole = stand.gradient.w[i] * scale
+        if i in shared:
+            yield none("shared")
+        elif not size > 0:
+            yield none("unexcited")
+        elif plant.n_task > 1 and w >= -NOTHING * size:
+            yield none("optimum")
+        elif rank < plant.n_task:
+            yield none("singular")
+        elif not kept.shape[1]:
+            yield none("end-point fixed")
+        elif np.linalg.norm(kept.T @ whole) <= STATIONARY * size:
+            yield none("stationary")
+        else:
+            step = kept @ _inside(kept.T @ whole, walls @ kept)
+            if np.linalg.norm(step) <= STATIONARY * size:
+                yield none("at a limit")
+                continue
+            lead = int(np.argmax(np.abs(step)))
+            direction = step * scale / abs(step[lead] * scale[lead])
+            effects = stand.gradient.w @ direction
+            effects[list(shared)] = math.nan
+            room = _room(z, direction, limits)
+            yield ModeMove("move", names[lead], units[lead], direction, float(effects[i]), effects, room)
+
+
+def _inside(slope: Vector, walls: Vector) -> Vector:
+    """The point of the cone walls @ y ≥ 0 that is nearest to a slope: slope + wallsᵀ λ, λ ≥ 0 (Moreau)."""
+    if not len(walls):
+        return slope
+    return slope + walls.T @ nonnegative_least_squares(walls.T, -slope)
+
+
+def _room(z: Vector, direction: Vector, limits: Vector) -> float:
+    """How many units of the direction until the first coordinate meets a limit."""
+    ends = np.where(direction > 0, limits[:, 1], limits[:, 0])
+    moving = np.abs(direction) > DEPENDENT
+    return float(np.min((ends - z)[moving] / direction[moving], initial=math.inf))
+
+
+@dataclass(frozen=True)
+class _Words:
+    """Sentences about the modes of a configuration."""
+
+    stand: Evaluation
+    angle: Vector
+    unit: str
+    outcome: Outcome | None
+
+    def of(self, i: int, move: ModeMove) -> str:
+        """All about one mode."""
+        parts = [self._measure(i), self._loop(i), self._move(i, move)]
+        return " ".join(part for part in parts if part)
+
+    def _measure(self, i: int) -> str:
+        hertz, w, size = self.stand.frequencies_hz[i], self.stand.w[i], self.stand.scale[i]
+        first = f"{hertz:.4g} Hz, damping ratio {self.stand.damping_ratios[i]:.3g}."
+        if not size > 0 or math.isnan(self.angle[i]):
+            return first
+        share = f"w{i + 1} = {w:.4g} {self.unit}, {w / size:+.3g} of |a||b|"
+        degrees = math.degrees(self.angle[i])
+        if len(self.stand.end_point) > 1 and w >= -NOTHING * size:
+            why = "good: a and b point the same way, and no velocity feedback, whatever its gains, excites it"
+        elif degrees < 90:
+            why = f"a and b are {degrees:.3g}° apart: equal gains in all rows damp it, some unequal ones excite it"
+        else:
+            why = f"bad: a and b are {degrees:.3g}° apart: velocity feedback with equal gains takes damping from it"
+        if len(self.stand.end_point) == 1:
+            why = "good: velocity feedback damps it" if w > 0 else "bad: velocity feedback takes damping from it"
+        return f"{first} {share}; {why}."
+
+    def _loop(self, i: int) -> str:
+        if self.outcome is None or math.isnan(self.outcome.lag_reserve[i]):
+            return ""
+        of, settings = self.outcome, self.outcome.settings
+        gain = (settings.servo_gain or 1.0) * float(settings.kv.max())
+        allowed = of.allowance[i]
+        against = "no velocity gain is too much without lag" if math.isinf(allowed) else (
+            f"velocity gain {gain:.4g} {'below' if gain < allowed else 'above'} the allowance κ = {allowed:.4g}"
+        )  # fmt: skip
+        lag, reserve = math.degrees(of.lag[i]), math.degrees(of.lag_reserve[i])
+        effect = "equal gains damp it" if reserve > 0 else "equal gains feed it"
+        decay = of.first_order_decay[i]
+        told = f"{'decays' if decay > 0 else 'grows'} at {abs(decay):.4g}/s"
+        return (
+            f"With this loop: {against}; the feedback lags by {lag:.4g}°, a reserve of {reserve:.4g}°, so that "
+            f"{effect}; to first order it {told}."
+        )
+
+    def _move(self, i: int, move: ModeMove) -> str:
+        if move.variable is None:
+            return f"Nothing to move for w{i + 1}: {WHY[move.status]}."
+        names = self.stand.gradient.variables
+        units = (*self.stand.base_units, *self.stand.joint_units)
+        lead = names.index(move.variable)
+        sign = "positive" if move.direction[lead] > 0 else "negative"
+        others = [
+            f"{name} {rate:+.4g} {unit}"
+            for name, rate, unit in zip(names, move.direction, units, strict=True)
+            if name != move.variable and abs(rate) > DEPENDENT
+        ]
+        which = "the base's " if move.variable in self.stand.base_coordinates else ""
+        keeping = f" with {', '.join(others)} for each {move.unit}, so that the end-point stays" if others else ""
+        worse = [
+            f"w{j + 1} by {-effect:.4g}" for j, effect in enumerate(move.effects) if effect < -STATIONARY * move.rate
+        ]
+        cost = f", while it lowers {', '.join(worse)}" if worse else ""
+        room = "" if math.isinf(move.room) else f"; a joint meets its limit after some {move.room:.3g} {move.unit}"
+        return (
+            f"Move {which}{move.variable} the {sign} way{keeping}: to first order this raises w{i + 1} by "
+            f"{move.rate:.4g} {self.unit} per {move.unit}{cost}{room}."
+        )

@@ -1,0 +1,244 @@
+"""Machine files to begin with: springs from a first frequency, a posture to look at first, and the planar file.
+
+In: answers about a machine, as plain data. Out: the text of its file, the machine that is read from it, a posture.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.errors import InputError
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.escapes import one_line
+from flexopt.foundation.rendering import render
+from flexopt.model import AnyMachine, machine_from_dict
+from flexopt.plant import Plant, build_plant
+from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.plant.reach import arm_length, sampled_ranges
+from flexopt.robustness.plausibility import modes_at
+
+POSTURES = 64
+# Of the ranges of the joints, for a posture to look at first.
+INNER = (0.15, 0.85)
+# Least over largest singular value of Jv below which no posture is regular.
+REGULAR = 1e-3
+DIGITS = 6
+# Of springs that make 1 rad/s of each direction alone, Hz.
+FREQUENCY_MAX = 1e4
+# A value, with the number signs inside its texts, and the comment behind it; the column where that begins.
+BEHIND = re.compile(r'((?:[^#"]|"(?:[^"\\]|\\.)*")*\S)\s+# (.*)')
+COMMENTS = 32
+UPRIGHT = "1.5707963"
+PLANAR_UNITS = {"x": ("N/m", "N s/m"), "y": ("N/m", "N s/m"), "rotation": ("N m/rad", "N m s/rad")}
+
+
+@dataclass(frozen=True)
+class NewMachine:
+    """The text of a machine file, the machine that it is, and a regular posture of it, rad or m."""
+
+    text: str
+    machine: AnyMachine
+    posture: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Springs:
+    """Stiffness and damping of each direction, a regular posture, rad or m, and where the numbers come from."""
+
+    stiffness: tuple[float, ...]
+    damping: tuple[float, ...]
+    posture: tuple[float, ...] = ()
+    notes: tuple[str, str] = ("", "")
+
+
+Build = Callable[[Springs], AnyMachine]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What is known of the springs of a base: numbers, or the first mode's frequency, Hz, and damping ratio.
+
+    `gives` names the directions; `stiffness` and `damping` are of each of them, None where they follow from the mode.
+    `alone`: the machine has other springs, too, and frequency and ratio are of each direction with all else held.
+    """
+
+    gives: tuple[str, ...]
+    stiffness: tuple[float, ...] | None = None
+    damping: tuple[float, ...] | None = None
+    frequency: float = 2.0
+    ratio: float = 0.02
+    alone: bool = False
+
+    def springs(self, build: Build) -> Springs:
+        """What follows for the machine that `build` makes of springs.
+
+        K = s diag(M_p), with which each direction alone has one frequency; ω_1² is proportional to s. D = β K, which
+        adds β ω_1 / 2 to ζ_1.
+        """
+        ones, nothing = (1.0,) * len(self.gives), (0.0,) * len(self.gives)
+        machine = build(Springs(self.stiffness or ones, self.damping or nothing))
+        posture, plant = regular_posture(machine), build_plant(machine)
+        held = ", ".join(f"{x:g}" for x in posture)
+        base, p, omega = np.zeros(plant.n_base), plant.parameter_values, math.tau * self.frequency
+        mass: Vector = plant.mass(plant.rest(base, posture, p), base, p).full()
+        names = plant.coordinates[: plant.n_passive]
+        each = np.array([mass[k, k] for k in (names.index(f"base.{word}") for word in self.gives)])
+        which = "each direction alone, all else held," if self.alone else "the first mode"
+        notes = ["", ""]
+
+        def first(stiffness: tuple[float, ...]) -> tuple[float, float]:
+            return _first_mode(build_plant(build(Springs(stiffness, nothing))), posture)
+
+        stiffness = self.stiffness
+        if stiffness is None:
+            scale = 1.0 if self.alone else (omega / first(tuple(each.tolist()))[0]) ** 2
+            stiffness = tuple(rounded(k) for k in each * (omega**2 if self.alone else scale))
+            notes[0] = f" (so that {which} has {self.frequency:g} Hz at posture {held})"
+        damping = self.damping
+        if damping is None and self.alone:
+            damping = tuple(rounded(2 * self.ratio * math.sqrt(k * m)) for k, m in zip(stiffness, each, strict=True))
+            notes[1] = f" (so that {which} has the damping ratio {self.ratio:g} at posture {held})"
+        elif damping is None:
+            omega, own = first(stiffness)
+            damping = tuple(rounded(max(0.0, 2 * (self.ratio - own) / omega * k)) for k in stiffness)
+            notes[1] = f" (so that {which} has the damping ratio {self.ratio:g} at posture {held})"
+            if own > self.ratio:
+                notes[1] = f" (the joints alone give the first mode a damping ratio of {own:.3g} at posture {held})"
+        return Springs(stiffness, damping, posture, (notes[0], notes[1]))
+
+
+def _first_mode(plant: Plant, posture: Sequence[float]) -> tuple[float, float]:
+    """Its frequency, rad/s, and damping ratio.
+
+    Raises:
+        InputError: there is none, for what gives carries nothing that the joints do not carry, too.
+    """
+    try:
+        first, ratio = (float(values[0]) for values in modes_at(plant, np.array(posture)))
+    except np.linalg.LinAlgError:
+        first = ratio = math.nan
+    if not 0 < first < FREQUENCY_MAX:
+        raise InputError(
+            "new: the base has no modes of its own in the directions in which it gives, as where joints move all that "
+            "has mass in the same ways: give others, --gives, or actuate other joints, --actuated"
+        )
+    return math.tau * first, ratio
+
+
+def rounded(value: float) -> float:
+    """To the digits that are written."""
+    return float(f"{value:.{DIGITS}g}")
+
+
+def quoted(text: str) -> str:
+    """Text as TOML has it."""
+    return json.dumps(one_line(text), ensure_ascii=False)
+
+
+def number(value: float) -> str:
+    """A number as TOML has it."""
+    return f"{value:.{DIGITS}g}"
+
+
+def aligned(text: str) -> str:
+    """Comments behind values under each other."""
+    return "\n".join(
+        f"{found[1]:<{COMMENTS}} # {found[2]}" if (found := BEHIND.match(line)) else line for line in text.split("\n")
+    )
+
+
+def regular_posture(machine: AnyMachine) -> tuple[float, ...]:
+    """Well inside the joint limits, and there of a sample the one with the best conditioned Jv.
+
+    Raises:
+        InputError: every one is singular.
+    """
+    plant = build_plant(machine)
+    low, high = sampled_ranges(machine, arm_length(plant)).T
+    share = INNER[0] + (INNER[1] - INNER[0]) * low_discrepancy(len(low), POSTURES, 0)
+    middle: Vector = (low + high) / 2
+    best, quality = middle, 0.0
+    base, p = np.zeros(plant.n_base), plant.parameter_values
+    for posture in [middle, *(low[:, None] + (high - low)[:, None] * share).T]:
+        jacobian: Vector = cast(Any, plant.rigid_jacobian)(plant.rest(base, posture, p), base, p).full()
+        sizes = np.linalg.svd(jacobian, compute_uv=False)
+        square = plant.n_task <= plant.n_actuated
+        conditioned = float(sizes[-1] / sizes[0]) if square and sizes[0] > 0 else 0.0
+        if conditioned > quality * 1.01:
+            best, quality = posture, conditioned
+    if quality < REGULAR:
+        rows = ", ".join(machine.task_rows)
+        raise InputError(
+            f"new: the actuated joints do not move the end-point in all of its rows ({rows}) in any posture"
+        )
+    # Two decimals, where the range is wide enough for them to stay inside.
+    kept: Vector = np.where(high - low > 0.1, np.round(best, 2), best)
+    return tuple(kept.tolist())
+
+
+def planar_file(
+    *,
+    name: str,
+    lengths: Sequence[float],
+    masses: Sequence[float],
+    inertias: Sequence[float] | None,
+    limits: Sequence[tuple[float, float]] | None,
+    base_length: float,
+    base_mass: float,
+    base_inertia: float | None,
+    ground: Ground,
+) -> NewMachine:
+    """A planar machine: what is None is proposed, a link's inertia as that of a slender rod."""
+    rods = [rounded(m * length**2 / 12) for m, length in zip(masses, lengths, strict=True)]
+    body = rounded(base_mass * (lengths[0] / 4) ** 2)
+    link_names = _link_names(len(lengths))
+    links: list[dict[str, Any]] = [
+        {
+            "name": quoted(link_names[k]),
+            "note": "the arm's first link and the joint that carries it" if k == 0 else "the next one",
+            "length": number(length),
+            "com": number(length / 2),
+            "mass": number(masses[k]),
+            "inertia": number((inertias or rods)[k]),
+            "inertia_note": " (proposed: a slender rod)" if inertias is None else "",
+            "limits": "" if limits is None else f"[{number(limits[k][0])}, {number(limits[k][1])}]",
+        }
+        for k, length in enumerate(lengths)
+    ]
+    base = {
+        "length": number(base_length),
+        "com": number(base_length / 2),
+        "com_note": " (proposed: half its length)",
+        "mass": number(base_mass),
+        "inertia": number(base_inertia or body),
+        "inertia_note": " (proposed: radius of gyration a quarter of the first link)" if base_inertia is None else "",
+        "rest_angle": UPRIGHT,
+    }
+
+    def text(springs: Springs) -> str:
+        rows: dict[str, Any] = {
+            word: [{"key": d, "value": number(x), "unit": PLANAR_UNITS[d][k]}
+                   for d, x in zip(ground.gives, getattr(springs, word), strict=True)]
+            for k, word in enumerate(("stiffness", "damping"))
+        }  # fmt: skip
+        told = {"stiffness_note": springs.notes[0], "damping_note": springs.notes[1]}
+        values = {"title": one_line(name), "name": quoted(name), "base": base, "links": links, **rows, **told}
+        return aligned(render("study/templates/planar_machine.toml", **values))
+
+    def build(springs: Springs) -> AnyMachine:
+        return machine_from_dict(tomllib.loads(text(springs)), origin=name)
+
+    found = ground.springs(build)
+    return NewMachine(text(found), build(found), found.posture)
+
+
+def _link_names(count: int) -> tuple[str, ...]:
+    return ("boom", "stick", "bucket")[:count] if count <= 3 else tuple(f"link{k + 1}" for k in range(count))

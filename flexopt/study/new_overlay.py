@@ -1,0 +1,232 @@
+"""A machine file around a robot file (URDF or MJCF): its joints named, and proposals for what the robot file lacks.
+
+In: a path and answers. Out: the text of the file and the machine that is read from it.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flexopt.errors import Fault, FlexoptWarning, InputError, ModelError, raise_if_any
+from flexopt.foundation.escapes import one_line
+from flexopt.foundation.nearest import hint
+from flexopt.foundation.rendering import render
+from flexopt.model import AnyMachine
+from flexopt.model.robots.description import Description, Joint, RobotLink
+from flexopt.model.robots.known import UNKNOWN
+from flexopt.model.robots.reading import read_description, robot_from_dict
+from flexopt.study.new_machine import Ground, NewMachine, Springs, aligned, number, quoted, regular_posture
+
+# What of the end-point can be controlled: the first of these that the joints can move.
+ROWS = (("x", "y", "z"), ("x", "z"), ("x", "y"), ("y", "z"), ("x",), ("y",), ("z",))
+JOINTS_SHOWN = 80
+WORDS = {"hinge": "turns, rad", "slide": "slides, m", "free": "is free"}
+
+
+@dataclass(frozen=True)
+class RobotChain:
+    """A robot file and the chain through it that a machine file begins with.
+
+    Attributes:
+        path: of the file;  robot: what it says;  ignore: words that it needs to be read.
+        end: the link at the end-point;  root: what stands on the base, None where the file has one.
+        actuated: joints between them that can be driven.
+        sprung: whether the robot has springs of its own;  floats: whether its root is free, and needs a base.
+    """
+
+    path: Path
+    robot: Description
+    ignore: tuple[str, ...]
+    end: str
+    root: str | None
+    actuated: tuple[str, ...]
+    sprung: bool
+    floats: bool
+
+    @property
+    def name(self) -> str:
+        """The robot's name, else the file's."""
+        return self.robot.name or self.path.stem
+
+
+def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> RobotChain:
+    """A robot file, and the chain to a link: by default the one with the most joints before it.
+
+    Raises:
+        ModelError: the file has faults.
+        InputError: it has no such link or joint.
+    """
+    ignore: list[str] = []
+    robot, faults = read_description(path, path.name)
+    if faults:
+        ignore.append(UNKNOWN)
+        robot, left = read_description(path, path.name, strict=False)
+        raise_if_any(ModelError, path.name, left)
+    ignore += [word for word, blocker in robot.blockers.items() if blocker.faults and word != "gravity"]
+    links = {link.name: link for link in robot.links}
+    if end is not None and end not in links:
+        raise InputError(f"new: --tip = {end!r}: is no link of {path.name}{hint(end, links, '')}")
+    at = end or max(links, key=lambda name: (len(_driven(_way(links, name))), len(_way(links, name))))
+    way = _way(links, at)
+    ground = [link for link in robot.links if link.parent is None]
+    free = next((k for k, link in enumerate(way) if any(joint.kind == "free" for joint in link.joints)), None)
+    root = None if free is None and len(ground) == 1 else way[free or 0].name
+    way = way[free or 0 :]
+    driven = _driven(way if free is None else [*way[1:]])
+    if actuated is not None:
+        known = {joint.name for link in robot.links for joint in link.joints}
+        wrong = [
+            Fault("--actuated", f"is no joint of {path.name}{hint(x, known, '')}", x)
+            for x in actuated
+            if x not in known
+        ]
+        raise_if_any(InputError, "new", wrong)
+        driven = list(actuated)
+    if not driven:
+        raise InputError(f"new: {path.name}: no joint between the ground and link {at!r} can be driven")
+    sprung = any(joint.stiffness > 0 for link in robot.links for joint in link.joints)
+    return RobotChain(path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None)
+
+
+def _way(links: dict[str, RobotLink], name: str) -> list[RobotLink]:
+    """The links from the ground to one."""
+    found = [links[name]]
+    while (parent := found[-1].parent) is not None:
+        found.append(links[parent])
+    return found[::-1]
+
+
+def _driven(way: Sequence[RobotLink]) -> list[str]:
+    """Joints that can be: no spring, not coupled, not free, with some room between their limits."""
+    return [
+        joint.name
+        for link in way
+        for joint in link.joints
+        if joint.kind != "free"
+        and joint.mimic is None
+        and not joint.stiffness > 0
+        and (joint.limits is None or joint.limits[0] < joint.limits[1])
+    ]
+
+
+def overlay_file(chain: RobotChain, name: str, folder: Path, ground: Ground) -> NewMachine:
+    """The machine file around a robot file.
+
+    Args:
+        chain: from `read_chain`.
+        name: of the machine.
+        folder: where the file will lie.
+        ground: directions x, y, z, roll, pitch, yaw and what is known of their springs; none where the robot has some.
+
+    Raises:
+        ModelError: no machine comes of it; the message says why.
+    """
+    faults: list[InputError] = []
+    for rows in (some for some in ROWS if len(some) <= len(chain.actuated)):
+        text = _Text(chain, name, folder, ground, rows)
+
+        def build(springs: Springs, text: _Text = text) -> AnyMachine:
+            with warnings.catch_warnings():
+                # `flexopt check`, and loading the file, say all of it again.
+                warnings.simplefilter("ignore", FlexoptWarning)
+                return robot_from_dict(tomllib.loads(text(springs)), folder=folder, origin=name)
+
+        try:
+            bare = Springs((), ())
+            found = ground.springs(build) if ground.gives else Springs((), (), regular_posture(build(bare)))
+            return NewMachine(text(found), build(found), found.posture)
+        except ModelError:
+            raise
+        except InputError as error:
+            faults.append(error)
+    raise faults[0]
+
+
+@dataclass(frozen=True)
+class _Text:
+    """The file's text."""
+
+    chain: RobotChain
+    name: str
+    folder: Path
+    ground: Ground
+    rows: tuple[str, ...]
+
+    def __call__(self, springs: Springs) -> str:
+        chain = self.chain
+        joints = [(joint, link) for link in chain.robot.links for joint in link.joints]
+        shown = [self._told(joint, link) for joint, link in joints[:JOINTS_SHOWN]]
+        more = len(joints) - JOINTS_SHOWN
+        locked = self._locked([joint for joint, _ in joints])
+        relative = _relative(chain.path.resolve(), self.folder.resolve())
+        blocked = chain.robot.blockers.get("gravity")
+
+        def by_direction(values: Sequence[float]) -> str:
+            parts = (f"{d} = {number(x)}" for d, x in zip(self.ground.gives, values, strict=True))
+            return f"{{ {', '.join(parts)} }}" if values else ""
+
+        values: dict[str, Any] = {
+            "title": one_line(self.name),
+            "name": quoted(self.name),
+            "robot": quoted(relative),
+            "robot_comment": one_line(relative),
+            "root": chain.root and quoted(chain.root),
+            "gravity": "9.81" if blocked is not None and blocked.faults else "",
+            "ignore": _listed(chain.ignore) if chain.ignore else "",
+            "joints": [*shown, *([f"and {more} more"] if more > 0 else [])],
+            "actuated": _listed(chain.actuated),
+            "locked": f"{{ {', '.join(f'{quoted(name)} = {x!r}' for name, x in locked.items())} }}" if locked else "",
+            "stiffness": by_direction(springs.stiffness),
+            "damping": by_direction(springs.damping),
+            "stiffness_note": springs.notes[0],
+            "damping_note": springs.notes[1],
+            "link": quoted(chain.end),
+            "rows": _listed(self.rows),
+            "rows_note": "" if self.rows == ROWS[0] else " (proposed: what these joints can move)",
+            "first": quoted(chain.actuated[0]),
+        }
+        return aligned(render("study/templates/robot_machine.toml", **values))
+
+    @staticmethod
+    def _told(joint: Joint, link: RobotLink) -> str:
+        limits = "" if joint.limits is None else f", {joint.limits[0]:.4g} to {joint.limits[1]:.4g}"
+        spring = f", spring {joint.stiffness:g}" if joint.stiffness > 0 else ""
+        mimic = "" if joint.mimic is None else f", follows {joint.mimic.joint}"
+        return one_line(
+            f"{joint.name}: {WORDS[joint.kind]}, {link.parent or 'the world'} → {link.name}{limits}{spring}{mimic}"
+        )
+
+    def _locked(self, joints: Sequence[Joint]) -> dict[str, float]:
+        """Joints that cannot stay where the file has them: coupled to one that moves, or that place out of limits."""
+        masters = {joint.name: joint for joint in joints}
+        found: dict[str, float] = {}
+        for joint in joints:
+            if joint.name in self.chain.actuated or joint.kind == "free" or joint.stiffness > 0:
+                continue
+            low, high = joint.limits or (joint.zero, joint.zero)
+            inside = min(max(joint.zero, low), high) if joint.limits else joint.zero
+            master, seen = joint, set[str]()
+            while master.mimic is not None and master.name not in seen:
+                seen.add(master.name)
+                master = masters.get(master.mimic.joint, master)
+            if inside != joint.zero or (joint.mimic is not None):
+                found[joint.name] = inside
+        return found
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """From the folder to the file; on another drive from its root."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        return path.as_posix()
+
+
+def _listed(words: Sequence[str]) -> str:
+    return f"[{', '.join(map(quoted, words))}]"

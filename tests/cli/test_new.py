@@ -1,0 +1,183 @@
+"""`flexopt new`: what it writes loads, passes the check, evaluates where it says, and has the mode that was asked for."""
+
+from __future__ import annotations
+
+import io
+import shlex
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import flexopt
+from tests.cli.command import Command
+from tests.model.robots.files import MJCF, URDF
+from tests.model.robots.test_public_robots import MJCF_PATHS, URDF_PATHS
+
+ROOT = Path(__file__).parents[2]
+PUBLIC = URDF_PATHS | MJCF_PATHS
+ROBOTS = ROOT / "models" / "robots"
+
+
+def followed(command: Command, *arguments: str):
+    """The document of a call, after the steps that it names next were taken; and the evaluation."""
+    document = command.json("new", *arguments, "--yes")
+    check, evaluate = (shlex.split(step)[1:] for step in document["next"])
+    checked = command(*check, "--json")
+    assert checked.code == 0, checked.stdout
+    assert checked.document["faults"] == []
+    evaluation = command(*evaluate, "--json")
+    assert evaluation.code == 0, evaluation.stderr
+    return document, evaluation.document
+
+
+def test_a_machine_of_proposals_alone(command: Command) -> None:
+    document, evaluation = followed(command)
+    assert document["file"] == "machine.toml"
+    assert command("check", "machine.toml").stdout.strip() == "machine 'machine': nothing to mend"
+    assert evaluation["frequencies_hz"][0] == pytest.approx(2.0, rel=1e-5)
+    assert evaluation["damping_ratios"][0] == pytest.approx(0.02, rel=1e-5)
+    printed = command("new", "--yes", "--force").stdout
+    assert all(step in printed for step in document["next"])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_planar_machine_is_what_was_said(command: Command, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 5))
+    lengths, masses = np.round(rng.uniform(0.5, 3, n), 3), np.round(rng.uniform(50, 900, n), 1)
+    limits = [(round(-2 - rng.random(), 2), round(rng.random(), 2)) for _ in range(n)]
+    gives = ("rotation", "x,rotation", "x,y,rotation")[seed]
+    frequency, ratio = round(rng.uniform(0.5, 5), 3), round(rng.uniform(0.01, 0.2), 3)
+    given = {
+        "--name": "rig #1 \"é\"", "--links": n, "--lengths": ",".join(map(str, lengths)),
+        "--masses": ",".join(map(str, masses)), "--limits": ";".join(f"{a},{b}" for a, b in limits),
+        "--base-length": 0.4, "--base-mass": 4000, "--gives": gives, "--frequency": frequency, "--ratio": ratio,
+    }  # fmt: skip
+    options = [str(part) for pair in given.items() for part in pair]
+    document, evaluation = followed(command, "mine.toml", *options)
+    assert evaluation["frequencies_hz"][0] == pytest.approx(frequency, rel=1e-5)
+    assert evaluation["damping_ratios"][0] == pytest.approx(ratio, rel=1e-4)
+    machine = flexopt.load("mine.toml")
+    assert machine.name == document["machine"] == 'rig #1 "é"'
+    assert [link.length for link in machine.links] == list(lengths)
+    assert [link.mass for link in machine.links] == list(masses)
+    np.testing.assert_allclose([link.inertia for link in machine.links], masses * lengths**2 / 12, rtol=1e-5)
+    assert [link.limits for link in machine.links] == limits
+    assert ",".join(machine.free_base_directions) == gives
+    assert all(low < q < high for q, (low, high) in zip(document["posture"], limits, strict=True))
+
+
+def test_springs_that_are_known_stay_as_they_are(command: Command) -> None:
+    given = ("--gives", "x,rotation", "--stiffness", "3e6,2e6", "--damping", "10,20", "--inertias", "300,50")
+    followed(command, "mine.toml", *given)
+    machine = flexopt.load("mine.toml")
+    assert (machine.base.stiffness.x, machine.base.stiffness.y, machine.base.stiffness.rotation) == (3e6, None, 2e6)
+    assert (machine.base.damping.x, machine.base.damping.rotation) == (10, 20)
+    assert [link.inertia for link in machine.links] == [300, 50]
+    text = Path("mine.toml").read_text(encoding="utf-8")
+    assert "slender rod" not in text
+    assert "first mode" not in text
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [ROBOTS / "slewing-excavator.urdf", ROBOTS / "mobile-manipulator.xml", "arm.urdf", "arm.xml", "so101.urdf", "kinova.urdf",
+     "reacher.xml", "humanoid.xml"],
+    ids=lambda robot: Path(robot).name,
+)  # fmt: skip
+def test_a_robot_file_becomes_a_machine(command: Command, robot: Path | str) -> None:
+    written = {"arm.urdf": URDF, "arm.xml": MJCF}
+    path = Path(robot)
+    if robot in written:
+        command.write(path.name, written[path.name])
+    elif isinstance(robot, str):
+        if path.name not in PUBLIC:
+            pytest.skip("not installed")
+        path = PUBLIC[path.name]
+    (command.folder / "work").mkdir()
+    document, evaluation = followed(command, "work/own.toml", "--from", str(path))
+    data = tomllib.loads(Path("work/own.toml").read_text(encoding="utf-8"))
+    assert data["actuated"] == document["joints"]
+    text = Path("work/own.toml").read_text(encoding="utf-8")
+    for joint in data["actuated"]:
+        assert f"#   {joint}: " in text
+    if "so that the first mode has 2 Hz" in text:
+        assert evaluation["frequencies_hz"][0] == pytest.approx(2.0, rel=1e-5)
+        if "so that the first mode has the damping ratio" in text:
+            assert evaluation["damping_ratios"][0] == pytest.approx(0.02, rel=1e-3)
+    assert ("base" in data) == (path.name not in {"mobile-manipulator.xml", "arm.xml"})
+
+
+def test_joints_and_end_point_of_a_robot_can_be_chosen(command: Command) -> None:
+    command.write("arm.urdf", URDF)
+    followed(command, "own.toml", "--from", "arm.urdf", "--tip", "tool", "--actuated", "slew,boom,extend", "--gives", "z,pitch",
+             "--stiffness", "4e6,3e6")  # fmt: skip
+    data = tomllib.loads(Path("own.toml").read_text(encoding="utf-8"))
+    assert data["end_point"]["link"] == "tool"
+    assert data["base"]["stiffness"] == {"z": 4e6, "pitch": 3e6}
+    # Coupled fingers stand still.
+    assert "finger_b" in data["locked"]
+
+
+def test_nothing_is_written_over(command: Command) -> None:
+    command.write("mine.toml", "mine")
+    outcome = command("new", "mine.toml", "--yes")
+    assert outcome.code == 2
+    assert "--force" in outcome.stderr
+    assert Path("mine.toml").read_text(encoding="utf-8") == "mine"
+    assert command("new", "mine.toml", "--yes", "--force").code == 0
+    assert flexopt.load("mine.toml").name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--masses", "1,2,3", "--lengths", "1,-2", "--ratio", "x"), ("--masses", "2 numbers", "--lengths", "greater than 0", "m", "--ratio")),
+        (("--links", "1"), ("--links", "from 2 to 8")),
+        (("--limits", "1,0;0,1"), ("--limits", "below the upper end")),
+        (("--gives", "x,z"), ("--gives", "x,y,rotation")),
+        (("--stiffness", "1,1,1", "--frequency", "2"), ("--frequency", "told already")),
+        (("--tip", "tool"), ("--tip", "goes with --from")),
+        (("--from", "arm.urdf", "--links", "3"), ("--links", "without --from")),
+        (("--from", "arm.urdf", "--tip", "toll"), ("--tip", "did you mean 'tool'")),
+        (("--from", "arm.urdf", "--actuated", "slew,bom"), ("--actuated", "did you mean 'boom'")),
+        (("--from", "nothing.urdf"), ("nothing.urdf",)),
+        (("mine.json",), ("mine.json", ".toml")),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
+)  # fmt: skip
+def test_bad_answers_are_named_together(command: Command, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+    command.write("arm.urdf", URDF)
+    outcome = command("new", *arguments, "--yes")
+    assert outcome.code == 2
+    assert outcome.stdout == ""
+    assert "Traceback" not in outcome.stderr
+    for word in words:
+        assert word in outcome.stderr
+    assert not list(command.folder.glob("*.toml"))
+
+
+def test_questions_are_asked_again_until_the_answer_can_be_used(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed = ["digger", "3", "1,2", "2,1.5,1", "", "", "", "-1", "0.6", "", "", "rotation", "", "", "3", "0.05"]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(typed) + "\n"))
+    outcome = command("new", "--json")
+    assert outcome.code == 0, outcome.stderr
+    assert outcome.document["machine"] == "digger"
+    assert "must be 3 numbers with commas between them, not 2" in outcome.stderr
+    assert "must lie between 0 and 10000 m" in outcome.stderr
+    machine = flexopt.load("digger.toml")
+    assert [link.length for link in machine.links] == [2.0, 1.5, 1.0]
+    assert machine.base.length == 0.6
+    found = flexopt.evaluate(machine, outcome.document["posture"])
+    assert found.frequencies_hz[0] == pytest.approx(3.0, rel=1e-5)
+    assert found.damping_ratios[0] == pytest.approx(0.05, rel=1e-4)
+
+
+def test_without_answers_nothing_is_written(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("digger\n"))
+    assert command("new").code == 130
+    assert not list(command.folder.iterdir())

@@ -1,0 +1,217 @@
+"""The command as a shell and a terminal see it: completion, examples, quiet and verbose, colours, width, Ctrl-C."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.shell_completion import ShellComplete
+
+import flexopt
+from flexopt.cli import _COMMANDS, cli, common, main
+from flexopt.cli.completing import SHELLS
+from flexopt.cli.examples import EXAMPLES
+from flexopt.cli.shell import VARIABLE
+from flexopt.cli.terminal import VOICE, folded
+from flexopt.model import shipped_names
+from tests.cli.command import Command
+
+ROOT = Path(__file__).parents[2]
+# Without their effects on files, these are done in a second.
+QUICK = {"check", "completion", "doctor", "evaluate", "explain"}
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is one."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def completions(*words: str) -> list[str]:
+    """What the shell is offered for the last of the words."""
+    *before, last = words
+    return [item.value for item in ShellComplete(cli, {}, "flexopt", VARIABLE).get_completions(before, last)]
+
+
+def kinds(*words: str) -> set[str]:
+    *before, last = words
+    return {item.type for item in ShellComplete(cli, {}, "flexopt", VARIABLE).get_completions(before, last)}
+
+
+def test_commands_machines_and_problems_are_completed() -> None:
+    assert completions("e") == ["evaluate", "explain", "export"]
+    assert completions("evaluate", "") == shipped_names("models")
+    assert completions("verdict", "art") == [name for name in shipped_names("problems") if name.startswith("art")]
+    assert set(completions("select", "")) == {*shipped_names("models"), *shipped_names("problems")}
+    assert kinds("evaluate", "./mine") == {"file"}
+    assert kinds("verify", "") == {"dir"}
+    assert kinds("identify", "excavator", "sw") == {"file"}
+    assert completions("completion", "") == list(SHELLS)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("evaluate", "excavator", "--control", ""), ["inverse", "transpose", "damped:"]),
+        (("evaluate", "excavator", "--elbow", "d"), ["down"]),
+        (("select", "excavator", "--objective", "w"), ["w1", "w2", "w3"]),
+        (("select", "slewing-excavator", "--objective", "w"), [f"w{k}" for k in range(1, 7)]),
+        (("select", "article", "--objective", "w1,ep"), ["w1,epsilon_max"]),
+        (("select", "excavator", "--assume", "ground,l"), ["ground,limits"]),
+        (("evaluate", "excavator", "--loop", "de"), ["default", "dead_time="]),
+        (("evaluate", "excavator", "--loop", "k"), ["kp=", "kv=", "ki=", "kp_range=", "kv_range="]),
+        (("region", "excavator", "--ranges", "payload"), ["payload.mass="]),
+        (("map", "boom-stick-bucket", "--joints", "b"), ["boom", "bucket"]),
+        (("map", "excavator", "--over", ""), ["end_point", "posture", "base"]),
+        (("export", "excavator", "--real", ""), ["double", "float"]),
+        (("map", "nothing", "--joints", ""), []),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
+)
+def test_values_are_completed(words: tuple[str, ...], expected: list[str]) -> None:
+    assert completions(*words) == expected
+
+
+def test_every_word_of_a_choice_is_taken_by_its_command(command: Command) -> None:
+    for control in completions("evaluate", "excavator", "--control", "")[:2]:
+        assert command("evaluate", "excavator", "--posture", "1,-2", "--control", control).code == 0
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_script_of_a_shell(command: Command, shell: str) -> None:
+    script = command("completion", shell).stdout
+    assert f"{VARIABLE}={shell}_complete" in script
+    assert command.json("completion", shell)["script"] + "\n" == script
+    assert command("completion", "tcsh").code == 2
+
+
+def test_what_the_script_calls_answers() -> None:
+    asked = {"COMP_WORDS": "flexopt evaluate exc", "COMP_CWORD": "2", VARIABLE: "bash_complete"}
+    done = subprocess.run(
+        [sys.executable, "-c", "from flexopt.cli import main; main()"],
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | asked, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.stdout == "plain,excavator\n", done.stderr
+
+
+def test_every_command_has_examples_and_every_example_is_understood(command: Command) -> None:
+    assert set(EXAMPLES) == {"", *_COMMANDS}
+    for name, lines in EXAMPLES.items():
+        told = command(*([name] if name else []), "--help").stdout
+        assert "Examples:" in told
+        for line in lines:
+            assert line in told
+            words = shlex.split(re.sub(r'^eval "\$\((.*)\)"$', r"\1", line))
+            assert words[0] == "flexopt"
+            found = cli.get_command(click.Context(cli), words[1])
+            assert found is not None
+            assert not name or words[1] == name
+            found.make_context(words[1], words[2:])
+            if words[1] in QUICK:
+                assert command(*words[1:]).code == 0, line
+
+
+def test_options_that_examples_name_are_there() -> None:
+    """The check above sees a mistake."""
+    found = cli.get_command(click.Context(cli), "evaluate")
+    assert found is not None
+    with pytest.raises(click.UsageError):
+        found.make_context("evaluate", ["excavator", "--postures", "1,2"])
+
+
+def test_quiet_leaves_results_and_errors(command: Command) -> None:
+    asked = ("select", "excavator", "--end-point", "0,1.6", "--starts", "1")
+    loud, quiet = command(*asked), command("-q", *asked)
+    assert "starts" in loud.stderr
+    assert quiet.stderr == ""
+    assert quiet.stdout == loud.stdout
+    data = (ROOT / "models" / "excavator.toml").read_text(encoding="utf-8").replace("5291.5", "5.2915")
+    command.write("light.toml", data)
+    light = ("evaluate", "light.toml", "--posture", "1,-2")
+    assert "warning" in command(*light).stderr
+    assert command("--quiet", *light).stderr == ""
+    assert "no machine" in command("-q", "evaluate", "nothing", "--posture", "1,-2").stderr
+
+
+def test_verbose_tells_versions_time_and_where_errors_arose(command: Command) -> None:
+    good = command("-v", "check", "excavator")
+    assert good.stdout == command("check", "excavator").stdout
+    assert re.fullmatch(r"flexopt: \d+\.\d\d s; flexopt \S+, casadi \S+, numpy \S+, Python \S+\n", good.stderr)
+    bad = command("--verbose", "evaluate", "nothing", "--posture", "1,-2")
+    assert bad.code == 2
+    assert "Traceback" in bad.stderr
+    assert "Traceback" not in command("evaluate", "nothing", "--posture", "1,-2").stderr
+    assert command("-q", "-v", "check", "excavator").code == 2
+
+
+def fails_on_a_terminal(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> str:
+    stream = Terminal()
+    with monkeypatch.context() as inside:
+        inside.setattr("sys.stderr", stream)
+        with pytest.raises(SystemExit):
+            main([*arguments, "evaluate", "nothing", "--posture", "1,-2"])
+    return stream.getvalue()
+
+
+def test_colours_are_for_terminals_and_can_be_switched_off(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    coloured = fails_on_a_terminal(monkeypatch)
+    assert coloured.startswith("\x1b[31mflexopt: ")
+    plain = COLOUR.sub("", coloured)
+    assert fails_on_a_terminal(monkeypatch, "--no-color") == plain
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert fails_on_a_terminal(monkeypatch) == plain
+    monkeypatch.delenv("NO_COLOR")
+    monkeypatch.setenv("TERM", "dumb")
+    assert fails_on_a_terminal(monkeypatch) == plain
+    monkeypatch.setenv("TERM", "xterm")
+    # A pipe has none.
+    assert not COLOUR.search(command("evaluate", "nothing", "--posture", "1,-2").stderr)
+    assert VOICE.colour
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100])
+def test_tables_and_sentences_fit_the_terminal(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = repr(flexopt.explain(flexopt.load("excavator"), [0.9929, -2.6306], loop={"kp": 1e4, "kv": 1e3}))
+    assert max(map(len, text.split("\n"))) > 100
+    fitted = folded(text, width)
+    assert max(map(len, fitted.split("\n"))) <= width
+    # Nothing is lost, whatever its order.
+    assert sorted(fitted.split()) == sorted(text.split())
+    # A pipe gets lines as they are, a terminal as wide as it is.
+    monkeypatch.setenv("COLUMNS", str(width))
+    stream = Terminal()
+    with monkeypatch.context() as inside:
+        inside.setattr("sys.stdout", stream)
+        common.say(text)
+    assert stream.getvalue() == fitted + "\n"
+
+
+def test_columns_of_a_table_stay_together() -> None:
+    rows = [("mode", "frequency", "a much longer name of a column"), ("1", "2.5 Hz", "0.25"), ("2", "13.5 Hz", "-1.75")]
+    text = "\n".join(f"{a:>6}  {b:>12}  {c:>32}" for a, b, c in rows)
+    parts = folded(text, 40).split("\n")
+    assert [line.split() for line in parts[:3]] == [["mode", "frequency"], ["1", "2.5", "Hz"], ["2", "13.5", "Hz"]]
+    assert [line.strip() for line in parts[3:]] == [row[2] for row in rows]
+    assert folded(text, 200) == text
+
+
+def test_an_interrupted_command_says_so(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("flexopt.cli.analysis.evaluate", interrupted)
+    outcome = command("evaluate", "excavator", "--posture", "1,-2", "--json")
+    assert outcome.code == 130
+    assert outcome.stdout == ""
+    assert outcome.stderr.strip() == "Aborted"
