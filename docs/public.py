@@ -49,7 +49,7 @@ TOPICS: dict[str, tuple[str, str]] = {
 }
 # What classes of flexopt's own ask of each other: no user calls it.
 PLUMBING = frozenset({
-    "build_tree", "document", "document_keys", "model_post_init", "parameter_entries", "part_faults",
+    "build_tree", "document", "document_keys", "model_post_init", "parameter_entries", "part_faults", "shortly",
     "structural_faults",
 })  # fmt: skip
 

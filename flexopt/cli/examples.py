@@ -17,6 +17,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flexopt explain excavator --posture 0.9929,-2.6306",
         "flexopt explain truck-crane --posture 0.3,0.4,-1.2,0.5 --loop default",
     ),
+    "explore": (
+        "flexopt explore excavator --posture 1,-2 --out excavator.html",
+        "flexopt explore article --out article.html",
+    ),
     "export": (
         "flexopt export excavator --out bundle --parts controller,measures",
         "flexopt export excavator --fmu loop.fmu --posture 0.0448,-2.0499",
@@ -35,6 +39,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "report": ("flexopt report article --out report", "flexopt report excavator --end-point 0,1.6 --base 0"),
     "reproduce": ("flexopt reproduce --out report",),
+    "schema": ("flexopt schema machine --out machine.json", "flexopt schema problem --json"),
     "select": ("flexopt select excavator --end-point 0,1.6 --base 0", "flexopt select article --plot choice.png"),
     "simulate": (
         "flexopt simulate excavator --posture 0.0448,-2.0499 --kp 1e5 --kv 2e3",

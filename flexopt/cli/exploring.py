@@ -22,6 +22,7 @@ from flexopt.cli.common import (
     write_output,
 )
 from flexopt.cli.judging import LOOP, real_loop
+from flexopt.foundation.writing import write_file
 from flexopt.model import Problem, load_any
 
 PAGE = "flexopt-explorer.html"
@@ -40,8 +41,6 @@ def explore_command(as_json: bool, machine: str, out: str | None, **options: Any
 
     End-point and base can be dragged; modes, w_i, a map of them and how fast the loop decays follow. The browser
     computes it all, without network or server. Of a problem the recommended configuration is computed and shown, too.
-
-    flexopt explore excavator --posture 1,-2 --out excavator.html
     """
     from flexopt.explorer import explore  # noqa: PLC0415  (only this command needs it)
 
@@ -51,7 +50,7 @@ def explore_command(as_json: bool, machine: str, out: str | None, **options: Any
     own = loaded.loop or loaded.loaded_machine.loop if isinstance(loaded, Problem) else loaded.loop
     with option_names(options), warnings_to_stderr(as_json):
         result = explore(loaded, loop=real_loop(own, options.pop("loop")), **given(options))
-    write_output("--out", path, lambda: result.save(path))
+    write_output("--out", path, lambda: write_file(path, result.page))
     if as_json:
         print_json(result.to_dict())
     else:

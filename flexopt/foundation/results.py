@@ -37,7 +37,12 @@ class Tabled:
     """What shows itself in a notebook: what it says of itself as text, and its document as a table."""
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
+        """JSON-ready dictionary.
+
+        Example:
+            >>> flexopt.evaluate(flexopt.load("excavator"), (0.9929, -2.6306)).to_dict()["machine"]
+            'excavator'
+        """
         raise NotImplementedError
 
     def _units(self, outer: str) -> Iterator[tuple[str, str]]:  # noqa: ARG002 - of those that know some

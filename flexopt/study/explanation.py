@@ -88,6 +88,11 @@ class Explanation(Result):
         moves: for each mode what to move and which way.
         outcome: what the loop allows and does, `flexopt.Outcome`; None without a loop.
         sentences: the same in words, for each mode one.
+
+    Example:
+        >>> found = flexopt.explain(flexopt.load("excavator"), [0.9929, -2.6306])
+        >>> found.moves[0].status, found.moves[0].variable
+        ('move', 'boom')
     """
 
     DOCUMENT = """

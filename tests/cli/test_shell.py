@@ -48,7 +48,7 @@ def kinds(*words: str) -> set[str]:
 
 
 def test_commands_machines_and_problems_are_completed() -> None:
-    assert completions("e") == ["evaluate", "explain", "export"]
+    assert completions("e") == ["evaluate", "explain", "explore", "export"]
     assert completions("evaluate", "") == shipped_names("models")
     assert completions("verdict", "art") == [name for name in shipped_names("problems") if name.startswith("art")]
     assert set(completions("select", "")) == {*shipped_names("models"), *shipped_names("problems")}
