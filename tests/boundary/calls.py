@@ -381,6 +381,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
         "source": "",
         "machine": "excavator",
         "simulation": {"posture": POSTURE},
+        "loop": {"kp": 1e4, "kv": 1e3},
         "nullspace": None,
     },
     "Hydraulics": lambda: {"plant": flexopt.build_plant(hydraulic())},

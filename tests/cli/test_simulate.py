@@ -228,4 +228,7 @@ def test_loop(command: Command) -> None:
     assert both.code == 2
     assert "--kp: comes with the loop" in both.stderr
     (command.folder / "e.toml").write_text(EXPERIMENT)
-    assert "an experiment brings its own controller" in command("simulate", "e.toml", "--loop", "default").stderr
+    loop = {"kp": 1e4, "kv": 1e3}
+    own = flexopt.run_experiment(flexopt.load_experiment(command.folder / "e.toml"), loop=loop)
+    document = command.json("simulate", "e.toml", "--loop", "kp=1e4", "--loop", "kv=1e3")
+    assert document["linear_growth_rate"] == own.linear_growth_rate

@@ -54,6 +54,7 @@ TAKEN = {
     ("algebra/feasible.py", "feasible_steps"): "test_steps_onto_rows",
     ("loop/lag.py", "slopes"): "test_what_modes_get_to_feel",
     ("loop/small_motions.py", "slopes"): "test_the_real_loop",
+    ("loop/small_motions.py", "disturbance_slopes"): "test_the_real_loop",
     ("robustness/atlas/fields.py", "_function"): "test_the_atlas",
     ("robustness/expansion.py", "_machine_slope"): "test_single",
     ("robustness/expansion.py", "_machine_curvature"): "test_single",
