@@ -18,6 +18,7 @@ import numpy as np
 
 import flexopt
 from benchmarks.score import Row
+from flexopt.foundation.turns import one_blas_thread
 from flexopt.loop.certificate import RegionProof, certify
 from flexopt.loop.evaluation import outcome
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
@@ -130,6 +131,7 @@ def told(name: str, found: Reading) -> None:
     print(f"{name}: time | {times} | ≤ {slowest:g} s", flush=True)
 
 
+@one_blas_thread()
 def rows(quick: bool) -> list[Row]:
     """For the score table: mean shares and median times of a few loops."""
     scores = list[Row]()
@@ -161,8 +163,9 @@ def note() -> None:
               f"{wrong} of {inside} wrong | ", flush=True)  # fmt: skip
 
 
+@one_blas_thread()
 def main() -> None:
-    """The table."""
+    """The table, with one thread of BLAS, as `flexopt.stable_region` has."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--loops", type=int, default=100)
     parser.add_argument("--samples", type=int, default=1000, help="of each loop")
