@@ -223,7 +223,7 @@ class MarginNotComputed(NoSolutionFound):
 
 
 class ExportError(FlexoptError):
-    """A graph has no equivalent in C.
+    """A graph has no equivalent in C, or in JavaScript.
 
     Example:
         >>> try:

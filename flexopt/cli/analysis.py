@@ -38,7 +38,7 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, RANGES, real_loop
-from flexopt.cli.postures import asked_posture
+from flexopt.cli.postures import asked_posture, configuration
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE
@@ -64,14 +64,9 @@ def ranges(text: str) -> Any:
 
 @click.command("evaluate", short_help="Frequencies, measures w_i and gradients in one posture.")
 @argument("machine")
-@value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
-@END_POINT
-@ELBOW
-@BASE
-@CONTROL
+@configuration
 @GAIN
 @option("--damped", is_flag=True, help="Measures of the damped plant.")
-@GRAVITY
 @LOOP
 @JSON
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:

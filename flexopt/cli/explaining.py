@@ -7,16 +7,10 @@ from typing import Any
 import click
 
 from flexopt.cli.common import (
-    BASE,
-    CONTROL,
-    ELBOW,
-    END_POINT,
-    GRAVITY,
     JSON,
     check_output,
     given,
     hand_out,
-    numbers,
     option_names,
     read,
     value,
@@ -24,18 +18,13 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, real_loop
-from flexopt.cli.postures import asked_posture
+from flexopt.cli.postures import asked_posture, configuration
 from flexopt.model import load
 
 
 @click.command("explain", short_help="Why a posture is good or bad, and what to move which way.")
 @argument("machine")
-@value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
-@END_POINT
-@ELBOW
-@BASE
-@CONTROL
-@GRAVITY
+@configuration
 @LOOP
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON

@@ -10,8 +10,6 @@ from flexopt.cli.common import (
     BASE,
     CONTROL,
     ELBOW,
-    END_POINT,
-    GRAVITY,
     JSON,
     check_output,
     given,
@@ -27,7 +25,7 @@ from flexopt.cli.common import (
     whole,
 )
 from flexopt.cli.completing import argument
-from flexopt.cli.postures import asked_posture
+from flexopt.cli.postures import asked_posture, configuration
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine, Problem, load, load_any
 from flexopt.model.loop import DEFAULT_LOOP, Loop
@@ -90,12 +88,7 @@ def verdict_command(as_json: bool, problem: str, out: str | None, **options: Any
 
 @click.command("region", short_help="Is a loop stable over all that is uncertain, and is it proven?")
 @argument("machine")
-@value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
-@END_POINT
-@ELBOW
-@BASE
-@CONTROL
-@GRAVITY
+@configuration
 @LOOP
 @RANGES
 @value("--points", "N", "Points of the ranges that decays are computed of (64 by default).", whole)

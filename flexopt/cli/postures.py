@@ -1,15 +1,25 @@
-"""A posture, or the end-point that it reaches, as options of a command."""
+"""A configuration as options of a command: a posture, or the end-point that it reaches, the base, the control."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-from flexopt.cli.common import typed
+from flexopt.cli.common import BASE, CONTROL, ELBOW, END_POINT, GRAVITY, numbers, typed, value
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.model import AnyMachine
 from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant, inverse_kinematics
+
+POSTURE = value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
+
+
+def configuration(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of a command that looks at one configuration."""
+    for option in (GRAVITY, CONTROL, BASE, ELBOW, END_POINT, POSTURE):
+        command = option(command)
+    return command
 
 
 def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> Any:

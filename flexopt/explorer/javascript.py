@@ -11,6 +11,7 @@ from collections import Counter
 import casadi as ca
 
 from flexopt.compiled.instructions import Instructions
+from flexopt.errors import ExportError
 
 # What a browser's compiler still takes as one piece; longer graphs are cut, and pass numbers on in an array.
 PIECE = 1200
@@ -62,7 +63,7 @@ def script_of(function: ca.Function) -> str:
     and writes into those of `o`, entries column by column.
 
     Raises:
-        NotImplementedError: it has an operation that is not known here.
+        ExportError: it has an operation that is not known here.
     """
     flat = function if function.is_a("SXFunction") else function.expand()
     tape = Instructions(flat)
@@ -148,7 +149,7 @@ def _body(
 
 def _form(operation: int) -> str:
     if operation not in _FORMS:
-        raise NotImplementedError(f"operation {operation} of CasADi has no JavaScript here")
+        raise ExportError(f"explore: CasADi's operation {operation} has no equivalent in JavaScript here")
     return _FORMS[operation]
 
 

@@ -6,6 +6,7 @@ In: objects of classes derived from `Result`. Out: dictionaries of plain data; r
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from functools import lru_cache
@@ -33,9 +34,10 @@ class Key(NamedTuple):
     unit: str
 
 
-class Tabled:
+class Tabled(ABC):
     """What shows itself in a notebook: what it says of itself as text, and its document as a table."""
 
+    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary.
 
@@ -43,7 +45,6 @@ class Tabled:
             >>> flexopt.evaluate(flexopt.load("excavator"), (0.9929, -2.6306)).to_dict()["machine"]
             'excavator'
         """
-        raise NotImplementedError
 
     def _units(self, outer: str) -> Iterator[tuple[str, str]]:  # noqa: ARG002 - of those that know some
         """Names as the table has them, with their units."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -78,16 +78,13 @@ class Explanation(Result):
     """Why a posture is good or bad. m modes, ordered by frequency; r task rows. SI and radians.
 
     Attributes:
-        machine, control, base, base_coordinates, base_units, posture, joints, joint_units, end_point: as of
-            `flexopt.evaluate`; `variables` and `variable_units` are those of z = [base, posture].
-        frequencies_hz, damping_ratios, w: of each mode, (m,);  w_unit: of w and size, in words where rows differ.
-        size: |a_i||b_i|, how strongly the end-point sees and excites the mode, (m,).
+        evaluation: the posture, its modes and w, as of `flexopt.evaluate`; its `scale`, here size, is |a_i||b_i|,
+            how strongly the end-point sees and excites the mode.
+        w_unit: of w and size, in words where rows differ.
         angle: between a_i, how the end-point moves in the mode, and b_i, how its feedback acts on it, (m,), rad;
             w_i = −2 |a_i||b_i| sin²(angle/2) for two and more task rows. NaN where frequencies are shared.
         a, b: (r, m).
         moves: for each mode what to move and which way.
-        outcome: what the loop allows and does, `flexopt.Outcome`; None without a loop.
-        sentences: the same in words, for each mode one.
 
     Example:
         >>> found = flexopt.explain(flexopt.load("excavator"), [0.9929, -2.6306])
@@ -96,56 +93,58 @@ class Explanation(Result):
     """
 
     DOCUMENT = """
-    machine control base base_coordinates base_units posture joints joint_units end_point[m] variables variable_units
-    frequencies_hz[Hz] damping_ratios w w_unit size angle[rad] a b moves outcome sentences provenance
+    machine=evaluation.machine control=evaluation.control base=evaluation.base
+    base_coordinates=evaluation.base_coordinates base_units=evaluation.base_units posture=evaluation.posture
+    joints=evaluation.joints joint_units=evaluation.joint_units end_point=evaluation.end_point[m] variables
+    variable_units frequencies_hz=evaluation.frequencies_hz[Hz] damping_ratios=evaluation.damping_ratios
+    w=evaluation.w w_unit size=evaluation.scale angle[rad] a b moves outcome sentences
+    provenance=evaluation.provenance
     """
 
-    machine: str
-    control: Control
-    base: Vector
-    base_coordinates: tuple[str, ...]
-    base_units: tuple[str, ...]
-    posture: Vector
-    joints: tuple[str, ...]
-    joint_units: tuple[str, ...]
-    end_point: Vector
-    frequencies_hz: Vector
-    damping_ratios: Vector
-    w: Vector
+    evaluation: Evaluation
     w_unit: str
-    size: Vector
     angle: Vector
     a: Vector
     b: Vector
     moves: tuple[ModeMove, ...]
-    outcome: Outcome | None
-    sentences: tuple[str, ...]
-    provenance: dict[str, Any] = field(repr=False)
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """Coordinates of the base, then actuated joints."""
-        return (*self.base_coordinates, *self.joints)
+        """Coordinates of the base, then actuated joints: z = [base, posture]."""
+        return self.evaluation.gradient.variables
 
     @property
     def variable_units(self) -> tuple[str, ...]:
         """M or rad, of each."""
-        return (*self.base_units, *self.joint_units)
+        return (*self.evaluation.base_units, *self.evaluation.joint_units)
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """What the loop allows and does; None without a loop."""
+        found = self.evaluation.outcome
+        return found if isinstance(found, Outcome) else None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All of it in words, for each mode."""
+        parts = ((self._measure(i), self._loop(i), self._move(i, move)) for i, move in enumerate(self.moves))
+        return tuple(" ".join(part for part in of_mode if part) for of_mode in parts)
 
     def __repr__(self) -> str:
-        named = zip(self.variables, (*self.base, *self.posture), self.variable_units, strict=True)
-        point = ", ".join(f"{x:.4f}" for x in self.end_point)
+        of = self.evaluation
+        named = zip(self.variables, (*of.base, *of.posture), self.variable_units, strict=True)
+        point = ", ".join(f"{x:.4f}" for x in of.end_point)
         head = f"  mode   frequency    damping        |a||b|    angle             w   [{self.w_unit}]"
         told = "" if self.outcome is None else f"{'κ':>12} {'reserve':>8} {'1st order':>13}"
         lines = [
-            f"{self.machine}, Jacobian {self.control} control: "
+            f"{of.machine}, Jacobian {of.control} control: "
             + ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in named)
             + f"; end-point ({point}) m",
             f"{head} {told}".rstrip(),
         ]
-        for i, w in enumerate(self.w):
+        for i, w in enumerate(of.w):
             row = (
-                f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e} {self.size[i]:13.5e} "
+                f"  {i + 1:4d} {of.frequencies_hz[i]:8.4f} Hz {of.damping_ratios[i]:10.3e} {of.scale[i]:13.5e} "
                 f"{math.degrees(self.angle[i]):7.2f}° {w:13.5e}"
             )
             if self.outcome is not None:
@@ -153,14 +152,69 @@ class Explanation(Result):
                 row += f"{'':{len(self.w_unit) + 5}} {self.outcome.allowance[i]:12.4g} {reserve:7.1f}° "
                 row += f"{self.outcome.first_order_decay[i]:+9.4g} 1/s"
             lines.append(row)
-        lines += [f"{name} {sentence}" for name, sentence in zip(self._names(), self.sentences, strict=True)]
+        lines += [f"Mode {i}: {sentence}" for i, sentence in enumerate(self.sentences, 1)]
         if self.outcome is not None:
             verb = "decays" if self.outcome.decay > 0 else "grows"
             lines.append(f"All together, with this loop: it {verb} at {abs(self.outcome.decay):.4g}/s.")
         return "\n".join(lines)
 
-    def _names(self) -> Iterator[str]:
-        yield from (f"Mode {i + 1}:" for i in range(len(self.w)))
+    def _measure(self, i: int) -> str:
+        hertz, w, size = self.evaluation.frequencies_hz[i], self.evaluation.w[i], self.evaluation.scale[i]
+        first = f"{hertz:.4g} Hz, damping ratio {self.evaluation.damping_ratios[i]:.3g}."
+        if not size > 0 or math.isnan(self.angle[i]):
+            return first
+        share = f"w{i + 1} = {w:.4g} {self.w_unit}, {w / size:+.3g} of |a||b|"
+        degrees = math.degrees(self.angle[i])
+        if len(self.evaluation.end_point) > 1 and w >= -NOTHING * size:
+            why = "good: a and b point the same way, and no velocity feedback, whatever its gains, excites it"
+        elif degrees < 90:
+            why = f"a and b are {degrees:.3g}° apart: equal gains in all rows damp it, some unequal ones excite it"
+        else:
+            why = f"bad: a and b are {degrees:.3g}° apart: velocity feedback with equal gains takes damping from it"
+        if len(self.evaluation.end_point) == 1:
+            why = "good: velocity feedback damps it" if w > 0 else "bad: velocity feedback takes damping from it"
+        return f"{first} {share}; {why}."
+
+    def _loop(self, i: int) -> str:
+        if self.outcome is None or math.isnan(self.outcome.lag_reserve[i]):
+            return ""
+        of, settings = self.outcome, self.outcome.settings
+        gain = (settings.servo_gain or 1.0) * float(settings.kv.max())
+        allowed = of.allowance[i]
+        against = "no velocity gain is too much without lag" if math.isinf(allowed) else (
+            f"velocity gain {gain:.4g} {'below' if gain < allowed else 'above'} the allowance κ = {allowed:.4g}"
+        )  # fmt: skip
+        lag, reserve = math.degrees(of.lag[i]), math.degrees(of.lag_reserve[i])
+        effect = "equal gains damp it" if reserve > 0 else "equal gains feed it"
+        decay = of.first_order_decay[i]
+        told = f"{'decays' if decay > 0 else 'grows'} at {abs(decay):.4g}/s"
+        return (
+            f"With this loop: {against}; the feedback lags by {lag:.4g}°, a reserve of {reserve:.4g}°, so that "
+            f"{effect}; to first order it {told}."
+        )
+
+    def _move(self, i: int, move: ModeMove) -> str:
+        if move.variable is None:
+            return f"Nothing to move for w{i + 1}: {WHY[move.status]}."
+        names = self.variables
+        lead = names.index(move.variable)
+        sign = "positive" if move.direction[lead] > 0 else "negative"
+        others = [
+            f"{name} {rate:+.4g} {unit}"
+            for name, rate, unit in zip(names, move.direction, self.variable_units, strict=True)
+            if name != move.variable and abs(rate) > DEPENDENT
+        ]
+        which = "the base's " if move.variable in self.evaluation.base_coordinates else ""
+        keeping = f" with {', '.join(others)} for each {move.unit}, so that the end-point stays" if others else ""
+        worse = [
+            f"w{j + 1} by {-effect:.4g}" for j, effect in enumerate(move.effects) if effect < -STATIONARY * move.rate
+        ]
+        cost = f", while it lowers {', '.join(worse)}" if worse else ""
+        room = "" if math.isinf(move.room) else f"; a joint meets its limit after some {move.room:.3g} {move.unit}"
+        return (
+            f"Move {which}{move.variable} the {sign} way{keeping}: to first order this raises w{i + 1} by "
+            f"{move.rate:.4g} {self.w_unit} per {move.unit}{cost}{room}."
+        )
 
 
 @public()
@@ -205,32 +259,7 @@ def explain(
     angle = np.array([math.nan if i in shared else _angle(a[:, i], b[:, i]) for i in range(len(stand.w))])
     unit = residue_unit(stand.control, machine.joint_units)
     unit = "in mixed units" if unit == "mixed" else unit
-    moves = tuple(_moves(machine, measures, stand, shared))
-    outcome = stand.outcome if isinstance(stand.outcome, Outcome) else None
-    words = _Words(stand, angle, unit, outcome)
-    return Explanation(
-        machine=machine.name,
-        control=stand.control,
-        base=stand.base,
-        base_coordinates=stand.base_coordinates,
-        base_units=stand.base_units,
-        posture=stand.posture,
-        joints=stand.joints,
-        joint_units=stand.joint_units,
-        end_point=stand.end_point,
-        frequencies_hz=stand.frequencies_hz,
-        damping_ratios=stand.damping_ratios,
-        w=stand.w,
-        w_unit=unit,
-        size=stand.scale,
-        angle=angle,
-        a=a,
-        b=b,
-        moves=moves,
-        outcome=outcome,
-        sentences=tuple(words.of(i, move) for i, move in enumerate(moves)),
-        provenance=stand.provenance,
-    )
+    return Explanation(stand, unit, angle, a, b, tuple(_moves(machine, measures, stand, shared)))
 
 
 def _angle(a: Vector, b: Vector) -> float:
@@ -300,77 +329,3 @@ def _room(z: Vector, direction: Vector, limits: Vector) -> float:
     ends = np.where(direction > 0, limits[:, 1], limits[:, 0])
     moving = np.abs(direction) > DEPENDENT
     return float(np.min((ends - z)[moving] / direction[moving], initial=math.inf))
-
-
-@dataclass(frozen=True)
-class _Words:
-    """Sentences about the modes of a configuration."""
-
-    stand: Evaluation
-    angle: Vector
-    unit: str
-    outcome: Outcome | None
-
-    def of(self, i: int, move: ModeMove) -> str:
-        """All about one mode."""
-        parts = [self._measure(i), self._loop(i), self._move(i, move)]
-        return " ".join(part for part in parts if part)
-
-    def _measure(self, i: int) -> str:
-        hertz, w, size = self.stand.frequencies_hz[i], self.stand.w[i], self.stand.scale[i]
-        first = f"{hertz:.4g} Hz, damping ratio {self.stand.damping_ratios[i]:.3g}."
-        if not size > 0 or math.isnan(self.angle[i]):
-            return first
-        share = f"w{i + 1} = {w:.4g} {self.unit}, {w / size:+.3g} of |a||b|"
-        degrees = math.degrees(self.angle[i])
-        if len(self.stand.end_point) > 1 and w >= -NOTHING * size:
-            why = "good: a and b point the same way, and no velocity feedback, whatever its gains, excites it"
-        elif degrees < 90:
-            why = f"a and b are {degrees:.3g}° apart: equal gains in all rows damp it, some unequal ones excite it"
-        else:
-            why = f"bad: a and b are {degrees:.3g}° apart: velocity feedback with equal gains takes damping from it"
-        if len(self.stand.end_point) == 1:
-            why = "good: velocity feedback damps it" if w > 0 else "bad: velocity feedback takes damping from it"
-        return f"{first} {share}; {why}."
-
-    def _loop(self, i: int) -> str:
-        if self.outcome is None or math.isnan(self.outcome.lag_reserve[i]):
-            return ""
-        of, settings = self.outcome, self.outcome.settings
-        gain = (settings.servo_gain or 1.0) * float(settings.kv.max())
-        allowed = of.allowance[i]
-        against = "no velocity gain is too much without lag" if math.isinf(allowed) else (
-            f"velocity gain {gain:.4g} {'below' if gain < allowed else 'above'} the allowance κ = {allowed:.4g}"
-        )  # fmt: skip
-        lag, reserve = math.degrees(of.lag[i]), math.degrees(of.lag_reserve[i])
-        effect = "equal gains damp it" if reserve > 0 else "equal gains feed it"
-        decay = of.first_order_decay[i]
-        told = f"{'decays' if decay > 0 else 'grows'} at {abs(decay):.4g}/s"
-        return (
-            f"With this loop: {against}; the feedback lags by {lag:.4g}°, a reserve of {reserve:.4g}°, so that "
-            f"{effect}; to first order it {told}."
-        )
-
-    def _move(self, i: int, move: ModeMove) -> str:
-        if move.variable is None:
-            return f"Nothing to move for w{i + 1}: {WHY[move.status]}."
-        names = self.stand.gradient.variables
-        units = (*self.stand.base_units, *self.stand.joint_units)
-        lead = names.index(move.variable)
-        sign = "positive" if move.direction[lead] > 0 else "negative"
-        others = [
-            f"{name} {rate:+.4g} {unit}"
-            for name, rate, unit in zip(names, move.direction, units, strict=True)
-            if name != move.variable and abs(rate) > DEPENDENT
-        ]
-        which = "the base's " if move.variable in self.stand.base_coordinates else ""
-        keeping = f" with {', '.join(others)} for each {move.unit}, so that the end-point stays" if others else ""
-        worse = [
-            f"w{j + 1} by {-effect:.4g}" for j, effect in enumerate(move.effects) if effect < -STATIONARY * move.rate
-        ]
-        cost = f", while it lowers {', '.join(worse)}" if worse else ""
-        room = "" if math.isinf(move.room) else f"; a joint meets its limit after some {move.room:.3g} {move.unit}"
-        return (
-            f"Move {which}{move.variable} the {sign} way{keeping}: to first order this raises w{i + 1} by "
-            f"{move.rate:.4g} {self.unit} per {move.unit}{cost}{room}."
-        )

@@ -42,12 +42,14 @@ def random_posture(machine, seed: int):
 
 def moved(machine, found, direction, step: float):
     """All w_i after a step that way, the end-point brought back onto its place by inverse kinematics."""
-    plant, n_b = flexopt.build_plant(machine), len(found.base)
-    base, start = found.base + step * direction[:n_b], found.posture + step * direction[n_b:]
-    postures, left = solve_postures(plant, found.end_point, base, start[:, None])
+    plant, n_b = flexopt.build_plant(machine), len(found.evaluation.base)
+    base, start = found.evaluation.base + step * direction[:n_b], found.evaluation.posture + step * direction[n_b:]
+    postures, left = solve_postures(plant, found.evaluation.end_point, base, start[:, None])
     assert left[0] <= 1e-10
     return (
-        flexopt.build_measures(machine, found.control).w(base, postures[:, 0], plant.parameter_values)[0].full()[:, 0]
+        flexopt.build_measures(machine, found.evaluation.control)
+        .w(base, postures[:, 0], plant.parameter_values)[0]
+        .full()[:, 0]
     )
 
 
@@ -65,12 +67,15 @@ def test_w_rises_that_way_by_what_was_predicted(name: str) -> None:
             assert move.effects[i] == move.rate > 0
             # A step that moves nothing by more than a thousandth.
             step = 1e-3 / np.abs(move.direction).max()
-            errors = [moved(machine, found, move.direction, h) - found.w - h * move.effects for h in (step, step / 2)]
-            rise = moved(machine, found, move.direction, step / 8)[i] - found.w[i]
+            errors = [
+                moved(machine, found, move.direction, h) - found.evaluation.w - h * move.effects
+                for h in (step, step / 2)
+            ]
+            rise = moved(machine, found, move.direction, step / 8)[i] - found.evaluation.w[i]
             assert rise > 0
-            rounding = 1e-9 * found.size
+            rounding = 1e-9 * found.evaluation.scale
             assert np.all(np.abs(errors[1]) <= 0.3 * np.abs(errors[0]) + rounding), (name, seed, i)
-            assert np.all(np.abs(errors[0]) <= 1e-3 * found.size)
+            assert np.all(np.abs(errors[0]) <= 1e-3 * found.evaluation.scale)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -80,7 +85,7 @@ def test_no_other_motion_that_keeps_the_end_point_raises_it_more(name: str) -> N
     plant = flexopt.build_plant(machine)
     found = flexopt.explain(machine, random_posture(machine, 5))
     scale = np.array([1.0 if unit == "rad" else arm_length(plant) for unit in found.variable_units])
-    z, n_b = np.concatenate([found.base, found.posture]), len(found.base)
+    z, n_b = np.concatenate([found.evaluation.base, found.evaluation.posture]), len(found.evaluation.base)
     p, w = plant.parameter_values, flexopt.build_measures(machine).w
 
     def both(z):
@@ -90,7 +95,7 @@ def test_no_other_motion_that_keeps_the_end_point_raises_it_more(name: str) -> N
 
     h = 1e-6 * scale
     slopes = np.array([(both(z + h * e) - both(z - h * e)) / 2e-6 for e in np.eye(len(z))]).T
-    m = len(found.w)
+    m = len(found.evaluation.w)
     kept = null_space(slopes[m:], rcond=1e-6)
     others = kept @ np.random.default_rng(2).standard_normal((kept.shape[1], 500))
     others /= np.linalg.norm(others, axis=0)
@@ -98,8 +103,8 @@ def test_no_other_motion_that_keeps_the_end_point_raises_it_more(name: str) -> N
         size = np.linalg.norm(move.direction / scale)
         best = move.rate / size
         assert np.abs(slopes[m:] @ (move.direction / scale)).max() <= 1e-6 * size
-        assert (slopes[i] @ others).max() <= best * (1 + 1e-6) + 1e-8 * found.size[i]
-        assert best == pytest.approx(np.linalg.norm(slopes[i] @ kept), rel=1e-4, abs=1e-7 * found.size[i])
+        assert (slopes[i] @ others).max() <= best * (1 + 1e-6) + 1e-8 * found.evaluation.scale[i]
+        assert best == pytest.approx(np.linalg.norm(slopes[i] @ kept), rel=1e-4, abs=1e-7 * found.evaluation.scale[i])
 
 
 def test_sizes_and_angles_are_those_of_the_residues() -> None:
@@ -108,10 +113,12 @@ def test_sizes_and_angles_are_those_of_the_residues() -> None:
     posture = random_posture(machine, 3)
     found, evaluation = flexopt.explain(machine, posture), flexopt.evaluate(machine, posture)
     u, sizes, v = np.linalg.svd(evaluation.residues)
-    np.testing.assert_allclose(found.size, sizes[:, 0], rtol=1e-10)
+    np.testing.assert_allclose(found.evaluation.scale, sizes[:, 0], rtol=1e-10)
     cosines = np.sum(u[:, :, 0] * v[:, 0, :], axis=1)
     np.testing.assert_allclose(np.cos(found.angle), cosines, atol=1e-10)
-    np.testing.assert_allclose(found.w, -2 * found.size * np.sin(found.angle / 2) ** 2, rtol=1e-9)
+    np.testing.assert_allclose(
+        found.evaluation.w, -2 * found.evaluation.scale * np.sin(found.angle / 2) ** 2, rtol=1e-9
+    )
 
 
 def test_under_gravity_the_deflected_end_point_stays() -> None:
@@ -121,11 +128,14 @@ def test_under_gravity_the_deflected_end_point_stays() -> None:
     for i, move in enumerate(found.moves):
         errors = []
         for h in (1e-3, 5e-4):
-            base, wanted = found.base + h * move.direction[:1], found.posture + h * move.direction[1:]
-            reached = flexopt.inverse_kinematics(machine, found.end_point, base=base, gravity=True)
+            base, wanted = (
+                found.evaluation.base + h * move.direction[:1],
+                found.evaluation.posture + h * move.direction[1:],
+            )
+            reached = flexopt.inverse_kinematics(machine, found.evaluation.end_point, base=base, gravity=True)
             posture = min(reached, key=lambda q, wanted=wanted: np.abs(q - wanted).max())
             after = w(base, posture, flexopt.build_plant(machine).parameter_values)[0].full().ravel()
-            errors.append(after[i] - found.w[i] - h * move.rate)
+            errors.append(after[i] - found.evaluation.w[i] - h * move.rate)
         assert abs(errors[1]) <= 0.3 * abs(errors[0])
 
 
@@ -157,11 +167,13 @@ def test_where_the_slope_along_all_that_is_free_vanishes_no_direction_is_named()
     places = np.linspace(-1.5, 1.5, 7)
     slopes = [slope(x) for x in places]
     turning = next(
-        k for k in range(6) if slopes[k] * slopes[k + 1] < 0 and abs(slopes[k]) < 1 and at(places[k]).w[0] < -1e-7
+        k
+        for k in range(6)
+        if slopes[k] * slopes[k + 1] < 0 and abs(slopes[k]) < 1 and at(places[k]).evaluation.w[0] < -1e-7
     )
     root = brentq(slope, places[turning], places[turning + 1], xtol=1e-14)
     found = at(root)
-    assert found.w[0] < -1e-9
+    assert found.evaluation.w[0] < -1e-9
     assert found.moves[0].status == "stationary"
     assert at(root + 1e-4).moves[0].status == "move"
 
@@ -186,7 +198,7 @@ def test_limits_leave_the_best_of_what_is_free() -> None:
     posture = [0.4, 0.2, -1.4, machine.limits[-1][1]]
     found = flexopt.explain(machine, posture)
     plant, measures = flexopt.build_plant(machine), flexopt.build_measures(machine)
-    slopes = measures.gradients.call([found.base, found.posture, plant.parameter_values])
+    slopes = measures.gradients.call([found.evaluation.base, found.evaluation.posture, plant.parameter_values])
     scale = np.array([1.0 if unit == "rad" else arm_length(plant) for unit in found.variable_units])
     w_z, kept = slopes[0].full() * scale, null_space(slopes[2].full() * scale)
     others = kept @ np.random.default_rng(3).standard_normal((kept.shape[1], 4000))
@@ -235,7 +247,7 @@ def test_with_a_loop_the_damping_and_lag_are_those_of_the_outcome() -> None:
     assert found.outcome is not None
     np.testing.assert_array_equal(found.outcome.lag_reserve, outcome.lag_reserve)
     # κ_i = 4 ζ_i ω_i / |w_i|
-    kappa = 4 * found.damping_ratios * 2 * np.pi * found.frequencies_hz / -found.w
+    kappa = 4 * found.evaluation.damping_ratios * 2 * np.pi * found.evaluation.frequencies_hz / -found.evaluation.w
     np.testing.assert_allclose(found.outcome.allowance, kappa, rtol=1e-9)
     assert f"allowance κ = {kappa[0]:.4g}" in found.sentences[0]
     assert flexopt.explain(machine, [0.9929, -2.6306]).outcome is None
