@@ -15,12 +15,13 @@ from flexopt.foundation.documents import package_version
 project = "flexopt"
 copyright = "The flexopt developers"  # noqa: A001 - Sphinx's name
 release = package_version("flexopt")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.mathml"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.mathml"]
 html_math_renderer = "mathml"
 exclude_patterns = ["_build"]
 
 myst_enable_extensions = ["dollarmath", "deflist", "fieldlist"]
 myst_heading_anchors = 4
+nb_execution_mode = "off"  # tests/notebooks runs them; the site shows the outputs that are kept
 suppress_warnings: list[str] = []
 
 # References to flexopt's own names are checked; types of other packages have no inventory without the network.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from docs.public import PLUMBING, TOPICS, names
 from flexopt.cli import cli
 from flexopt.model.file_schema import MODELS
 
+NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
 IMPORTED = """Examples run as they stand after
 
 ```{code-block} python
@@ -63,6 +65,9 @@ def write_pages(folder: Path) -> None:
         page = folder / name
         if not page.exists() or page.read_text(encoding="utf-8") != text:
             page.write_text(text, encoding="utf-8")
+    notebooks = folder / "notebooks"
+    shutil.rmtree(notebooks, ignore_errors=True)
+    shutil.copytree(NOTEBOOKS, notebooks, ignore=shutil.ignore_patterns("*.py", ".*"))
 
 
 def reference(topic: str) -> str:

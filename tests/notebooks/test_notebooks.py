@@ -1,26 +1,35 @@
-"""Every notebook runs from top to bottom, and its stored outputs come from this code."""
+"""Every notebook runs from top to bottom, and what is kept of it is what its text says."""
 
 from pathlib import Path
 
+import jupytext
 import nbformat
 import pytest
-from nbclient import NotebookClient
 
-NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
+from tests.notebooks.execution import FOLDER, executed, texts
 
 
-def test_there_are_notebooks():
-    assert NOTEBOOKS
+def test_every_text_has_its_notebook_and_the_other_way_round():
+    assert texts()
+    assert [path.stem for path in texts()] == [path.stem for path in sorted(FOLDER.glob("*.ipynb"))]
+
+
+@pytest.mark.parametrize("path", texts(), ids=lambda path: path.stem)
+def test_text_and_notebook_have_the_same_cells(path: Path):
+    """If not: `python -m tests.notebooks.execution NAME`."""
+    kept = nbformat.read(path.with_suffix(".ipynb"), as_version=4)
+    text = jupytext.read(path)
+    assert [(cell.cell_type, cell.source) for cell in kept.cells] == [
+        (cell.cell_type, cell.source) for cell in text.cells
+    ]
+    assert all(cell.execution_count for cell in kept.cells if cell.cell_type == "code")
 
 
 # The kernel's own libraries warn about their internals.
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path):
-    notebook = nbformat.read(path, as_version=4)
-    client = NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": path.parent}})
-    client.execute()
-    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+@pytest.mark.parametrize("path", texts(), ids=lambda path: path.stem)
+def test_notebook_runs(path: Path):
+    cells = [cell for cell in executed(path).cells if cell.cell_type == "code"]
     assert all(cell.execution_count for cell in cells)
     shown = {kind for cell in cells for output in cell.outputs for kind in output.get("data", {})}
     assert "image/png" in shown
