@@ -131,6 +131,70 @@ def test_the_map_holds_what_python_computes(chromium: Browser, pages: Path) -> N
         assert np.allclose(state(page)["posture"], [np.pi / 2, np.pi / 2], atol=0.1)
 
 
+@pytest.mark.parametrize("name", ["excavator", "slewing-excavator"])
+def test_the_map_of_decay_is_that_of_the_loop(name: str, chromium: Browser, pages: Path) -> None:
+    """First every fifth posture, then all; of the loop that the sliders ask for."""
+    machine = flexopt.load(name)
+    loop = {"kp": 1e4, "kv": 1e3} if name == "excavator" else {"kp": 3e6, "kv": 6e5, "drive": "torque", "rate": 200.0}
+    explorer = flexopt.explore(machine, POSTURE if name == "excavator" else None, loop=loop)
+    with opened(chromium, explorer, pages) as page:
+        page.locator("#measure").select_option(label="decay of the loop")
+        page.wait_for_function("explorer.map.shown?.gains != null && explorer.map.shown.stride === 5")
+        assert "20 × 20 postures" in page.locator("#map-note").inner_text()
+        found = page.evaluate("""() => { const { shown, loop } = explorer.map, { x, y } = shown;
+          const posture = (k) => { const q = Float64Array.from(explorer.posture);
+            q[x] = explorer.map.value(x, 5 * (k % 20) + 2.5, 100); q[y] = explorer.map.value(y, 5 * Math.floor(k / 20) + 2.5, 100);
+            return [...q]; };
+          return Array.from({ length: 400 }, (_, k) => [posture(k), shown.decay[(5 * Math.floor(k / 20) + 2) * 100 + 5 * (k % 20) + 2]]);
+        }""")
+        known = [(posture, decay) for posture, decay in found if decay is not None]
+        assert len(known) > 200
+        for posture, decay in known[:: len(known) // 12]:
+            alone = flexopt.outcome(machine, posture, loop=loop)
+            assert decay == pytest.approx(alone.decay, rel=1e-6, abs=1e-9 * alone.settings.rate)
+        # Another gain: from the coarse map again.
+        page.evaluate("""() => { const input = document.querySelector('input[aria-label="gain Kp"]');
+          input.value = 0.5; input.dispatchEvent(new Event("input")); }""")
+        page.wait_for_function(
+            "Math.abs(explorer.map.shown.gains?.kp[0] / explorer.data.loop.numbers.kp[0] - 10 ** 0.5) < 1e-9"
+        )
+        page.locator("#measure").select_option(label="w1")
+        page.wait_for_function("explorer.map.shown.gains === null")
+
+
+def test_the_picture_in_space_turns(chromium: Browser, pages: Path) -> None:
+    """By what is dragged beside the handles and by keys, about the ground point; the machine stays as it is."""
+    _, explorer = explored("truck-crane")
+    with opened(chromium, explorer, pages) as page:
+        page.locator("#motion").select_option("off")
+        axes = "() => ({ axes: explorer.views[0].axes, pivot: explorer.views[0].at(explorer.shape.points[0]) })"
+        before, at = page.evaluate(axes), state(page)
+        canvas = page.locator("canvas.turning")
+        box = canvas.bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + 20, box["y"] + box["height"] - 20)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 120, box["y"] + box["height"] + 10, steps=4)
+        page.mouse.up()
+        settled(page)
+        dragged = page.evaluate(axes)
+        canvas.focus()
+        page.keyboard.press("ArrowUp")
+        settled(page)
+        after = page.evaluate(axes)
+        for each in (dragged, after):
+            turned = np.array(each["axes"])
+            assert np.allclose(turned @ turned.T, np.eye(2), atol=1e-12)
+            assert np.allclose(each["pivot"], before["pivot"], atol=1e-6)
+        assert not np.allclose(dragged["axes"], before["axes"], atol=0.1)
+        assert after["axes"][1][2] < dragged["axes"][1][2]
+        assert state(page)["posture"] == at["posture"]
+        # A drag in the turned picture moves the end-point in its plane.
+        drag(page, ".handle.end", 15, -20)
+        moved = np.subtract(state(page)["target"], at["target"])
+        assert np.allclose(np.array(after["axes"]) @ moved * at["scale"], [15, 20], atol=1e-6)
+
+
 def test_a_problem_shows_its_recommendation(chromium: Browser, pages: Path) -> None:
     problem = flexopt.load_problem("article")
     explorer = flexopt.explore(problem)

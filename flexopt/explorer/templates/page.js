@@ -1,10 +1,12 @@
 "use strict";
 // The page: what is dragged, typed and slid, and what it shows of it. One pass for each frame in which something moved.
 
-// Of a frame for the map, ms.
-const MAP_BUDGET = 6;
+// Of a frame for the map, ms: while something is dragged, and else.
+const MAP_BUDGET = [6, 12];
 // A key moves by this share of the machine's size, or of a joint's range; with Shift so many times that.
 const STEP = 0.004, FAR = 8;
+// A picture turns so much, rad, for a pixel that is dragged, and ten times that for a key.
+const TURN = 0.008;
 const ARROW = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 class Explorer extends Pictures {
@@ -13,11 +15,11 @@ class Explorer extends Pictures {
     this.data = data;
     this.model = new Model(data, graphs);
     this.loop = new Loop(this.model);
-    this.map = new JointMap(this.model);
+    this.map = new JointMap(this.model, this.loop);
     this.rows = data.rows.map((name) => "xyz".indexOf(name));
     this.mode = 0;
     const sought = /^w(\d+)$/.exec(data.objective ?? "");
-    this.measure = sought ? Number(sought[1]) - 1 : data.n_passive > 1 ? -1 : 0;
+    this.measure = sought ? Number(sought[1]) - 1 : data.n_passive > 1 ? SUM : 0;
     this.axes = data.joints.length < 2 ? null : data.dimensions === 2 || data.joints.length < 3 ? [0, 1] : [1, 2];
     this.factors = { kp: 1, kv: 1, ki: 1, soil: 1 };
     this.payload = data.payload === null ? null : data.parameters[data.payload];
@@ -97,12 +99,35 @@ class Explorer extends Pictures {
 
   makeViews() {
     const d = this.data.dimensions;
-    this.views = d === 2 ? [new View("", 2, true)] : [new View("from the side", 3, true), new View("from above", 3, false)];
+    this.views = d === 2 ? [new View("", 2, true)] : [new View("in space: drag to turn", 3, true), new View("from above", 3, false)];
     for (const view of this.views) {
       $("views").append(view.box);
+      if (view.turns) { this.turning(view); $("turns").hidden = false; }
       view.end = this.handle(view, "end", "End-point: drag it, or move it with the arrow keys");
       if (this.data.placement.some((name) => "xy".includes(name))) view.stand = this.handle(view, "base", "Base: drag it, or move it with the arrow keys; the end-point stays");
     }
+  }
+
+  // The picture is turned by what is dragged beside the handles, and by the arrow keys.
+  turning(view) {
+    const { canvas } = view, turn = (azimuth, elevation) => { view.turn(azimuth, elevation, this.shape.points[0]); this.touched(); };
+    Object.assign(canvas, { tabIndex: 0, className: "turning" });
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", "The machine in space; the arrow keys turn it");
+    let last = null;
+    canvas.addEventListener("pointerdown", (e) => { canvas.setPointerCapture(e.pointerId); last = [e.clientX, e.clientY]; });
+    canvas.addEventListener("pointermove", (e) => {
+      if (last === null) return;
+      turn(-TURN * (e.clientX - last[0]), TURN * (e.clientY - last[1]));
+      last = [e.clientX, e.clientY];
+    });
+    for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, () => { last = null; });
+    canvas.addEventListener("keydown", (e) => {
+      const way = ARROW[e.key];
+      if (!way) return;
+      e.preventDefault();
+      turn(...way.map((x) => 10 * TURN * x));
+    });
   }
 
   handle(view, kind, label) {
@@ -132,13 +157,13 @@ class Explorer extends Pictures {
       if (!way) return;
       e.preventDefault();
       const far = view.scale * STEP * this.data.size * (e.shiftKey ? FAR : 1);
-      this.moveBy(view, kind, { target: this.target, base: this.base }, far * way[0], -far * way[1]);
+      const move = (kind === "end" ? view.risen : view.level).call(view, far * way[0], -far * way[1]);
+      this.moveBy(kind, { target: this.target, base: this.base }, move);
     });
     return button;
   }
 
-  moveBy(view, kind, from, dx, dy) {
-    const move = view.world(dx, dy);
+  moveBy(kind, from, move) {
     if (kind === "end") {
       this.moveEnd(from.target.map((x, k) => x + (this.rows[k] < 0 ? 0 : move[this.rows[k]])));
     } else {
@@ -242,8 +267,9 @@ class Explorer extends Pictures {
 
   makeMapControls() {
     const { data } = this, choice = (value, text) => new Option(text, value);
-    if (data.n_passive > 1) $("measure").append(choice(-1, this.map.weights.every((x) => x === 1) ? "V = Σ w" : "V = Σ αw"));
+    if (data.n_passive > 1) $("measure").append(choice(SUM, this.map.weights.every((x) => x === 1) ? "V = Σ w" : "V = Σ αw"));
     for (let i = 0; i < data.n_passive; i++) $("measure").append(choice(i, `w${i + 1}`));
+    $("measure").append(choice(DECAY, "decay of the loop"));
     $("measure").value = this.measure;
     $("measure").addEventListener("change", () => { this.measure = Number($("measure").value); this.recolour = true; this.wake(); });
     if (this.axes === null) {
@@ -319,7 +345,7 @@ class Explorer extends Pictures {
     if (this.pull) {
       const { view, kind, from, dx, dy } = this.pull;
       this.pull = null;
-      this.moveBy(view, kind, from, dx, dy);
+      this.moveBy(kind, from, (kind === "end" ? view.world : view.level).call(view, dx, dy));
     }
     if (this.changed) this.recompute(now);
     if (this.resized) this.layout();
@@ -327,14 +353,14 @@ class Explorer extends Pictures {
     if (this.axes !== null) {
       // A frame computes a part of the map or draws a new one, not both.
       if (!this.recolour) {
-        this.map.want(this.base, this.posture, ...this.axes);
-        if (this.map.step(MAP_BUDGET)) {
+        this.map.want(this.base, this.posture, ...this.axes, this.measure === DECAY ? this.gains : null);
+        if (this.map.step(MAP_BUDGET[this.dragged ? 0 : 1])) {
           this.fresh = true;
           this.log.maps.push(this.map.milliseconds);
         }
       }
       if (this.fresh || this.map.job !== null) this.wake();
-      if (this.recolour) { this.map.colour(this.measure); this.legend(); }
+      if (this.recolour && this.map.colour(this.measure)) this.legend();
     }
     this.draw(now);
     this.changed = this.resized = this.refit = false;
@@ -351,7 +377,6 @@ class Explorer extends Pictures {
     this.rest = Float64Array.from(model.rest(base, posture));
     this.modes = model.modes(base, posture);
     this.shape = shapeOf(model, this.rest, base);
-    if (!this.dragged) for (const view of this.views) view.face(this.shape.points);
     this.ghosts = Object.entries(this.data.configurations).filter(([name]) => name !== "present").map(([, at]) => {
       const [b, q] = [Float64Array.from(at.base), Float64Array.from(at.posture)];
       return { shape: shapeOf(model, Float64Array.from(model.rest(b, q)), b), posture: q };
@@ -412,15 +437,18 @@ class Explorer extends Pictures {
   legend() {
     const canvas = $("bar"), c = canvas.getContext("2d");
     for (let x = 0; x < canvas.width; x++) {
-      c.fillStyle = `rgb(${SHADES[Math.floor(256 * x / canvas.width)].join()})`;
+      c.fillStyle = `rgb(${this.map.shades[Math.floor(256 * x / canvas.width)].join()})`;
       c.fillRect(x, 0, 1, canvas.height);
     }
-    $("worst").textContent = `≤ ${digits(this.map.worst)}`;
-    $("middle").textContent = digits(this.map.worst / 4);
+    const { worst, shown } = this.map, decay = this.measure === DECAY;
+    $("worst").textContent = decay ? `grows at ${digits(-worst)} /s and more` : `≤ ${digits(worst)}`;
+    $("middle").textContent = decay ? "0" : digits(worst / 4);
+    $("best").textContent = decay ? `settles at ${digits(-worst)} /s and more` : "0, robust";
     const others = this.data.joints.filter((_, k) => !this.axes.includes(k));
     const held = others.length ? ` ${others.join(", ")} held as now.` : "";
     const where = this.data.dimensions === 2 ? " In the picture of the machine each cell lies where the end-point is, the arm bent to the present side." : "";
-    $("map-note").textContent = `100 × 100 postures, computed exactly at each cell's middle; blank: singular.${held}${where}`;
+    const side = CELLS / shown.stride, loop = decay ? " The slowest motion of the sampled loop as the sliders have it." : "";
+    $("map-note").textContent = `${side} × ${side} postures, computed exactly at each cell's middle; blank: singular.${loop}${held}${where}`;
   }
 }
 

@@ -33,9 +33,10 @@ class Pictures {
     }
     const floor = this.shape.points[0][d - 1] - 0.35 * data.size;
     for (const view of this.views) {
+      view.face(this.shape.points);
       const flat = points.map((p) => view.flat(p)), low = [0, 1].map((k) => Math.min(...flat.map((p) => p[k])));
       const high = [0, 1].map((k) => Math.max(...flat.map((p) => p[k])));
-      if (view.upright) low[1] = Math.max(low[1], floor);
+      if (view.upright) low[1] = Math.max(low[1], floor * Math.cos(view.elevation));
       const room = 0.06 * data.size;
       view.show(low.map((x) => x - room), high.map((x) => x + room));
     }
@@ -87,7 +88,7 @@ class Pictures {
     const { theme, data } = this, painter = new Painter(view, theme, data.segments, data.size), { points } = this.shape;
     painter.begin();
     const lifted = data.support.length === 0 && view.upright, height = points[0][d - 1] - (lifted ? 0.12 * data.size : 0);
-    if (view.upright) painter.ground(height);
+    if (view.upright) painter.ground(height, points[0]);
     if (d === 2 && $("show-map").checked && this.map.shown !== null) this.underlay(view, painter.c, points[0]);
     if (lifted) painter.springs(shape.points[0], points[0], view.scale * 0.12 * data.size);
     for (const ghost of this.ghosts) painter.machine(ghost.shape, theme.chosen, true);

@@ -1,15 +1,22 @@
 "use strict";
-// The machine drawn in one plane: a view of a planar machine, or of one in space from the side or from above.
+// The machine drawn: a view of a planar machine, or of one in space from where one likes or from above. Without perspective,
+// so that capsules are strokes with round ends and lengths are as they are.
 
 const MODE_COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
 
+// At first so far from the arm's plane, and so far from above, rad; the ground is moved on from so far above it on.
+const TURNED = [-0.5, 0.35], FLAT = 0.15;
+
 class View {
-  // `axes`: two directions in the machine's space; `upright`: whether the second is the height.
+  // `axes`: two directions in the machine's space, to the right and up. `upright`: seen from the side; in space it turns.
   constructor(name, dimensions, upright) {
     this.name = name;
     this.d = dimensions;
     this.upright = upright;
+    this.turns = upright && dimensions === 3;
     this.axes = upright ? [[1, 0, 0], dimensions === 2 ? [0, 1, 0] : [0, 0, 1]] : [[1, 0, 0], [0, 1, 0]];
+    [this.azimuth, this.elevation] = this.turns ? TURNED : [0, 0];
+    this.heading = 0;
     this.box = document.createElement("div");
     this.box.className = "view";
     this.canvas = document.createElement("canvas");
@@ -24,11 +31,28 @@ class View {
     this.width = this.height = 0;
   }
 
-  // Seen from the side, the plane through the ground point and the end-point; it stays while something is dragged.
+  // Turned about the plane through the ground point and the end-point.
   face(points) {
-    if (this.d === 2 || !this.upright) return;
-    const n = points.length, x = points[n - 3] - points[0], y = points[n - 2] - points[1], length = Math.hypot(x, y);
-    if (length > 1e-3) this.axes[0] = [x / length, y / length, 0];
+    if (!this.turns) return;
+    const tip = points[points.length - 1], x = tip[0] - points[0][0], y = tip[1] - points[0][1];
+    if (Math.hypot(x, y) > 1e-3) this.heading = Math.atan2(y, x);
+    this.look();
+  }
+
+  look() {
+    const angle = this.heading + this.azimuth, [c, s] = [Math.cos(angle), Math.sin(angle)];
+    const [high, out] = [Math.cos(this.elevation), Math.sin(this.elevation)];
+    this.axes = [[c, s, 0], [-out * s, out * c, high]];
+  }
+
+  // By so much, about a point that keeps its place in the picture.
+  turn(azimuth, elevation, pivot) {
+    const [x, y] = this.at(pivot);
+    this.azimuth += azimuth;
+    this.elevation = Math.max(0, Math.min(Math.PI / 2, this.elevation + elevation));
+    this.look();
+    const [u, v] = this.at(pivot);
+    this.origin = [this.origin[0] + x - u, this.origin[1] + y - v];
   }
 
   resize(ratio) {
@@ -52,10 +76,28 @@ class View {
   flat(point) { return this.axes.map((axis) => point.reduce((s, x, k) => s + x * axis[k], 0)); }
   pixel([x, y]) { return [this.origin[0] + this.scale * x, this.origin[1] - this.scale * y]; }
   at(point) { return this.pixel(this.flat(point)); }
-  // A move of some pixels as one in space.
-  world(dx, dy) {
-    return Array.from({ length: this.d }, (_, k) => (this.axes[0][k] * dx - this.axes[1][k] * dy) / this.scale);
+  // How near to who looks.
+  depth(point) {
+    if (this.d === 2) return 0;
+    const [u, v] = this.axes;
+    return [0, 1, 2].reduce((s, k) => s + point[k] * (u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3]), 0);
   }
+
+  // A move of some pixels as one in space: in the picture's plane; to the side and in height; on the ground.
+  world(dx, dy) { return this.along(dx, dy, this.axes[1]); }
+  risen(dx, dy) { return this.along(dx, dy, this.turns ? [0, 0, 1] : this.axes[1]); }
+  level(dx, dy) {
+    const [, up] = this.axes, length = Math.hypot(up[0], up[1]);
+    if (!this.turns) return this.world(dx, dy);
+    return this.along(dx, length > FLAT ? dy / length : 0, [up[0] / (length || 1), up[1] / (length || 1), 0]);
+  }
+  along(dx, dy, up) { return Array.from({ length: this.d }, (_, k) => (this.axes[0][k] * dx - up[k] * dy) / this.scale); }
+}
+
+// Between two colours.
+function mixed(from, to, share) {
+  const part = (text, k) => parseInt(text.slice(1 + 2 * k, 3 + 2 * k), 16);
+  return `rgb(${[0, 1, 2].map((k) => Math.round((1 - share) * part(from, k) + share * part(to, k))).join()})`;
 }
 
 function columns(points, d) { return Array.from({ length: points.length / d }, (_, k) => Array.from(points.subarray(k * d, k * d + d))); }
@@ -95,8 +137,21 @@ class Painter {
     c.lineJoin = c.lineCap = "round";
   }
 
-  ground(height) {
-    const { c, view, theme } = this, y = view.pixel([0, height])[1];
+  // Seen from above a sheet of it around the machine, else all that is below.
+  ground(height, [x0, y0]) {
+    const { c, view, theme, size } = this;
+    if (view.turns && Math.sin(view.elevation) > FLAT) {
+      const reach = 0.9 * size, step = reach / 4, at = (x, y) => view.at([x0 + x, y0 + y, height]);
+      this.polygon([at(-reach, -reach), at(reach, -reach), at(reach, reach), at(-reach, reach)], theme.ground, theme.groundLine);
+      c.globalAlpha = 0.35;
+      for (let k = -3; k <= 3; k++) {
+        this.line([at(-reach, k * step), at(reach, k * step)]);
+        this.line([at(k * step, -reach), at(k * step, reach)]);
+      }
+      c.globalAlpha = 1;
+      return;
+    }
+    const y = view.pixel([0, height * Math.cos(view.elevation)])[1];
     c.fillStyle = theme.ground;
     c.fillRect(0, y, view.width, Math.max(0, view.height - y));
     c.strokeStyle = theme.groundLine;
@@ -136,19 +191,30 @@ class Painter {
     }
   }
 
-  machine({ points, capsules, support }, colour, ghost) {
-    const { c, view, theme, size, segments } = this, flat = points.map((p) => view.at(p));
-    c.globalAlpha = ghost ? 0.4 : 1;
-    for (const { ends: [p, q], radius } of capsules) {
+  // A capsule as a body: strokes that are narrower and lighter towards the light; in the plane, or of a ghost, a veil.
+  capsule({ ends, radius }, colour, ghost) {
+    const { c, view, theme } = this, [p, q] = ends.map((end) => view.at(end)), r = radius * view.scale;
+    if (ghost || view.d === 2) {
       c.globalAlpha = ghost ? 0.1 : 0.22;
       c.strokeStyle = colour;
-      c.lineWidth = 2 * radius * view.scale;
-      this.line([view.at(p), view.at(q)]);
+      c.lineWidth = 2 * r;
+      this.line([p, q]);
+      return;
     }
+    c.globalAlpha = 1;
+    for (let k = 0; k < 5; k++) {
+      c.strokeStyle = mixed(colour, k === 0 ? theme.edge : "#ffffff", k === 0 ? 0.35 : 0.08 + 0.13 * k);
+      c.lineWidth = Math.max(1, 2 * r * (1 - 0.2 * k) - (k === 1 ? 0 : 1));
+      this.line([p, q].map(([x, y]) => [x - 0.08 * k * r, y - 0.1 * k * r]));
+    }
+  }
+
+  machine(shape, colour, ghost) {
+    const { c, view, theme, size } = this, { points, capsules, support } = shape, flat = points.map((p) => view.at(p));
     c.globalAlpha = ghost ? 0.4 : 1;
     if (support.length) {
       const corners = support.map((p) => view.at(p));
-      if (view.upright) {
+      if (view.upright && Math.sin(view.elevation) <= FLAT) {
         const xs = corners.map(([x]) => x), y = corners[0][1];
         c.strokeStyle = theme.undercarriage;
         c.lineWidth = 4;
@@ -161,6 +227,18 @@ class Painter {
       this.polygon([[x - w, y - h], [x + w, y - h], [x + w, y + h], [x - w, y + h]],
         view.upright ? theme.undercarriage : "rgba(128,128,128,0.25)", theme.edge);
     }
+    const far = capsules.map((capsule) => [view.depth(capsule.ends[0]) + view.depth(capsule.ends[1]), capsule]);
+    far.sort((one, other) => one[0] - other[0]).forEach(([, capsule]) => this.capsule(capsule, colour, ghost));
+    c.globalAlpha = ghost ? 0.4 : capsules.length && view.d === 3 ? 0.55 : 1;
+    this.links(points, flat, colour, ghost);
+    c.globalAlpha = ghost ? 0.4 : 1;
+    this.pins(flat);
+    c.globalAlpha = 1;
+  }
+
+  // The skeleton, thinner towards the end-point.
+  links(points, flat, colour, ghost) {
+    const { view, theme, size, segments } = this;
     const before = new Array(points.length).fill(0);
     segments.forEach(([i, j]) => { before[j] = before[i] + Math.hypot(...points[j].map((x, k) => x - points[i][k])); });
     const longest = Math.max(...before) || 1;
@@ -174,6 +252,10 @@ class Painter {
         [x1 - thin * across[0], y1 - thin * across[1]], [x0 - thick * across[0], y0 - thick * across[1]]],
       k === 0 && !ghost ? theme.base : colour, theme.edge);
     });
+  }
+
+  pins(flat) {
+    const { c, view, theme, size } = this;
     for (const [x, y] of flat.slice(1, -1)) {
       c.beginPath();
       c.arc(x, y, Math.max(2, 0.009 * size * view.scale), 0, 2 * Math.PI);
@@ -183,7 +265,6 @@ class Painter {
       c.lineWidth = 1;
       c.stroke();
     }
-    c.globalAlpha = 1;
   }
 
   arrow(from, vector, length, colour, dashed, width) {
