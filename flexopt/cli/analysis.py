@@ -139,7 +139,8 @@ def select_command(
     check_output("--log", log, (".json",))
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
-    _refuse_early(settings, judged, own)
+    with option_names(judged):
+        _refuse_early(settings, judged, own)
     identified = None if swing is None else _identified(swing, settings, as_json)
     if asks_for_loop(settings.get("objective"), settings.get("constraints")):
         settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
@@ -149,7 +150,7 @@ def select_command(
     if certify and "target" not in settings:
         sentence = "goes with a single target: of several no bound over all ways and placements is known"
         raise InputError(f"select: --certify {sentence}", [Fault("--certify", sentence)])
-    with option_names(options), warnings_to_stderr(as_json), progress_bar() as progress:
+    with option_names(options | judged), warnings_to_stderr(as_json), progress_bar() as progress:
         result = _solver(settings)(**settings, progress=progress)
     certificate = _certificate(result, log) if certify else None
     with option_names(judged), warnings_to_stderr(as_json):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import warnings
 from collections.abc import Callable, Generator, Mapping
@@ -55,15 +56,17 @@ def print_json(document: dict[str, Any]) -> None:
 def option_names(options: dict[str, Any]) -> Generator[None]:
     """Faults of arguments under the names of the options they were given by."""
     spelled = {"target": "end_point", "end-point": "end_point"}
+    asked = dict(options)
     try:
         yield
     except InputError as error:
         renamed: list[Fault] = []
         for fault in error.faults:
-            name, _, rest = fault.field.partition(" ")
+            name, rest = cast(re.Match[str], re.match(r"([\w-]*)(.*)", fault.field, re.DOTALL)).groups()
             word = spelled.get(name, name)
-            given = options.get(word) is not None
-            field = f"--{word.replace('_', '-')} {rest}".strip() if given else fault.field
+            # What no option gave may be a file's.
+            given = asked.get(word) not in (None, ()) or (word in asked and fault.sentence.startswith("is needed"))
+            field = f"--{word.replace('_', '-')}{re.sub(r'^[.]', ' ', rest)}" if given else fault.field
             renamed.append(Fault(field, fault.sentence, fault.value))
         if type(error) is InputError:
             raise_if_any(InputError, error.heading, renamed)

@@ -67,7 +67,7 @@ def toml(entries: dict[str, str], patch: Patch) -> str:
 
 
 @dataclass(frozen=True)
-class LoopPoint:
+class Done:
     """What one call left behind."""
 
     code: int
@@ -100,7 +100,7 @@ class Command:
     def __init__(self, capsys: pytest.CaptureFixture[str], folder: Path) -> None:
         self.capsys, self.folder = capsys, folder
 
-    def __call__(self, *arguments: str) -> LoopPoint:
+    def __call__(self, *arguments: str) -> Done:
         self.capsys.readouterr()
         code: Any = 0
         try:
@@ -108,7 +108,7 @@ class Command:
         except SystemExit as leave:
             code = leave.code
         captured = self.capsys.readouterr()
-        return LoopPoint(code, captured.out, captured.err)
+        return Done(code, captured.out, captured.err)
 
     def json(self, *arguments: str) -> dict[str, Any]:
         """The document of a call that succeeds."""

@@ -102,7 +102,7 @@ def test_tables_of_sensor_and_actuator(command: Command) -> None:
     command.write("e.toml", EXPERIMENT + "[simulation.sensor]\ndelay = 0.01\nnoise = 1e-3\n")
     changed = command.json("simulate", "e.toml", "--sensor", "delay=0.02")["provenance"]["options"]["sensor"]
     assert changed == {"delay": 0.02, "noise": 1e-3}
-    for wrong, words in (("delay", "NAME=VALUE"), ("dely=1", "did you mean 'delay'"), ("delay=x", "sensor.delay")):
+    for wrong, words in (("delay", "NAME=VALUE"), ("dely=1", "did you mean 'delay'"), ("delay=x", "--sensor delay")):
         outcome = command(*POSTURE, "--sensor", wrong)
         assert outcome.code == 2
         assert words in outcome.stderr
