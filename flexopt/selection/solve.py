@@ -24,7 +24,6 @@ from flexopt.model.loop import Loop, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import Uncertainty
-from flexopt.plant import build_plant
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
@@ -55,11 +54,7 @@ def _notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
         own = [word for word in words if word not in OUTCOMES]
         if given.get("weights") is not None and "V" not in words:
             arguments.note("weights", f"go with objective V only, not with {given['objective']}", given["weights"])
-        if "epsilon_max" in words:
-            arguments.note("objective", "cannot have epsilon_max beside a measure of the loop", given["objective"])
-        elif _too_many(arguments, given.get("weights")):
-            arguments.note("weights", "have none for ε_max beside a measure of the loop", given["weights"])
-        named = ",".join(word for word in own if word != "epsilon_max") or "w1"
+        named = ",".join(own) or "w1"
         given = {**given, "objective": named, "weights": given.get("weights") if "V" in words else None}
     elif least is None:
         for name in ("loop", "ranges"):
@@ -67,17 +62,11 @@ def _notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
                 words = ", ".join(OUTCOMES)
                 sentence = f"goes with an objective of the loop, {words}, or the constraint outcome"
                 arguments.note(name, f"{sentence}; else see flexopt.verdict", given[name])
-    elif not isinstance(given.get("objective"), str) or not re.fullmatch("V|w[0-9]+", given["objective"]):
-        sentence = f"must be w1, w2, …, V or, of the loop, one of {', '.join(OUTCOMES)} beside the constraint outcome"
+    elif not isinstance(given.get("objective"), str) or not re.fullmatch("V|epsilon_max|w[0-9]+", given["objective"]):
+        loops = ", ".join(OUTCOMES)
+        sentence = f"must be w1, w2, …, V, epsilon_max or, of the loop, one of {loops} beside the constraint outcome"
         arguments.note("objective", sentence, given.get("objective"))
-    elif _too_many(arguments, given.get("weights")):
-        arguments.note("weights", "have none for ε_max beside the constraint outcome", given["weights"])
     only_notes(arguments, given)
-
-
-def _too_many(arguments: Arguments, weights: Any) -> bool:
-    """Whether weights have one for ε_max."""
-    return weights is not None and len(weights) > build_plant(arguments.of).n_passive
 
 
 def _least(constraints: Any) -> LeastOutcomes | None:

@@ -187,7 +187,7 @@ def test_least_outcomes_are_lifted_to_and_refused() -> None:
     with pytest.raises(flexopt.NoSolutionFound, match="must do at least, decay 5"):
         flexopt.select(EXCAVATOR, TARGET, loop=LATE, constraints={"outcome": {"decay": 5.0}}, starts=4)
     for options, sentence in (
-        ({"objective": "epsilon_max", "loop": LATE}, "beside the constraint outcome"),
+        ({"objective": "w1,epsilon_max", "loop": LATE}, "beside the constraint outcome"),
         ({"objective": "decay", "loop": LATE, "ranges": {"dead_time": (0.0, 0.01)}}, "do not go with a least radius"),
     ):
         with pytest.raises(flexopt.InputError, match=sentence):

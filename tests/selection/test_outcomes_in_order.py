@@ -19,11 +19,13 @@ def measure(name: str, x: float, posture: np.ndarray) -> float:
     """By the public definitions."""
     if name.startswith("w"):
         return float(flexopt.evaluate(EXCAVATOR, posture, base=x).w[int(name[1:]) - 1])
+    if name == "epsilon_max":
+        return flexopt.evaluate(EXCAVATOR, posture, base=x).epsilon_max or 0.0
     found = getattr(flexopt.outcome(EXCAVATOR, posture, base=x, loop=LOOP), name)
     return float(np.min(found)) if not np.all(np.isnan(found)) else -math.inf
 
 
-@pytest.mark.parametrize("objective", ["w1,decay", "decay,w1", "decay,allowance"])
+@pytest.mark.parametrize("objective", ["w1,decay", "decay,w1", "decay,allowance", "decay,epsilon_max"])
 def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective: str) -> None:
     first, second = objective.split(",")
     found = flexopt.select(EXCAVATOR, TARGET, objective=objective, loop=LOOP, slack=0.2, workers=1)
@@ -64,13 +66,37 @@ def test_gains_are_kept_with_the_configuration() -> None:
 
 def test_what_does_not_go_together() -> None:
     for options, sentence in (
-        ({"objective": "epsilon_max,decay"}, "cannot have epsilon_max beside a measure of the loop"),
         ({"objective": "decay,decay"}, "names the same objective twice"),
         ({"objective": "decay,w1", "weights": [1.0, 1.0, 1.0]}, "go with objective V only"),
-        ({"objective": "V,decay", "weights": [1.0, 1.0, 1.0, 1.0]}, "have none for ε_max beside a measure"),
         ({"objective": "speed,w1"}, "must be w1, w2"),
     ):
         with pytest.raises(flexopt.InputError, match=sentence):
             flexopt.select(EXCAVATOR, TARGET, loop=LOOP, **options)
     with pytest.raises(flexopt.InputError, match="it wants a loop"):
         flexopt.build_selection(EXCAVATOR, TARGET, objective="w1,decay")
+
+
+def test_robust_margins_beside_what_a_loop_must_do() -> None:
+    """Of a small part of the redundancy: ε_max first, a weighted sum with it, and ε_max where the decay is bounded."""
+    options = {"loop": LOOP, "base_range": (-2.1, -1.4), "starts": 4, "workers": 1}
+    scanned = [(x, flexopt.inverse_kinematics(EXCAVATOR, TARGET, base=x)[0]) for x in np.linspace(-2.1, -1.4, 57)]
+    margin = np.array([measure("epsilon_max", *point) for point in scanned])
+    decay = np.array([measure("decay", *point) for point in scanned])
+    w1 = np.array([measure("w1", *point) for point in scanned])
+
+    first = flexopt.select(EXCAVATOR, TARGET, objective="epsilon_max,decay", slack=1e-3, **options)
+    kept = first.kept[0]
+    assert kept.best >= margin.max() - 1e-9
+    assert first.best.objective >= decay[margin >= kept.at_least].max() - 1e-9
+    assert first.best.evaluation.epsilon_max >= kept.at_least - 1e-9
+
+    weights = [1.0, 0.0, 0.0, 1e-3]
+    mixed = flexopt.select(EXCAVATOR, TARGET, objective="decay,V", weights=weights, slack=0.05, **options)
+    able = decay >= mixed.kept[0].at_least
+    assert mixed.best.objective >= (w1 + 1e-3 * margin)[able].max() - 1e-10
+
+    bounded = flexopt.select(
+        EXCAVATOR, TARGET, objective="epsilon_max", constraints={"outcome": {"decay": 0.0155}}, **options
+    )
+    assert bounded.best.objective >= margin[decay >= 0.0155].max() - 1e-9
+    assert bounded.best.evaluation.outcome.decay >= 0.0155 * (1 - 1e-5)

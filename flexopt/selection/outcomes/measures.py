@@ -125,7 +125,10 @@ class Decay(Measure):
 
 @dataclass(frozen=True)
 class OfModes(Measure):
-    """A w_i, or a weighted sum of them: the objective of a problem, of the machine's own numbers."""
+    """A w_i, ε_max or a weighted sum of them: the objective of a problem, of the machine's own numbers.
+
+    Of ε_max each branch, the least of which it is.
+    """
 
     problem: SelectionProblem
     name: ClassVar[str] = "V"
@@ -142,19 +145,21 @@ class OfModes(Measure):
     def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
         """See the class."""
         z = np.concatenate([loop.base, loop.posture])
-        return float(self.problem.branches(self.problem.objective, z)[0][0])
+        value = float(self.problem.branches(self.problem.objective, z)[0].min())
+        return value if math.isfinite(value) else -math.inf
 
     def level(self, value: float, size: float) -> float:  # noqa: ARG002
         """A share of the objective's scale."""
         return value / self.problem.objective_scale
 
     def branches(self, at: ProgramPoint, level: float) -> Branches:
-        """V, less the level."""
+        """V with each branch, less the level."""
         z = np.concatenate([at.loop.base, at.loop.posture])
         values, slopes = at.once(f"modes of {self.told}", lambda: self.problem.branches(self.problem.objective, z))
-        wide = np.zeros((1, at.count))
-        wide[0, : z.size] = slopes[0] * self.problem.scale / self.problem.objective_scale
-        return Branches(values[:1] / self.problem.objective_scale - level, wide, np.full(1, -1.0))
+        count, order = len(values), np.argsort(values)
+        wide = np.zeros((count, at.count))
+        wide[:, : z.size] = slopes[order] * self.problem.scale / self.problem.objective_scale
+        return Branches(values[order] / self.problem.objective_scale - level, wide, np.full(count, -1.0))
 
 
 class Allowance(Measure):
