@@ -193,7 +193,7 @@ class Aliases:
             thetas.reshape(-1, thetas.shape[-1]),
         )
         s = 1j * of.nyquist * nodes[: TABLE // 2] - of.decay
-        both = np.array([self.both(s, of.parts(theta), of.loop.box.numbers_at(theta)[1]) for theta in flat])
+        both = np.array([self.both(s, of.parts(theta), float(of.loop.box.numbers_at(theta)[1])) for theta in flat])
         lost = LOST * np.abs(both).max(axis=(0, 1, 2, 4))[:, None]
         values = both[:, 0] - both[:, 1]
         values = np.concatenate([values, values[:, ::-1].conj()], axis=1)

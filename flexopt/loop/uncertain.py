@@ -101,12 +101,16 @@ class UncertaintyBox:
 
     def numbers(self, u: Vector) -> tuple[Vector, float]:
         """Parameters (n_par,) and dead time of a member."""
-        return self.numbers_at(self.theta(u))
+        p, late = self.numbers_at(self.theta(u))
+        return p, float(late)
 
-    def numbers_at(self, theta: Vector) -> tuple[Vector, float]:
-        """The like, from the factors and values (k,) themselves."""
-        p, late = self.nominal.copy(), self.nominal_dead_time
-        for each, entries, x in zip(self.uncertainty, self.entries, theta.tolist(), strict=True):
+    def numbers_at(self, theta: Vector) -> tuple[Vector, Vector]:
+        """The like, from the factors and values (k,) themselves; of N members (k, N): (n_par, N) and (N,)."""
+        p, late = (
+            np.multiply.outer(self.nominal, np.ones(theta.shape[1:])),
+            np.full(theta.shape[1:], self.nominal_dead_time),
+        )
+        for each, entries, x in zip(self.uncertainty, self.entries, theta, strict=True):
             if each.of == (LATE,):
                 late = x
             elif each.value is not None:

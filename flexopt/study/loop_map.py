@@ -8,15 +8,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import anything, by, public
+from flexopt.foundation.boundary import by, of_machine, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
@@ -45,41 +44,41 @@ class Varied:
 
     Attributes:
         name: a gain, `dead_time`, a parameter, or a word for several;  low, high: ends, in its unit.
-        entries: of the machine's p that are meant;  factor: whether they are multiplied.
         unit, sentence: of it.
+        of: what it is of the machine or its dead time; None of a gain.
     """
 
     name: str
     low: float
     high: float
-    entries: tuple[int, ...]
-    factor: bool
     unit: str
     sentence: str
+    of: Uncertainty | None = None
 
     def axis(self, points: int) -> Axis:
         """Evenly spaced; in the logarithm of what multiplies."""
-        if self.factor or self.name in GAINS:
+        if self.of is None or self.of.factor is not None:
             return Axis(self.name, np.geomspace(self.low, self.high, points), self.unit, self.sentence)
         return Axis(self.name, np.linspace(self.low, self.high, points), self.unit, self.sentence)
 
 
-def _varied(arguments: Arguments, machine: AnyMachine, value: Any) -> list[Varied]:
+def _varied(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> list[Varied]:
     """The two that vary; notes what does not fit."""
     if not isinstance(value, Mapping) or len(cast(Mapping[Any, Any], value)) != 2:
         sentence = f"must be two names with their (lower, upper): of {', '.join(GAINS)}, {LATE}, stiffness, damping "
-        arguments.note("vary", f"{sentence}(factors) and the machine's parameters", value)
+        arguments.note(field, f"{sentence}(factors) and the machine's parameters", value)
         return []
     found = list[Varied]()
     for name, ends in cast(Mapping[Any, Any], value).items():
-        field = f"vary[{shown(name)}]"
+        key = f"{field}[{shown(name)}]"
         if name in GAINS:
-            low, high = arguments.checked(field, ends, pair(POSITIVE), (1.0, 2.0))
-            found.append(Varied(name, low, high, (), False, "SI", GAINS[name]))
+            low, high = arguments.checked(key, ends, pair(POSITIVE), (1.0, 2.0))
+            found.append(Varied(name, low, high, "SI", GAINS[name]))
         else:
-            found += _of_machine(arguments, machine, field, name, ends)
-    if len(found) == 2 and set(found[0].entries) & set(found[1].entries):
-        arguments.note("vary", "names the same parameter twice", value)
+            found += _of_machine(arguments, machine, key, name, ends)
+    entries = [set(parameters_of(each.of.of, machine)) if each.of else set[int]() for each in found]
+    if len(found) == 2 and entries[0] & entries[1]:
+        arguments.note(field, "names the same parameter twice", value)
     return found
 
 
@@ -94,19 +93,13 @@ def _of_machine(arguments: Arguments, machine: AnyMachine, field: str, name: Any
         faults.append(Fault(field, "is empty: the lower end must be below the upper end", f"{low:g}"))
     arguments.faults += faults
     if each.of == (LATE,):
-        return [Varied(name, low, high, (), False, "s", "dead time of the loop")]
+        return [Varied(name, low, high, "s", "dead time of the loop", each)]
     entries = parameters_of(each.of, machine)
     unit = "1" if each.factor else machine.parameters[entries[0]].unit if entries else ""
-    sentence = f"factor of {name}" if each.factor else str(name)
-    return [Varied(str(name), low, high, entries, each.factor is not None, unit or "1", sentence)]
+    return [Varied(str(name), low, high, unit or "1", f"factor of {name}" if each.factor else str(name), each)]
 
 
-def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    if arguments.of is not None:
-        _varied(arguments, arguments.of, given["vary"])
-
-
-@public(vary=anything, points=by(check_points), together=_together)
+@public(vary=of_machine(_varied), points=by(check_points))
 def map_loop(
     machine: AnyMachine,
     posture: Any,
@@ -148,15 +141,19 @@ def map_loop(
         ('dead_time', 'kp')
     """
     size = POINTS if points is None else points
-    x, y = _varied(Arguments("map_loop", machine), machine, vary)
+    x, y = cast("list[Varied]", vary)
     asked = cast("Loop | None", loop)
     settings, placed = settings_at(machine, posture, base, control, asked, gravity=gravity, call="map_loop")
-    raise_if_any(InputError, "map_loop", _unfit(machine, settings, (x, y)))
+    box = UncertaintyBox(machine, tuple(each.of for each in (x, y) if each.of), settings.dead_time)
+    raise_if_any(InputError, "map_loop", _unfit(settings, box, (x, y)))
     columns, rows = x.axis(size[0]), y.axis(size[1])
     count = columns.values.size * rows.values.size
     expect_decays(count, machine, settings, gravity=gravity)
     over = {x: np.tile(columns.values, rows.values.size), y: np.repeat(rows.values, columns.values.size)}
-    varied = _numbers(machine, settings, over)
+    p, late = box.numbers_at(np.array([values for each, values in over.items() if each.of]).reshape(-1, count))
+    varied = {"p": p, DEAD_TIME: late[None]}
+    varied |= {each.name: np.tile(values, (getattr(settings, each.name).size, 1))
+               for each, values in over.items() if not each.of}  # fmt: skip
     varied |= {"base": np.tile(placed[:, None], count), "posture": np.tile(posture[:, None], count)}
     result = decays(machine, settings, varied, gravity=gravity, threads=threads, progress=progress)
     shape = rows.values.size, columns.values.size
@@ -180,39 +177,23 @@ def map_loop(
     return WorkspaceMap(machine.name, options, dataset, proof)
 
 
-def _unfit(machine: AnyMachine, settings: LoopSettings, varied: tuple[Varied, ...]) -> list[Fault]:
+def _unfit(settings: LoopSettings, box: UncertaintyBox, varied: tuple[Varied, ...]) -> list[Fault]:
     """What a loop has not, what moves the end-point, and dead times beyond what a loop is told of."""
     faults = list[Fault]()
+    if settings.feedback != "pid" and any(each.name == "ki" for each in varied):
+        faults.append(Fault("vary['ki']", "needs a loop with feedback = 'pid'"))
     for each in varied:
-        if each.name == "ki" and settings.feedback != "pid":
-            faults.append(Fault("vary['ki']", "needs a loop with feedback = 'pid'"))
-        if each.name not in GAINS:
-            ends = {"factor" if each.factor else "value": (each.low, each.high)}
-            box = UncertaintyBox(machine, (Uncertainty(of=(each.name,), **ends),), settings.dead_time)
-            faults += [Fault(f"vary[{each.name!r}]", f.sentence, f.value) for f in box.faults(settings.rate)]
+        if each.of:
+            alone = replace(box, uncertainty=(each.of,))
+            faults += [Fault(f"vary[{each.name!r}]", f.sentence, f.value) for f in alone.faults(settings.rate)]
     return faults
-
-
-def _numbers(machine: AnyMachine, settings: LoopSettings, over: Mapping[Varied, Vector]) -> dict[str, Vector]:
-    """Inputs of `decays` that differ from the loop's own."""
-    found, own = dict[str, Vector](), np.array([parameter.value for parameter in machine.parameters])
-    for each, values in over.items():
-        if each.name in GAINS:
-            found[each.name] = np.tile(values, (getattr(settings, each.name).size, 1))
-        elif each.name == LATE:
-            found[DEAD_TIME] = values[None]
-        else:
-            p = found.setdefault("p", np.tile(own[:, None], values.size))
-            entries = list(each.entries)
-            p[entries] = own[entries, None] * values if each.factor else values
-    return found
 
 
 def _present(machine: AnyMachine, settings: LoopSettings, each: Varied) -> float:
     """Where the loop is now; NaN where its rows differ."""
-    if each.name in GAINS:
+    if each.of is None:
         gains = getattr(settings, each.name)
         return float(gains[0]) if np.all(gains == gains[0]) else math.nan
-    if each.name == LATE:
+    if each.of.of == (LATE,):
         return settings.dead_time
-    return 1.0 if each.factor else float(machine.parameters[each.entries[0]].value)
+    return 1.0 if each.of.factor else float(machine.parameters[parameters_of(each.of.of, machine)[0]].value)
