@@ -22,18 +22,24 @@ if TYPE_CHECKING:
 Table = tuple[Sequence[str], Sequence[Sequence[str]]] | None
 
 
+# Inches from which a picture scrolls where the page is narrow, in place of becoming too small to read.
+WIDE = 7.0
+
+
 class Picture(NamedTuple):
-    """A figure in a page: PNG in Base64, and its caption."""
+    """A figure in a page: PNG in Base64, its caption, and whether it is wide."""
 
     data: str
     caption: str
+    wide: bool
 
 
 def picture(figure: Figure, caption: str) -> Picture:
     """A figure with its caption."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)  # pyright: ignore[reportUnknownMemberType]
-    return Picture(base64.b64encode(buffer.getvalue()).decode("ascii"), caption)
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return Picture(data, caption, bool(figure.get_figwidth() > WIDE))
 
 
 def write_files(folder: Path, text: str, document: dict[str, Any]) -> tuple[Path, Path]:

@@ -6,53 +6,100 @@ In: a report. Out: HTML.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from flexopt.foundation.rendering import render
 from flexopt.plant import build_plant
-from flexopt.study.page import Table, picture
+from flexopt.robustness import Evaluation
+from flexopt.selection import Selection
+from flexopt.selection.result import ConstraintValue
+from flexopt.study.page import Picture, Table, picture
+from flexopt.study.verdict_page import judged
+from flexopt.study.verdict_result import STAY
 
 if TYPE_CHECKING:
-    from flexopt.study.problem_report import Report
+    from flexopt.study.report_result import Report
 
 CAPTIONS = {
     "selection": "The machine in the chosen and the present configuration, and its measures; 0 is best.",
-    "map": "Around the chosen configuration: frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust "
-    "stability margin and the rigid part. Rings: present and chosen configuration; cross: the end-point.",
+    "several": "The machine at its targets, and its measures; 0 is best.",
     "loops": "Nonlinear closed loops with the same gains and the same displacement at the start.",
 }
-# Candidates in the table; all are in the JSON document.
-SHOWN = 12
+MAP_CAPTION = (
+    "Frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust stability margin and the rigid part. Star "
+    "and ring: chosen and present configuration; cross: the end-point."
+)
+# Candidates or targets in a table of configurations, and in one of constraints; all are in the JSON document.
+SHOWN, COMPARED = 12, 6
+# Of a kind of constraints that has more rows than the first, those nearest to their bounds are shown.
+MANY, NEAREST = 5, 3
 # A mode is named by coordinates that hold at least so much of its strain energy.
 NAMED = 0.15
 
 
+class Constraints(NamedTuple):
+    """Constraints near their bounds; those farther away, and what these are called."""
+
+    near: Table
+    far: Table
+    told: str
+
+
 def report_html(report: Report) -> str:
     """The page."""
-    candidates, note = _candidates(report)
+    placed, note = _placed(report)
+    several = not isinstance(report.selection, Selection)
     return render(
         "study/templates/report.html",
         title=f"Report: {report.name}",
         provenance=report.provenance,
         report=report,
-        pictures={n: picture(f, CAPTIONS.get(n, f"Nonlinear {n}.")) for n, f in report.figures().items()},
+        judged=report.verdict and judged(report.verdict),
+        pictures={"selection": picture(report.selection.plot(), CAPTIONS["several" if several else "selection"])},
         sentence=f"{_sentence(report)} {report.selection.status}.",
-        candidates=candidates,
-        candidates_note=note,
-        assumed=" ".join(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in report.selection.problem.assumed),
+        placed=placed,
+        placed_note=note,
+        measured=_measured(report),
+        assumed=" ".join(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in report.problem.assumed),
         constraints=_constraints(report),
+        panels=_panels(report),
+        map_caption=MAP_CAPTION,
+        around="at the worst target" if several else "of the chosen configuration",
+        loops=_loops(report),
+        loops_note=_loops_note(report),
+        runs=_runs(report),
+        options=_options(report),
+        borders=_borders(report),
+        modes_at_rest=[_modes(report, name) for name in report.stands],
         coordinates=_coordinates(report),
         masses=_parameters(report, ("kg",), "mass"),
         springs=_parameters(report, ("N/m", "N m/rad", "N"), "spring"),
-        modes_at_rest=[_modes(report, name) for name in report.stands],
-        options=_gains(report),
-        loops=_loops(report),
-        borders=_borders(report),
-        verdict=_verdict(report),
     )
+
+
+def _panels(report: Report) -> dict[str, Picture]:
+    """Each quantity of the map."""
+    from flexopt.plotting.workspace import plot_quantities  # noqa: PLC0415  (matplotlib is slow to import)
+
+    if report.map is None:
+        return {}
+    figures = plot_quantities(report.map.dataset, marks=report.marks)
+    return {name: picture(figure, f"{name[0].upper()}{name[1:]}.") for name, figure in figures.items()}
+
+
+def _runs(report: Report) -> dict[str, Picture]:
+    """The runs beside each other, and each of them."""
+    figures = {n: f for n, f in report.figures().items() if n == "loops" or n.startswith("run ")}
+    return {
+        "side by side" if name == "loops" else name.removeprefix("run "): picture(
+            figure, CAPTIONS.get(name, f"Nonlinear {name}.")
+        )
+        for name, figure in figures.items()
+    }
 
 
 def _number(value: float | None, digits: int = 5) -> str:
@@ -62,63 +109,121 @@ def _number(value: float | None, digits: int = 5) -> str:
 
 
 def _sentence(report: Report) -> str:
-    problem = report.selection.problem
-    target = ", ".join(f"{row} = {_number(x)}" for row, x in zip(report.machine.task_rows, problem.target, strict=True))
+    problem, rows = report.problem, report.machine.task_rows
     weight = ", under gravity" if problem.gravity else ""
-    how = f"Objective {report.selection.objective}, Jacobian {problem.control} control{weight}:"
-    return f"Target of the end-point: {target} m. {how}"
+    how = f"Jacobian {problem.control} control{weight}:"
+    if not isinstance(report.selection, Selection):
+        return f"{len(report.selection.places)} targets of the end-point. Objective {problem.name}, {how}"
+    target = ", ".join(f"{row} = {_number(x)}" for row, x in zip(rows, problem.target, strict=True))
+    return f"Target of the end-point: {target} m. Objective {report.selection.objective}, {how}"
 
 
-def _candidates(report: Report) -> tuple[Table, str]:
-    """The table, and a remark on it."""
+class _Listed(NamedTuple):
+    """A configuration in the tables: its name, its numbers, what is to be said of it."""
+
+    name: str
+    evaluation: Evaluation
+    remark: str
+
+
+def _listed(report: Report) -> list[_Listed]:
+    """The present configuration and the candidates, or the configuration at each target."""
     selection = report.selection
-    best = selection.best.evaluation
-    modes = range(1, best.w.size + 1)
-    header = [
-        "", *_with_units(best.base_coordinates, best.base_units), *_with_units(best.joints, best.joint_units),
-        *(f"w{i}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes), "rests on",
-    ]  # fmt: skip
-    listed = [(str(k), c.evaluation, ", ".join(c.active)) for k, c in enumerate(selection.candidates[:SHOWN], start=1)]
-    wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
-    if selection.initial is not None:
-        listed.insert(0, ("present", selection.initial, ""))
-    rows = [
-        [
-            name, *(_number(x) for x in (*e.base, *e.posture)), *(_number(w, 4) for w in e.w), _number(e.epsilon_max),
-            *(_number(f, 4) for f in e.frequencies_hz), active,
+    if not isinstance(selection, Selection):
+        return [
+            _Listed(
+                f"target {k + 1}",
+                place.evaluation,
+                f"V {_number(place.objective, 4)}" + (", the worst" * (k == selection.worst)),
+            )
+            for k, place in enumerate(selection.places[:SHOWN])
         ]
-        for name, e, active in listed
+    present = [] if selection.initial is None else [_Listed("present", selection.initial, "")]
+    return present + [
+        _Listed(f"candidate {k}" + (" (chosen)" * (k == 1)), each.evaluation, ", ".join(each.active))
+        for k, each in enumerate(selection.candidates[:SHOWN], start=1)
+    ]
+
+
+def _placed(report: Report) -> tuple[Table, str]:
+    """Where each configuration stands and how it is held, and a remark."""
+    listed, selection = _listed(report), report.selection
+    first = listed[0].evaluation
+    names = [*_with_units(first.base_coordinates, first.base_units), *_with_units(first.joints, first.joint_units)]
+    said = any(each.remark for each in listed)
+    last = "rests on" if isinstance(selection, Selection) else "objective"
+    rows = [
+        [each.name, *(_number(x) for x in (*each.evaluation.base, *each.evaluation.posture)), *[each.remark] * said]
+        for each in listed
+    ]
+    if not isinstance(selection, Selection):
+        more, wide = len(selection.places) - SHOWN, list[str]()
+    else:
+        more = len(selection.candidates) - SHOWN
+        wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
+    notes = [f"And {more} more."] * (more > 0)
+    if wide:
+        notes.append(
+            f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
+        )
+    return (["", *names, *[last] * said], rows), " ".join(notes)
+
+
+def _measured(report: Report) -> Table:
+    """Measures and frequencies of each."""
+    listed = _listed(report)
+    modes = range(1, listed[0].evaluation.w.size + 1)
+    header = ["", *(f"w{i}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes)]
+    return header, [
+        [
+            name, *(_number(w, 4) for w in e.w), _number(e.epsilon_max), *(_number(f, 4) for f in e.frequencies_hz),
+        ]
+        for name, e, _ in listed
     ]  # fmt: skip
-    more = len(selection.candidates) - SHOWN
-    alike = f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
-    notes = [f"And {more} more."] * (more > 0) + [alike] * bool(wide)
-    return (header, rows), " ".join(notes)
 
 
 def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
     return [f"{name}, {unit}" for name, unit in zip(names, units, strict=True)]
 
 
-def _constraints(report: Report) -> Table:
-    """Values of every constraint at the candidates."""
-    shown = report.selection.candidates[:SHOWN]
-    names = list(shown[0].constraints)
-    if not names:
+def _constraints(report: Report) -> Constraints | None:
+    """Values of every constraint; of a kind with many rows those near their bounds apart."""
+    selection = report.selection
+    one = isinstance(selection, Selection)
+    shown = (selection.candidates if one else selection.places)[:COMPARED]
+    if not shown[0].constraints:
         return None
-    rows: list[list[str]] = []
-    for name in names:
-        values = [candidate.constraints[name] for candidate in shown]
-        rows.append(
-            [
-                name,
-                _allowed(values[0].lower, values[0].upper, values[0].unit),
-                *(_number(value.value) for value in values),
-            ]
-        )
-    return ["constraint", "allowed", *(f"{k}" for k in range(1, len(shown) + 1))], rows
+    kinds: dict[str, list[str]] = {}
+    for name in shown[0].constraints:
+        kinds.setdefault(re.split(" of | from |, ", name)[0], []).append(name)
+    near, far = list[str](), list[str]()
+    for names in kinds.values():
+        if len(names) > MANY:
+            names = sorted(names, key=lambda name: min(_room(each.constraints[name]) for each in shown))  # noqa: PLW2901
+            near, far = near + names[:NEAREST], far + names[NEAREST:]
+        else:
+            near += names
+    header = ["constraint", "allowed", *(f"{'candidate' if one else 'target'} {k}" for k in range(1, len(shown) + 1))]
+    several = [name for name, names in kinds.items() if len(names) > MANY]
+    told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds"
+
+    def table(names: list[str]) -> Table:
+        rows = list[list[str]]()
+        for name in names:
+            values = [each.constraints[name] for each in shown]
+            rows.append([name, _allowed(values[0]), *(_number(value.value, 4) for value in values)])
+        return (header, rows) if rows else None
+
+    return Constraints(table(near), table(far), told)
 
 
-def _allowed(low: float, high: float, unit: str) -> str:
+def _room(value: ConstraintValue) -> float:
+    """How far it is from its nearer bound."""
+    return min(value.value - value.lower, value.upper - value.value)
+
+
+def _allowed(value: ConstraintValue) -> str:
+    low, high, unit = value.lower, value.upper, value.unit
     if math.isfinite(low) and math.isfinite(high):
         return f"{_number(low)} to {_number(high)} {unit}" if low < high else f"{_number(low)} {unit}"
     return f"at least {_number(low)} {unit}" if math.isfinite(low) else f"at most {_number(high)} {unit}"
@@ -173,7 +278,17 @@ def _modes(report: Report, name: str) -> Table:
     return header, rows
 
 
-def _gains(report: Report) -> str:
+def _loops_note(report: Report) -> str:
+    """Which configurations these are."""
+    if not isinstance(report.selection, Selection):
+        return "At the target with the smallest V, the base standing where it is chosen to stand there."
+    best = f"Chosen: candidate 1, which has the best {report.selection.objective}"
+    if report.verdict is not None and report.verdict.place not in ("", STAY, "candidate 1"):
+        best += f"; the verdict looks at what the controller makes of each, and is about {report.verdict.place}"
+    return f"{best}."
+
+
+def _options(report: Report) -> str:
     given = report.simulation
     told = ", ".join(f"{name} = {_told(value)}" for name, value in given.items())
     return f"Options of flexopt.simulate: {told}; all others are its defaults." if told else ""
@@ -204,21 +319,6 @@ def _loops(report: Report) -> Table:
     header = ["configuration", "verdict", "growth rate of the run, 1/s", "linear loop, 1/s", "settles in, s",
               "largest base rotation, mrad", "end-point at the end, mm off", "duration, s"]  # fmt: skip
     return (header, rows) if rows else None
-
-
-def _verdict(report: Report) -> Table:
-    """Every place's worst over what is uncertain."""
-    judged = report.verdict
-    if judged is None:
-        return None
-    header = ["place", "drive, m", "slowest decay, 1/s", "least allowed Kp", "least delay margin, ms",
-              "longest settling, s", "largest turn of the base, mrad", "runs that converge, %"]  # fmt: skip
-    scales = (1.0, 1.0, 1.0, 1e3, 1.0, 1e3, 100.0)
-    rows = [
-        [str(first), *(_number(scale * value, 4) for scale, value in zip(scales, values, strict=True))]
-        for first, *values in (list(row.values()) for row in judged.table)
-    ]
-    return header, rows
 
 
 def _borders(report: Report) -> Table:

@@ -1,0 +1,131 @@
+"""Pictures of bands: for each of several choices what a measure is between, over all that is uncertain.
+
+In: names with their least, nominal and greatest values. Out: figures, one for each measure, or one for all.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flexopt.plotting.files import write
+from flexopt.plotting.selection import CHOSEN, PRESENT
+
+# Ratio of the largest to the least from which an axis is logarithmic.
+LOG_FROM = 20.0
+# Of what is neither the present choice nor the one that is told of.
+PALE = 0.45
+WIDTH = 3.9  # inches
+GROWS = "#f6dcd9"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A choice: its name, the measure's least, nominal and greatest value; what is written of its worst.
+
+    NaN is a value that there is none of, infinite one without a border.
+    """
+
+    name: str
+    least: float
+    nominal: float
+    greatest: float
+    worst: str
+
+
+@dataclass(frozen=True)
+class Bands:
+    """One measure of every choice.
+
+    Attributes:
+        label: quantity and unit;  more: whether more of it is better.
+        rows: the choices;  present, told: names of the present one, and of the one that is told of.
+        border: below it nothing is stable; None: there is no such value.
+    """
+
+    label: str
+    more: bool
+    rows: tuple[Row, ...]
+    present: str
+    told: str
+    border: float | None = None
+
+
+def plot_band(bands: Bands) -> Figure:
+    """One measure."""
+    figure = Figure(figsize=(WIDTH, _height(bands)), layout="constrained")
+    _draw(figure.add_subplot(), bands)
+    return figure
+
+
+def plot_bands(bands: Sequence[Bands], path: str | os.PathLike[str] | None = None, *, title: str = "") -> Figure:
+    """All measures, one below the other; `title` above them."""
+    figure = Figure(figsize=(1.5 * WIDTH, 0.4 + sum(map(_height, bands))), layout="constrained")
+    for axes, each in zip(figure.subplots(len(bands), 1, squeeze=False)[:, 0], bands, strict=True):
+        _draw(axes, each)
+    figure.suptitle(title, fontsize=10)
+    write(figure, path)
+    return figure
+
+
+def _height(bands: Bands) -> float:
+    return 0.85 + 0.32 * len(bands.rows)
+
+
+def _draw(axes: Axes, bands: Bands) -> None:
+    """A bar from least to greatest in each row, a ring at the nominal value, and the worst as text."""
+    finite = [v for row in bands.rows for v in (row.least, row.nominal, row.greatest) if math.isfinite(v)]
+    if bands.border is None and finite and min(finite) > 0 and max(finite) > LOG_FROM * min(finite):
+        axes.set_xscale("log")
+    low, high = _limits(axes, finite, bands.border)
+    axes.set_xlim(low, high)
+    if bands.border is not None:
+        axes.axvspan(low, bands.border, color=GROWS, linewidth=0, zorder=0)
+        axes.axvline(bands.border, color="#8a3a33", linewidth=0.9, zorder=1)
+    for k, row in enumerate(bands.rows):
+        color = PRESENT if row.name == bands.present else CHOSEN
+        alpha = 1.0 if row.name in (bands.present, bands.told) else PALE
+        if not math.isnan(row.least + row.greatest):
+            ends = [min(max(v, low), high) for v in (row.least, row.greatest)]
+            axes.plot(ends, [k, k], color=color, alpha=alpha, linewidth=7, solid_capstyle="butt", zorder=3)
+            axes.plot(ends, [k, k], "|", color=color, alpha=alpha, markersize=11, markeredgewidth=2, zorder=3)
+            if math.isinf(row.greatest):
+                axes.plot([high], [k], ">", color=color, alpha=alpha, markersize=9, clip_on=False, zorder=4)
+        if math.isfinite(row.nominal):
+            axes.plot(
+                [row.nominal], [k], "o", color="white", markeredgecolor="black", markersize=5.5, markeredgewidth=1.0,
+                zorder=5,
+            )  # fmt: skip
+        axes.text(1.04, k, row.worst, transform=axes.get_yaxis_transform(), va="center", fontsize=8)
+    axes.set_yticks(range(len(bands.rows)), [row.name for row in bands.rows])
+    axes.set_ylim(len(bands.rows) - 0.4, -0.6)
+    for tick, row in zip(axes.get_yticklabels(), bands.rows, strict=True):
+        tick.set_fontweight("bold" if row.name == bands.told else "normal")
+    axes.set_xlabel(f"{bands.label} ({'more' if bands.more else 'less'} is better)", fontsize=8.5)
+    axes.text(1.04, -0.75, "worst", transform=axes.get_yaxis_transform(), va="bottom", fontsize=7.5, color="#555555")
+    axes.tick_params(labelsize=8)
+    if axes.get_xscale() == "linear":
+        axes.locator_params(axis="x", nbins=5)
+    axes.grid(axis="x", color="#e3e3e3", linewidth=0.5)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _limits(axes: Axes, finite: Sequence[float], border: float | None) -> tuple[float, float]:
+    """Around all values, on the axis' own scale, from 0 or from the border where values lie beyond it."""
+    if not finite:
+        return 0.0, 1.0
+    low, high = min(finite), max(finite)
+    if axes.get_xscale() == "log":
+        return low / 1.5, high * 1.5
+    low, high = min(low, border or 0.0), max(high, border or 0.0)
+    room = 0.06 * (high - low) or 1.0
+    return low - (room if low < 0 else 0.0), high + room
