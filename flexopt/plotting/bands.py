@@ -23,7 +23,7 @@ LOG_FROM = 20.0
 # Of what is neither the present choice nor the one that is told of.
 PALE = 0.45
 WIDTH = 3.9  # inches
-GROWS = "#f6dcd9"
+GROWS, EDGE = "#f6dcd9", "#8a3a33"
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Bands:
     Attributes:
         label: quantity and unit;  more: whether more of it is better.
         rows: the choices;  present, told: names of the present one, and of the one that is told of.
-        border: below it nothing is stable; None: there is no such value.
+        border: below it the loop is not stable, and what is written there; None: there is no such value.
     """
 
     label: str
@@ -55,7 +55,7 @@ class Bands:
     rows: tuple[Row, ...]
     present: str
     told: str
-    border: float | None = None
+    border: tuple[float, str] | None = None
 
 
 def plot_band(bands: Bands) -> Figure:
@@ -82,13 +82,19 @@ def _height(bands: Bands) -> float:
 def _draw(axes: Axes, bands: Bands) -> None:
     """A bar from least to greatest in each row, a ring at the nominal value, and the worst as text."""
     finite = [v for row in bands.rows for v in (row.least, row.nominal, row.greatest) if math.isfinite(v)]
-    if bands.border is None and finite and min(finite) > 0 and max(finite) > LOG_FROM * min(finite):
+    border = None if bands.border is None else bands.border[0]
+    finite += [] if border is None else [border]
+    if finite and min(finite) > 0 and max(finite) > LOG_FROM * min(finite):
         axes.set_xscale("log")
-    low, high = _limits(axes, finite, bands.border)
+    low, high = _limits(axes, finite)
     axes.set_xlim(low, high)
     if bands.border is not None:
-        axes.axvspan(low, bands.border, color=GROWS, linewidth=0, zorder=0)
-        axes.axvline(bands.border, color="#8a3a33", linewidth=0.9, zorder=1)
+        axes.axvspan(low, bands.border[0], color=GROWS, linewidth=0, zorder=0)
+        axes.axvline(bands.border[0], color=EDGE, linewidth=0.9, zorder=1)
+        axes.annotate(
+            f"{bands.border[1]} ", (bands.border[0], 1.0), xycoords=("data", "axes fraction"), ha="right", va="bottom",
+            fontsize=7.5, color=EDGE,
+        )  # fmt: skip
     for k, row in enumerate(bands.rows):
         color = PRESENT if row.name == bands.present else CHOSEN
         alpha = 1.0 if row.name in (bands.present, bands.told) else PALE
@@ -111,7 +117,9 @@ def _draw(axes: Axes, bands: Bands) -> None:
     axes.set_xlabel(f"{bands.label} ({'more' if bands.more else 'less'} is better)", fontsize=8.5)
     axes.text(1.04, -0.75, "worst", transform=axes.get_yaxis_transform(), va="bottom", fontsize=7.5, color="#555555")
     axes.tick_params(labelsize=8)
-    if axes.get_xscale() == "linear":
+    if not finite:
+        axes.set_xticks([])
+    elif axes.get_xscale() == "linear":
         axes.locator_params(axis="x", nbins=5)
     axes.grid(axis="x", color="#e3e3e3", linewidth=0.5)
     axes.set_axisbelow(True)
@@ -119,13 +127,13 @@ def _draw(axes: Axes, bands: Bands) -> None:
         axes.spines[side].set_visible(False)
 
 
-def _limits(axes: Axes, finite: Sequence[float], border: float | None) -> tuple[float, float]:
-    """Around all values, on the axis' own scale, from 0 or from the border where values lie beyond it."""
+def _limits(axes: Axes, finite: Sequence[float]) -> tuple[float, float]:
+    """Around all values, on the axis' own scale; where it is even, around 0, too."""
     if not finite:
         return 0.0, 1.0
     low, high = min(finite), max(finite)
     if axes.get_xscale() == "log":
         return low / 1.5, high * 1.5
-    low, high = min(low, border or 0.0), max(high, border or 0.0)
+    low, high = min(low, 0.0), max(high, 0.0)
     room = 0.06 * (high - low) or 1.0
     return low - (room if low < 0 else 0.0), high + room

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -40,6 +41,18 @@ def picture(figure: Figure, caption: str) -> Picture:
     figure.savefig(buffer, format="png", dpi=110)  # pyright: ignore[reportUnknownMemberType]
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return Picture(data, caption, bool(figure.get_figwidth() > WIDE))
+
+
+def begun(text: str) -> str:
+    """Text with a capital at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
+def number(value: float | None, digits: int = 5) -> str:
+    """A number in a page; – where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{value:.{digits}g}".replace("-", "−")
 
 
 def write_files(folder: Path, text: str, document: dict[str, Any]) -> tuple[Path, Path]:

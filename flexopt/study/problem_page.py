@@ -5,19 +5,15 @@ In: a report. Out: HTML.
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-import numpy as np
-
 from flexopt.foundation.rendering import render
-from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection
-from flexopt.selection.result import ConstraintValue
-from flexopt.study.page import Picture, Table, picture
+from flexopt.selection.several import BasePlan, Stand
+from flexopt.study.page import Picture, Table, begun, number, picture
+from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some
 from flexopt.study.verdict_page import judged
 from flexopt.study.verdict_result import STAY
 
@@ -33,20 +29,6 @@ MAP_CAPTION = (
     "Frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust stability margin and the rigid part. Star "
     "and ring: chosen and present configuration; cross: the end-point."
 )
-# Candidates or targets in a table of configurations, and in one of constraints; all are in the JSON document.
-SHOWN, COMPARED = 12, 6
-# Of a kind of constraints that has more rows than the first, those nearest to their bounds are shown.
-MANY, NEAREST = 5, 3
-# A mode is named by coordinates that hold at least so much of its strain energy.
-NAMED = 0.15
-
-
-class Constraints(NamedTuple):
-    """Constraints near their bounds; those farther away, and what these are called."""
-
-    near: Table
-    far: Table
-    told: str
 
 
 def report_html(report: Report) -> str:
@@ -60,13 +42,14 @@ def report_html(report: Report) -> str:
         report=report,
         judged=report.verdict and judged(report.verdict),
         pictures={"selection": picture(report.selection.plot(), CAPTIONS["several" if several else "selection"])},
-        sentence=f"{_sentence(report)} {report.selection.status}.",
+        sentence=_sentence(report),
         placed=placed,
         placed_note=note,
         measured=_measured(report),
-        assumed=" ".join(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in report.problem.assumed),
-        constraints=_constraints(report),
+        assumed=" ".join(f"{begun(str(each))}." for each in report.problem.assumed),
+        constraints=constraints(report),
         panels=_panels(report),
+        frame="" if report.map is None else begun(str(report.map.dataset.attrs["frame"])),
         map_caption=MAP_CAPTION,
         around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
@@ -74,10 +57,10 @@ def report_html(report: Report) -> str:
         runs=_runs(report),
         options=_options(report),
         borders=_borders(report),
-        modes_at_rest=[_modes(report, name) for name in report.stands],
-        coordinates=_coordinates(report),
-        masses=_parameters(report, ("kg",), "mass"),
-        springs=_parameters(report, ("N/m", "N m/rad", "N"), "spring"),
+        modes_at_rest=[modes(report, name) for name in report.stands],
+        coordinates=coordinates(report),
+        masses=parameters(report, ("kg",), "mass"),
+        springs=parameters(report, ("N/m", "N m/rad", "N"), "spring"),
     )
 
 
@@ -88,7 +71,7 @@ def _panels(report: Report) -> dict[str, Picture]:
     if report.map is None:
         return {}
     figures = plot_quantities(report.map.dataset, marks=report.marks)
-    return {name: picture(figure, f"{name[0].upper()}{name[1:]}.") for name, figure in figures.items()}
+    return {name: picture(figure, f"{begun(name)}.") for name, figure in figures.items()}
 
 
 def _runs(report: Report) -> dict[str, Picture]:
@@ -102,20 +85,30 @@ def _runs(report: Report) -> dict[str, Picture]:
     }
 
 
-def _number(value: float | None, digits: int = 5) -> str:
-    if value is None or not math.isfinite(value):
-        return "–"
-    return f"{value:.{digits}g}".replace("-", "−")
-
-
 def _sentence(report: Report) -> str:
     problem, rows = report.problem, report.machine.task_rows
     weight = ", under gravity" if problem.gravity else ""
     how = f"Jacobian {problem.control} control{weight}:"
-    if not isinstance(report.selection, Selection):
-        return f"{len(report.selection.places)} targets of the end-point. Objective {problem.name}, {how}"
-    target = ", ".join(f"{row} = {_number(x)}" for row, x in zip(rows, problem.target, strict=True))
-    return f"Target of the end-point: {target} m. Objective {report.selection.objective}, {how}"
+    several = report.selection
+    if not isinstance(several, Selection):
+        what = f"{len(several.places)} targets of the end-point. Objective {problem.name}"
+        return f"{what}, {how} {several.status}. {_gained(several)}"
+    target = ", ".join(f"{row} = {number(x)}" for row, x in zip(rows, problem.target, strict=True))
+    return f"Target of the end-point: {target} m. Objective {several.objective}, {how} {several.status}."
+
+
+def _gained(several: Stand | BasePlan) -> str:
+    """What the base's way or its one placement is worth."""
+    if isinstance(several, Stand):
+        return f"Worth {number(several.worth)}; {len(several.alternatives)} other local optima."
+    still = "no single placement reaches them all"
+    if several.still is not None:
+        still = f"{number(several.standing)} where the base stands still"
+    return (
+        f"The smallest objective is {number(several.worth)} ({still}), and between the targets "
+        f"{number(several.between[0])}. The base travels {number(several.travelled[0], 4)} m and turns "
+        f"{number(several.travelled[1], 4)} rad."
+    )
 
 
 class _Listed(NamedTuple):
@@ -134,9 +127,9 @@ def _listed(report: Report) -> list[_Listed]:
             _Listed(
                 f"target {k + 1}",
                 place.evaluation,
-                f"V {_number(place.objective, 4)}" + (", the worst" * (k == selection.worst)),
+                f"V {number(place.objective, 4)}" + (", the worst" * (k == selection.worst)),
             )
-            for k, place in enumerate(selection.places[:SHOWN])
+            for k, place in some(selection, SHOWN)
         ]
     present = [] if selection.initial is None else [_Listed("present", selection.initial, "")]
     return present + [
@@ -153,11 +146,11 @@ def _placed(report: Report) -> tuple[Table, str]:
     said = any(each.remark for each in listed)
     last = "rests on" if isinstance(selection, Selection) else "objective"
     rows = [
-        [each.name, *(_number(x) for x in (*each.evaluation.base, *each.evaluation.posture)), *[each.remark] * said]
+        [each.name, *(number(x) for x in (*each.evaluation.base, *each.evaluation.posture)), *[each.remark] * said]
         for each in listed
     ]
     if not isinstance(selection, Selection):
-        more, wide = len(selection.places) - SHOWN, list[str]()
+        more, wide = len(selection.places) - len(listed), list[str]()
     else:
         more = len(selection.candidates) - SHOWN
         wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
@@ -176,7 +169,7 @@ def _measured(report: Report) -> Table:
     header = ["", *(f"w{i}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes)]
     return header, [
         [
-            name, *(_number(w, 4) for w in e.w), _number(e.epsilon_max), *(_number(f, 4) for f in e.frequencies_hz),
+            name, *(number(w, 4) for w in e.w), number(e.epsilon_max), *(number(f, 4) for f in e.frequencies_hz),
         ]
         for name, e, _ in listed
     ]  # fmt: skip
@@ -184,98 +177,6 @@ def _measured(report: Report) -> Table:
 
 def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
     return [f"{name}, {unit}" for name, unit in zip(names, units, strict=True)]
-
-
-def _constraints(report: Report) -> Constraints | None:
-    """Values of every constraint; of a kind with many rows those near their bounds apart."""
-    selection = report.selection
-    one = isinstance(selection, Selection)
-    shown = (selection.candidates if one else selection.places)[:COMPARED]
-    if not shown[0].constraints:
-        return None
-    kinds: dict[str, list[str]] = {}
-    for name in shown[0].constraints:
-        kinds.setdefault(re.split(" of | from |, ", name)[0], []).append(name)
-    near, far = list[str](), list[str]()
-    for names in kinds.values():
-        if len(names) > MANY:
-            names = sorted(names, key=lambda name: min(_room(each.constraints[name]) for each in shown))  # noqa: PLW2901
-            near, far = near + names[:NEAREST], far + names[NEAREST:]
-        else:
-            near += names
-    header = ["constraint", "allowed", *(f"{'candidate' if one else 'target'} {k}" for k in range(1, len(shown) + 1))]
-    several = [name for name, names in kinds.items() if len(names) > MANY]
-    told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds"
-
-    def table(names: list[str]) -> Table:
-        rows = list[list[str]]()
-        for name in names:
-            values = [each.constraints[name] for each in shown]
-            rows.append([name, _allowed(values[0]), *(_number(value.value, 4) for value in values)])
-        return (header, rows) if rows else None
-
-    return Constraints(table(near), table(far), told)
-
-
-def _room(value: ConstraintValue) -> float:
-    """How far it is from its nearer bound."""
-    return min(value.value - value.lower, value.upper - value.value)
-
-
-def _allowed(value: ConstraintValue) -> str:
-    low, high, unit = value.lower, value.upper, value.unit
-    if math.isfinite(low) and math.isfinite(high):
-        return f"{_number(low)} to {_number(high)} {unit}" if low < high else f"{_number(low)} {unit}"
-    return f"at least {_number(low)} {unit}" if math.isfinite(low) else f"at most {_number(high)} {unit}"
-
-
-def _coordinates(report: Report) -> Table:
-    machine, plant = report.machine, build_plant(report.machine)
-    rows: list[list[str]] = []
-    limits = dict(zip(machine.joints, machine.limits, strict=True))
-    efforts = dict(zip(machine.joints, machine.efforts, strict=True))
-    for k, (name, unit) in enumerate(zip(plant.coordinates, plant.graph.coordinate_units, strict=True)):
-        low, high = limits.get(name, (math.nan, math.nan))
-        bounded = math.isfinite(low) or math.isfinite(high)
-        effort = _number(efforts.get(name))
-        rows.append(
-            [
-                name, unit, "passive" if k < plant.n_passive else "actuated",
-                f"{_number(low)} to {_number(high)}" if bounded else "",
-                "" if effort == "–" else f"{effort} {'N m' if unit == 'rad' else 'N'}",
-            ]
-        )  # fmt: skip
-    return ["coordinate", "unit", "kind", "limits", "effort"], rows
-
-
-def _parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
-    rows = [
-        [parameter.name, _number(parameter.value, 6), parameter.unit]
-        for parameter in report.machine.parameters
-        if parameter.unit in units and parameter.value != 0
-    ]
-    if what == "mass":
-        total = sum(p.value for p in report.machine.parameters if p.unit in units)
-        rows.append(["total", _number(total, 6), "kg"])
-    return ([what, "value", "unit"], rows) if rows else None
-
-
-def _modes(report: Report, name: str) -> Table:
-    stand = report.stands[name]
-    shares, names = report.mode_shares(stand), build_plant(report.machine).coordinates
-    rows: list[list[str]] = []
-    for i, w in enumerate(stand.w):
-        moving = [k for k in np.argsort(-shares[:, i]) if shares[k, i] >= NAMED]
-        share = w / stand.scale[i] if stand.scale[i] > 0 else 0.0
-        phase = "strictly" if stand.in_phase_strict[i] else "yes" if stand.in_phase[i] else "no"
-        rows.append(
-            [
-                str(i + 1), _number(stand.frequencies_hz[i]), _number(stand.damping_ratios[i], 3), _number(w),
-                _number(share, 4), phase, ", ".join(f"{names[k]} {100 * shares[k, i]:.0f} %" for k in moving),
-            ]
-        )  # fmt: skip
-    header = [f"mode, {name}", "frequency, Hz", "damping ratio", "w", "w/|a||b|", "in phase", "strain energy in"]
-    return header, rows
 
 
 def _loops_note(report: Report) -> str:
@@ -300,19 +201,19 @@ def _told(value: Any) -> str:
         return parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
     if hasattr(value, "model_dump"):
         return str(value.model_dump(exclude_defaults=True))
-    return _number(value, 6) if isinstance(value, float) else str(value)
+    return number(value, 6) if isinstance(value, float) else str(value)
 
 
 def _loops(report: Report) -> Table:
     rows: list[list[str]] = []
     for name, loop in report.loops.items():
         run, linear = loop.run, loop.linear
-        poles = "–" if linear is None else f"{_number(linear.growth_rate, 4)} at {_number(linear.frequency_hz, 4)} Hz"
-        turn = "–" if run.peak_base_rotation is None else _number(1e3 * run.peak_base_rotation, 4)
-        off = "–" if run.end_error is None else _number(1e3 * run.end_error, 4)
+        poles = "–" if linear is None else f"{number(linear.growth_rate, 4)} at {number(linear.frequency_hz, 4)} Hz"
+        turn = "–" if run.peak_base_rotation is None else number(1e3 * run.peak_base_rotation, 4)
+        off = "–" if run.end_error is None else number(1e3 * run.end_error, 4)
         rows.append(
             [
-                name, run.verdict, _number(run.growth_rate, 4), poles, _number(run.settling_time, 4), turn, off,
+                name, run.verdict, number(run.growth_rate, 4), poles, number(run.settling_time, 4), turn, off,
                 f"{run.time[-1]:g}",
             ]
         )  # fmt: skip
@@ -328,7 +229,7 @@ def _borders(report: Report) -> Table:
             row.held,
             row.integrator,
             row.text,
-            "" if row.frequency_hz is None else _number(row.frequency_hz, 4),
+            "" if row.frequency_hz is None else number(row.frequency_hz, 4),
         ]
         for row in report.borders
     ]

@@ -127,11 +127,11 @@ def report(
         borders += rows or []
     stages.next()
     ground = ranges or getattr(problem, "uncertainty", None) or None
-    judged, why_not = _judged(selection, known, ground)
+    judged, why_not = _judged(selection, cast("Loop | None", known), ground)
     stages.next()
     described = isinstance(problem, Problem)
     return Report(
-        name=problem.name if described else f"{machine.name}: {selection.objective}",
+        name=problem.name if described else f"{machine.name}: {solved.name}",
         description=problem.description if described else "",
         source=problem.source if described else "",
         machine=machine,

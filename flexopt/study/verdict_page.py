@@ -10,7 +10,7 @@ import os
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from flexopt.foundation.rendering import render
-from flexopt.study.page import Picture, Table, picture
+from flexopt.study.page import Picture, Table, begun, number, picture
 from flexopt.study.verdict_result import MOVE, STAY, PlaceVerdict, Verdict, told
 
 if TYPE_CHECKING:
@@ -57,16 +57,18 @@ def bands_of(verdict: Verdict) -> list[Bands]:
     """What the picture shows."""
     from flexopt.plotting.bands import Bands, Row  # noqa: PLC0415  (matplotlib is slow to import)
 
-    found = list[Bands]()
+    found, kp = list[Bands](), verdict.settings.kp
+    borders = {"decay": (0.0, "grows")}
+    if kp.any():
+        borders["allowed_gain"] = (float(kp[kp > 0][0]), "Kp now")
     for m in measures(verdict):
         rows = list[Row]()
         for place in verdict.places:
             band = getattr(place, m.attribute)
-            ends = (m.factor * value for value in (band.least, band.nominal, band.greatest))
-            rows.append(Row(place.name, *ends, _worst(place, m).text))
+            least, nominal, greatest = (m.factor * value for value in (band.least, band.nominal, band.greatest))
+            rows.append(Row(place.name, least, nominal, greatest, _worst(place, m).text))
         label = f"{m.label}, {m.unit}" if m.unit else m.label
-        border = 0.0 if m.attribute == "decay" else None
-        found.append(Bands(label, m.worst == "least", tuple(rows), STAY, verdict.place, border))
+        found.append(Bands(label, m.worst == "least", tuple(rows), STAY, verdict.place, borders.get(m.attribute)))
     return found
 
 
@@ -84,15 +86,16 @@ def judged(verdict: Verdict) -> dict[str, Any]:
     return {
         "verdict": verdict,
         "head": _head(verdict),
-        "reason": _begun(verdict.reason),
-        "measure": _begun(verdict.measure),
+        "reason": f"{begun(verdict.reason)}.",
+        "measure": verdict.measure and f"{begun(verdict.measure)}.",
+        "stand": _stand(verdict),
         "numbers": _numbers(verdict),
         "bands": _pictures(verdict),
         "places": _places(verdict),
         "where": _where(verdict),
         "loop": repr(verdict.settings).splitlines()[0],
         "sources": (("number", "where it is from"), list(verdict.settings.sources.items())),
-        "over": _begun(verdict.over),
+        "over": f"{begun(verdict.over)}.",
     }
 
 
@@ -116,8 +119,23 @@ def _head(verdict: Verdict) -> str:
     return word
 
 
-def _begun(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}." if text else ""
+def _stand(verdict: Verdict) -> list[tuple[str, Shown, str]]:
+    """How the machine stands and is held where the verdict sends it: names, numbers, units."""
+    place = next((place for place in verdict.places if place.name == verdict.place != STAY), None)
+    if place is None:
+        return []
+    return [(name, Shown(number(x), x), unit) for (name, unit), x in zip(_names(verdict), _values(place), strict=True)]
+
+
+def _names(verdict: Verdict) -> list[tuple[str, str]]:
+    """Coordinates of the base and joints, with their units."""
+    stand = verdict.selection.best.evaluation
+    joints = zip(stand.joints, stand.joint_units, strict=True)
+    return [*zip(stand.base_coordinates, stand.base_units, strict=True), *joints]
+
+
+def _values(place: PlaceVerdict) -> list[float]:
+    return [*place.base.tolist(), *place.posture.tolist()]
 
 
 def _numbers(verdict: Verdict) -> list[tuple[str, list[Shown]]]:
@@ -141,7 +159,7 @@ def _title(m: Measure) -> str:
 def _worst(place: PlaceVerdict, m: Measure) -> Shown:
     value = getattr(getattr(place, m.attribute), m.worst)
     unit = f" {m.unit}" if m.unit else ""
-    return Shown(m.none if math.isnan(value) else told(value, m.factor, unit), value)
+    return Shown(m.none if math.isnan(value) else told(value, m.factor, unit).replace("-", "−"), value)
 
 
 def _pictures(verdict: Verdict) -> list[Picture]:
@@ -150,7 +168,7 @@ def _pictures(verdict: Verdict) -> list[Picture]:
     found = list[Picture]()
     for m, bands in zip(measures(verdict), bands_of(verdict), strict=True):
         worst = "; ".join(f"{row.name} {row.worst}" for row in bands.rows)
-        found.append(picture(plot_band(bands), f"{m.label[0].upper()}{m.label[1:]}. Worst: {worst}."))
+        found.append(picture(plot_band(bands), f"{begun(m.label)}. Worst: {worst}."))
     return found
 
 
@@ -171,10 +189,5 @@ def _places(verdict: Verdict) -> Table:
 
 def _where(verdict: Verdict) -> Table:
     """Placement and posture of each."""
-    stand = verdict.selection.best.evaluation
-    names = [
-        *zip(stand.base_coordinates, stand.base_units, strict=True),
-        *zip(stand.joints, stand.joint_units, strict=True),
-    ]
-    header = ["place", *(f"{name}, {unit}" for name, unit in names)]
-    return header, [[p.name, *(f"{x:.5g}".replace("-", "−") for x in (*p.base, *p.posture))] for p in verdict.places]
+    header = ["place", *(f"{name}, {unit}" for name, unit in _names(verdict))]
+    return header, [[place.name, *map(number, _values(place))] for place in verdict.places]
