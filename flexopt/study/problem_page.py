@@ -76,12 +76,13 @@ def _panels(report: Report) -> dict[str, Picture]:
 
 def _runs(report: Report) -> dict[str, Picture]:
     """The runs beside each other, and each of them."""
-    figures = {n: f for n, f in report.figures().items() if n == "loops" or n.startswith("run ")}
+    from flexopt.study.report_result import run_figures  # noqa: PLC0415  (it imports this module)
+
     return {
         "side by side" if name == "loops" else name.removeprefix("run "): picture(
             figure, CAPTIONS.get(name, f"Nonlinear {name}.")
         )
-        for name, figure in figures.items()
+        for name, figure in run_figures(report.loops).items()
     }
 
 
