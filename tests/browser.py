@@ -1,7 +1,7 @@
 """The system's Chromium, driven by Playwright, as tests and benchmarks use it; `apt-get install chromium`.
 
-A test that uses it says so by `needs("chromium")`; it is skipped where that is missing. CI accepts no skipped test. A
-room's conftest imports the fixture and the hook from here.
+A test that uses it says so by `needs("chromium")`; it is skipped where that is missing. CI accepts no skipped test.
+The one conftest of all tests imports the fixture and the hook from here: a process takes one of these browsers.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -35,6 +37,8 @@ def chromium() -> Iterator[Browser]:
 @contextmanager
 def browser_of() -> Iterator[Browser]:
     """The system's Chromium, without a window."""
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415  (most tests use no browser)
+
     with sync_playwright() as tool:
         # As root it runs only without its sandbox.
         browser = tool.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])

@@ -1,14 +1,10 @@
-"""A browser for the explorer's tests, and a folder for their pages."""
+"""A folder for the explorer's pages."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-
-from tests.browser import chromium, pytest_runtest_setup
-
-__all__ = ["chromium", "pytest_runtest_setup"]
 
 
 @pytest.fixture(scope="session")

@@ -141,7 +141,7 @@ def test_what_cannot_be_run_is_noted():
     assert len(result.notes) == 1
     assert result.notes[0].startswith("the closed loop, chosen:")
     words = text_of(report_html(result))
-    assert "Notes" in words
+    assert "Note:" in words
     assert result.notes[0].split(":")[0] in words
 
 
