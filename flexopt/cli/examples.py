@@ -37,7 +37,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "region": (
         "flexopt region excavator --posture 0.0448,-2.0499 --loop kp=1e4 --loop kv=1e3 --ranges stiffness=0.5,2",
     ),
-    "report": ("flexopt report article --out report", "flexopt report excavator --end-point 0,1.6 --base 0"),
+    "report": (
+        "flexopt report article --loop default --out report",
+        "flexopt report excavator --end-point 0,1.6 --base 0 --pdf report.pdf",
+    ),
     "reproduce": ("flexopt reproduce --out report",),
     "schema": ("flexopt schema machine --out machine.json", "flexopt schema problem --json"),
     "select": ("flexopt select excavator --end-point 0,1.6 --base 0", "flexopt select article --plot choice.png"),
@@ -47,7 +50,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "verdict": (
         "flexopt verdict article --loop kp=1e4 --loop kv=1e3",
-        "flexopt verdict article --loop default --ranges stiffness=0.5,2",
+        "flexopt verdict article --loop default --ranges stiffness=0.5,2 --html verdict.html",
     ),
     "verify": ("flexopt verify bundle", "flexopt verify bundle --target host --inputs 100"),
 }

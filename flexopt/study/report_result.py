@@ -196,10 +196,9 @@ class Report(Tabled):
             WriteError: the file cannot be written.
 
         Example:
-            >>> try:
+            >>> import contextlib
+            >>> with contextlib.suppress(flexopt.InputError):  # where no browser is found
             ...     report.to_pdf("report.pdf")
-            ... except flexopt.InputError as error:
-            ...     print(error)  # which browsers will do
         """
         from flexopt.study.problem_page import report_html  # noqa: PLC0415
 
