@@ -14,7 +14,7 @@ from flexopt.selection import Selection
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.page import Picture, Table, begun, number, picture
 from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some
-from flexopt.study.verdict_page import judged
+from flexopt.study.verdict_page import judged, target_of
 from flexopt.study.verdict_result import STAY
 
 if TYPE_CHECKING:
@@ -87,15 +87,14 @@ def _runs(report: Report) -> dict[str, Picture]:
 
 
 def _sentence(report: Report) -> str:
-    problem, rows = report.problem, report.machine.task_rows
+    problem = report.problem
     weight = ", under gravity" if problem.gravity else ""
     how = f"Jacobian {problem.control} control{weight}:"
     several = report.selection
     if not isinstance(several, Selection):
         what = f"{len(several.places)} targets of the end-point. Objective {problem.name}"
         return f"{what}, {how} {several.status}. {_gained(several)}"
-    target = ", ".join(f"{row} = {number(x)}" for row, x in zip(rows, problem.target, strict=True))
-    return f"Target of the end-point: {target} m. Objective {several.objective}, {how} {several.status}."
+    return f"Target of the end-point: {target_of(problem)}. Objective {several.objective}, {how} {several.status}."
 
 
 def _gained(several: Stand | BasePlan) -> str:

@@ -10,6 +10,8 @@ import os
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from flexopt.foundation.rendering import render
+from flexopt.loop.standard_move import LONGEST
+from flexopt.selection import SelectionProblem
 from flexopt.study.page import Picture, Table, begun, number, picture
 from flexopt.study.verdict_result import MOVE, STAY, PlaceVerdict, Verdict, told
 
@@ -46,7 +48,7 @@ def measures(verdict: Verdict) -> tuple[Measure, ...]:
     gain = "1/s" if verdict.settings.drive == "velocity" else ""
     return (
         Measure("decay", "decay", "1/s", 1.0, "least", ""),
-        Measure("settling", "settling time", "s", 1.0, "greatest", "none"),
+        Measure("settling", "settling time", "s", 1.0, "greatest", f"over {LONGEST:g} s"),
         Measure("allowed_gain", "allowed Kp", gain, 1.0, "least", "none"),
         Measure("delay_margin", "delay margin", "ms", 1e3, "least", "none"),
         Measure("swing", f"base swing, move of {MOVE:g} m", f"m{turns}", 1e3, "greatest", "grows"),
@@ -101,11 +103,17 @@ def judged(verdict: Verdict) -> dict[str, Any]:
 
 def verdict_html(verdict: Verdict) -> str:
     """The page of a verdict alone."""
-    name = verdict.selection.problem.machine.name
-    title = f"Does it pay to move? {name}"
+    problem = verdict.selection.problem
+    title = f"Verdict: {problem.machine.name}, end-point at {target_of(problem)}"
     return render(
         "study/templates/verdict.html", title=title, provenance=verdict.provenance, judged=judged(verdict), missing=""
     )
+
+
+def target_of(problem: SelectionProblem) -> str:
+    """Where the end-point is to be."""
+    rows = zip(problem.machine.task_rows, problem.target, strict=True)
+    return ", ".join(f"{row} = {number(x)}" for row, x in rows) + " m"
 
 
 def _head(verdict: Verdict) -> str:
