@@ -33,7 +33,8 @@ from flexopt.study.asked import one_target
 from flexopt.study.confirmation import Runs, nonlinear_runs
 from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, faster
 from flexopt.study.gain_search import best_gains
-from flexopt.study.verdict_result import MOVE, STAY, Band, PlaceVerdict, Verdict
+from flexopt.study.places import MOVE, STAY
+from flexopt.study.verdict_result import Band, PlaceVerdict, Verdict
 
 # Members that decays are computed of, nonlinear runs, and places besides the present one that are told.
 MEMBERS, RUNS, TOLD = 64, 16, 3

@@ -9,7 +9,7 @@ import base64
 import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,6 +18,8 @@ from flexopt.foundation.writing import make_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from flexopt.simulation import Trajectory
 
 # Names of columns and rows of text, as `pieces.html` draws them; None where there is nothing to show.
 Table = tuple[Sequence[str], Sequence[Sequence[str]]] | None
@@ -41,6 +43,14 @@ def picture(figure: Figure, caption: str) -> Picture:
     figure.savefig(buffer, format="png", dpi=110)  # pyright: ignore[reportUnknownMemberType]
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return Picture(data, caption, bool(figure.get_figwidth() > WIDE))
+
+
+def run_figures(runs: Mapping[str, Trajectory]) -> dict[str, Figure]:
+    """Pictures of closed loops by name: `loops` of several side by side, and each as `run …`."""
+    from flexopt.plotting import plot_trajectories  # noqa: PLC0415  (matplotlib is slow to import)
+
+    together = {"loops": plot_trajectories(runs)} if len(runs) > 1 else {}
+    return together | {f"run {name}": run.plot() for name, run in runs.items()}
 
 
 def begun(text: str) -> str:

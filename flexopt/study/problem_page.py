@@ -12,10 +12,10 @@ from flexopt.foundation.rendering import render
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection
 from flexopt.selection.several import BasePlan, Stand
-from flexopt.study.page import Picture, Table, begun, number, picture
+from flexopt.study.page import Picture, Table, begun, number, picture, run_figures
+from flexopt.study.places import STAY
 from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some
 from flexopt.study.verdict_page import judged, target_of
-from flexopt.study.verdict_result import STAY
 
 if TYPE_CHECKING:
     from flexopt.study.report_result import Report
@@ -76,13 +76,11 @@ def _panels(report: Report) -> dict[str, Picture]:
 
 def _runs(report: Report) -> dict[str, Picture]:
     """The runs beside each other, and each of them."""
-    from flexopt.study.report_result import run_figures  # noqa: PLC0415  (it imports this module)
-
     return {
         "side by side" if name == "loops" else name.removeprefix("run "): picture(
             figure, CAPTIONS.get(name, f"Nonlinear {name}.")
         )
-        for name, figure in run_figures(report.loops).items()
+        for name, figure in run_figures({name: loop.run for name, loop in report.loops.items()}).items()
     }
 
 

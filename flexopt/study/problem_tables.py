@@ -28,7 +28,7 @@ MANY, NEAREST = 5, 3
 NAMED = 0.15
 
 
-class Constraints(NamedTuple):
+class ConstraintTables(NamedTuple):
     """Constraints near their bounds; those farther away, and what these are called."""
 
     near: Table
@@ -43,7 +43,7 @@ def some(several: Stand | BasePlan, count: int) -> list[tuple[int, TargetConfigu
     return [(k, places[k]) for k in sorted({*drawn, several.worst})]
 
 
-def constraints(report: Report) -> Constraints | None:
+def constraints(report: Report) -> ConstraintTables | None:
     """Values of every constraint; of a kind with many rows those near their bounds apart."""
     selection = report.selection
     one = isinstance(selection, Selection)
@@ -72,7 +72,7 @@ def constraints(report: Report) -> Constraints | None:
             rows.append([name, _allowed(values[0]), *(number(value.value, 4) for value in values)])
         return (header, rows) if rows else None
 
-    return Constraints(table(near), table(far), told)
+    return ConstraintTables(table(near), table(far), told)
 
 
 def _room(value: ConstraintValue) -> float:

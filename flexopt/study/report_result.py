@@ -6,7 +6,6 @@ In: the parts, computed. Out: a `Report`, which writes an HTML file and its numb
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -125,10 +124,12 @@ class Report(Tabled):
             >>> sorted(report.figures())[:3]
             ['loops', 'map', 'run chosen']
         """
+        from flexopt.study.page import run_figures  # noqa: PLC0415
+
         found = {"selection": self.selection.plot()}
         if self.map is not None:
             found["map"] = self.map.plot(marks=self.marks)
-        return found | run_figures(self.loops)
+        return found | run_figures({name: loop.run for name, loop in self.loops.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary.
@@ -211,15 +212,6 @@ class Report(Tabled):
         lines += [f"  {row.stand}, {row.held}, {row.integrator}: Kp {row.text}" for row in self.borders]
         lines += [] if self.verdict is None else repr(self.verdict).splitlines()
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
-
-
-def run_figures(loops: Mapping[str, ReportLoop]) -> dict[str, Figure]:
-    """Pictures of the closed loops by name: `loops` of several side by side, and each as `run …`."""
-    from flexopt.plotting import plot_trajectories  # noqa: PLC0415  (matplotlib is slow to import)
-
-    runs = {name: loop.run for name, loop in loops.items()}
-    together = {"loops": plot_trajectories(runs)} if len(runs) > 1 else {}
-    return together | {f"run {name}": run.plot() for name, run in runs.items()}
 
 
 def machine_document(machine: AnyMachine) -> dict[str, Any]:

@@ -13,15 +13,16 @@ from flexopt.foundation.rendering import render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.page import Picture, Table, begun, number, picture
-from flexopt.study.verdict_result import MOVE, STAY, PlaceVerdict, Verdict, told
+from flexopt.study.places import MOVE, STAY, told
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from flexopt.plotting.bands import Bands
+    from flexopt.study.verdict_result import PlaceVerdict, Verdict
 
 
-class Measure(NamedTuple):
+class Compared(NamedTuple):
     """A measure with a band: the attribute, how it is called, its unit and how many of it are an SI unit.
 
     `worst`: the end of the band that is told;  `none`: what NaN means.
@@ -35,23 +36,23 @@ class Measure(NamedTuple):
     none: str
 
 
-class Shown(NamedTuple):
+class BoxNumber(NamedTuple):
     """A number in the box: its text, and the number itself."""
 
     text: str
     value: float
 
 
-def measures(verdict: Verdict) -> tuple[Measure, ...]:
+def measures(verdict: Verdict) -> tuple[Compared, ...]:
     """Those that every place is compared by."""
     turns = verdict.places[0].swing_unit
     gain = "1/s" if verdict.settings.drive == "velocity" else ""
     return (
-        Measure("decay", "decay", "1/s", 1.0, "least", ""),
-        Measure("settling", "settling time", "s", 1.0, "greatest", f"over {LONGEST:g} s"),
-        Measure("allowed_gain", "allowed Kp", gain, 1.0, "least", "none"),
-        Measure("delay_margin", "delay margin", "ms", 1e3, "least", "none"),
-        Measure("swing", f"base swing, move of {MOVE:g} m", f"m{turns}", 1e3, "greatest", "grows"),
+        Compared("decay", "decay", "1/s", 1.0, "least", ""),
+        Compared("settling", "settling time", "s", 1.0, "greatest", f"over {LONGEST:g} s"),
+        Compared("allowed_gain", "allowed Kp", gain, 1.0, "least", "none"),
+        Compared("delay_margin", "delay margin", "ms", 1e3, "least", "none"),
+        Compared("swing", f"base swing, move of {MOVE:g} m", f"m{turns}", 1e3, "greatest", "grows"),
     )  # fmt: skip
 
 
@@ -127,12 +128,14 @@ def _head(verdict: Verdict) -> str:
     return word
 
 
-def _stand(verdict: Verdict) -> list[tuple[str, Shown, str]]:
+def _stand(verdict: Verdict) -> list[tuple[str, BoxNumber, str]]:
     """How the machine stands and is held where the verdict sends it: names, numbers, units."""
     place = next((place for place in verdict.places if place.name == verdict.place != STAY), None)
     if place is None:
         return []
-    return [(name, Shown(number(x), x), unit) for (name, unit), x in zip(_names(verdict), _values(place), strict=True)]
+    return [
+        (name, BoxNumber(number(x), x), unit) for (name, unit), x in zip(_names(verdict), _values(place), strict=True)
+    ]
 
 
 def _names(verdict: Verdict) -> list[tuple[str, str]]:
@@ -146,7 +149,7 @@ def _values(place: PlaceVerdict) -> list[float]:
     return [*place.base.tolist(), *place.posture.tolist()]
 
 
-def _numbers(verdict: Verdict) -> list[tuple[str, list[Shown]]]:
+def _numbers(verdict: Verdict) -> list[tuple[str, list[BoxNumber]]]:
     """Names, and the worst values of the present place and of the one that is told of."""
     places = [place for place in verdict.places if place.name in (STAY, verdict.place)]
     if not places:
@@ -155,19 +158,19 @@ def _numbers(verdict: Verdict) -> list[tuple[str, list[Shown]]]:
     moved = [place for place in places if place.name != STAY]
     if moved:
         drive = moved[0].drive
-        found.insert(0, ("drive", [Shown(told(drive, 1.0, " m"), drive)]))
+        found.insert(0, ("drive", [BoxNumber(told(drive, 1.0, " m"), drive)]))
     return found
 
 
-def _title(m: Measure) -> str:
+def _title(m: Compared) -> str:
     words = {"decay": "slowest decay", "settling": "longest settling time"}
     return words.get(m.attribute, f"{m.worst if m.worst == 'least' else 'largest'} {m.label}")
 
 
-def _worst(place: PlaceVerdict, m: Measure) -> Shown:
+def _worst(place: PlaceVerdict, m: Compared) -> BoxNumber:
     value = getattr(getattr(place, m.attribute), m.worst)
     unit = f" {m.unit}" if m.unit else ""
-    return Shown(m.none if math.isnan(value) else told(value, m.factor, unit).replace("-", "−"), value)
+    return BoxNumber(m.none if math.isnan(value) else told(value, m.factor, unit).replace("-", "−"), value)
 
 
 def _pictures(verdict: Verdict) -> list[Picture]:

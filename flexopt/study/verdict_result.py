@@ -16,13 +16,10 @@ from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection import Selection
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word
+from flexopt.study.places import STAY, told
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-STAY = "stay"
-# Length of the standard move, m.
-MOVE = 0.1
 
 
 @dataclass(frozen=True)
@@ -234,10 +231,3 @@ def _row(place: PlaceVerdict) -> str:
         f"{told(place.delay_margin.least, 1e3, ' ms'):>13} {told(place.settling.greatest, 1, ' s'):>10} "
         f"{told(place.swing.greatest, 1e3, ' m' + place.swing_unit):>11}   {place.shown_runs}"
     )
-
-
-def told(value: float, factor: float, unit: str) -> str:
-    """A number as text: how many `unit`s it is, – of none, and no border where it is infinite."""
-    if math.isnan(value):
-        return "–"
-    return f"{factor * value:.4g}{unit}" if math.isfinite(value) else "no border"
