@@ -7,6 +7,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "": ("flexopt evaluate excavator --posture 0.9929,-2.6306", "flexopt verdict article --loop kp=1e4 --loop kv=1e3"),
     "atlas": ("flexopt atlas excavator --plot atlas.png", "flexopt atlas excavator --cells 64,64 --json"),
     "check": ("flexopt check excavator", "flexopt check article"),
+    "compare": (
+        "flexopt compare before.json after.json --plot beside.png",
+        "flexopt compare a.json b.json c.json --json",
+    ),
     "completion": ('eval "$(flexopt completion bash)"', "flexopt completion fish"),
     "doctor": ("flexopt doctor",),
     "evaluate": (

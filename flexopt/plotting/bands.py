@@ -45,17 +45,19 @@ class Bands:
     """One measure of every choice.
 
     Attributes:
-        label: quantity and unit;  more: whether more of it is better.
+        label: quantity and unit;  more: whether more of it is better; None: neither.
         rows: the choices;  present, told: names of the present one, and of the one that is told of.
+        heading: above the texts.
         border: below it the loop is not stable, and what is written there; None: there is no such value.
     """
 
     label: str
-    more: bool
+    more: bool | None
     rows: tuple[Row, ...]
     present: str
     told: str
     border: tuple[float, str] | None = None
+    heading: str = "worst"
 
 
 def plot_band(bands: Bands) -> Figure:
@@ -65,11 +67,15 @@ def plot_band(bands: Bands) -> Figure:
     return figure
 
 
-def plot_bands(bands: Sequence[Bands], path: str | os.PathLike[str] | None = None, *, title: str = "") -> Figure:
-    """All measures, one below the other; `title` above them."""
-    figure = Figure(figsize=(1.5 * WIDTH, 0.4 + sum(map(_height, bands))), layout="constrained")
-    for axes, each in zip(figure.subplots(len(bands), 1, squeeze=False)[:, 0], bands, strict=True):
-        _draw(axes, each)
+def plot_bands(
+    bands: Sequence[Bands], path: str | os.PathLike[str] | None = None, *, title: str = "", columns: int = 1
+) -> Figure:
+    """All measures, in one column or several; `title` above them."""
+    count = math.ceil(len(bands) / columns)
+    size = 1.5 * WIDTH * columns, 0.4 + count * max(map(_height, bands), default=1.0)
+    figure = Figure(figsize=size, layout="constrained")
+    for k, each in enumerate(bands):
+        _draw(figure.add_subplot(count, columns, k + 1), each)
     figure.suptitle(title, fontsize=10)
     write(figure, path)
     return figure
@@ -114,9 +120,13 @@ def _draw(axes: Axes, bands: Bands) -> None:
     axes.set_ylim(len(bands.rows) - 0.4, -0.6)
     for tick, row in zip(axes.get_yticklabels(), bands.rows, strict=True):
         tick.set_fontweight("bold" if row.name == bands.told else "normal")
-    axes.set_xlabel(f"{bands.label} ({'more' if bands.more else 'less'} is better)", fontsize=8.5)
-    axes.text(1.04, -0.75, "worst", transform=axes.get_yaxis_transform(), va="bottom", fontsize=7.5, color="#555555")
+    better = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)"
+    axes.set_xlabel(f"{bands.label}{better}", fontsize=8.5)
+    axes.text(
+        1.04, -0.75, bands.heading, transform=axes.get_yaxis_transform(), va="bottom", fontsize=7.5, color="#555555"
+    )
     axes.tick_params(labelsize=8)
+    axes.xaxis.get_offset_text().set(fontsize=7.5)
     if not finite:
         axes.set_xticks([])
     elif axes.get_xscale() == "linear":
