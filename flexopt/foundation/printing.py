@@ -65,22 +65,30 @@ def printed(html: str) -> bytes:
     browser = find_browser()
     # Below the home, because browsers in packages of their own may not read the system's folder for temporary files.
     home = Path.home() if "/snap/" in os.path.realpath(browser) else None
-    with tempfile.TemporaryDirectory(dir=home, ignore_cleanup_errors=True) as folder:
-        page, paper = Path(folder, "page.html"), Path(folder, "page.pdf")
-        page.write_text(html, encoding="utf-8")
-        # Without this switch it does not start for the superuser, as in containers; the page is our own.
-        alone = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-        command = [
-            browser, "--headless", *alone, "--disable-gpu", "--no-first-run", "--no-pdf-header-footer",
-            f"--user-data-dir={Path(folder, 'profile')}", f"--print-to-pdf={paper}", page.as_uri(),
-        ]  # fmt: skip
-        try:
-            # No console of its own opens on Windows, and what it says goes nowhere.
-            done = subprocess.run(command, capture_output=True, timeout=LONGEST, check=False)
-            said = done.stderr.decode(errors="replace").strip().splitlines()
-            why = f"exit code {done.returncode}{', ' + said[-1] if said else ''}"
-        except (OSError, subprocess.TimeoutExpired) as error:
-            why = str(error) if isinstance(error, OSError) else f"it took longer than {LONGEST:g} s"
-        if paper.is_file() and (data := paper.read_bytes()).startswith(b"%PDF"):
-            return data
+    try:
+        with tempfile.TemporaryDirectory(dir=home, ignore_cleanup_errors=True) as folder:
+            data, why = _print(browser, html, Path(folder))
+    except OSError as error:
+        data, why = b"", str(error)
+    if data.startswith(b"%PDF"):
+        return data
     raise FlexoptError(f"{browser!r} printed no PDF ({why}); print the HTML page from a browser instead")
+
+
+def _print(browser: str, html: str, folder: Path) -> tuple[bytes, str]:
+    """What the browser printed, nothing where it did not, and how it ended."""
+    page, paper = folder / "page.html", folder / "page.pdf"
+    page.write_text(html, encoding="utf-8")
+    # Without this switch it does not start for the superuser, as in containers; the page is our own.
+    alone = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
+    command = [
+        browser, "--headless", *alone, "--disable-gpu", "--no-first-run", "--no-pdf-header-footer",
+        f"--user-data-dir={folder / 'profile'}", f"--print-to-pdf={paper}", page.as_uri(),
+    ]  # fmt: skip
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=LONGEST, check=False)
+    except subprocess.TimeoutExpired:
+        return b"", f"it took longer than {LONGEST:g} s"
+    said = done.stderr.decode(errors="replace").strip().splitlines()
+    why = f"exit code {done.returncode}{', ' + said[-1] if said else ''}"
+    return paper.read_bytes() if paper.is_file() else b"", why
