@@ -53,6 +53,8 @@ def page_of(browser: Browser, path: Path, **context: Any) -> Iterator[Page]:
     """A page from a file; errors in it and requests of any host fail."""
     wrong = list[str]()
     place = browser.new_context(**{"viewport": {"width": 1280, "height": 1000}, "offline": True} | context)
+    # Machines that test may be busy; what hangs still ends.
+    place.set_default_timeout(120_000)
     page = place.new_page()
     page.on("pageerror", lambda error: wrong.append(str(error)))
     page.on("console", lambda line: wrong.append(line.text) if line.type == "error" else None)
