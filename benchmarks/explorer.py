@@ -22,7 +22,8 @@ import flexopt
 from benchmarks.timing import table
 from flexopt.explorer.exploring import Explorer
 from flexopt.model import AnyMachine
-from tests.explorer.browser import browser_of, drag, opened, state
+from tests.browser import browser_of
+from tests.explorer.browser import drag, opened, state
 from tests.explorer.numbers import ASK, by_python, deviations, random_cases
 
 MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator")

@@ -1,4 +1,4 @@
-"""One BLAS thread for each process of tests, and which files are left out where an oracle cannot be installed."""
+"""One BLAS thread for each process of tests, which files are left out where an oracle cannot be installed; a browser."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ import sys
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+
+from tests.browser import chromium, pytest_runtest_setup
+
+__all__ = ["chromium", "pytest_ignore_collect", "pytest_runtest_setup"]
 
 # Before NumPy comes in, here and in the processes of pytest-xdist, each of which would have as many threads as there
 # are processors, that wait for each other.

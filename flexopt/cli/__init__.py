@@ -35,6 +35,7 @@ _COMMANDS = {
     "verdict": "judging",
     "region": "judging",
     "report": "studies",
+    "compare": "comparing",
     "reproduce": "studies",
     "explain": "explaining",
     "export": "bundles",

@@ -104,6 +104,7 @@ ARGUMENTS: dict[str, Complete] = {
     "log": _path("file"),
     "machine": _of(_shipped("models"), files=True),
     "machine or problem": _of(_shipped("models", "problems"), files=True),
+    "results": _path("file"),
     "problem": _of(_shipped("problems", "models"), files=True),
     "shell": _of(lambda _: SHELLS),
 }

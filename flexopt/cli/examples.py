@@ -7,6 +7,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "": ("flexopt evaluate excavator --posture 0.9929,-2.6306", "flexopt verdict article --loop kp=1e4 --loop kv=1e3"),
     "atlas": ("flexopt atlas excavator --plot atlas.png", "flexopt atlas excavator --cells 64,64 --json"),
     "check": ("flexopt check excavator", "flexopt check article"),
+    "compare": (
+        "flexopt compare before.json after.json --plot beside.png",
+        "flexopt compare a.json b.json c.json --json",
+    ),
     "completion": ('eval "$(flexopt completion bash)"', "flexopt completion fish"),
     "doctor": ("flexopt doctor",),
     "evaluate": (
@@ -37,7 +41,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "region": (
         "flexopt region excavator --posture 0.0448,-2.0499 --loop kp=1e4 --loop kv=1e3 --ranges stiffness=0.5,2",
     ),
-    "report": ("flexopt report article --out report", "flexopt report excavator --end-point 0,1.6 --base 0"),
+    "report": (
+        "flexopt report article --loop default --out report",
+        "flexopt report excavator --end-point 0,1.6 --base 0 --pdf report.pdf",
+    ),
     "reproduce": ("flexopt reproduce --out report",),
     "schema": ("flexopt schema machine --out machine.json", "flexopt schema problem --json"),
     "select": ("flexopt select excavator --end-point 0,1.6 --base 0", "flexopt select article --plot choice.png"),
@@ -47,7 +54,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "verdict": (
         "flexopt verdict article --loop kp=1e4 --loop kv=1e3",
-        "flexopt verdict article --loop default --ranges stiffness=0.5,2",
+        "flexopt verdict article --loop default --ranges stiffness=0.5,2 --html verdict.html",
     ),
     "verify": ("flexopt verify bundle", "flexopt verify bundle --target host --inputs 100"),
 }

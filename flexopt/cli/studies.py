@@ -149,16 +149,22 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
 @RANGES
 @value("--points", "N", "Of the map along each axis (160; 48 with four passive coordinates and more).", whole)
 @value("--out", "DIR", "Folder of report.html and report.json (flexopt-report by default).")
+@value("--pdf", "FILE", "Print the page to a PDF, too; needs Chromium, Chrome or Edge.")
 @JSON
-def report_command(as_json: bool, problem: str, out: str | None, **options: Any) -> None:
-    """Everything about PROBLEM (a problem file, or a machine with --end-point): choice, map, closed loops, gains.
+def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None, **options: Any) -> None:
+    """Everything about PROBLEM (a problem file, or a machine with --end-point): verdict, choice, map, closed loops.
 
-    Writes one HTML report and one JSON file into a folder, which is made if it is missing.
+    Writes one HTML report and one JSON file into a folder, which is made if it is missing. Where a controller is known
+    (a [loop] in the file, or --loop) the page begins with whether it pays to move.
     """
-    from flexopt.study import report  # noqa: PLC0415  (only this command needs it)
+    from flexopt.foundation.printing import find_browser  # noqa: PLC0415  (only this command needs it)
+    from flexopt.study import report  # noqa: PLC0415
 
     folder = out or PROBLEM_FOLDER
     check_folder("--out", folder)
+    check_output("--pdf", pdf, (".pdf",))
+    if pdf is not None:
+        find_browser()
     experiment = None if options["experiment"] is None else read(load_experiment, options["experiment"])
     with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
         asked, own = asked_problem("report", problem, options)
@@ -168,10 +174,13 @@ def report_command(as_json: bool, problem: str, out: str | None, **options: Any)
             loop=real_loop(own, options["loop"]), ranges=table("--ranges", options["ranges"]),
         )  # fmt: skip
     write_output("--out", folder, lambda: result.write(folder))
+    if pdf is not None:
+        write_output("--pdf", pdf, lambda: result.to_pdf(pdf))
     if as_json:
         print_json(result.to_dict())
     else:
-        say(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
+        written = [str(Path(folder) / "report.html"), str(Path(folder) / "report.json"), *([pdf] if pdf else [])]
+        say(f"{result!r}\n\nreport: {', '.join(written)}")
 
 
 @click.command("doctor", short_help="What this installation can do.")

@@ -30,7 +30,7 @@ from flexopt.model.loop import Loop
 from flexopt.plant import build_plant
 from flexopt.robustness.measures import build_measures
 from flexopt.selection import SelectionProblem, select, solve_selection
-from flexopt.study.asked import reported
+from flexopt.study.asked import one_target
 
 # What a problem would say.
 NOTHING_ASKED: dict[str, Any] = {"target": None, "objective": None, "weights": None}
@@ -105,7 +105,7 @@ def _explored(arguments: Arguments, field: str, value: Any) -> Any:
         arguments.of = value
         return value
     if isinstance(value, Problem | SelectionProblem):
-        return reported(arguments, field, value)
+        return one_target(arguments, field, value)
     arguments.note(field, "must be a machine or a problem, from flexopt.load or flexopt.load_problem", value)
     return value
 

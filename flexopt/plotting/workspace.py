@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
@@ -59,26 +60,55 @@ def plot_workspace(
     plane, panels = dataset_plane(dataset), _panels(dataset)
     shown = json.loads(dataset.attrs.get("marks", "{}")) if marks is None else marks
     columns = max(len(row) for row in panels)
-    width, height = (np.ptp(values) for values in plane.scaled)
-    each = 3.0 * (min(2.0, max(0.6, height / width)) if plane.aspect == "equal" else 0.8)
+    each = _height(plane)
     figure = Figure(figsize=(1.0 + 3.9 * columns, 0.8 + (0.45 + each) * len(panels)), layout="constrained")
     for row, entries in enumerate(panels):
-        for column, (kind, title, label, values) in enumerate(entries):
+        for column, panel in enumerate(entries):
             axes = figure.add_subplot(len(panels), columns, row * columns + column + 1)
-            if kind == "regions":
-                draw_regions(axes, plane, values)
-            elif kind == "signed":
-                draw_signed(axes, plane, values, label=label)
-            else:
-                draw_field(axes, plane, values, label=label, clipped=kind == "clipped")
+            _draw(axes, plane, panel)
             draw_marks(axes, _placed(plane, shown))
-            label_plane(axes, plane, title, left=column == 0, bottom=row == len(panels) - 1)
+            label_plane(axes, plane, panel[1], left=column == 0, bottom=row == len(panels) - 1)
     if shown:
         figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=8.5)
     gain = f", kr = {float(dataset.attrs['gain']):.3g}" if "gain" in dataset.attrs else ""
     figure.suptitle(f"{mathtext(dataset.attrs['title'], TITLE_MAX)}{gain}", fontsize=11)
     write(figure, path, dpi=150)
     return figure
+
+
+def plot_quantities(dataset: Any, *, marks: Mapping[str, tuple[float, float]]) -> dict[str, Figure]:
+    """Each panel of a map as a picture of its own, by its title without mathematics."""
+    plane, found = dataset_plane(dataset), dict[str, Figure]()
+    for panel in sum(_panels(dataset), list[Panel]()):
+        figure = Figure(figsize=(5.2, 1.3 + 1.3 * _height(plane)), layout="constrained")
+        axes = figure.add_subplot()
+        _draw(axes, plane, panel)
+        draw_marks(axes, _placed(plane, marks))
+        label_plane(axes, plane, panel[1])
+        if marks:
+            figure.legend(*axes.get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=8.5)
+        found[_plain(panel[1])] = figure
+    return found
+
+
+def _plain(title: str) -> str:
+    return title.replace("$\\lambda_{min}(R_0 + R_0^T)$", "λmin(R0 + R0ᵀ)").replace("$", "").replace("w_", "w")
+
+
+def _height(plane: FieldPlane) -> float:
+    """Of a panel, inches, beside a width of 3."""
+    width, height = (np.ptp(values) for values in plane.scaled)
+    return 3.0 * (min(2.0, max(0.6, height / width)) if plane.aspect == "equal" else 0.8)
+
+
+def _draw(axes: Axes, plane: FieldPlane, panel: Panel) -> None:
+    kind, _, label, values = panel
+    if kind == "regions":
+        draw_regions(axes, plane, values)
+    elif kind == "signed":
+        draw_signed(axes, plane, values, label=label)
+    else:
+        draw_field(axes, plane, values, label=label, clipped=kind == "clipped")
 
 
 def _placed(plane: FieldPlane, marks: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Problems of one target as reports and verdicts take them, checked."""
+"""Problems as reports and verdicts take them, checked."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from flexopt.model import Problem
 from flexopt.selection import SelectionProblem
 
 
-def reported(arguments: Arguments, field: str, value: Any) -> Any:
-    """A problem of one target."""
+def any_problem(arguments: Arguments, field: str, value: Any) -> Any:
+    """A problem of one target or several."""
     if isinstance(value, SelectionProblem):
         arguments.of = value.machine
         return value
@@ -20,7 +20,13 @@ def reported(arguments: Arguments, field: str, value: Any) -> Any:
         arguments.note(field, "must be a problem, from flexopt.load_problem or flexopt.build_selection", value)
         return value
     TABLE["problem"](arguments, field, value)
-    if value.target.kind != "end_point":
+    return value
+
+
+def one_target(arguments: Arguments, field: str, value: Any) -> Any:
+    """A problem of one target."""
+    value = any_problem(arguments, field, value)
+    if isinstance(value, Problem) and value.target.kind != "end_point":
         sentence = f"must have one target, target.end_point, not target.{value.target.kind}"
         arguments.faults.append(Fault(field, sentence, value.name))
     return value

@@ -29,11 +29,12 @@ from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.study.asked import reported
+from flexopt.study.asked import one_target
 from flexopt.study.confirmation import Runs, nonlinear_runs
 from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, faster
 from flexopt.study.gain_search import best_gains
-from flexopt.study.verdict_result import STAY, Band, PlaceVerdict, Verdict
+from flexopt.study.places import MOVE, STAY
+from flexopt.study.verdict_result import Band, PlaceVerdict, Verdict
 
 # Members that decays are computed of, nonlinear runs, and places besides the present one that are told.
 MEMBERS, RUNS, TOLD = 64, 16, 3
@@ -41,8 +42,8 @@ MEMBERS, RUNS, TOLD = 64, 16, 3
 LOOKED = 12
 # Members at whose corners gains, margins and moves are looked at: up to 2³ of them.
 CORNERED = 3
-# Length of the standard move, m, and of a nonlinear run, s.
-MOVE, DURATION = 0.1, 20.0
+# Length of a nonlinear run, s.
+DURATION = 20.0
 
 
 def _judged(arguments: Arguments, field: str, value: Any) -> Any:
@@ -52,7 +53,7 @@ def _judged(arguments: Arguments, field: str, value: Any) -> Any:
     elif isinstance(value, Selection):
         arguments.of = value.problem.machine
     else:
-        return reported(arguments, field, value)
+        return one_target(arguments, field, value)
     return value
 
 

@@ -5,175 +5,189 @@ In: a report. Out: HTML.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, cast
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.foundation.rendering import render
-from flexopt.plant import build_plant
-from flexopt.study.page import Table, picture
+from flexopt.robustness import Evaluation
+from flexopt.selection import Selection
+from flexopt.selection.several import BasePlan, Stand
+from flexopt.study.page import Picture, Table, begun, number, picture, run_figures
+from flexopt.study.places import STAY
+from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some
+from flexopt.study.verdict_page import judged, target_of
 
 if TYPE_CHECKING:
-    from flexopt.study.problem_report import Report
+    from flexopt.study.report_result import Report
 
 CAPTIONS = {
     "selection": "The machine in the chosen and the present configuration, and its measures; 0 is best.",
-    "map": "Around the chosen configuration: frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust "
-    "stability margin and the rigid part. Rings: present and chosen configuration; cross: the end-point.",
+    "several": "The machine at its targets, and its measures; 0 is best.",
     "loops": "Nonlinear closed loops with the same gains and the same displacement at the start.",
 }
-# Candidates in the table; all are in the JSON document.
-SHOWN = 12
-# A mode is named by coordinates that hold at least so much of its strain energy.
-NAMED = 0.15
+MAP_CAPTION = (
+    "Frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust stability margin and the rigid part. Star "
+    "and ring: chosen and present configuration; cross: the end-point."
+)
 
 
 def report_html(report: Report) -> str:
     """The page."""
-    candidates, note = _candidates(report)
+    placed, note = _placed(report)
+    several = not isinstance(report.selection, Selection)
     return render(
         "study/templates/report.html",
         title=f"Report: {report.name}",
         provenance=report.provenance,
         report=report,
-        pictures={n: picture(f, CAPTIONS.get(n, f"Nonlinear {n}.")) for n, f in report.figures().items()},
-        sentence=f"{_sentence(report)} {report.selection.status}.",
-        candidates=candidates,
-        candidates_note=note,
-        assumed=" ".join(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in report.selection.problem.assumed),
-        constraints=_constraints(report),
-        coordinates=_coordinates(report),
-        masses=_parameters(report, ("kg",), "mass"),
-        springs=_parameters(report, ("N/m", "N m/rad", "N"), "spring"),
-        modes_at_rest=[_modes(report, name) for name in report.stands],
-        options=_gains(report),
+        judged=report.verdict and judged(report.verdict),
+        pictures={"selection": picture(report.selection.plot(), CAPTIONS["several" if several else "selection"])},
+        sentence=_sentence(report),
+        placed=placed,
+        placed_note=note,
+        measured=_measured(report),
+        assumed=" ".join(f"{begun(str(each))}." for each in report.problem.assumed),
+        constraints=constraints(report),
+        panels=_panels(report),
+        frame="" if report.map is None else begun(str(report.map.dataset.attrs["frame"])),
+        map_caption=MAP_CAPTION,
+        around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
+        loops_note=_loops_note(report),
+        runs=_runs(report),
+        options=_options(report),
         borders=_borders(report),
-        verdict=_verdict(report),
+        modes_at_rest=[modes(report, name) for name in report.stands],
+        coordinates=coordinates(report),
+        masses=parameters(report, ("kg",), "mass"),
+        springs=parameters(report, ("N/m", "N m/rad", "N"), "spring"),
     )
 
 
-def _number(value: float | None, digits: int = 5) -> str:
-    if value is None or not math.isfinite(value):
-        return "–"
-    return f"{value:.{digits}g}".replace("-", "−")
+def _panels(report: Report) -> dict[str, Picture]:
+    """Each quantity of the map."""
+    from flexopt.plotting.workspace import plot_quantities  # noqa: PLC0415  (matplotlib is slow to import)
+
+    if report.map is None:
+        return {}
+    figures = plot_quantities(report.map.dataset, marks=report.marks)
+    return {name: picture(figure, f"{begun(name)}.") for name, figure in figures.items()}
+
+
+def _runs(report: Report) -> dict[str, Picture]:
+    """The runs beside each other, and each of them."""
+    return {
+        "side by side" if name == "loops" else name.removeprefix("run "): picture(
+            figure, CAPTIONS.get(name, f"Nonlinear {name}.")
+        )
+        for name, figure in run_figures({name: loop.run for name, loop in report.loops.items()}).items()
+    }
 
 
 def _sentence(report: Report) -> str:
-    problem = report.selection.problem
-    target = ", ".join(f"{row} = {_number(x)}" for row, x in zip(report.machine.task_rows, problem.target, strict=True))
+    problem = report.problem
     weight = ", under gravity" if problem.gravity else ""
-    how = f"Objective {report.selection.objective}, Jacobian {problem.control} control{weight}:"
-    return f"Target of the end-point: {target} m. {how}"
+    how = f"Jacobian {problem.control} control{weight}:"
+    several = report.selection
+    if not isinstance(several, Selection):
+        what = f"{len(several.places)} targets of the end-point. Objective {problem.name}"
+        return f"{what}, {how} {several.status}. {_gained(several)}"
+    return f"Target of the end-point: {target_of(problem)}. Objective {several.objective}, {how} {several.status}."
 
 
-def _candidates(report: Report) -> tuple[Table, str]:
-    """The table, and a remark on it."""
+def _gained(several: Stand | BasePlan) -> str:
+    """What the base's way or its one placement is worth."""
+    if isinstance(several, Stand):
+        return f"Worth {number(several.worth)}; {len(several.alternatives)} other local optima."
+    still = "no single placement reaches them all"
+    if several.still is not None:
+        still = f"{number(several.standing)} where the base stands still"
+    return (
+        f"The smallest objective is {number(several.worth)} ({still}), and between the targets "
+        f"{number(several.between[0])}. The base travels {number(several.travelled[0], 4)} m and turns "
+        f"{number(several.travelled[1], 4)} rad."
+    )
+
+
+class _Listed(NamedTuple):
+    """A configuration in the tables: its name, its numbers, what is to be said of it."""
+
+    name: str
+    evaluation: Evaluation
+    remark: str
+
+
+def _listed(report: Report) -> list[_Listed]:
+    """The present configuration and the candidates, or the configuration at each target."""
     selection = report.selection
-    best = selection.best.evaluation
-    modes = range(1, best.w.size + 1)
-    header = [
-        "", *_with_units(best.base_coordinates, best.base_units), *_with_units(best.joints, best.joint_units),
-        *(f"w{i}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes), "rests on",
-    ]  # fmt: skip
-    listed = [(str(k), c.evaluation, ", ".join(c.active)) for k, c in enumerate(selection.candidates[:SHOWN], start=1)]
-    wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
-    if selection.initial is not None:
-        listed.insert(0, ("present", selection.initial, ""))
-    rows = [
-        [
-            name, *(_number(x) for x in (*e.base, *e.posture)), *(_number(w, 4) for w in e.w), _number(e.epsilon_max),
-            *(_number(f, 4) for f in e.frequencies_hz), active,
+    if not isinstance(selection, Selection):
+        return [
+            _Listed(
+                f"target {k + 1}",
+                place.evaluation,
+                f"V {number(place.objective, 4)}" + (", the worst" * (k == selection.worst)),
+            )
+            for k, place in some(selection, SHOWN)
         ]
-        for name, e, active in listed
+    present = [] if selection.initial is None else [_Listed("present", selection.initial, "")]
+    return present + [
+        _Listed(f"candidate {k}" + (" (chosen)" * (k == 1)), each.evaluation, ", ".join(each.active))
+        for k, each in enumerate(selection.candidates[:SHOWN], start=1)
+    ]
+
+
+def _placed(report: Report) -> tuple[Table, str]:
+    """Where each configuration stands and how it is held, and a remark."""
+    listed, selection = _listed(report), report.selection
+    first = listed[0].evaluation
+    names = [*_with_units(first.base_coordinates, first.base_units), *_with_units(first.joints, first.joint_units)]
+    said = any(each.remark for each in listed)
+    last = "rests on" if isinstance(selection, Selection) else "objective"
+    rows = [
+        [each.name, *(number(x) for x in (*each.evaluation.base, *each.evaluation.posture)), *[each.remark] * said]
+        for each in listed
+    ]
+    if not isinstance(selection, Selection):
+        more, wide = len(selection.places) - len(listed), list[str]()
+    else:
+        more = len(selection.candidates) - SHOWN
+        wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
+    notes = [f"And {more} more."] * (more > 0)
+    if wide:
+        notes.append(
+            f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
+        )
+    return (["", *names, *[last] * said], rows), " ".join(notes)
+
+
+def _measured(report: Report) -> Table:
+    """Measures and frequencies of each."""
+    listed = _listed(report)
+    modes = range(1, listed[0].evaluation.w.size + 1)
+    header = ["", *(f"w{i}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes)]
+    return header, [
+        [
+            name, *(number(w, 4) for w in e.w), number(e.epsilon_max), *(number(f, 4) for f in e.frequencies_hz),
+        ]
+        for name, e, _ in listed
     ]  # fmt: skip
-    more = len(selection.candidates) - SHOWN
-    alike = f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
-    notes = [f"And {more} more."] * (more > 0) + [alike] * bool(wide)
-    return (header, rows), " ".join(notes)
 
 
 def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
     return [f"{name}, {unit}" for name, unit in zip(names, units, strict=True)]
 
 
-def _constraints(report: Report) -> Table:
-    """Values of every constraint at the candidates."""
-    shown = report.selection.candidates[:SHOWN]
-    names = list(shown[0].constraints)
-    if not names:
-        return None
-    rows: list[list[str]] = []
-    for name in names:
-        values = [candidate.constraints[name] for candidate in shown]
-        rows.append(
-            [
-                name,
-                _allowed(values[0].lower, values[0].upper, values[0].unit),
-                *(_number(value.value) for value in values),
-            ]
-        )
-    return ["constraint", "allowed", *(f"{k}" for k in range(1, len(shown) + 1))], rows
+def _loops_note(report: Report) -> str:
+    """Which configurations these are."""
+    if not isinstance(report.selection, Selection):
+        return "At the target with the smallest V, the base standing where it is chosen to stand there."
+    best = f"Chosen: candidate 1, which has the best {report.selection.objective}"
+    if report.verdict is not None and report.verdict.place not in ("", STAY, "candidate 1"):
+        best += f"; the verdict looks at what the controller makes of each, and is about {report.verdict.place}"
+    return f"{best}."
 
 
-def _allowed(low: float, high: float, unit: str) -> str:
-    if math.isfinite(low) and math.isfinite(high):
-        return f"{_number(low)} to {_number(high)} {unit}" if low < high else f"{_number(low)} {unit}"
-    return f"at least {_number(low)} {unit}" if math.isfinite(low) else f"at most {_number(high)} {unit}"
-
-
-def _coordinates(report: Report) -> Table:
-    machine, plant = report.machine, build_plant(report.machine)
-    rows: list[list[str]] = []
-    limits = dict(zip(machine.joints, machine.limits, strict=True))
-    efforts = dict(zip(machine.joints, machine.efforts, strict=True))
-    for k, (name, unit) in enumerate(zip(plant.coordinates, plant.graph.coordinate_units, strict=True)):
-        low, high = limits.get(name, (math.nan, math.nan))
-        bounded = math.isfinite(low) or math.isfinite(high)
-        effort = _number(efforts.get(name))
-        rows.append(
-            [
-                name, unit, "passive" if k < plant.n_passive else "actuated",
-                f"{_number(low)} to {_number(high)}" if bounded else "",
-                "" if effort == "–" else f"{effort} {'N m' if unit == 'rad' else 'N'}",
-            ]
-        )  # fmt: skip
-    return ["coordinate", "unit", "kind", "limits", "effort"], rows
-
-
-def _parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
-    rows = [
-        [parameter.name, _number(parameter.value, 6), parameter.unit]
-        for parameter in report.machine.parameters
-        if parameter.unit in units and parameter.value != 0
-    ]
-    if what == "mass":
-        total = sum(p.value for p in report.machine.parameters if p.unit in units)
-        rows.append(["total", _number(total, 6), "kg"])
-    return ([what, "value", "unit"], rows) if rows else None
-
-
-def _modes(report: Report, name: str) -> Table:
-    stand = report.stands[name]
-    shares, names = report.mode_shares(stand), build_plant(report.machine).coordinates
-    rows: list[list[str]] = []
-    for i, w in enumerate(stand.w):
-        moving = [k for k in np.argsort(-shares[:, i]) if shares[k, i] >= NAMED]
-        share = w / stand.scale[i] if stand.scale[i] > 0 else 0.0
-        phase = "strictly" if stand.in_phase_strict[i] else "yes" if stand.in_phase[i] else "no"
-        rows.append(
-            [
-                str(i + 1), _number(stand.frequencies_hz[i]), _number(stand.damping_ratios[i], 3), _number(w),
-                _number(share, 4), phase, ", ".join(f"{names[k]} {100 * shares[k, i]:.0f} %" for k in moving),
-            ]
-        )  # fmt: skip
-    header = [f"mode, {name}", "frequency, Hz", "damping ratio", "w", "w/|a||b|", "in phase", "strain energy in"]
-    return header, rows
-
-
-def _gains(report: Report) -> str:
+def _options(report: Report) -> str:
     given = report.simulation
     told = ", ".join(f"{name} = {_told(value)}" for name, value in given.items())
     return f"Options of flexopt.simulate: {told}; all others are its defaults." if told else ""
@@ -185,40 +199,25 @@ def _told(value: Any) -> str:
         return parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
     if hasattr(value, "model_dump"):
         return str(value.model_dump(exclude_defaults=True))
-    return _number(value, 6) if isinstance(value, float) else str(value)
+    return number(value, 6) if isinstance(value, float) else str(value)
 
 
 def _loops(report: Report) -> Table:
     rows: list[list[str]] = []
     for name, loop in report.loops.items():
         run, linear = loop.run, loop.linear
-        poles = "–" if linear is None else f"{_number(linear.growth_rate, 4)} at {_number(linear.frequency_hz, 4)} Hz"
-        turn = "–" if run.peak_base_rotation is None else _number(1e3 * run.peak_base_rotation, 4)
-        off = "–" if run.end_error is None else _number(1e3 * run.end_error, 4)
+        poles = "–" if linear is None else f"{number(linear.growth_rate, 4)} at {number(linear.frequency_hz, 4)} Hz"
+        turn = "–" if run.peak_base_rotation is None else number(1e3 * run.peak_base_rotation, 4)
+        off = "–" if run.end_error is None else number(1e3 * run.end_error, 4)
         rows.append(
             [
-                name, run.verdict, _number(run.growth_rate, 4), poles, _number(run.settling_time, 4), turn, off,
+                name, run.verdict, number(run.growth_rate, 4), poles, number(run.settling_time, 4), turn, off,
                 f"{run.time[-1]:g}",
             ]
         )  # fmt: skip
     header = ["configuration", "verdict", "growth rate of the run, 1/s", "linear loop, 1/s", "settles in, s",
               "largest base rotation, mrad", "end-point at the end, mm off", "duration, s"]  # fmt: skip
     return (header, rows) if rows else None
-
-
-def _verdict(report: Report) -> Table:
-    """Every place's worst over what is uncertain."""
-    judged = report.verdict
-    if judged is None:
-        return None
-    header = ["place", "drive, m", "slowest decay, 1/s", "least allowed Kp", "least delay margin, ms",
-              "longest settling, s", "largest turn of the base, mrad", "runs that converge, %"]  # fmt: skip
-    scales = (1.0, 1.0, 1.0, 1e3, 1.0, 1e3, 100.0)
-    rows = [
-        [str(first), *(_number(scale * value, 4) for scale, value in zip(scales, values, strict=True))]
-        for first, *values in (list(row.values()) for row in judged.table)
-    ]
-    return header, rows
 
 
 def _borders(report: Report) -> Table:
@@ -228,7 +227,7 @@ def _borders(report: Report) -> Table:
             row.held,
             row.integrator,
             row.text,
-            "" if row.frequency_hz is None else _number(row.frequency_hz, 4),
+            "" if row.frequency_hz is None else number(row.frequency_hz, 4),
         ]
         for row in report.borders
     ]

@@ -1,230 +1,45 @@
 """Everything about one configuration problem: the machine, the choice, its surroundings, its closed loops.
 
-In: a problem, from a file or from `build_selection`. Out: a `Report`, which writes an HTML file and its numbers.
+In: a problem, from a file or from `build_selection`. Out: a `Report`.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import instance, public, table, whole
-from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.boundary import public, table, whole
+from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
-from flexopt.foundation.results import Tabled
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop
 from flexopt.model.simulation import Experiment, SimulationOptions
 from flexopt.model.simulation_faults import brought_twice
 from flexopt.model.uncertainty import Uncertainty
-from flexopt.plant import build_plant
-from flexopt.robustness import Evaluation, build_measures
-from flexopt.selection import Selection, SelectionProblem, select, solve_selection
-from flexopt.simulation import SampledLoop, Trajectory, simulate
+from flexopt.robustness import Evaluation
+from flexopt.selection import Selection, SelectionProblem, solve_problem, solve_selection
+from flexopt.selection.several import BasePlan, Stand
+from flexopt.simulation import Trajectory, simulate
 from flexopt.simulation.experiment import HELD
 from flexopt.simulation.scenario import checked_options
-from flexopt.study.asked import reported
+from flexopt.study.asked import any_problem
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
 from flexopt.study.move_verdict import verdict
 from flexopt.study.points import Progress
-from flexopt.study.surroundings import map_points, marks_in, stands_of, surroundings
+from flexopt.study.report_result import Report, ReportLoop
+from flexopt.study.surroundings import best_of, map_points, marks_in, problem_of, stands_of, surroundings
 from flexopt.study.verdict_result import Verdict
-from flexopt.study.workspace_map import WorkspaceMap
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 STAGES = 5
 POINTS_MAX = 1000  # of the map, along each axis
 # Options of `simulate` that say where the machine stands and are the selection's to say.
 PLACES = ("posture", "end_point", "elbow", "base", "control", "gravity", "base_path", "target_path")
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class ReportLoop(Tabled):
-    """The closed loop in one configuration: the nonlinear run, and the poles of the sampled linear loop."""
-
-    run: Trajectory
-
-    @property
-    def linear(self) -> SampledLoop | None:
-        """The linear loop, exact between the samples; None where there is none."""
-        return self.run.linear
-
-    def to_dict(self) -> dict[str, Any]:
-        """Numbers: growth rates in 1/s, frequency in Hz."""
-        linear = self.linear and {"growth_rate": self.linear.growth_rate, "frequency_hz": self.linear.frequency_hz}
-        return {"run": self.run.to_dict(), "linear": linear}
-
-
-@dataclass(frozen=True)
-class Report(Tabled):
-    """Everything that `flexopt report` shows.
-
-    Attributes:
-        name, description, source: of the problem.
-        machine: the machine.
-        selection: the chosen configuration, further candidates, the present one, and the problem.
-        map: around the chosen configuration: over the placement where that has two coordinates, else over end-points
-            (or over two joints, where the task has one row); None where there is none.
-        marks: present and chosen configuration as points of the map, name -> (x, y).
-        loops: name of a configuration (`"present"`, `"chosen"`) -> closed loop; the same gains in each.
-        simulation: options of these.
-        borders: gains Kp that each configuration allows.
-        verdict: whether it pays to move, where a real controller is known and a present placement; else None.
-        notes: what could not be computed, sentences.
-        provenance: machine, versions and options.
-
-    Example:
-        >>> report.selection.status
-        '8 distinct local optima verified from 8 starts'
-    """
-
-    name: str
-    description: str
-    source: str
-    machine: AnyMachine
-    selection: Selection = field(repr=False)
-    map: WorkspaceMap | None = field(repr=False)
-    marks: dict[str, tuple[float, float]]
-    loops: dict[str, ReportLoop] = field(repr=False)
-    simulation: dict[str, Any]
-    borders: tuple[BorderRow, ...]
-    verdict: Verdict | None
-    notes: tuple[str, ...]
-    provenance: dict[str, Any] = field(repr=False)
-
-    @property
-    def stands(self) -> dict[str, Evaluation]:
-        """Configurations by name, the present one first where it is known."""
-        return stands_of(self.selection)
-
-    @public(stand=instance(Evaluation, "an Evaluation, such as those of `stands`"))
-    def mode_shares(self, stand: Evaluation) -> Vector:
-        """Share of each passive coordinate in the strain energy of each mode, (n_passive, modes): columns add to 1.
-
-        φ_k (K φ)_k / φᵀ K φ; where springs are coupled a share may be negative.
-
-        Example:
-            >>> report.mode_shares(report.stands["chosen"]).sum(axis=0).round(6)
-            array([1., 1., 1.])
-        """
-        measures = build_measures(self.machine, stand.control, self.selection.problem.gravity)
-        plant = measures.plant
-        m, p = plant.n_passive, plant.parameter_values
-        modes = measures.values(base=stand.base, posture=stand.posture, p=p)["modes"].full()[:m]
-        energy = modes * (plant.stiffness(p).full()[:m, :m] @ modes)
-        shares: Vector = energy / energy.sum(axis=0)
-        return shares
-
-    def figures(self) -> dict[str, Figure]:
-        """Pictures by name: `selection`, `map`, `loops` (several runs side by side), and each run as `run …`.
-
-        Example:
-            >>> sorted(report.figures())[:3]
-            ['loops', 'map', 'run chosen']
-        """
-        from flexopt.plotting import plot_trajectories  # noqa: PLC0415  (matplotlib is slow to import)
-
-        found = {"selection": self.selection.plot()}
-        if self.map is not None:
-            found["map"] = self.map.plot(marks=self.marks)
-        runs = {name: loop.run for name, loop in self.loops.items()}
-        if len(runs) > 1:
-            found["loops"] = plot_trajectories(runs)
-        return found | {f"run {name}": run.plot() for name, run in runs.items()}
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary.
-
-        Keys: `name`, `description`, `source`, `machine` (its `parameters` with units among the rest), `selection` (as
-        of `flexopt.select`: `best`, `candidates`, `initial`, `problem`), `constraints` (as given), `mode_shares`
-        (configuration -> coordinates × modes), `map` (as of `flexopt.map_workspace`), `loops` (configuration -> `run`,
-        `linear`), `simulation`, `gains` (as of `flexopt reproduce`), `verdict` (as of `flexopt.verdict`), `notes`,
-        `provenance`.
-
-        Example:
-            >>> report.to_dict()["name"]
-            'article'
-        """
-        return cast(
-            dict[str, Any],
-            json_ready(
-                {
-                    "name": self.name,
-                    "description": self.description,
-                    "source": self.source,
-                    "machine": machine_document(self.machine),
-                    "selection": self.selection.to_dict(),
-                    "constraints": self.selection.problem.asked.model_dump(exclude_none=True),
-                    "mode_shares": {name: self.mode_shares(stand) for name, stand in self.stands.items()},
-                    "map": self.map and self.map.to_dict() | {"marks": self.marks},
-                    "loops": {name: loop.to_dict() for name, loop in self.loops.items()},
-                    "simulation": self.simulation,
-                    "gains": [row.to_dict() for row in self.borders],
-                    "verdict": self.verdict and self.verdict.to_dict(),
-                    "notes": self.notes,
-                    "provenance": self.provenance,
-                }
-            ),
-        )
-
-    @public()
-    def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:
-        """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.
-
-        Raises:
-            WriteError: a file cannot be written.
-
-        Example:
-            >>> [path.name for path in report.write("report")]
-            ['report.html', 'report.json']
-        """
-        from flexopt.study.page import write_files  # noqa: PLC0415  (imports what only reports need)
-        from flexopt.study.problem_page import report_html  # noqa: PLC0415
-
-        return write_files(Path(folder), report_html(self), self.to_dict())
-
-    def __repr__(self) -> str:
-        lines = [f"Report on {self.name!r}", repr(self.selection)]
-        for name, loop in self.loops.items():
-            lines += [f"{name}: {loop.run!r}"]
-        lines += [f"  {row.stand}, {row.held}, {row.integrator}: Kp {row.text}" for row in self.borders]
-        lines += [] if self.verdict is None else repr(self.verdict).splitlines()
-        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
-
-
-def machine_document(machine: AnyMachine) -> dict[str, Any]:
-    """What there is to say about a machine."""
-    plant = build_plant(machine)
-    return {
-        "name": machine.name,
-        "description": machine.description,
-        "source": machine.source,
-        "sha256": machine.content_hash,
-        "coordinates": plant.coordinates,
-        "coordinate_units": plant.graph.coordinate_units,
-        "n_passive": plant.n_passive,
-        "joints": machine.joints,
-        "limits": machine.limits,
-        "efforts": machine.efforts,
-        "speeds": machine.speeds,
-        "base_coordinates": machine.base_coordinates,
-        "task_rows": machine.task_rows,
-        "support": machine.support_points,
-        "capsules": [capsule.model_dump() for capsule in machine.capsules],
-        "parameters": [parameter._asdict() for parameter in machine.parameters],
-    }
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
@@ -241,7 +56,7 @@ def _other_experiment(arguments: Arguments, field: str, value: Any) -> Any:
 
 
 @public(
-    problem=reported,
+    problem=any_problem,
     experiment=_other_experiment,
     simulation=table,
     points=whole(2, POINTS_MAX),
@@ -259,7 +74,8 @@ def report(
 ) -> Report:
     """Solve a configuration problem and show the machine, the choice, a map, the closed loops and the gains.
 
-    What cannot be computed for a machine (a closed loop whose step is too long for RK4, say) is left out and noted.
+    What cannot be computed for a machine (a closed loop whose step is too long for RK4, say) is left out and noted. Of
+    several targets map, modes and closed loop are those at the target with the smallest V.
 
     Args:
         problem: from `flexopt.load_problem` or `flexopt.build_selection`.
@@ -275,7 +91,7 @@ def report(
         progress: called with the number of stages done and of all.
 
     Raises:
-        InputError, UnreachableTarget, NoSolutionFound: as `flexopt.select`; arguments are not usable.
+        InputError, UnreachableTarget, NoSolutionFound: as `flexopt.solve_problem`; arguments are not usable.
 
     Example:
         >>> problem = flexopt.load_problem("article")
@@ -287,8 +103,8 @@ def report(
     given = _simulation(machine, experiment, simulation)
     size = map_points(machine) if points is None else points
     stages = _Stages(progress)
-    selection = select(**problem.select_arguments()) if isinstance(problem, Problem) else solve_selection(problem)
-    solved, notes = selection.problem, list[str]()
+    selection = solve_problem(problem) if isinstance(problem, Problem) else solve_selection(problem)
+    solved, notes = problem_of(selection), list[str]()
     given |= {"control": solved.control, "gravity": solved.gravity}
     known = loop or (experiment and experiment.loop) or getattr(problem, "loop", None) or machine.loop
     # What is said of the controller otherwise goes before a loop that is known.
@@ -297,7 +113,7 @@ def report(
     drawn = _attempt(notes, "the map", lambda: surroundings(selection, size))
     stages.next()
     if real is None:
-        given = _with_gains(machine, selection.best.evaluation, given)
+        given = _with_gains(machine, best_of(selection), given)
     stands, loops = stands_of(selection), dict[str, ReportLoop]()
     for name, stand in stands.items():
         run = _attempt(notes, f"the closed loop, {name}", lambda s=stand: _run(machine, s, given, real))
@@ -310,14 +126,12 @@ def report(
         rows = _attempt(notes, f"the gains, {name}", lambda n=name: _borders(machine, n, stands[n], given))
         borders += rows or []
     stages.next()
-    judged = None
-    if known is not None and solved.present_base is not None:
-        ground = ranges or getattr(problem, "uncertainty", None) or None
-        judged = _attempt(notes, "the verdict", lambda: verdict(selection, loop=known, ranges=ground))
+    ground = ranges or getattr(problem, "uncertainty", None) or None
+    judged, why_not = _judged(selection, cast("Loop | None", known), ground)
     stages.next()
     described = isinstance(problem, Problem)
     return Report(
-        name=problem.name if described else f"{machine.name}: {selection.objective}",
+        name=problem.name if described else f"{machine.name}: {solved.name}",
         description=problem.description if described else "",
         source=problem.source if described else "",
         machine=machine,
@@ -328,9 +142,33 @@ def report(
         simulation=given,
         borders=tuple(borders),
         verdict=judged,
+        no_verdict=why_not,
         notes=tuple(notes),
         provenance=provenance(machine, points=size, simulation=given),
     )
+
+
+def _judged(selection: Selection | Stand | BasePlan, known: Loop | None, ground: Any) -> tuple[Verdict | None, str]:
+    """Whether it pays to move, or why that cannot be said and what to give."""
+    if not isinstance(selection, Selection):
+        return None, (
+            f"Whether it pays to move is judged at one target, and this problem has {len(selection.places)}: give "
+            "one of them as target.end_point, and as base where the machine stands now."
+        )
+    if selection.problem.present_base is None:
+        return None, (
+            "Whether it pays to move depends on where the machine stands now: give that as base, in the problem's "
+            "[selection] or by --base."
+        )
+    if known is None:
+        return None, (
+            "Whether it pays to move depends on the controller: give its numbers in a [loop] of the machine or the "
+            "problem, or by --loop (kp=1e4, say); --loop default lets all of them follow from the machine."
+        )
+    try:
+        return verdict(selection, loop=known, ranges=ground), ""
+    except FlexoptError as error:
+        return None, f"It could not be judged: {error}"
 
 
 class _Stages:

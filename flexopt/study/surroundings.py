@@ -1,6 +1,6 @@
 """The map around a chosen configuration, and where configurations are in it.
 
-In: a selection. Out: a `WorkspaceMap` and the marks to draw in it.
+In: what was selected, for one target or several. Out: a `WorkspaceMap` and the marks to draw in it.
 """
 
 from __future__ import annotations
@@ -12,18 +12,33 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
-from flexopt.selection import Selection
+from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.grid import closed_form
 from flexopt.study.workspace import map_workspace
 from flexopt.study.workspace_map import WorkspaceMap
 
-CHOSEN, PRESENT = "chosen", "present"
+CHOSEN, PRESENT, WORST = "chosen", "present", "worst target"
 # Of the map along each axis, and with more than three passive coordinates.
 POINTS, MANY_PASSIVE, FEW_POINTS = 160, 3, 48
 
 
-def stands_of(selection: Selection) -> dict[str, Evaluation]:
-    """The present configuration, where it is known, and the chosen one."""
+def problem_of(selection: Selection | Stand | BasePlan) -> SelectionProblem:
+    """The problem of one target; of several that of the one with the smallest V."""
+    return selection.problem if isinstance(selection, Selection) else selection.problems[selection.worst]
+
+
+def best_of(selection: Selection | Stand | BasePlan) -> Evaluation:
+    """The chosen configuration; of several targets that of the one with the smallest V."""
+    if isinstance(selection, Selection):
+        return selection.best.evaluation
+    return selection.places[selection.worst].evaluation
+
+
+def stands_of(selection: Selection | Stand | BasePlan) -> dict[str, Evaluation]:
+    """The present configuration, where it is known, and the chosen one; of several targets that of the worst."""
+    if not isinstance(selection, Selection):
+        return {WORST: best_of(selection)}
     present = {} if selection.initial is None else {PRESENT: selection.initial}
     return present | {CHOSEN: selection.best.evaluation}
 
@@ -33,9 +48,9 @@ def map_points(machine: AnyMachine) -> int:
     return FEW_POINTS if build_plant(machine).n_passive > MANY_PASSIVE else POINTS
 
 
-def surroundings(selection: Selection, points: int) -> WorkspaceMap | None:
+def surroundings(selection: Selection | Stand | BasePlan, points: int) -> WorkspaceMap | None:
     """The map that tells most: where to stand, else what the end-point can do."""
-    problem, best = selection.problem, selection.best.evaluation
+    problem, best = problem_of(selection), best_of(selection)
     machine, rows = problem.machine, problem.machine.task_rows
     given: dict[str, Any] = {"control": problem.control, "gain": problem.gain, "gravity": problem.gravity}
     given["points"] = (points, points)
@@ -67,12 +82,14 @@ def _arm(machine: AnyMachine, stand: Evaluation) -> tuple[Vector, Vector]:
     return elbow - shoulder, tip - elbow
 
 
-def marks_in(selection: Selection, drawn: WorkspaceMap) -> dict[str, tuple[float, float]]:
+def marks_in(selection: Selection | Stand | BasePlan, drawn: WorkspaceMap) -> dict[str, tuple[float, float]]:
     """Where the configurations are in the map's plane."""
     rows, columns = drawn.axes
-    machine = selection.problem.machine
+    problem = problem_of(selection)
+    machine = problem.machine
     marks: dict[str, tuple[float, float]] = {}
-    for name, stand in stands_of(selection).items():
+    for shown, stand in stands_of(selection).items():
+        name = CHOSEN if shown == WORST else shown
         at: dict[str, float] = {}
         if drawn.options["over"] == "base":
             at = {f"base_{n}": float(x) for n, x in zip(stand.base_coordinates, stand.base, strict=True)}
@@ -86,7 +103,7 @@ def marks_in(selection: Selection, drawn: WorkspaceMap) -> dict[str, tuple[float
         else:
             at = {n: float(x) for n, x in zip(machine.task_rows, stand.end_point, strict=True)}
         marks[name] = at[columns], at[rows]
-    target = dict(zip(machine.task_rows, selection.problem.target.tolist(), strict=True))
+    target = dict(zip(machine.task_rows, problem.target.tolist(), strict=True))
     if drawn.options["over"] == "base" and all(axis.removeprefix("base_") in target for axis in drawn.axes):
         marks["end-point"] = target[columns.removeprefix("base_")], target[rows.removeprefix("base_")]
     return marks

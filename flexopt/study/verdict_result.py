@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import path, public
 from flexopt.foundation.results import Result
+from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection import Selection
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word
+from flexopt.study.places import STAY, told
 
-STAY = "stay"
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,15 @@ class PlaceVerdict(Result):
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] better allowed_gain
     delay_margin[s] settling[s] swing swing_unit runs
     """
+
+    @property
+    def shown_runs(self) -> str:
+        """What the nonlinear runs show, in words; empty without any."""
+        runs = self.runs
+        if runs is None:
+            return ""
+        shares = (("converge", runs.converging), ("grow", runs.growing), ("undecided", runs.undecided))
+        return ", ".join(f"{100 * share:.0f} % {what}" for what, share in shares if share)
 
 
 @dataclass(frozen=True)
@@ -147,6 +161,40 @@ class Verdict(Result):
         """See the class."""
         return False
 
+    @public()
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw decay, settling, allowed gain, delay margin and base swing of every place, as bands.
+
+        Args:
+            path: file to write (`.png`, `.svg`, `.pdf`), or None.
+
+        Raises:
+            WriteError: the file cannot be written.
+
+        Example:
+            >>> figure = answer.plot("verdict.png")
+        """
+        from flexopt.study.verdict_page import draw_verdict  # noqa: PLC0415  (matplotlib is slow to import)
+
+        return draw_verdict(self, path)
+
+    @public(path=path(".html"))
+    def to_html(self, path: str | os.PathLike[str]) -> None:
+        """Write a page that needs no other file: a box with the word, the bands, the table, the rule.
+
+        Args:
+            path: file to write, `.html`.
+
+        Raises:
+            WriteError: the file cannot be written.
+
+        Example:
+            >>> answer.to_html("verdict.html")
+        """
+        from flexopt.study.verdict_page import verdict_html  # noqa: PLC0415
+
+        write_file(path, verdict_html(self))
+
     @property
     def _drifts(self) -> bool:
         machine = self.selection.problem.machine
@@ -178,24 +226,8 @@ def _interval(each: Uncertainty) -> str:
 def _row(place: PlaceVerdict) -> str:
     drive = "" if place.name == STAY else "–" if math.isnan(place.drive) else f"{place.drive:.2f} m"
     decay = f"{place.decay.nominal:+.4g}, {place.decay.least:+.4g}/s"
-    runs = place.runs
-    shown = (
-        ""
-        if runs is None
-        else ", ".join(
-            f"{100 * share:.0f} % {what}"
-            for what, share in (("converge", runs.converging), ("grow", runs.growing), ("undecided", runs.undecided))
-            if share
-        )
-    )
     return (
-        f"  {place.name:12} {drive:>8} {decay:>20} {_told(place.allowed_gain.least, 1, ''):>12} "
-        f"{_told(place.delay_margin.least, 1e3, ' ms'):>13} {_told(place.settling.greatest, 1, ' s'):>10} "
-        f"{_told(place.swing.greatest, 1e3, ' m' + place.swing_unit):>11}   {shown}"
+        f"  {place.name:12} {drive:>8} {decay:>20} {told(place.allowed_gain.least, 1, ''):>12} "
+        f"{told(place.delay_margin.least, 1e3, ' ms'):>13} {told(place.settling.greatest, 1, ' s'):>10} "
+        f"{told(place.swing.greatest, 1e3, ' m' + place.swing_unit):>11}   {place.shown_runs}"
     )
-
-
-def _told(value: float, factor: float, unit: str) -> str:
-    if math.isnan(value):
-        return "–"
-    return f"{factor * value:.4g}{unit}" if math.isfinite(value) else "no border"

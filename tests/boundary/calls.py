@@ -97,6 +97,11 @@ def report() -> flexopt.Report:
         return flexopt.report(problem(), points=3, simulation=LOOP)
 
 
+@cache
+def verdict() -> flexopt.Verdict:
+    return flexopt.verdict(excavator(), TARGET, base=0.0, loop={"kp": 1e4, "kv": 1e3}, starts=1, members=2, runs=0)
+
+
 def _machine(**given: Any) -> dict[str, Any]:
     return {"machine": excavator(), **given}
 
@@ -361,8 +366,8 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     },
 }
 
-# Their good calls take minutes; they run in the tests of their own rooms.
-LONG = ("verify_bundle",)
+# Their good calls take minutes, or a browser; they run in the tests of their own rooms.
+LONG = ("verify_bundle", "Report.to_pdf")
 
 CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
     "Actuator": lambda: {
@@ -504,6 +509,7 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "StateSpace": state_space,
     "Trajectory": trajectory,
     "Tree": tree,
+    "Verdict": verdict,
     "WorkspaceMap": workspace,
 }
 
@@ -558,6 +564,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     },
     "Problem.with_machine": _machine,
     "Report.mode_shares": lambda: {"stand": report().stands["chosen"]},
+    "Report.to_pdf": lambda: {"path": "report.pdf"},
     "Report.write": lambda: {"folder": "report"},
     "Certificate.write_log": lambda: {"path": "log.json"},
     "Selection.plot": lambda: {"path": "selection.png"},
@@ -579,6 +586,8 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "Tree.beyond_stroke": lambda: {"joint": tree().joints[0], "q": 0.0},
     "Tree.joint_frame": lambda: {"joint": tree().joints[0]},
     "Tree.travel": lambda: {"cylinder": tree().cylinders[0]},
+    "Verdict.plot": lambda: {"path": "verdict.png"},
+    "Verdict.to_html": lambda: {"path": "verdict.html"},
     "WorkspaceMap.array": lambda: {"name": "w"},
     "WorkspaceMap.fraction": lambda: {"mask": np.ones((4, 4), dtype=bool)},
     "WorkspaceMap.in_phase_fraction": lambda: {"modes": (1, 2), "strict": False},

@@ -1,19 +1,19 @@
-"""Chromium as the tests and the benchmark drive it."""
+"""The explorer's page in Chromium, as the tests and the benchmark drive it."""
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 import flexopt
 from flexopt.explorer.exploring import Explorer
 from flexopt.model import AnyMachine
+from tests.browser import page_of
 
 POSTURE = [1.0, -2.0]
 
@@ -26,33 +26,13 @@ def explored(name: str) -> tuple[AnyMachine, Explorer]:
 
 
 @contextmanager
-def browser_of() -> Iterator[Browser]:
-    """The system's Chromium, without a window."""
-    with sync_playwright() as tool:
-        # As root it runs only without its sandbox.
-        browser = tool.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        try:
-            yield browser
-        finally:
-            browser.close()
-
-
-@contextmanager
 def opened(browser: Browser, explorer: Explorer, folder: Path, **context: Any) -> Iterator[Page]:
     """The page of a machine, computed and drawn for the first time; errors and requests of any host fail."""
-    path, wrong = folder / f"{explorer.machine}.html", list[str]()
+    path = folder / f"{explorer.machine}.html"
     explorer.save(path)
-    options = {"viewport": {"width": 1280, "height": 1000}, "offline": True} | context
-    place = browser.new_context(**options)
-    page = place.new_page()
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("console", lambda line: wrong.append(line.text) if line.type == "error" else None)
-    page.on("request", lambda request: wrong.append(request.url) if not request.url.startswith("file:") else None)
-    page.goto(path.as_uri())
-    page.wait_for_function("window.explorer && explorer.log.first !== undefined")
-    yield page
-    place.close()
-    assert wrong == []
+    with page_of(browser, path, **context) as page:
+        page.wait_for_function("window.explorer && explorer.log.first !== undefined")
+        yield page
 
 
 def drag(page: Page, handle: str, dx: float, dy: float, steps: int = 8) -> None:

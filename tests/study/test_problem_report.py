@@ -12,6 +12,7 @@ from PIL import Image
 
 import flexopt
 from flexopt.model.tree import tree_from_dict
+from flexopt.plotting.workspace import plot_quantities
 from flexopt.study.problem_page import report_html
 from tests.cli.command import Command
 from tests.oracles.spatial import in_space
@@ -97,7 +98,12 @@ def test_files(article, tmp_path):
     markup = page.read_text(encoding="utf-8")
     assert "http" not in re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", markup).replace("https://", "")
     pictures = re.findall(r'src="data:image/png;base64,([A-Za-z0-9+/=]+)"', markup)
-    assert len(pictures) == len(article.figures()) == 5
+    # The map's panels come one by one, beside the choice and the runs.
+    drawn = list(article.figures())
+    assert drawn == ["selection", "map", "loops", "run present", "run chosen"]
+    quantities = plot_quantities(article.map.dataset, marks=article.marks)
+    assert len(pictures) == len(drawn) - 1 + len(quantities)
+    assert len(quantities) == sum(bool(axes.get_title()) for axes in article.map.plot().axes)
     for picture in pictures:
         assert np.asarray(Image.open(io.BytesIO(base64.b64decode(picture))).convert("L")).std() > 5
     words = text_of(markup)
@@ -135,7 +141,7 @@ def test_what_cannot_be_run_is_noted():
     assert len(result.notes) == 1
     assert result.notes[0].startswith("the closed loop, chosen:")
     words = text_of(report_html(result))
-    assert "Notes" in words
+    assert "Note:" in words
     assert result.notes[0].split(":")[0] in words
 
 

@@ -45,4 +45,8 @@ def _column(model: FmuModel, variable: Variable) -> Vector:
 
 def page(model: FmuModel, version: Version, tool: str) -> str:
     """`index.html`: what the FMU is, and its variables."""
-    return render("export/fmu/templates/index.html", model=model, scenario=model.scenario, version=version, tool=tool)
+    scenario = model.scenario
+    title = f"{scenario.machine.name}: closed loop"
+    return render(
+        "export/fmu/templates/index.html", title=title, model=model, scenario=scenario, version=version, tool=tool
+    )

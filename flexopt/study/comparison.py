@@ -1,0 +1,276 @@
+"""Saved results beside each other: evaluations, selections, verdicts, runs of the closed loop, reports.
+
+In: JSON documents, as `--json` prints and `--out` writes them. Out: a `Comparison`, as table, document and picture.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.plain import shown
+from flexopt.foundation.results import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from flexopt.plotting.bands import Bands
+
+
+class SavedQuantity(NamedTuple):
+    """A quantity of a saved document, by keys with dots.
+
+    `key`: where its value is;  `error`: where its error is;  `scale`: where that is whose rounding is 0;  `more`:
+    whether more of it is better, None where neither is. Of a list every entry is a quantity, numbered, or with names
+    and units from the lists at `names` and `units`.
+    """
+
+    key: str
+    label: str
+    unit: str = ""
+    error: str = ""
+    more: bool | None = None
+    names: str = ""
+    units: str = ""
+    scale: str = ""
+
+
+POSTURE = (
+    SavedQuantity("base", "base", names="base_coordinates", units="base_units"),
+    SavedQuantity("posture", "", names="joints", units="joint_units"),
+    SavedQuantity("w", "w", more=True, scale="scale"),
+    SavedQuantity("epsilon_max", "ε_max", error="epsilon_max_error", more=True),
+    SavedQuantity("frequencies_hz", "frequency", "Hz"),
+    SavedQuantity("condition", "condition of Jv", more=False),
+    SavedQuantity("outcome.decay", "decay of the loop", "1/s", more=True),
+    SavedQuantity("outcome.allowed_gain", "allowed Kp", more=True),
+    SavedQuantity("outcome.delay_margin", "delay margin", "s", more=True),
+    SavedQuantity("outcome.sensitivity_peak", "peak of the sensitivity", more=False),
+)
+RUN = (
+    SavedQuantity("verdict", "verdict"),
+    SavedQuantity("growth_rate", "growth rate of the run", "1/s", error="growth_rate_error", more=False),
+    SavedQuantity("linear_growth_rate", "growth rate of the linear loop", "1/s", more=False),
+    SavedQuantity("settling_time", "settling time", "s", more=False),
+    SavedQuantity("overshoot", "overshoot", more=False),
+    SavedQuantity("end_error", "end-point off at the end", "m", more=False),
+    SavedQuantity("peak_base_rotation", "largest rotation of the base", "rad", more=False),
+    SavedQuantity("duration", "duration", "s"),
+)
+
+
+def within(prefix: str, quantities: Sequence[SavedQuantity]) -> tuple[SavedQuantity, ...]:
+    """These quantities of a document inside another."""
+    keys = ("key", "error", "names", "units", "scale")
+    moved = [{key: f"{prefix}.{getattr(each, key)}" for key in keys if getattr(each, key)} for each in quantities]
+    return tuple(each._replace(**keys) for each, keys in zip(quantities, moved, strict=True))
+
+
+CHOICE = (
+    SavedQuantity("status", "status"),
+    SavedQuantity("best.objective", "objective", more=True, scale="problem.objective_scale"),
+    *within("best", POSTURE),
+)
+VERDICT = (SavedQuantity("word", "word"), SavedQuantity("place", "place"), SavedQuantity("reason", "reason"))
+# Kinds of documents: keys by which they are known, and their quantities.
+KINDS: dict[str, tuple[tuple[str, ...], tuple[SavedQuantity, ...]]] = {
+    "report": (("selection", "no_verdict"), (*within("verdict", VERDICT), *within("selection", CHOICE))),
+    "selection": (("best", "candidates"), CHOICE),
+    "verdict": (("word", "places"), VERDICT),
+    "run": (("growth_rate", "settling_time"), RUN),
+    "evaluation": (("w", "epsilon_max"), POSTURE),
+}
+# Below this share of its scale a number says nothing.
+ROUNDING = 1e-12
+# Letters of a word or sentence in the table.
+LETTERS = 40
+
+
+@dataclass(frozen=True)
+class ComparedRow(Result):
+    """One quantity in every result: values are numbers, words, or None where there is none or no border."""
+
+    label: str
+    unit: str
+    values: tuple[float | str | None, ...]
+    errors: tuple[float | None, ...]
+    more: bool | None
+
+    DOCUMENT = "label unit values errors"
+
+    def texts(self) -> list[str]:
+        """The values in a table."""
+        return [_text(v, e) for v, e in zip(self.values, self.errors, strict=True)]
+
+
+@dataclass(frozen=True)
+class Comparison(Result):
+    """Results of one kind beside each other.
+
+    Attributes:
+        kind: `"run"`, `"selection"`, …;  names: of the results.
+        rows: their quantities.
+        differences: what they were asked differently: (name, a text for each).
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    rows: tuple[ComparedRow, ...]
+    differences: tuple[tuple[str, tuple[str, ...]], ...]
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Every quantity that is a number, a dot for each result, with its error where one is known."""
+        from flexopt.plotting.bands import plot_bands  # noqa: PLC0415  (matplotlib is slow to import)
+
+        drawn = [each for each in map(self._bands, self.rows) if each is not None]
+        return plot_bands(drawn, path, title=f"{self.kind}s: {', '.join(self.names)}"[:80], columns=2)
+
+    def _bands(self, row: ComparedRow) -> Bands | None:
+        from flexopt.plotting import bands  # noqa: PLC0415
+
+        numbers = [math.nan if not isinstance(value, float) else value for value in row.values]
+        if all(map(math.isnan, numbers)):
+            return None
+        errors = [error or 0.0 for error in row.errors]
+        told = zip(self.names, numbers, errors, row.texts(), strict=True)
+        rows = tuple(bands.Row(name, value - error, value, value + error, text) for name, value, error, text in told)
+        return bands.Bands(_named(row), row.more, rows, self.names[0], "", heading="")
+
+    def __repr__(self) -> str:
+        lines = [("what it was asked", *self.names)] if self.differences else []
+        lines += [(name, *texts) for name, texts in self.differences]
+        lines += [(self.kind, *self.names), *((_named(row), *row.texts()) for row in self.rows)]
+        widths = [max(len(line[k]) for line in lines) for k in range(len(self.names) + 1)]
+        told = [
+            "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip() for line in lines
+        ]
+        if self.differences:
+            told.insert(len(self.differences) + 1, "")
+        if any(value is None for row in self.rows for value in row.values):
+            told.append("–: there is none, or it has no border")
+        return "\n".join(told)
+
+
+def compare_saved(paths: Sequence[str]) -> Comparison:
+    """Results from files beside each other.
+
+    Raises:
+        InputError: fewer than two files, files that hold no result, or results of different kinds.
+    """
+    if len(paths) < 2:
+        raise InputError("compare: needs two files or more, JSON documents of results")
+    faults, read = list[Fault](), list[tuple[str, dict[str, Any]]]()
+    for path in paths:
+        try:
+            document = json.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            faults.append(Fault(path, f"cannot be read ({error.strerror or error})"))
+        except (ValueError, RecursionError):
+            faults.append(Fault(path, "is no JSON document; --json prints one, and --out FILE.json writes one"))
+        else:
+            kind = _kind(document)
+            read.append((kind, document if kind else {}))
+            if not kind:
+                faults.append(Fault(path, f"holds no {', '.join(KINDS)} of flexopt"))
+    raise_if_any(InputError, "compare", faults)
+    kinds = [kind for kind, _ in read]
+    if len(set(kinds)) > 1:
+        told = ", ".join(f"{shown(path)}: {kind}" for path, kind in zip(paths, kinds, strict=True))
+        raise InputError(f"compare: needs results of one kind, not {told}")
+    stems = [Path(path).stem for path in paths]
+    names = stems if len(set(stems)) == len(stems) else list(paths)
+    if len(set(names)) < len(names):
+        names = [f"{k}: {name}" for k, name in enumerate(names, start=1)]
+    documents = [document for _, document in read]
+    rows = [row for quantity in KINDS[kinds[0]][1] for row in _rows(quantity, documents)]
+    return Comparison(kinds[0], tuple(names), tuple(rows), tuple(_differences(documents)))
+
+
+def _kind(document: Any) -> str:
+    """What a document is of; empty where it is none."""
+    keys = set(cast(Mapping[str, Any], document)) if isinstance(document, dict) else set[str]()
+    return next((kind for kind, (marks, _) in KINDS.items() if keys >= set(marks)), "")
+
+
+def _at(document: Any, path: str) -> Any:
+    """What stands at keys with dots; None where nothing does."""
+    found = document if path else None
+    for key in path.split("."):
+        found = cast(dict[str, Any], found).get(key) if isinstance(found, dict) else None
+    return found
+
+
+def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow]:
+    """A row, or of lists one for each entry; none where no document has it."""
+    values = [_at(document, quantity.key) for document in documents]
+    if all(value is None for value in values):
+        return []
+    if not any(isinstance(value, list) for value in values):
+        errors = tuple(_number(_at(document, quantity.error)) for document in documents)
+        own = tuple(_value(v, _at(d, quantity.scale)) for v, d in zip(values, documents, strict=True))
+        return [ComparedRow(quantity.label, quantity.unit, own, errors, quantity.more)]
+    found: dict[tuple[str, str], list[float | str | None]] = {}
+    for k, (document, value) in enumerate(zip(documents, values, strict=True)):
+        entries = cast(list[Any], value) if isinstance(value, list) else []
+        names, units, scales = (_listed(document, key) for key in (quantity.names, quantity.units, quantity.scale))
+        for i, entry in enumerate(entries):
+            own = str(names[i]) if i < len(names) else str(i + 1)
+            apart = " " if len(quantity.label) > 1 and quantity.label else ""
+            key = f"{quantity.label}{apart}{own}", str(units[i]) if i < len(units) else quantity.unit
+            found.setdefault(key, [None] * len(documents))[k] = _value(entry, scales[i] if i < len(scales) else None)
+    none = (None,) * len(documents)
+    return [ComparedRow(label, unit, tuple(row), none, quantity.more) for (label, unit), row in found.items()]
+
+
+def _listed(document: Any, path: str) -> list[Any]:
+    found = _at(document, path)
+    return cast(list[Any], found) if isinstance(found, list) else []
+
+
+def _value(value: Any, scale: Any = None) -> float | str | None:
+    number, size = _number(value), _number(scale)
+    if number is None:
+        return None if value is None else str(value)
+    return 0.0 if size is not None and abs(number) <= ROUNDING * size else number
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def _differences(documents: Sequence[Any]) -> list[tuple[str, tuple[str, ...]]]:
+    """Machine, versions and options that are not the same in all."""
+    flat = [dict(_leaves(document.get("provenance") or {}, "")) for document in documents]
+    found = list[tuple[str, tuple[str, ...]]]()
+    for key in dict.fromkeys(key for each in flat for key in each):
+        texts = tuple(each.get(key, "–") for each in flat)
+        if len(set(texts)) > 1:
+            found.append((key.removeprefix("options."), tuple(text[:LETTERS] for text in texts)))
+    return found
+
+
+def _leaves(value: Any, outer: str) -> list[tuple[str, str]]:
+    """Keys with dots and texts of what stands there."""
+    if isinstance(value, dict):
+        items = cast(dict[str, Any], value).items()
+        return [leaf for key, each in items for leaf in _leaves(each, f"{outer}.{key}" if outer else key)]
+    text: str = json.dumps(value, ensure_ascii=False)
+    return [(outer, text.strip('"'))]
+
+
+def _named(row: ComparedRow) -> str:
+    return f"{row.label}, {row.unit}" if row.unit else row.label
+
+
+def _text(value: float | str | None, error: float | None) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, str):
+        return value[:LETTERS]
+    return f"{value:.5g}" + (f" ± {error:.1g}" if error else "")

@@ -1,0 +1,16 @@
+"""What the places of a verdict have in common: a name, a move, how their numbers read."""
+
+from __future__ import annotations
+
+import math
+
+STAY = "stay"
+# Length of the standard move, m.
+MOVE = 0.1
+
+
+def told(value: float, factor: float, unit: str) -> str:
+    """A number as text: how many `unit`s it is, – of none, and no border where it is infinite."""
+    if math.isnan(value):
+        return "–"
+    return f"{factor * value:.4g}{unit}" if math.isfinite(value) else "no border"

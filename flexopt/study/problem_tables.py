@@ -1,0 +1,139 @@
+"""Tables of the page of a `Report`: constraints, coordinates, masses and springs, modes.
+
+In: a report. Out: names of columns and rows of text.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from flexopt.plant import build_plant
+from flexopt.selection import Selection
+from flexopt.selection.result import ConstraintValue
+from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
+from flexopt.study.page import Table, number
+
+if TYPE_CHECKING:
+    from flexopt.study.report_result import Report
+
+# Candidates or targets in a table of configurations, and in one of constraints; all are in the JSON document.
+SHOWN, COMPARED = 12, 6
+# Of a kind of constraints that has more rows than the first, those nearest to their bounds are shown.
+MANY, NEAREST = 5, 3
+# A mode is named by coordinates that hold at least so much of its strain energy.
+NAMED = 0.15
+
+
+class ConstraintTables(NamedTuple):
+    """Constraints near their bounds; those farther away, and what these are called."""
+
+    near: Table
+    far: Table
+    told: str
+
+
+def some(several: Stand | BasePlan, count: int) -> list[tuple[int, TargetConfiguration]]:
+    """Some targets from the first to the last, the worst among them, with their indices."""
+    places = several.places
+    drawn = np.linspace(0, len(places) - 1, min(count, len(places))).round().astype(int).tolist()
+    return [(k, places[k]) for k in sorted({*drawn, several.worst})]
+
+
+def constraints(report: Report) -> ConstraintTables | None:
+    """Values of every constraint; of a kind with many rows those near their bounds apart."""
+    selection = report.selection
+    one = isinstance(selection, Selection)
+    numbered = list(enumerate(selection.candidates[:COMPARED])) if one else some(selection, COMPARED)
+    shown = [each for _, each in numbered]
+    if not shown[0].constraints:
+        return None
+    kinds: dict[str, list[str]] = {}
+    for name in shown[0].constraints:
+        kinds.setdefault(re.split(" of | from |, ", name)[0], []).append(name)
+    near, far = list[str](), list[str]()
+    for names in kinds.values():
+        if len(names) > MANY:
+            names = sorted(names, key=lambda name: min(_room(each.constraints[name]) for each in shown))  # noqa: PLW2901
+            near, far = near + names[:NEAREST], far + names[NEAREST:]
+        else:
+            near += names
+    header = ["constraint", "allowed", *(f"{'candidate' if one else 'target'} {k + 1}" for k, _ in numbered)]
+    several = [name for name, names in kinds.items() if len(names) > MANY]
+    told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds"
+
+    def table(names: list[str]) -> Table:
+        rows = list[list[str]]()
+        for name in names:
+            values = [each.constraints[name] for each in shown]
+            rows.append([name, _allowed(values[0]), *(number(value.value, 4) for value in values)])
+        return (header, rows) if rows else None
+
+    return ConstraintTables(table(near), table(far), told)
+
+
+def _room(value: ConstraintValue) -> float:
+    """How far it is from its nearer bound."""
+    return min(value.value - value.lower, value.upper - value.value)
+
+
+def _allowed(value: ConstraintValue) -> str:
+    low, high, unit = value.lower, value.upper, value.unit
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{number(low)} to {number(high)} {unit}" if low < high else f"{number(low)} {unit}"
+    return f"at least {number(low)} {unit}" if math.isfinite(low) else f"at most {number(high)} {unit}"
+
+
+def coordinates(report: Report) -> Table:
+    """Every coordinate of the machine, passive and actuated."""
+    machine, plant = report.machine, build_plant(report.machine)
+    rows: list[list[str]] = []
+    limits = dict(zip(machine.joints, machine.limits, strict=True))
+    efforts = dict(zip(machine.joints, machine.efforts, strict=True))
+    for k, (name, unit) in enumerate(zip(plant.coordinates, plant.graph.coordinate_units, strict=True)):
+        low, high = limits.get(name, (math.nan, math.nan))
+        bounded = math.isfinite(low) or math.isfinite(high)
+        effort = number(efforts.get(name))
+        rows.append(
+            [
+                name, unit, "passive" if k < plant.n_passive else "actuated",
+                f"{number(low)} to {number(high)}" if bounded else "",
+                "" if effort == "–" else f"{effort} {'N m' if unit == 'rad' else 'N'}",
+            ]
+        )  # fmt: skip
+    return ["coordinate", "unit", "kind", "limits", "effort"], rows
+
+
+def parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
+    """Parameters of some units; of masses their total, too."""
+    rows = [
+        [parameter.name, number(parameter.value, 6), parameter.unit]
+        for parameter in report.machine.parameters
+        if parameter.unit in units and parameter.value != 0
+    ]
+    if what == "mass":
+        total = sum(p.value for p in report.machine.parameters if p.unit in units)
+        rows.append(["total", number(total, 6), "kg"])
+    return ([what, "value", "unit"], rows) if rows else None
+
+
+def modes(report: Report, name: str) -> Table:
+    """Modes of a configuration, and the coordinates that hold their strain energy."""
+    stand = report.stands[name]
+    shares, names = report.mode_shares(stand), build_plant(report.machine).coordinates
+    rows: list[list[str]] = []
+    for i, w in enumerate(stand.w):
+        moving = [k for k in np.argsort(-shares[:, i]) if shares[k, i] >= NAMED]
+        share = w / stand.scale[i] if stand.scale[i] > 0 else 0.0
+        phase = "strictly" if stand.in_phase_strict[i] else "yes" if stand.in_phase[i] else "no"
+        rows.append(
+            [
+                str(i + 1), number(stand.frequencies_hz[i]), number(stand.damping_ratios[i], 3), number(w),
+                number(share, 4), phase, ", ".join(f"{names[k]} {100 * shares[k, i]:.0f} %" for k in moving),
+            ]
+        )  # fmt: skip
+    header = [f"mode, {name}", "frequency, Hz", "damping ratio", "w", "w/|a||b|", "in phase", "strain energy in"]
+    return header, rows

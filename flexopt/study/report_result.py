@@ -1,0 +1,237 @@
+"""The result of `report`: everything about one configuration problem, as numbers, pictures and a page.
+
+In: the parts, computed. Out: a `Report`, which writes an HTML file and its numbers, and a PDF.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import instance, path, public
+from flexopt.foundation.documents import json_ready
+from flexopt.foundation.printing import printed
+from flexopt.foundation.results import Tabled
+from flexopt.foundation.writing import write_file
+from flexopt.model import AnyMachine
+from flexopt.plant import build_plant
+from flexopt.robustness import Evaluation, build_measures
+from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.several import BasePlan, Stand
+from flexopt.simulation import SampledLoop, Trajectory
+from flexopt.study.gains import BorderRow
+from flexopt.study.surroundings import problem_of, stands_of
+from flexopt.study.verdict_result import Verdict
+from flexopt.study.workspace_map import WorkspaceMap
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class ReportLoop(Tabled):
+    """The closed loop in one configuration: the nonlinear run, and the poles of the sampled linear loop."""
+
+    run: Trajectory
+
+    @property
+    def linear(self) -> SampledLoop | None:
+        """The linear loop, exact between the samples; None where there is none."""
+        return self.run.linear
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers: growth rates in 1/s, frequency in Hz."""
+        linear = self.linear and {"growth_rate": self.linear.growth_rate, "frequency_hz": self.linear.frequency_hz}
+        return {"run": self.run.to_dict(), "linear": linear}
+
+
+@dataclass(frozen=True)
+class Report(Tabled):
+    """Everything that `flexopt report` shows.
+
+    Attributes:
+        name, description, source: of the problem.
+        machine: the machine.
+        selection: the chosen configuration, further candidates, the present one, and the problem; of several targets
+            a `Stand` or a `BasePlan`, and maps, loops and modes are those at the target with the smallest V.
+        map: around the chosen configuration: over the placement where that has two coordinates, else over end-points
+            (or over two joints, where the task has one row); None where there is none.
+        marks: present and chosen configuration as points of the map, name -> (x, y).
+        loops: name of a configuration (`"present"`, `"chosen"`, `"worst target"`) -> closed loop; the same gains in
+            each.
+        simulation: options of these.
+        borders: gains Kp that each configuration allows.
+        verdict: whether it pays to move, where a real controller is known and a present placement; else None.
+        no_verdict: why there is none, and what to give; empty where there is one.
+        notes: what could not be computed, sentences.
+        provenance: machine, versions and options.
+
+    Example:
+        >>> report.selection.status
+        '8 distinct local optima verified from 8 starts'
+    """
+
+    name: str
+    description: str
+    source: str
+    machine: AnyMachine
+    selection: Selection | Stand | BasePlan = field(repr=False)
+    map: WorkspaceMap | None = field(repr=False)
+    marks: dict[str, tuple[float, float]]
+    loops: dict[str, ReportLoop] = field(repr=False)
+    simulation: dict[str, Any]
+    borders: tuple[BorderRow, ...]
+    verdict: Verdict | None
+    no_verdict: str
+    notes: tuple[str, ...]
+    provenance: dict[str, Any] = field(repr=False)
+
+    @property
+    def problem(self) -> SelectionProblem:
+        """The configuration problem; of several targets that of the one with the smallest V."""
+        return problem_of(self.selection)
+
+    @property
+    def stands(self) -> dict[str, Evaluation]:
+        """Configurations by name, the present one first where it is known."""
+        return stands_of(self.selection)
+
+    @public(stand=instance(Evaluation, "an Evaluation, such as those of `stands`"))
+    def mode_shares(self, stand: Evaluation) -> Vector:
+        """Share of each passive coordinate in the strain energy of each mode, (n_passive, modes): columns add to 1.
+
+        φ_k (K φ)_k / φᵀ K φ; where springs are coupled a share may be negative.
+
+        Example:
+            >>> report.mode_shares(report.stands["chosen"]).sum(axis=0).round(6)
+            array([1., 1., 1.])
+        """
+        measures = build_measures(self.machine, stand.control, self.problem.gravity)
+        plant = measures.plant
+        m, p = plant.n_passive, plant.parameter_values
+        modes = measures.values(base=stand.base, posture=stand.posture, p=p)["modes"].full()[:m]
+        energy = modes * (plant.stiffness(p).full()[:m, :m] @ modes)
+        shares: Vector = energy / energy.sum(axis=0)
+        return shares
+
+    def figures(self) -> dict[str, Figure]:
+        """Pictures by name: `selection`, `map`, `loops` (several runs side by side), and each run as `run …`.
+
+        Example:
+            >>> sorted(report.figures())[:3]
+            ['loops', 'map', 'run chosen']
+        """
+        from flexopt.study.page import run_figures  # noqa: PLC0415
+
+        found = {"selection": self.selection.plot()}
+        if self.map is not None:
+            found["map"] = self.map.plot(marks=self.marks)
+        return found | run_figures({name: loop.run for name, loop in self.loops.items()})
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary.
+
+        Keys: `name`, `description`, `source`, `machine` (its `parameters` with units among the rest), `selection` (as
+        of `flexopt.select`: `best`, `candidates`, `initial`, `problem`; or of `flexopt.select_stand`,
+        `flexopt.plan_base`), `constraints` (as given), `mode_shares`
+        (configuration -> coordinates × modes), `map` (as of `flexopt.map_workspace`), `loops` (configuration -> `run`,
+        `linear`), `simulation`, `gains` (as of `flexopt reproduce`), `verdict` (as of `flexopt.verdict`), `no_verdict`,
+        `notes`, `provenance`.
+
+        Example:
+            >>> report.to_dict()["name"]
+            'article'
+        """
+        return cast(
+            dict[str, Any],
+            json_ready(
+                {
+                    "name": self.name,
+                    "description": self.description,
+                    "source": self.source,
+                    "machine": machine_document(self.machine),
+                    "selection": self.selection.to_dict(),
+                    "constraints": self.problem.asked.model_dump(exclude_none=True),
+                    "mode_shares": {name: self.mode_shares(stand) for name, stand in self.stands.items()},
+                    "map": self.map and self.map.to_dict() | {"marks": self.marks},
+                    "loops": {name: loop.to_dict() for name, loop in self.loops.items()},
+                    "simulation": self.simulation,
+                    "gains": [row.to_dict() for row in self.borders],
+                    "verdict": self.verdict and self.verdict.to_dict(),
+                    "no_verdict": self.no_verdict,
+                    "notes": self.notes,
+                    "provenance": self.provenance,
+                }
+            ),
+        )
+
+    @public()
+    def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:
+        """Write `report.html` and `report.json` into a folder, made if missing; nothing else in it is touched.
+
+        Raises:
+            WriteError: a file cannot be written.
+
+        Example:
+            >>> [path.name for path in report.write("report")]
+            ['report.html', 'report.json']
+        """
+        from flexopt.study.page import write_files  # noqa: PLC0415  (imports what only reports need)
+        from flexopt.study.problem_page import report_html  # noqa: PLC0415
+
+        return write_files(Path(folder), report_html(self), self.to_dict())
+
+    @public(path=path(".pdf"))
+    def to_pdf(self, path: str | os.PathLike[str]) -> None:
+        """Write the page as it is on paper, all folds open, through a browser that is installed.
+
+        Args:
+            path: file to write, `.pdf`.
+
+        Raises:
+            InputError: there is no browser; the message says what to install.
+            FlexoptError: the browser printed nothing.
+            WriteError: the file cannot be written.
+
+        Example:
+            >>> import contextlib
+            >>> with contextlib.suppress(flexopt.InputError):  # where no browser is found
+            ...     report.to_pdf("report.pdf")
+        """
+        from flexopt.study.problem_page import report_html  # noqa: PLC0415
+
+        write_file(path, printed(report_html(self)))
+
+    def __repr__(self) -> str:
+        lines = [f"Report on {self.name!r}", repr(self.selection)]
+        for name, loop in self.loops.items():
+            lines += [f"{name}: {loop.run!r}"]
+        lines += [f"  {row.stand}, {row.held}, {row.integrator}: Kp {row.text}" for row in self.borders]
+        lines += [] if self.verdict is None else repr(self.verdict).splitlines()
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+
+def machine_document(machine: AnyMachine) -> dict[str, Any]:
+    """What there is to say about a machine."""
+    plant = build_plant(machine)
+    return {
+        "name": machine.name,
+        "description": machine.description,
+        "source": machine.source,
+        "sha256": machine.content_hash,
+        "coordinates": plant.coordinates,
+        "coordinate_units": plant.graph.coordinate_units,
+        "n_passive": plant.n_passive,
+        "joints": machine.joints,
+        "limits": machine.limits,
+        "efforts": machine.efforts,
+        "speeds": machine.speeds,
+        "base_coordinates": machine.base_coordinates,
+        "task_rows": machine.task_rows,
+        "support": machine.support_points,
+        "capsules": [capsule.model_dump() for capsule in machine.capsules],
+        "parameters": [parameter._asdict() for parameter in machine.parameters],
+    }

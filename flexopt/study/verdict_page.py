@@ -1,0 +1,204 @@
+"""A verdict as a page and as a picture: a box with the word, and the present place beside the others, as bands.
+
+In: a `Verdict`. Out: figures, rows of tables, HTML. Every number is the verdict's own.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from flexopt.foundation.rendering import render
+from flexopt.loop.standard_move import LONGEST
+from flexopt.selection import SelectionProblem
+from flexopt.study.page import Picture, Table, begun, number, picture
+from flexopt.study.places import MOVE, STAY, told
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from flexopt.plotting.bands import Bands
+    from flexopt.study.verdict_result import PlaceVerdict, Verdict
+
+
+class Compared(NamedTuple):
+    """A measure with a band: the attribute, how it is called, its unit and how many of it are an SI unit.
+
+    `worst`: the end of the band that is told;  `none`: what NaN means.
+    """
+
+    attribute: str
+    label: str
+    unit: str
+    factor: float
+    worst: str
+    none: str
+
+
+class BoxNumber(NamedTuple):
+    """A number in the box: its text, and the number itself."""
+
+    text: str
+    value: float
+
+
+def measures(verdict: Verdict) -> tuple[Compared, ...]:
+    """Those that every place is compared by."""
+    turns = verdict.places[0].swing_unit
+    gain = "1/s" if verdict.settings.drive == "velocity" else ""
+    return (
+        Compared("decay", "decay", "1/s", 1.0, "least", ""),
+        Compared("settling", "settling time", "s", 1.0, "greatest", f"over {LONGEST:g} s"),
+        Compared("allowed_gain", "allowed Kp", gain, 1.0, "least", "none"),
+        Compared("delay_margin", "delay margin", "ms", 1e3, "least", "none"),
+        Compared("swing", f"base swing, move of {MOVE:g} m", f"m{turns}", 1e3, "greatest", "grows"),
+    )  # fmt: skip
+
+
+def bands_of(verdict: Verdict) -> list[Bands]:
+    """What the picture shows."""
+    from flexopt.plotting.bands import Bands, Row  # noqa: PLC0415  (matplotlib is slow to import)
+
+    found, kp = list[Bands](), verdict.settings.kp
+    borders = {"decay": (0.0, "grows")}
+    if kp.any():
+        borders["allowed_gain"] = (float(kp[kp > 0][0]), "Kp now")
+    for m in measures(verdict):
+        rows = list[Row]()
+        for place in verdict.places:
+            band = getattr(place, m.attribute)
+            least, nominal, greatest = (m.factor * value for value in (band.least, band.nominal, band.greatest))
+            rows.append(Row(place.name, least, nominal, greatest, _worst(place, m).text))
+        label = f"{m.label}, {m.unit}" if m.unit else m.label
+        found.append(Bands(label, m.worst == "least", tuple(rows), STAY, verdict.place, borders.get(m.attribute)))
+    return found
+
+
+def draw_verdict(verdict: Verdict, path: str | os.PathLike[str] | None = None) -> Figure:
+    """All bands in one figure."""
+    from flexopt.plotting.bands import plot_bands  # noqa: PLC0415
+
+    machine = verdict.selection.problem.machine.name
+    where = f" {verdict.place}" if verdict.word == "move" else ""
+    return plot_bands(bands_of(verdict), path, title=f"{machine}: {verdict.word}{' to' if where else ''}{where}")
+
+
+def judged(verdict: Verdict) -> dict[str, Any]:
+    """What the template of a verdict takes."""
+    return {
+        "verdict": verdict,
+        "head": _head(verdict),
+        "reason": f"{begun(verdict.reason)}.",
+        "measure": verdict.measure and f"{begun(verdict.measure)}.",
+        "stand": _stand(verdict),
+        "numbers": _numbers(verdict),
+        "bands": _pictures(verdict),
+        "places": _places(verdict),
+        "where": _where(verdict),
+        "loop": repr(verdict.settings).splitlines()[0],
+        "sources": (("number", "where it is from"), list(verdict.settings.sources.items())),
+        "over": f"{begun(verdict.over)}.",
+    }
+
+
+def verdict_html(verdict: Verdict) -> str:
+    """The page of a verdict alone."""
+    problem = verdict.selection.problem
+    title = f"Verdict: {problem.machine.name}, end-point at {target_of(problem)}"
+    return render(
+        "study/templates/verdict.html", title=title, provenance=verdict.provenance, judged=judged(verdict), missing=""
+    )
+
+
+def target_of(problem: SelectionProblem) -> str:
+    """Where the end-point is to be."""
+    rows = zip(problem.machine.task_rows, problem.target, strict=True)
+    return ", ".join(f"{row} = {number(x)}" for row, x in rows) + " m"
+
+
+def _head(verdict: Verdict) -> str:
+    """The word, and what it speaks of."""
+    word = verdict.word.capitalize()
+    if verdict.word == "move":
+        return f"{word} to {verdict.place}"
+    if verdict.word == "change gains":
+        gains = ", ".join(f"{name} {values[0]:.4g}" for name, values in verdict.gains.items())
+        return f"{word} to {gains}, at {verdict.place}"
+    return word
+
+
+def _stand(verdict: Verdict) -> list[tuple[str, BoxNumber, str]]:
+    """How the machine stands and is held where the verdict sends it: names, numbers, units."""
+    place = next((place for place in verdict.places if place.name == verdict.place != STAY), None)
+    if place is None:
+        return []
+    return [
+        (name, BoxNumber(number(x), x), unit) for (name, unit), x in zip(_names(verdict), _values(place), strict=True)
+    ]
+
+
+def _names(verdict: Verdict) -> list[tuple[str, str]]:
+    """Coordinates of the base and joints, with their units."""
+    stand = verdict.selection.best.evaluation
+    joints = zip(stand.joints, stand.joint_units, strict=True)
+    return [*zip(stand.base_coordinates, stand.base_units, strict=True), *joints]
+
+
+def _values(place: PlaceVerdict) -> list[float]:
+    return [*place.base.tolist(), *place.posture.tolist()]
+
+
+def _numbers(verdict: Verdict) -> list[tuple[str, list[BoxNumber]]]:
+    """Names, and the worst values of the present place and of the one that is told of."""
+    places = [place for place in verdict.places if place.name in (STAY, verdict.place)]
+    if not places:
+        return []
+    found = [(_title(m), [_worst(place, m) for place in places]) for m in measures(verdict)]
+    moved = [place for place in places if place.name != STAY]
+    if moved:
+        drive = moved[0].drive
+        found.insert(0, ("drive", [BoxNumber(told(drive, 1.0, " m"), drive)]))
+    return found
+
+
+def _title(m: Compared) -> str:
+    words = {"decay": "slowest decay", "settling": "longest settling time"}
+    return words.get(m.attribute, f"{m.worst if m.worst == 'least' else 'largest'} {m.label}")
+
+
+def _worst(place: PlaceVerdict, m: Compared) -> BoxNumber:
+    value = getattr(getattr(place, m.attribute), m.worst)
+    unit = f" {m.unit}" if m.unit else ""
+    return BoxNumber(m.none if math.isnan(value) else told(value, m.factor, unit).replace("-", "−"), value)
+
+
+def _pictures(verdict: Verdict) -> list[Picture]:
+    from flexopt.plotting.bands import plot_band  # noqa: PLC0415
+
+    found = list[Picture]()
+    for m, bands in zip(measures(verdict), bands_of(verdict), strict=True):
+        worst = "; ".join(f"{row.name} {row.worst}" for row in bands.rows)
+        found.append(picture(plot_band(bands), f"{begun(m.label)}. Worst: {worst}."))
+    return found
+
+
+def _places(verdict: Verdict) -> Table:
+    """Every place's worst over what is uncertain."""
+    shown = measures(verdict)
+    header = ["place", "drive", *map(_title, shown), "stable on", "better on", "nonlinear runs"]
+    rows = [
+        [
+            place.name, "" if place.name == STAY else told(place.drive, 1.0, " m"),
+            *(_worst(place, m).text for m in shown), f"{100 * place.stable_share:.0f} %",
+            "" if place.name == STAY or math.isnan(place.better) else f"{100 * place.better:.0f} %", place.shown_runs,
+        ]
+        for place in verdict.places
+    ]  # fmt: skip
+    return header, rows
+
+
+def _where(verdict: Verdict) -> Table:
+    """Placement and posture of each."""
+    header = ["place", *(f"{name}, {unit}" for name, unit in _names(verdict))]
+    return header, [[place.name, *map(number, _values(place))] for place in verdict.places]

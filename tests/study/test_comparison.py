@@ -1,0 +1,122 @@
+"""Saved results beside each other: what the files hold, what was asked differently, what cannot be compared."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+import flexopt
+from tests.cli.command import Command
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+POSTURES = {"present": (0.9929, -2.6306), "chosen": (0.0448, -2.0499)}
+
+
+def save(folder: Path, name: str, result: Any) -> str:
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps(result.to_dict(), allow_nan=False), encoding="utf-8")
+    return str(path)
+
+
+@pytest.fixture
+def command(capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+    monkeypatch.chdir(tmp_path)
+    return Command(capsys, tmp_path)
+
+
+def rows_of(document: dict[str, Any]) -> dict[str, list[Any]]:
+    return {row["label"]: row["values"] for row in document["rows"]}
+
+
+def test_runs(command: Command, tmp_path: Path) -> None:
+    machine = flexopt.load("excavator")
+    runs = {n: flexopt.simulate(machine, p, kp=1e5, kv=2e3, duration=4.0) for n, p in POSTURES.items()}
+    files = [save(tmp_path, name, run) for name, run in runs.items()]
+    outcome = command("compare", *files, "--plot", "runs.png", "--out", "both.json", "--json")
+    assert outcome.code == 0, outcome.stderr
+    document = outcome.document
+    assert document == json.loads((tmp_path / "both.json").read_text())
+    assert document["kind"] == "run"
+    assert document["names"] == list(runs)
+    rows = rows_of(document)
+    assert rows["verdict"] == [run.verdict for run in runs.values()] == ["grows", "converges"]
+    assert rows["growth rate of the run"] == [run.growth_rate for run in runs.values()]
+    assert rows["largest rotation of the base"] == [run.peak_base_rotation for run in runs.values()]
+    assert [name for name, _ in document["differences"]] == ["posture"]
+    table = command("compare", *files)
+    assert table.code == 0
+    for run in runs.values():
+        assert f"{run.growth_rate:.5g} ± {run.growth_rate_error:.1g}" in table.stdout
+    with Image.open(tmp_path / "runs.png") as drawn:
+        assert drawn.size[0] > 1000
+
+
+def test_evaluations_of_other_machines(command: Command, tmp_path: Path) -> None:
+    one = flexopt.evaluate(flexopt.load("excavator"), POSTURES["chosen"], loop={"kp": 1e4, "kv": 1e3})
+    other = flexopt.evaluate(flexopt.load("boom-stick-bucket"), (-0.6, -1.2, -0.5))
+    files = [save(tmp_path, "one", one), save(tmp_path, "other", other)]
+    rows = rows_of(command("compare", *files, "--json").document)
+    # What one of them lacks is none there.
+    assert rows["bucket"] == [None, -0.5]
+    assert rows["decay of the loop"] == [one.outcome.decay, None]
+    assert rows["frequency 2"] == [one.frequencies_hz[1], other.frequencies_hz[1]]
+    assert "machine_sha256" in command("compare", *files).stdout
+
+
+def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
+    found = [flexopt.solve_problem(flexopt.load_problem(name)) for name in ("article", "article-transpose")]
+    files = [save(tmp_path, name, each) for name, each in zip(("inverse", "transpose"), found, strict=True)]
+    document = command("compare", *files, "--json").document
+    rows = rows_of(document)
+    assert rows["boom"] == [each.best.evaluation.posture[0] for each in found]
+    # 1e-28 is rounding, not a difference between two places that are both perfect.
+    assert rows["w1"] == [pytest.approx(0.0, abs=1e-30)] * 2
+    assert ["control", ["inverse", "transpose"]] in document["differences"]
+    verdicts = [flexopt.verdict(found[0], loop={"kp": kp, "kv": kp / 10}, members=2, runs=0) for kp in (1e4, 3e4)]
+    files = [save(tmp_path, name, each) for name, each in zip("ab", verdicts, strict=True)]
+    rows = rows_of(command("compare", *files, "--json").document)
+    assert rows["word"] == [each.word for each in verdicts]
+
+
+def test_faults(command: Command, tmp_path: Path) -> None:
+    machine = flexopt.load("excavator")
+    good = save(tmp_path, "good", flexopt.evaluate(machine, POSTURES["chosen"]))
+    run = save(tmp_path, "run", flexopt.simulate(machine, POSTURES["chosen"], duration=0.1))
+    for name, text in (("text.json", "not JSON"), ("list.json", "[1, 2]"), ("foreign.json", '{"w": 1}')):
+        (tmp_path / name).write_text(text)
+    (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
+    deep = tmp_path / "deep.json"
+    deep.write_text("[" * 100_000 + "]" * 100_000)
+    for arguments, words in (
+        ((good,), ["two files or more"]),
+        ((good, run), ["run", "evaluation", "of one kind"]),
+        (
+            (good, "none.json", "text.json", "list.json", "foreign.json", "bytes.json", "deep.json", "."),
+            ["7 faults", "none.json"],
+        ),
+        ((good, good, "--plot", "x.txt"), ["--plot"]),
+    ):
+        outcome = command("compare", *arguments)
+        assert outcome.code == 2, arguments
+        assert "Traceback" not in outcome.stderr
+        for word in words:
+            assert word in outcome.stderr
+    # The same file twice, and files of one name, are told apart.
+    (tmp_path / "other").mkdir()
+    twin = save(tmp_path / "other", "good", flexopt.evaluate(machine, POSTURES["present"]))
+    assert command("compare", good, twin, "--json").document["names"] == [good, twin]
+    assert command("compare", good, good, "--json").document["names"] == [f"1: {good}", f"2: {good}"]
+
+
+@pytest.mark.parametrize("broken", [{"w": "x", "epsilon_max": [[]], "base": 3}, {"w": None, "epsilon_max": {"a": 1}}])
+def test_documents_that_were_changed_by_hand(broken: dict[str, Any], command: Command, tmp_path: Path) -> None:
+    document = flexopt.evaluate(flexopt.load("excavator"), POSTURES["chosen"]).to_dict()
+    for name, data in (("a", document | {"provenance": 3}), ("b", document | broken)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(data))
+    outcome = command("compare", "a.json", "b.json", "--plot", "x.png")
+    assert outcome.code == 0, outcome.stderr
+    assert "Traceback" not in outcome.stderr

@@ -1,0 +1,330 @@
+"""The page of a report: its box says the verdict's own numbers; in Chromium it fits, folds, chooses and prints."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pypdf
+import pytest
+from playwright.sync_api import Browser
+
+import flexopt
+from flexopt.foundation import printing
+from flexopt.foundation.rendering import render
+from flexopt.study.problem_page import report_html
+from flexopt.study.verdict_result import STAY
+from tests.browser import page_of
+from tests.cli.command import Command
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+LOOP = {"kp": 1e4, "kv": 1e3}
+VOID = {"meta", "img", "input", "br", "link"}
+# Width of what is printed on a page of A4, in the CSS's pixels.
+PAPER = round((210 - 24) / 25.4 * 96)
+
+
+class Parsed(HTMLParser):
+    """Elements in order: (name, attributes, text); tags must close as they open."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None], list[str], tuple[str, ...]]] = []
+        self.open: list[int] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        around = tuple(self.elements[k][0] for k in self.open)
+        self.elements.append((tag, dict(attrs), [], around))
+        if tag not in VOID:
+            self.open.append(len(self.elements) - 1)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.elements[self.open.pop()][0] == tag
+
+    def handle_data(self, data: str) -> None:
+        for k in self.open:
+            self.elements[k][2].append(data)
+
+    def all(self, tag: str, within: str = "") -> list[tuple[dict[str, str | None], str]]:
+        return [
+            (attributes, " ".join("".join(text).split()))
+            for name, attributes, text, around in self.elements
+            if name == tag and (not within or within in around)
+        ]
+
+
+@pytest.fixture(scope="module")
+def judged() -> flexopt.Report:
+    """A machine in the plane, with a controller."""
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), base=0.0, starts=4)
+    return flexopt.report(problem, loop=LOOP, simulation={"duration": 2.0}, points=6)
+
+
+@pytest.fixture(scope="module")
+def crowded() -> flexopt.Report:
+    """Many passive coordinates and constraints: the widest tables there are."""
+    return flexopt.report(flexopt.load_problem("pipe-laying"), loop="default", simulation={"duration": 2.0}, points=5)
+
+
+@pytest.fixture(scope="module", params=["judged", "crowded", "stations", "trench"])
+def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if request.param in ("judged", "crowded"):
+        report = request.getfixturevalue(request.param)
+    else:
+        report = flexopt.report(flexopt.load_problem(request.param), simulation={"duration": 2.0}, points=4)
+    return report.write(tmp_path_factory.mktemp(request.param))[0]
+
+
+def test_the_box_says_the_verdicts_own_numbers(judged: flexopt.Report) -> None:
+    verdict = judged.verdict
+    assert verdict is not None
+    assert verdict.word == "move"
+    page = Parsed(report_html(judged))
+    (attributes, text), *others = page.all("section")
+    assert others == []
+    assert attributes["class"] == "box move"
+    stay, place = (next(p for p in verdict.places if p.name == name) for name in (STAY, verdict.place))
+    assert f"Move to {verdict.place}" in text
+    assert verdict.reason[1:] in text
+    told = [float(number["value"] or "") for number, _ in page.all("data", "section")]
+    expected = [*place.base, *place.posture, place.drive]
+    for band, end in (("decay", "least"), ("settling", "greatest"), ("allowed_gain", "least"), ("delay_margin", "least"),
+                      ("swing", "greatest")):  # fmt: skip
+        expected += [getattr(getattr(each, band), end) for each in (stay, place)]
+    assert told == pytest.approx(expected, rel=0, abs=0, nan_ok=True)
+    # And what is read is the number, in the unit beside it.
+    factors = {"ms": 1e-3, "mrad": 1e-3}
+    for (number, _), read in zip(page.all("data", "dl"), [text for _, text in page.all("data", "dl")], strict=True):
+        value, (shown, *unit) = float(number["value"] or ""), read.split()
+        if value == value and shown != "no":
+            assert float(shown.replace("−", "-")) * factors.get((*unit, "")[0], 1.0) == pytest.approx(value, rel=5e-4)
+
+
+def test_every_place_is_beside_the_others(judged: flexopt.Report) -> None:
+    verdict = judged.verdict
+    assert verdict is not None
+    words = Parsed(report_html(judged)).all("main")[0][1]
+    assert all(place.name in words for place in verdict.places)
+    assert "stiffness times 0.5 to 2" in words
+    assert verdict.rule in words
+    figure = verdict.plot()
+    assert [axes.get_xlabel().split(" (")[0] for axes in figure.axes] == [
+        "decay, 1/s", "settling time, s", "allowed Kp", "delay margin, ms", "base swing, move of 0.1 m, mrad",
+    ]  # fmt: skip
+    assert [tick.get_text() for tick in figure.axes[0].get_yticklabels()] == [place.name for place in verdict.places]
+    bars = [line.get_xdata() for line in figure.axes[0].get_lines() if line.get_linewidth() == 7]
+    for bar, place in zip(bars, verdict.places, strict=True):
+        assert bar == pytest.approx([place.decay.least, place.decay.greatest])
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"base": 0.0}, "give its numbers in a [loop]"),
+        ({}, "give that as base"),
+    ],
+)
+def test_no_verdict_says_what_to_give(given: dict[str, Any], words: str) -> None:
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), starts=2, **given)
+    report = flexopt.report(problem, simulation={"duration": 0.5, "kp": 1e4, "kv": 1e3}, points=3)
+    assert report.verdict is None
+    assert words in report.no_verdict
+    ((attributes, text),) = Parsed(report_html(report)).all("section")
+    assert attributes["class"] == "box none"
+    assert text == f"Does it pay to move? No verdict {' '.join(report.no_verdict.split())}"
+    assert report.to_dict()["no_verdict"] == report.no_verdict
+
+
+def test_several_targets(path: Path) -> None:
+    """Every shipped kind of problem has a page, headings in order, every picture with words, every table in a box."""
+    page, document = Parsed(path.read_text(encoding="utf-8")), json.loads((path.parent / "report.json").read_text())
+    levels = [int(name[1]) for name, *_ in page.elements if re.fullmatch("h[1-6]", name)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    assert all(attributes["alt"] for attributes, _ in page.all("img"))
+    assert all(around[-1] == "div" for name, _, _, around in page.elements if name == "table")
+    marks = [attributes["id"] for name, attributes, *_ in page.elements if attributes.get("id")]
+    assert len(marks) == len(set(marks))
+    places = document["selection"].get("places")
+    if places is not None:
+        assert f"this problem has {len(places)}" in document["no_verdict"]
+        worst = document["selection"]["worst"]
+        words = page.all("main")[0][1]
+        assert f"target {worst + 1}" in words
+        assert "the worst" in words
+        assert list(document["loops"]) == ["worst target"]
+        assert document["loops"]["worst target"]["run"]["verdict"] in ("converges", "grows", "undecided")
+        # The loop is that of the configuration at that target.
+        assert document["mode_shares"].keys() == {"worst target"}
+
+
+def test_many_constraints_fold(crowded: flexopt.Report) -> None:
+    page = Parsed(report_html(crowded))
+    best = crowded.selection.best
+    named = [name for name in best.constraints if name.startswith("clearance")]
+    folded = {text for _, text in page.all("th", "details")}
+    shown = {text for _, text in page.all("th")} - folded
+    near = [name for name in named if name in shown]
+    assert len(near) == 3
+    assert set(named) - set(near) <= folded
+    compared = crowded.selection.candidates[:6]
+
+    def room(name: str) -> float:
+        return min(each.constraints[name].value - each.constraints[name].lower for each in compared)
+
+    assert max(map(room, near)) <= min(room(name) for name in named if name not in near)
+
+
+@pytest.mark.needs("chromium")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits(path: Path, scheme: str, chromium: Browser) -> None:
+    for width in (400, 1280):
+        with page_of(chromium, path, viewport={"width": width, "height": 900}, color_scheme=scheme) as page:
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true })")
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
+            assert (ground == "rgb(255, 255, 255)") == (scheme == "light")
+
+
+@pytest.mark.needs("chromium")
+def test_on_paper_nothing_is_folded_or_cut(path: Path, chromium: Browser) -> None:
+    with page_of(chromium, path, viewport={"width": PAPER, "height": 1000}) as page:
+        hidden = (
+            "[...document.querySelectorAll('details > :not(summary)')].filter((each) => !each.checkVisibility()).length"
+        )
+        assert page.evaluate(hidden) > 0
+        page.emulate_media(media="print", color_scheme="dark")
+        # In the present browser by the stylesheet alone, in older ones by the page's script.
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        assert (
+            page.evaluate(hidden.replace("checkVisibility()", "checkVisibility({ contentVisibilityAuto: true })")) == 0
+        )
+        assert page.evaluate("[...document.images].every((each) => each.getBoundingClientRect().height > 20)")
+        cut = "[...document.querySelectorAll('.scroll')].map((e) => e.scrollWidth - e.clientWidth)"
+        assert max(page.evaluate(cut)) <= 1
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+        assert page.evaluate("document.querySelectorAll('details[open]').length") == 0
+
+
+@pytest.mark.needs("chromium")
+def test_keys_choose_the_picture(path: Path, chromium: Browser) -> None:
+    with page_of(chromium, path) as page:
+        shown = "[...document.querySelectorAll('.chooser figure')].filter((e) => e.checkVisibility() && e.parentElement.querySelector('[name=map]')).map((e) => e.textContent)"
+        first = page.evaluate(shown)
+        assert first == ["Mode 1: frequency."]
+        for _ in range(60):
+            page.keyboard.press("Tab")
+            if page.evaluate("document.activeElement.name") == "map":
+                break
+        assert page.evaluate("document.activeElement.id") == "map-1"
+        outline = "getComputedStyle(document.activeElement.nextElementSibling).outlineStyle"
+        assert page.evaluate(outline) == "solid"
+        page.keyboard.press("ArrowRight")
+        assert page.evaluate(shown) == ["Mode 2: frequency."]
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("ArrowLeft")
+        last = page.locator("label[for^=map-]").last.inner_text()
+        assert page.evaluate(shown) == [f"{last[0].upper()}{last[1:]}."]
+        page.locator("label[for=map-1]").click()
+        assert page.evaluate(shown) == first
+
+
+def luminance(color: str) -> float:
+    """Of sRGB, as WCAG 2.2 defines it."""
+    parts = [int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    r, g, b = (x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in parts)
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+def contrast(one: str, other: str) -> float:
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_text_can_be_read_in_both_themes() -> None:
+    css = render("foundation/templates/page.css")
+    light, dark = (
+        dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", block)) for block in re.findall(r":root {(.*?)}", css, re.S)
+    )
+    used = set(re.findall(r"[^-]color: var\(--(\w+)\)", css))
+    assert used == {"text", "muted", "good", "bad", "warn", "page"}
+    for theme in (light, dark):
+        for ground in ("page", "panel"):
+            for name in used - {"page"}:
+                assert contrast(theme[name], theme[ground]) >= 4.5, (name, ground)
+        # The chosen label of a chooser, and what only marks: borders, the outline of what has the focus.
+        assert contrast(theme["page"], theme["text"]) >= 4.5
+        for name in ("present", "chosen", "focus"):
+            assert contrast(theme[name], theme["panel"]) >= 3.0, name
+    assert light.keys() == dark.keys()
+
+
+@pytest.mark.needs("chromium")
+def test_pdf(judged: flexopt.Report, tmp_path: Path) -> None:
+    judged.to_pdf(tmp_path / "report.pdf")
+    data = (tmp_path / "report.pdf").read_bytes()
+    assert data.startswith(b"%PDF")
+    pages = pypdf.PdfReader(io.BytesIO(data)).pages
+    text = " ".join(" ".join(page.extract_text() for page in pages).split())
+    # Three pictures of the choice and the loops take half a page each at least.
+    assert len(pages) >= 3
+    for heading in ("Does it pay to move?", "The choice", "The closed loop", "Modes at rest", "The machine: excavator"):
+        assert heading in text, heading
+    # What is folded on the screen.
+    assert "CANNOT TELL: all else" in text
+
+
+@pytest.fixture
+def no_browser(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(printing, "NAMES", ("no-such-browser",))
+    monkeypatch.setattr(printing, "MAC", ())
+    monkeypatch.setattr(printing, "WINDOWS", ())
+    return
+
+
+@pytest.mark.usefixtures("no_browser")
+def test_without_a_browser_one_error_before_the_work(capsys: Any, tmp_path: Path) -> None:
+    outcome = Command(capsys, tmp_path)("report", "article", "--pdf", str(tmp_path / "report.pdf"))
+    assert outcome.code == 2
+    assert "install Chromium, Google Chrome or Microsoft Edge" in outcome.stderr
+    outcome = Command(capsys, tmp_path)("report", "article", "--pdf", "report.txt")
+    assert outcome.code == 2
+    assert "must end in .pdf" in outcome.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_browser_that_prints_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    program = tmp_path / "chromium"
+    program.write_text("#!/bin/sh\necho no display >&2\nexit 7\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(printing, "find_browser", lambda: str(program))
+    with pytest.raises(flexopt.FlexoptError, match=r"printed no PDF \(exit code 7, no display\)"):
+        printing.printed("<p>page</p>")
+
+
+def test_verdict_command_writes_the_page(capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    outcome = Command(capsys, tmp_path)(
+        "verdict", "article", "--loop", "kp=1e4", "--loop", "kv=1e3", "--members", "4", "--runs", "0",
+        "--html", "verdict.html", "--plot", "verdict.png", "--json",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.stderr
+    page = Parsed((tmp_path / "verdict.html").read_text(encoding="utf-8"))
+    ((_, text),) = page.all("section")
+    assert outcome.document["place"] in text
+    places = {place["name"]: place for place in outcome.document["places"]}
+    told = {float(number["value"] or "") for number, _ in page.all("data", "dl")}
+    assert places[outcome.document["place"]]["decay"]["least"] in told
+    assert (tmp_path / "verdict.png").read_bytes().startswith(b"\x89PNG")
