@@ -48,6 +48,7 @@ def in_parallel(
     done: Done | None = None,
     meanwhile: Callable[[], None] | None = None,
     lost: Callable[[int, str], T] | None = None,
+    seen: Callable[[T], None] | None = None,
     *,
     at_once: bool = False,
 ) -> list[T]:
@@ -64,13 +65,14 @@ def in_parallel(
         meanwhile: called once while processes work; not where none do.
         lost: the result of a number whose processes were ended from outside, as for lack of memory, every time that it
             was tried; takes the number and a sentence. Without it that is an error.
+        seen: called with each result as it comes, in any order; what it raises ends the others.
 
     Raises:
         Exception: the first one, by number, that the task raised.
         ProcessLost: as above.
     """
     with one_blas_thread():
-        return _worked_off(task, count, workers, done, meanwhile, lost, at_once=at_once)
+        return _worked_off(task, count, workers, done, meanwhile, lost, seen, at_once=at_once)
 
 
 def _worked_off(
@@ -80,6 +82,7 @@ def _worked_off(
     done: Done | None,
     meanwhile: Callable[[], None] | None,
     lost: Callable[[int, str], T] | None,
+    seen: Callable[[T], None] | None,
     *,
     at_once: bool,
 ) -> list[T]:
@@ -94,11 +97,13 @@ def _worked_off(
         if workers > 1 and left > 1 and known and not _is_worker():
             numbers = list(range(len(results), count))
             context = multiprocessing.get_context(method)
-            rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile, lost)
+            rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile, lost, seen)
             if rest is not None:
                 return results + rest
             workers = 1
         results.append(task(len(results)))
+        if seen is not None:
+            seen(results[-1])
         if done is not None:
             done(len(results))
     return results
@@ -166,6 +171,7 @@ def _spread(
     before: int,
     meanwhile: Callable[[], None] | None,
     lost: Callable[[int, str], T] | None,
+    seen: Callable[[T], None] | None,
 ) -> list[T] | None:
     """Results of the numbers from `workers` processes; None where processes cannot be started."""
     crew = _Crew(context, task)
@@ -174,7 +180,7 @@ def _spread(
             pass
         if not crew.pairs:
             return None
-        return _collect(crew, numbers, done, before, meanwhile, lost)
+        return _collect(crew, numbers, done, before, meanwhile, lost, seen)
     finally:
         crew.dismiss()
 
@@ -186,6 +192,7 @@ def _collect(
     before: int,
     meanwhile: Callable[[], None] | None,
     lost: Callable[[int, str], Any] | None,
+    seen: Callable[[Any], None] | None,
 ) -> list[Any]:
     waiting, results, tried = deque(numbers), dict[int, Any](), dict[int, int]()
     failures: dict[int, BaseException] = {}
@@ -200,6 +207,8 @@ def _collect(
 
     def finished(number: int, value: Any) -> None:
         results[number] = value
+        if seen is not None:
+            seen(value)
         if done is not None:
             done(before + len(results))
 
