@@ -32,7 +32,7 @@ _FRESH = re.compile(r"\.flexopt-[0-9a-f]{16}\.new")
 _STALE = 86400.0
 _AT_FDCWD, _EXCHANGE = -100, 2
 
-Content = str | bytes
+Content = str | bytes | memoryview
 AnyPath = str | os.PathLike[str]
 
 

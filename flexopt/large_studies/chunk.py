@@ -12,12 +12,13 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.errors import FlexoptError, WriteError
-from flexopt.foundation.documents import netcdf_bytes
+from flexopt.foundation.netcdf_form import netcdf_of_arrays
 from flexopt.foundation.turns import one_blas_thread
 from flexopt.foundation.writing import make_folder, write_file
-from flexopt.large_studies.folder import StudyFolder, check_alike, intact, open_folder
+from flexopt.large_studies.folder import ATTRIBUTES, StudyFolder, check_alike, intact, open_folder
 from flexopt.large_studies.status import WORDS
 
 KEPT, COMPUTED, MENDED = "kept", "computed", "computed again"
@@ -65,7 +66,7 @@ def finish_chunk(path: str, digest: str, number: int) -> Finished:
             return Finished(number, "", (), "there is not enough memory; a smaller chunk needs less")
         except FlexoptError as error:
             return Finished(number, "", (), " ".join(str(error).split()))
-        except Exception as error:  # noqa: BLE001 - as above
+        except Exception as error:
             return Finished(number, "", (), f"{type(error).__name__}: {error}")
 
 
@@ -91,29 +92,36 @@ def _finished(folder: StudyFolder, number: int) -> Finished:
     return Finished(number, MENDED if older else COMPUTED, counts_in(content))
 
 
-def content_of(folder: StudyFolder, number: int) -> bytes:
-    """A chunk's file: the quantities, `status`, and `reason` where points have any."""
-    import xarray as xr  # noqa: PLC0415  (slow to import)
+def content_of(folder: StudyFolder, number: int) -> bytes | bytearray:
+    """A chunk's file: the quantities, `status`, and `reason` where points have any.
 
-    columns = folder.points.columns(number)
+    It is valid until the next one of this process is made.
+    """
+    start, stop = folder.points.span(number)
+    columns, numbers = folder.points.columns(number), {"chunk": [number], "first_point": [start]}
+    form = folder.form(stop - start)
+    if form is not None:
+        status = form.arrays["status"]
+        folder.work.fill(columns, form.arrays, status)
+        for name, value in (numbers | {"points_by_status": _counted(status)}).items():
+            form.arrays[name][:] = value
+        return form.content
     values, status, reasons = folder.work(columns)
-    shapes, units = folder.work.shapes, folder.work.units
-    variables: dict[str, Any] = {
-        name: ((*shapes[name], "point"), array, {"units": units[name]}, {"_FillValue": None})
-        for name, array in values.items()
-    }
-    flags = {"flag_values": np.arange(len(WORDS), dtype=np.int8), "flag_meanings": " ".join(WORDS)}
-    variables["status"] = ("point", status, flags, {"_FillValue": None})
-    if reasons:
-        text = np.array([reason.encode() for reason in reasons])
-        variables["reason"] = ("point", text if text.dtype.itemsize else text.astype("S1"))
-    start, _ = folder.points.span(number)
-    counts = np.bincount(status, minlength=len(WORDS)).astype(np.int32)
-    about = {"study": folder.study.name, "sha256": folder.digest, "chunk": str(number), "first_point": str(start)}
-    return netcdf_bytes(xr.Dataset(variables, attrs=about | {"points_by_status": counts}))
+    variables: dict[str, Any] = {name: ((*folder.work.shapes[name], "point"), array) for name, array in values.items()}
+    variables["status"] = ("point",), status
+    if any(reasons):
+        letters = np.array([reason.encode() for reason in reasons])
+        variables["reason"] = ("point", "letter"), letters.view("S1").reshape(len(reasons), -1)
+    filled = {name: np.array(value, ATTRIBUTES[name][1]) for name, value in numbers.items()}
+    filled["points_by_status"] = _counted(status)
+    return netcdf_of_arrays(variables, folder.about, folder.texts | filled)
 
 
-def counts_in(content: bytes) -> tuple[int, ...]:
+def _counted(status: NDArray[np.int8]) -> NDArray[np.int32]:
+    return np.bincount(status, minlength=len(WORDS)).astype(np.int32)
+
+
+def counts_in(content: bytes | bytearray) -> tuple[int, ...]:
     """Points by status, which the file says of itself."""
     from scipy.io import netcdf_file  # noqa: PLC0415  (loads slowly)
 

@@ -22,8 +22,10 @@ import numpy as np
 from flexopt.compiled import find_compiler
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.documents import package_version
+from flexopt.foundation.netcdf_form import NetcdfForm
 from flexopt.foundation.writing import make_folder, write_file
 from flexopt.large_studies.points import StudyPoints
+from flexopt.large_studies.status import WORDS
 from flexopt.model.study import Study
 from flexopt.model.study_file import described, study_of
 
@@ -33,6 +35,8 @@ TOGETHER = 256
 NAME = re.compile(r"(\d{8,})-([0-9a-f]{8})\.nc")
 # Points whose numbers, to the last bit, tell whether two processes compute alike.
 PROBED = 64
+# Numbers that a chunk's file says of itself: how many, and of which kind.
+ATTRIBUTES = {"chunk": (1, "i4"), "first_point": (1, "f8"), "points_by_status": (len(WORDS), "i4")}
 PACKAGES = ("flexopt", "casadi", "numpy", "scipy")
 
 
@@ -76,6 +80,32 @@ class StudyFolder:
     def digest(self) -> str:
         """Of the study, without who made it."""
         return digest_of(self.study)
+
+    @property
+    def about(self) -> dict[str, dict[str, Any]]:
+        """Attributes of the variables in a chunk's file."""
+        flags = {"flag_values": np.arange(len(WORDS), dtype=np.int8), "flag_meanings": " ".join(WORDS)}
+        return {name: {"units": unit} for name, unit in self.work.units.items()} | {"status": flags}
+
+    @property
+    def texts(self) -> dict[str, bytes]:
+        """Attributes of the file."""
+        return {"study": self.study.name.encode(), "sha256": self.digest.encode()}
+
+    def form(self, count: int) -> NetcdfForm | None:
+        """What a chunk of so many points is filled into; None of one that is made anew each time."""
+        variables = None if not hasattr(self.work, "fill") else self.work.variables(count)
+        if variables is None or not NetcdfForm.fits(variables):
+            return None
+        if count not in self.forms:
+            self.forms.clear()  # there are two sizes, of which the last chunk has its own
+            self.forms[count] = NetcdfForm(variables, self.about, self.texts, ATTRIBUTES)
+        return self.forms[count]
+
+    @cached_property
+    def forms(self) -> dict[int, NetcdfForm]:
+        """The last one, by its number of points."""
+        return {}
 
     def place(self, number: int) -> Path:
         """The folder of a chunk."""

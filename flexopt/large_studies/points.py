@@ -45,8 +45,10 @@ class StudyPoints:
         if self.study.points == "random":
             drawn = np.random.default_rng([self.study.seed, chunk]).random((len(self.axes), stop - start))
         else:
-            drawn = self._sobol(start, stop).T
-        return np.stack([_between(axis, u) for axis, u in zip(self.axes, drawn, strict=True)])
+            drawn = np.ascontiguousarray(self._sobol(start, stop).T)
+        for axis, u in zip(self.axes, drawn, strict=True):
+            u[:] = _between(axis, u)
+        return drawn
 
     @cached_property
     def grid(self) -> list[Vector]:
@@ -68,10 +70,12 @@ class StudyPoints:
 
 
 def _between(axis: StudyAxis, u: Vector) -> Vector:
-    """From [0, 1] to the ends, which are met exactly."""
+    """From [0, 1] to the ends, which 0 and 1 meet exactly."""
     if axis.log:
         values = np.exp(np.log(axis.low) + u * (np.log(axis.high) - np.log(axis.low)))
+        values[u == 0.0], values[u == 1.0] = axis.low, axis.high
     else:
-        values = axis.low + u * (axis.high - axis.low)
-    values = np.clip(values, axis.low, axis.high)
-    return np.where(u == 1.0, axis.high, np.where(u == 0.0, axis.low, values))
+        values = u * (axis.high - axis.low)
+        values += axis.low
+        values[-1:] = np.where(u[-1:] == 1.0, axis.high, values[-1:])
+    return np.clip(values, axis.low, axis.high, out=values)

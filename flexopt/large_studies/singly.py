@@ -101,7 +101,7 @@ class OneByOne:
                 for name, array in found.items():
                     value = values[name]
                     array[..., k] = np.nan if value is None else value
-            except Exception as error:  # noqa: BLE001 - a point that fails is data
+            except Exception as error:
                 status[k], reason = status_of(error)
                 reasons[k] = reason[:REASON_MAX]
         return found, status, reasons

@@ -22,7 +22,7 @@ from flexopt.loop.many import decays, expect_decays
 from flexopt.loop.outcome import DEAD_TIME, MEASURES
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertaintyBox
-from flexopt.model.loop import under_control, Loop
+from flexopt.model.loop import Loop, under_control
 from flexopt.model.study import POINTS_MAX, Study
 from flexopt.model.study_axes import GAINS, StudyAxis
 from flexopt.model.uncertainty import LATE, Uncertainty
@@ -100,20 +100,28 @@ class ManyMeasures:
         known = {"frequency_hz": "Hz", "rigid": residue, "w": residue, "scale": residue, "w_posture": by_joint}
         return {name: known.get(name, "1") for name in self.study.kept}
 
+    def variables(self, count: int) -> dict[str, tuple[tuple[str, ...], tuple[int, ...], str]]:
+        """Dimensions, shape and kind of what `fill` fills, `status` last."""
+        sizes = {"mode": self.measures.plant.n_passive, "joint": len(self.machine.joints)}
+        found = {
+            name: ((*dims, "point"), (*(sizes[dim] for dim in dims), count), "f8") for name, dims in self.shapes.items()
+        }
+        return found | {"status": (("point",), (count,), "i1")}
+
     def __call__(self, columns: Vector) -> tuple[Arrays, Status, list[str]]:
         """Arrays (…, N), status (N,), and no reasons: the status says all."""
-        count, sizes = columns.shape[1], {"mode": self.measures.plant.n_passive, "joint": len(self.machine.joints)}
-        # In the byte order of the file, filled while the numbers are near.
-        found: Arrays = {
-            name: np.empty((*(sizes[dim] for dim in dims), count), dtype=">f8") for name, dims in self.shapes.items()
-        }
-        status = np.empty(count, dtype=np.int8)
-        for start in range(0, count, BLOCK):
-            here = slice(start, min(start + BLOCK, count))
-            values, status[here] = self._block(self.numbers.at(columns[:, here]))
-            for name, array in found.items():
-                array[..., here] = values[name]
+        found = {name: np.empty(shape, kind) for name, (_, shape, kind) in self.variables(columns.shape[1]).items()}
+        status = found.pop("status")
+        self.fill(columns, found, status)
         return found, status, []
+
+    def fill(self, columns: Vector, arrays: Mapping[str, NDArray[Any]], status: Status) -> None:
+        """The same into arrays that are there, of any byte order."""
+        for start in range(0, columns.shape[1], BLOCK):
+            here = slice(start, min(start + BLOCK, columns.shape[1]))
+            values, status[here] = self._block(self.numbers.at(columns[:, here]))
+            for name in self.shapes:
+                arrays[name][..., here] = values[name]
 
     def _block(self, at: Mapping[str, Vector]) -> tuple[Mapping[str, Vector | None], Status]:
         postures, bases, p = at["posture"], at["base"], at["parameters"]
@@ -170,7 +178,7 @@ class ManyOutcomes:
     @property
     def shapes(self) -> dict[str, tuple[str, ...]]:
         """Each quantity is one number."""
-        return {name: () for name in self.study.kept}
+        return dict.fromkeys(self.study.kept, ())
 
     @property
     def units(self) -> dict[str, str]:

@@ -14,7 +14,7 @@ from flexopt.foundation.nearest import hint_or_list
 from flexopt.foundation.quantities import COORDINATE, Quantity
 from flexopt.model.loop import DEAD_TIME, LOOP_GAIN, loop_faults
 from flexopt.model.machine import AnyMachine
-from flexopt.model.problem import Problem, asks_for_loop
+from flexopt.model.problem import Problem
 from flexopt.model.study import Study, Vary
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 
