@@ -29,7 +29,6 @@ from flexopt.model.uncertainty import LATE, Uncertainty
 from flexopt.robustness import build_measures
 from flexopt.robustness.batches import unsound, w_at
 from flexopt.robustness.residues import residue_unit
-from flexopt.study.points import evaluate_points
 
 # Points at a time: their numbers stay in the processor's caches.
 BLOCK = 2**14
@@ -63,7 +62,7 @@ class Numbers:
         return found
 
     def at(self, columns: Vector) -> dict[str, Vector]:
-        """`posture` (n, N), `base` (n_b, N or none) and `parameters` (n_par, N or none), and gains and dead time (N,)."""
+        """`posture` (n, N), `base` (n_b, N) or (n_b,), `parameters` likewise; of gains and dead time (N,)."""
         found: dict[str, Vector] = {}
         for axis, values in zip(self.axes, columns, strict=True):
             if axis.kind in self.own:
@@ -132,12 +131,21 @@ class ManyMeasures:
         status[np.broadcast_to(quick.singular, status.shape)] = SINGULAR
         found: dict[str, Vector | None] = {"w": quick.w, "w_posture": quick.w_posture}
         if not self.quick:
+            from flexopt.study.points import evaluate_points  # noqa: PLC0415  (its room loads slowly)
+
+            count = postures.shape[1]
             whole = evaluate_points(
-                self.machine, postures, bases=np.broadcast_to(bases.reshape(bases.shape[0], -1), (bases.shape[0], postures.shape[1])),
-                parameters=p if p.ndim == 2 else None, control=self.control, gain=self.study.gain,
-                gravity=self.study.gravity, epsilon_max="epsilon_max" in self.study.kept, threads=1,
+                self.machine,
+                postures,
+                bases=np.broadcast_to(bases.reshape(len(bases), -1), (len(bases), count)),
+                parameters=p if p.ndim == 2 else None,
+                control=self.control,
+                gain=self.study.gain,
+                gravity=self.study.gravity,
+                epsilon_max="epsilon_max" in self.study.kept,
+                threads=1,
                 expected=POINTS_MAX,
-            )  # fmt: skip
+            )
             found |= {name: getattr(whole, name) for name in self.study.kept if name not in QUICK}
         return found, status
 

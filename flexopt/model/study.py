@@ -42,7 +42,9 @@ QUANTITIES: dict[str, tuple[str, ...]] = {
         "complementary_peak",
     ),
     "selection": ("objective", "w", "base", "posture", "epsilon_max"),
-    "simulation": ("linear_growth_rate", "growth_rate", "end_error", "overshoot", "settling_time", "peak_base_rotation"),
+    "simulation": (
+        "linear_growth_rate", "growth_rate", "end_error", "overshoot", "settling_time", "peak_base_rotation",
+    ),
 }  # fmt: skip
 # Those that a study has where it asks for none.
 USUAL = {"measures": ("w",), "outcome": ("decay",)}
@@ -189,6 +191,11 @@ class Study(BuiltByCall, Described):
         if given != [wanted]:
             sentence = f"{self.compute} needs {wanted}, a name or a path, and no other of {', '.join(SUBJECTS)}"
             faults.append(Fault(wanted, sentence, ", ".join(given) or None))
+        return faults + self._count_faults() + self._kept_faults(wanted)
+
+    def _count_faults(self) -> list[Fault]:
+        """How many points, and over what."""
+        faults = list[Fault]()
         names = [each.of for each in self.vary]
         for name in sorted({name for name in names if names.count(name) > 1}):
             faults.append(Fault("vary", "varies twice", name))
@@ -206,6 +213,11 @@ class Study(BuiltByCall, Described):
         most = SOBOL_MAX if self.points == "sobol" else POINTS_MAX
         if self.total > most:
             faults.append(Fault("count", f"a {self.points} study may have at most {most} points", str(self.total)))
+        return faults
+
+    def _kept_faults(self, wanted: str) -> list[Fault]:
+        """What is not computed, and what is said elsewhere."""
+        faults = list[Fault]()
         for name in self.quantities or ():
             if name not in QUANTITIES[self.compute]:
                 known = ", ".join(QUANTITIES[self.compute])
