@@ -105,6 +105,7 @@ ARGUMENTS: dict[str, Complete] = {
     "machine": _of(_shipped("models"), files=True),
     "machine or problem": _of(_shipped("models", "problems"), files=True),
     "problem": _of(_shipped("problems", "models"), files=True),
+    "study": _of(_shipped("problems"), files=True),
     "shell": _of(lambda _: SHELLS),
 }
 

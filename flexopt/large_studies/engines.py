@@ -6,6 +6,8 @@ are given a few tasks at a time, so that none of them grows with the study.
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -139,39 +141,37 @@ def _dask_cluster(address: str) -> Generator[Engine]:
     try:
         distributed: Any = import_module("distributed")
     except ImportError:
-        sentence = 'needs the package distributed: pip install "flexopt[cluster]"'
-        raise InputError(f"run_study: executor = {address!r}: {sentence}", [Fault("executor", sentence)]) from None
+        raise _refused(address, 'needs the package distributed: pip install "flexopt[cluster]"') from None
     # What it would tell of a connection that breaks, and of how it tries again, is told here in one sentence.
-    quiet = {"distributed.comm.timeouts.connect": f"{ANSWER:g}s", "logging.distributed": "critical"}
-    with import_module("dask").config.set(quiet):
-        client = _client(distributed, address)
-        try:
-            yield Elsewhere(client.get_executor(pure=False), _Cluster(client, address).slots)
-        finally:
-            _close(client)
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    client = _client(distributed, address)
+    try:
+        yield Elsewhere(client.get_executor(pure=False), _Cluster(client, address).slots)
+    finally:
+        _close(client)
+
+
+def _refused(address: str, sentence: str) -> InputError:
+    fault = Fault("executor", sentence, repr(address))
+    return InputError(f"run_study: {fault}", [fault], "run_study")
 
 
 def _client(distributed: Any, address: str) -> Any:
-    def refused(sentence: str) -> InputError:
-        return InputError(f"run_study: executor = {address!r}: {sentence}", [Fault("executor", sentence)])
-
     try:
         client = distributed.Client(address, timeout=ANSWER, set_as_default=False, name="flexopt")
     except (OSError, TimeoutError, ValueError) as error:
         sentence = "no Dask scheduler answers there; `dask scheduler` starts one and prints its address"
-        raise refused(f"{sentence} ({_said(error)})") from error
+        raise _refused(address, f"{sentence} ({_said(error)})") from error
     try:
         client.get_versions(check=True)
     except Exception as error:
         _close(client)
-        raise refused(f"scheduler, workers and this process have other versions ({_said(error)})") from error
+        raise _refused(address, f"scheduler, workers and this process have other versions ({_said(error)})") from error
     return client
 
 
 def _close(client: Any) -> None:
     """Let a client go, also one whose scheduler is gone."""
-    import contextlib  # noqa: PLC0415
-
     with contextlib.suppress(Exception):
         client.close(timeout=2)
 

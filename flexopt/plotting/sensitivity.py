@@ -46,11 +46,11 @@ def plot_sensitivity(sensitivity: Sensitivity, path: str | os.PathLike[str] | No
         if k >= count:
             panel.set_visible(False)
             continue
-        for values, ends, shift, color, label in (
+        for values, interval, shift, color, label in (
             (found.first[k], found.first_interval[k], -0.18, COLORS[0], "alone"),
             (found.total[k], found.total_interval[k], 0.18, COLORS[1], "in all"),
         ):
-            error = np.abs(ends.T - values)
+            error = np.abs(interval.T - values)
             style = {"ecolor": "#202124", "elinewidth": 0.8, "capsize": 2}
             panel.barh(at + shift, values, 0.34, color=color, xerr=error, error_kw=style, label=label)
         # Far bounds say nothing: an index is at most 1.
@@ -59,7 +59,8 @@ def plot_sensitivity(sensitivity: Sensitivity, path: str | os.PathLike[str] | No
         said = mathtext(found.most[k]) if found.most[k] else "undecided"
         panel.set_title(f"{found.outputs[k]}: {said}", fontsize=9)
         panel.set_yticks(at, [mathtext(name) for name in found.names], fontsize=8)
-        panel.set_xlim(min(0.0, float(np.nanmin(found.first_interval[k], initial=0.0))) - 0.02, 1.1)
+        ends = np.stack([found.first_interval[k], found.total_interval[k]])
+        panel.set_xlim(float(np.nanmin(ends, initial=0.0)) - 0.02, float(np.nanmax(ends, initial=1.0)) + 0.05)
         panel.set_xlabel("share of the variance", fontsize=8)
         panel.tick_params(labelsize=7.5)
         panel.grid(axis="x", color="#e3e3e3", linewidth=0.5)
