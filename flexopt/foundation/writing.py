@@ -32,7 +32,7 @@ _FRESH = re.compile(r"\.flexopt-[0-9a-f]{16}\.new")
 _STALE = 86400.0
 _AT_FDCWD, _EXCHANGE = -100, 2
 
-Content = str | bytes | memoryview
+Content = str | bytes | bytearray
 AnyPath = str | os.PathLike[str]
 
 
@@ -58,7 +58,7 @@ def write_files(contents: Mapping[Any, Content], *, private: bool = False, durab
         WriteError: one cannot be written.
     """
     with contextlib.ExitStack() as stack:
-        ready: list[tuple[Path, Path, IO[bytes], bytes]] = []
+        ready: list[tuple[Path, Path, IO[bytes], bytes | bytearray]] = []
         for path, content in contents.items():
             data = content.encode() if isinstance(content, str) else content
             with _told(path, len(data)):
@@ -179,7 +179,7 @@ def _amount(size: int) -> str:
     return f"{size / 1000**power:.3g} {unit}" if power else f"{size} {unit}"
 
 
-def _fill(file: IO[bytes], data: bytes, *, durable: bool = True) -> None:
+def _fill(file: IO[bytes], data: bytes | bytearray, *, durable: bool = True) -> None:
     """Write and bring to the disk, so that the swap never comes before the content."""
     file.write(data)
     file.flush()
@@ -320,7 +320,7 @@ def _exchanged(first: Path, second: Path) -> bool:
         return False
 
 
-def _one_by_one(folder: Path, contents: Mapping[str, bytes], keep: Callable[[str], bool]) -> None:
+def _one_by_one(folder: Path, contents: Mapping[str, bytes | bytearray], keep: Callable[[str], bool]) -> None:
     """Each file swapped on its own; then those that are neither new nor kept removed."""
     for name in contents:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

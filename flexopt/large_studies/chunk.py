@@ -126,4 +126,5 @@ def counts_in(content: bytes | bytearray) -> tuple[int, ...]:
     from scipy.io import netcdf_file  # noqa: PLC0415  (loads slowly)
 
     with netcdf_file(io.BytesIO(content), "r", mmap=False) as file:
-        return tuple(np.atleast_1d(file.points_by_status).tolist())
+        told: Any = file
+        return tuple(np.atleast_1d(told.points_by_status).tolist())

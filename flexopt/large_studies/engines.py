@@ -143,12 +143,17 @@ def _dask_cluster(address: str) -> Generator[Engine]:
     except ImportError:
         raise _refused(address, 'needs the package distributed: pip install "flexopt[cluster]"') from None
     # What it would tell of a connection that breaks, and of how it tries again, is told here in one sentence.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    client = _client(distributed, address)
+    logger = logging.getLogger("distributed")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
     try:
-        yield Elsewhere(client.get_executor(pure=False), _Cluster(client, address).slots)
+        client = _client(distributed, address)
+        try:
+            yield Elsewhere(client.get_executor(pure=False), _Cluster(client, address).slots)
+        finally:
+            _close(client)
     finally:
-        _close(client)
+        logger.setLevel(before)
 
 
 def _refused(address: str, sentence: str) -> InputError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -81,8 +82,7 @@ def write_csv_parts(reader: StudyReader, path: str | os.PathLike[str]) -> None:
 
 
 def _lines(reader: StudyReader) -> Iterator[bytes]:
-    import pandas as pd  # noqa: PLC0415  (slow to import)
-
+    pd: Any = import_module("pandas")  # slow to import; xarray needs it, too
     for number in reader.numbers:
         dataset = reader.dataset(number)
         columns: dict[str, Any] = {axis.name: dataset[axis.name].values for axis in reader.folder.points.axes}

@@ -231,7 +231,8 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any], outer: str =
     """Keys whose values differ, with both."""
     faults: list[Fault] = []
     for key in sorted({*there, *here}):
-        one, two = there.get(key), here.get(key)
+        one: Any = there.get(key)
+        two: Any = here.get(key)
         if isinstance(one, Mapping) and isinstance(two, Mapping):
             faults += _differences(cast(Any, one), cast(Any, two), f"{outer}{key}.")
         elif one != two:

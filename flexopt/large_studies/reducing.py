@@ -96,7 +96,8 @@ def quantiles_of(reader: StudyReader, quantity: str, shares: Vector) -> xr.Datas
             rank = np.maximum(np.ceil(shares * count[:, None]).astype(np.int64), 1)
         sums = bins.cumsum(axis=-1)
         chosen = np.minimum((sums < rank[..., None]).sum(axis=-1), (1 << PART) - 1)
-        before = np.take_along_axis(np.pad(sums, ((0, 0), (0, 0), (1, 0))), chosen[..., None], -1)[..., 0]
+        at = chosen[..., None]
+        before = (np.take_along_axis(sums, at, -1) - np.take_along_axis(bins, at, -1))[..., 0]
         rank, prefix = rank - before, (prefix << np.uint64(PART)) | chosen.astype(np.uint64)
     found = np.where(count[:, None] > 0, _doubles(prefix), np.nan).T.reshape(shares.size, *inner)
     dims, units = ("quantile", *reader.shapes[quantity]), reader.folder.work.units[quantity]

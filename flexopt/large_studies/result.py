@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
@@ -280,9 +280,9 @@ def result_of(folder: StudyFolder, *, mended: tuple[int, ...] = ()) -> StudyResu
     reader = StudyReader(folder)
     try:
         told = json.loads((folder.path / PROGRESS).read_text(encoding="utf-8"))
-        statuses, rate = dict(told["points"]), float(told["points_per_second"])
+        statuses, rate = cast("dict[str, int]", told["points"]), float(told["points_per_second"])
     except (OSError, ValueError, KeyError, TypeError):
-        statuses, rate = dict.fromkeys(WORDS, 0), 0.0
+        statuses, rate = dict.fromkeys(map(str, WORDS), 0), 0.0
     return StudyResult(
         folder=str(folder.path), name=study.name, compute=study.compute, machine=machine.name, points=study.total,
         chunks=study.chunks, done=len(reader.numbers), statuses=statuses, points_per_second=rate, mended=mended,

@@ -42,7 +42,7 @@ class _Ledger:
 
     def __init__(self, folder: StudyFolder, progress: Progress | None) -> None:
         self.folder, self.progress = folder, progress
-        self.how = dict.fromkeys((KEPT, COMPUTED, MENDED), 0)
+        self.how: dict[str, int] = {KEPT: 0, COMPUTED: 0, MENDED: 0}
         self.points, self.computed = [0] * len(WORDS), 0
         self.mended, self.faults = list[int](), list[str]()
         self.began = self.told = time.monotonic()

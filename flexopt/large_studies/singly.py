@@ -117,7 +117,7 @@ class ManySelections(OneByOne):
     def one(self, column: Vector) -> Mapping[str, Any]:
         """Of the best configuration."""
         problem = cast(Problem, self.study.subject)
-        given = problem.select_arguments() | {"machine": self.varied_machine(column), "workers": 1}
+        given: dict[str, Any] = problem.select_arguments() | {"machine": self.varied_machine(column), "workers": 1}
         given["target"] = self.placed("target", column, given["target"])
         given["base"] = self.placed("base", column, given["base"])
         best = select(**given).best

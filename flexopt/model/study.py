@@ -245,7 +245,7 @@ class Study(BuiltByCall, Described):
         """
         kinds = {"selection": Problem, "simulation": Experiment}
         kind = kinds.get(self.compute, AnyMachine)
-        if not isinstance(subject, kind):
+        if not isinstance(subject, kind):  # pyright: ignore[reportUnnecessaryIsInstance]
             sentence = f"must be a {'Machine' if kind is AnyMachine else kind.__name__} for {self.compute}"
             raise_if_any(InputError, "with_subject", [Fault("subject", sentence, shown(subject))])
         twin = self.model_copy()

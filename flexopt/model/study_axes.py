@@ -6,7 +6,8 @@ In: a `Study`, which holds its machine. Out: `StudyAxis` objects, or one `InputE
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from dataclasses import dataclass
+from typing import Any, cast
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.coordinates import check_placement
@@ -29,7 +30,8 @@ MAY_VARY: dict[str, tuple[str, ...]] = {
 ANGLES = ("roll", "pitch", "yaw")
 
 
-class StudyAxis(NamedTuple):
+@dataclass(frozen=True)
+class StudyAxis:
     """One thing that varies, as it is computed with.
 
     Attributes:
@@ -75,6 +77,8 @@ def _axis(study: Study, k: int, each: Vary) -> tuple[StudyAxis | None, list[Faul
         "base": (machine.base_coordinates, machine.base_units),
         "target": (machine.task_rows, tuple("rad" if row in ANGLES else "m" for row in machine.task_rows)),
     }
+    if word == "base" and name not in machine.base_coordinates:
+        del places[word]  # planar machines have parameters of such names
     if word in places or each.of in (*GAINS, LATE):
         kind = word if word in places else each.of
         if kind not in MAY_VARY[study.compute]:
