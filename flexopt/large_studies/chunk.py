@@ -19,7 +19,7 @@ from flexopt.foundation.netcdf_form import netcdf_of_arrays
 from flexopt.foundation.turns import one_blas_thread
 from flexopt.foundation.writing import make_folder, write_file
 from flexopt.large_studies.folder import ATTRIBUTES, StudyFolder, check_alike, intact, open_folder
-from flexopt.large_studies.status import WORDS
+from flexopt.large_studies.status import REASON_MAX, WORDS
 
 KEPT, COMPUTED, MENDED = "kept", "computed", "computed again"
 
@@ -93,7 +93,7 @@ def _finished(folder: StudyFolder, number: int) -> Finished:
 
 
 def content_of(folder: StudyFolder, number: int) -> bytes | bytearray:
-    """A chunk's file: the quantities, `status`, and `reason` where points have any.
+    """A chunk's file: the quantities, `status`, and where points are computed one by one `reason`.
 
     It is valid until the next one of this process is made.
     """
@@ -109,8 +109,8 @@ def content_of(folder: StudyFolder, number: int) -> bytes | bytearray:
     values, status, reasons = folder.work(columns)
     variables: dict[str, Any] = {name: ((*folder.work.shapes[name], "point"), array) for name, array in values.items()}
     variables["status"] = ("point",), status
-    if any(reasons):
-        letters = np.array([reason.encode() for reason in reasons])
+    if reasons:
+        letters = np.array([reason.encode() for reason in reasons], f"S{REASON_MAX}")
         variables["reason"] = ("point", "letter"), letters.view("S1").reshape(len(reasons), -1)
     filled = {name: np.array(value, ATTRIBUTES[name][1]) for name, value in numbers.items()}
     filled["points_by_status"] = _counted(status)

@@ -14,8 +14,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.documents import netcdf_bytes
 from flexopt.foundation.writing import write_parts
 from flexopt.large_studies.reading import StudyReader
-from flexopt.large_studies.singly import REASON_MAX
-from flexopt.large_studies.status import WORDS
+from flexopt.large_studies.status import REASON_MAX, WORDS
 
 # Of the number of records in the format's header.
 RECORDS_MAX, PLACE = 2**31 - 1, 4

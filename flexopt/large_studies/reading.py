@@ -148,7 +148,7 @@ class StudyReader:
 
 def texts(letters: NDArray[Any]) -> NDArray[Any]:
     """Words from a file's letters (N, length)."""
-    return np.array([b"".join(row).rstrip(b"\0").decode(errors="replace") for row in letters])
+    return np.array([b"".join(row).rstrip(b"\0").decode(errors="ignore") for row in letters])
 
 
 def _native(array: NDArray[Any]) -> NDArray[Any]:

@@ -26,8 +26,6 @@ from flexopt.plant import build_plant
 from flexopt.selection import select
 from flexopt.simulation import run_experiment
 
-REASON_MAX = 200
-
 
 class OneByOne:
     """What selections and simulations have in common."""
@@ -102,8 +100,7 @@ class OneByOne:
                     value = values[name]
                     array[..., k] = np.nan if value is None else value
             except Exception as error:
-                status[k], reason = status_of(error)
-                reasons[k] = reason[:REASON_MAX]
+                status[k], reasons[k] = status_of(error)
         return found, status, reasons
 
     def one(self, column: Vector) -> Mapping[str, Any]:

@@ -7,6 +7,8 @@ from flexopt.errors import FlexoptError, InputError, NoSolutionFound, SingularPo
 # Words of a file's `flag_meanings`, by number.
 WORDS = ("ok", "singular", "no_equilibrium", "no_number", "unreachable", "refused", "no_solution", "failed")
 OK, SINGULAR, NO_EQUILIBRIUM, NO_NUMBER, UNREACHABLE, REFUSED, NO_SOLUTION, FAILED = range(len(WORDS))
+# Bytes of a reason that are kept.
+REASON_MAX = 160
 SENTENCES = {
     "ok": "computed",
     "singular": "Jv loses rank there, so that there are no measures",

@@ -25,7 +25,7 @@ def test_measures(tmp_path: Path) -> None:
     assert result.statuses["singular"] == 50  # the stick straight
     assert result.statuses["ok"] == 550
     found = result.dataset().load()
-    for k in (0, 77, 358, 594):
+    for k in (0, 77, 340, 594):
         at = found.isel(point=k)
         posture = float(at["posture.boom"]), float(at["posture.stick"])
         one = flexopt.evaluate(of(flexopt.load("excavator"), float(at["stiffness"])), posture)
@@ -85,8 +85,8 @@ def test_simulations(tmp_path: Path) -> None:
 
 def test_a_machine_of_another_kind_under_its_weight(tmp_path: Path) -> None:
     study = flexopt.Study(
-        name="hangs", machine="boom-stick-bucket", compute="measures", gravity=True, posture=[0.4, -1.2, -0.5], points="random",
-        count=64, vary=[{"of": "posture.boom", "value": [0.2, 0.6]}, {"of": "stiffness", "factor": [1e-3, 1.0]}],
+        name="hangs", machine="boom-stick-bucket", compute="measures", gravity=True, posture=[-0.8, -1.2, -0.5], points="random",
+        count=64, vary=[{"of": "posture.boom", "value": [-1.2, -0.6]}, {"of": "stiffness", "factor": [1e-3, 1.0]}],
     )  # fmt: skip
     found = flexopt.run_study(study, tmp_path / "study", workers=1).dataset().load()
     kept = np.flatnonzero(found["status"].values == 0)
