@@ -251,9 +251,10 @@ def _indices(parts: Vector) -> tuple[Vector, Vector]:
 
     found, varies = np.full((2, parts.shape[1], parts.shape[0] - 2), np.nan), _varies(parts)
     for s in np.flatnonzero(varies):
-        y = parts[:, s : s + 1]
+        # Twice, as SciPy stumbles over one output of one number.
+        y = parts[:, [s, s]]
         known: Any = sobol_indices(func={"f_A": y[0], "f_B": y[1], "f_AB": y[2:]}, n=parts.shape[2])
-        found[:, s] = np.ravel(known.first_order), np.ravel(known.total_order)
+        found[:, s] = known.first_order[0], known.total_order[0]
     return found[0], found[1]
 
 

@@ -117,7 +117,7 @@ def start(folder: Path, **environment: str) -> subprocess.Popen[bytes]:
     script = folder.parent / "driver.py"
     script.write_text(program)
     known = os.environ | {"PYTHONPATH": str(ROOT)} | environment
-    return subprocess.Popen([sys.executable, str(script), str(folder)], env=known, stderr=subprocess.PIPE)
+    return subprocess.Popen([sys.executable, str(script), str(folder)], env=known, stderr=subprocess.DEVNULL)
 
 
 def slow() -> flexopt.Study:
