@@ -23,8 +23,8 @@ from flexopt.large_studies.chunk import Finished
 
 Task = Callable[[str, str, int], Finished]
 Seen = Callable[[Finished], None]
-# Tasks that an engine has at a time, for each that works: one to work on, one to go on with.
-AHEAD = 2
+# Tasks that an engine has at a time, for each that works: one to work on, the others on their way.
+AHEAD = 4
 # How often an engine is asked whether it is still there, and how long it may be without workers, s.
 LOOK, PATIENCE = 1.0, 30.0
 ANSWER = 10.0
@@ -186,21 +186,25 @@ class _Cluster:
 
     def __init__(self, client: Any, address: str) -> None:
         self.client, self.address, self.seen = client, address, time.monotonic()
+        self.asked, self.count = -LOOK, 0
 
     def slots(self) -> int:
         """Threads of its workers now."""
         if self.client.status != "running":
             raise EngineLost(f"the Dask scheduler at {self.address} is gone")
-        try:
-            count = sum(self.client.nthreads().values())
-        except Exception as error:
-            raise EngineLost(f"the Dask scheduler at {self.address} does not answer ({_said(error)})") from error
-        if count:
-            self.seen = time.monotonic()
-        elif time.monotonic() - self.seen > PATIENCE:
+        now = time.monotonic()
+        if now - self.asked >= LOOK:
+            self.asked = now
+            try:
+                self.count = sum(self.client.nthreads().values())
+            except Exception as error:
+                raise EngineLost(f"the Dask scheduler at {self.address} does not answer ({_said(error)})") from error
+        if self.count:
+            self.seen = now
+        elif now - self.seen > PATIENCE:
             raise EngineLost(f"the Dask scheduler at {self.address} has had no workers for {PATIENCE:g} s")
         # Without any, one task waits for the first.
-        return max(count, 1)
+        return max(self.count, 1)
 
 
 def is_address(text: str) -> bool:
