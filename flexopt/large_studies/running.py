@@ -106,7 +106,8 @@ def run_study(
         folder: that it lies in, made if missing; it may hold this study, and no other.
         executor: who computes: by default processes of this machine; any `concurrent.futures.Executor`; or the address
             of a Dask scheduler, `"tcp://HOST:PORT"` (extra `cluster`), whose workers must see the same folder.
-        workers: processes, or of an executor tasks that it works on at a time; by default one for each core. Of a cluster, its own.
+        workers: processes, or of an executor tasks that it works on at a time; by default one for each core. A cluster
+            has its own.
         progress: called with (points done, points in all).
 
     Raises:
