@@ -126,7 +126,7 @@ def long_one() -> flexopt.Study:
         {"of": "dead_time", "value": [0.0, 0.02]},
     ]
     return flexopt.Study(
-        name="loops", machine="excavator", compute="outcome", points="sobol", count=40 * 4096, chunk=4096, vary=vary,
+        name="loops", machine="excavator", compute="outcome", points="sobol", count=40 * 512, chunk=512, vary=vary,
         posture=[0.0448, -2.0499], loop={"kv": 1e3},
     )  # fmt: skip
 

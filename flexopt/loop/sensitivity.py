@@ -254,7 +254,7 @@ def _indices(parts: Vector) -> tuple[Vector, Vector]:
         # Twice, as SciPy stumbles over one output of one number.
         y = parts[:, [s, s]]
         known: Any = sobol_indices(func={"f_A": y[0], "f_B": y[1], "f_AB": y[2:]}, n=parts.shape[2])
-        found[:, s] = known.first_order[0], known.total_order[0]
+        found[:, s] = [np.reshape(order, (2, -1))[0] for order in (known.first_order, known.total_order)]
     return found[0], found[1]
 
 

@@ -158,6 +158,7 @@ def names(row: Mapping[str, str]) -> bool:
         "load",
         "load_problem",
         "load_experiment",
+        "load_study",
         "load_robot",
         "machine_from_dict",
         "tree_from_dict",

@@ -92,6 +92,9 @@ def test_what_is_no_loops(tmp_path: Path) -> None:
         flexopt.sensitivity(machine, POSTURE, ranges={"dead_time": (0.0, 0.01)})
     with pytest.raises(flexopt.InputError, match="power of two"):
         flexopt.sensitivity(machine, POSTURE, samples=100)
+    one = flexopt.sensitivity(machine, POSTURE, samples=64, loop={"kp": 1e4, "kv": 1e3})
+    assert one.most == ("", "", "", "stiffness")
+    assert one.total[3, 0] == pytest.approx(1.0, abs=0.2)
     found = flexopt.sensitivity(machine, POSTURE, samples=64)
     assert found.most == ("", "", "")  # one factor of all springs: nothing varies
     assert "does not vary" in repr(found)
