@@ -13,7 +13,7 @@ from typing import Any
 from flexopt.errors import ModelError, raise_if_any
 from flexopt.foundation.boundary import public
 from flexopt.model.file_model import read_table, validated
-from flexopt.model.files import read_source
+from flexopt.model.files import Source, read_source
 from flexopt.model.planar import Machine
 from flexopt.model.problem import Problem
 from flexopt.model.simulation import Experiment
@@ -37,7 +37,11 @@ def load_study(name_or_path: str | os.PathLike[str]) -> Study:
         >>> flexopt.load_study("excavator-study").chunks
         4
     """
-    source = read_source(name_or_path, ("problems",))
+    return study_from(read_source(name_or_path, ("problems",)))
+
+
+def study_from(source: Source) -> Study:
+    """The study of a file that was read."""
     if "compute" not in source.data:
         raise ModelError(f"{source.name}: is no study: it has no key compute")
     study = validated(Study, read_table(source.data, source.name, "a study file"), source.name, ())
