@@ -118,7 +118,7 @@ def content_of(folder: StudyFolder, number: int) -> bytes | bytearray:
 
 
 def _counted(status: NDArray[np.int8]) -> NDArray[np.int32]:
-    return np.bincount(status, minlength=len(WORDS)).astype(np.int32)
+    return np.array([np.count_nonzero(status == k) for k in range(len(WORDS))], np.int32)
 
 
 def counts_in(content: bytes | bytearray) -> tuple[int, ...]:
