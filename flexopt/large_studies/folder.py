@@ -185,7 +185,7 @@ def begin(path: str | os.PathLike[str], study: Study) -> StudyFolder:
     fresh = StudyFolder(folder, study, {})
     made_by = fingerprint(fresh)
     text = json.dumps(described(study) | {"layout": 1, "sha256": fresh.digest, "made_by": made_by}, indent=2)
-    make_folder(folder / CHUNKS)
+    make_folder(folder)
     write_file(folder / DOCUMENT, text + "\n")
     return StudyFolder(folder, study, made_by)
 
@@ -236,7 +236,6 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any], outer: str =
         if isinstance(one, Mapping) and isinstance(two, Mapping):
             faults += _differences(cast(Any, one), cast(Any, two), f"{outer}{key}.")
         elif one != two:
-            texts = [json.dumps(each) for each in (one, two)]
-            short = [text if len(text) <= 80 else f"{text[:77]}..." for text in texts]
+            short = [text if len(text) <= 80 else f"{text[:77]}..." for text in map(json.dumps, [one, two])]
             faults.append(Fault(f"{outer}{key}".removeprefix("study."), f"is {short[0]} in the folder, not {short[1]}"))
     return faults
