@@ -284,7 +284,8 @@ def main() -> None:
     random.seed(options.seed)
     work: dict[str, Callable[[], list[tuple[str, ...]]]] = {
         "rate": lambda: rate(options.points), "engines": lambda: engines(options.points),
-        "faults": lambda: faults(options.runs), "selections": lambda: selections(options.selections), "overhead": overhead,
+        "faults": lambda: faults(options.runs), "overhead": overhead,
+        "selections": lambda: selections(options.selections),
     }  # fmt: skip
     lines: list[tuple[str, ...]] = [("what", "now", "bar", "what ran")]
     for row in options.row:

@@ -110,9 +110,8 @@ def export_command(as_json: bool, folder: str, out: str | None) -> None:
     path = out or ""
     check_output("--out", path, (".nc", ".csv"))
     result = open_study(folder)
-    write_output(
-        "--out", path, lambda: result.to_csv(path) if path.lower().endswith(".csv") else result.to_netcdf(path)
-    )
+    write = result.to_csv if path.lower().endswith(".csv") else result.to_netcdf
+    write_output("--out", path, lambda: write(path))
     if as_json:
         print_json({"file": path, "bytes": Path(path).stat().st_size, "points": result.points})
     else:

@@ -23,8 +23,8 @@ from flexopt.large_studies.chunk import Finished
 
 Task = Callable[[str, str, int], Finished]
 Seen = Callable[[Finished], None]
-# Tasks that an engine has at a time, for each that works: one to work on, the others on their way.
-AHEAD = 4
+# Tasks that an engine has at a time, for each that works: one to work on, the others on their way; so for processes.
+AHEAD, TOGETHER = 4, 2
 # How often an engine is asked whether it is still there, and how long it may be without workers, s.
 LOOK, PATIENCE = 1.0, 30.0
 ANSWER = 10.0
@@ -55,7 +55,7 @@ class Processes(NamedTuple):
 
         in_parallel(
             partial(_numbered, task, path, digest, numbers), len(numbers), self.workers, lost=lost, seen=seen,
-            at_once=True,
+            at_once=True, ahead=TOGETHER,
         )  # fmt: skip
 
 
