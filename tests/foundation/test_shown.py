@@ -25,8 +25,7 @@ LINE_MAX = 200
 # Objects that are asked to do things, and things to ask with: no results.
 TOOLS = {
     "Actuator", "Constraint", "Experiment", "Hydraulics", "Machine", "Measures", "Path", "Plant", "Problem",
-    "SelectionOptions", "SelectionProblem", "Sensor", "Tree",
-}  # fmt: skip
+    "SelectionOptions", "SelectionProblem", "Sensor", "Tree", "Study", "Vary"}  # fmt: skip
 
 
 class Page(HTMLParser):
