@@ -53,10 +53,9 @@ class Processes(NamedTuple):
         def lost(k: int, sentence: str) -> Finished:
             return Finished(numbers[k], "", (), sentence)
 
-        in_parallel(
-            partial(_numbered, task, path, digest, numbers), len(numbers), self.workers, lost=lost, seen=seen,
-            at_once=True, ahead=TOGETHER,
-        )  # fmt: skip
+        # The first one is worked on here: what it builds the processes inherit, where they can be forked.
+        each = partial(_numbered, task, path, digest, numbers)
+        in_parallel(each, len(numbers), self.workers, lost=lost, seen=seen, ahead=TOGETHER)
 
 
 def _numbered(task: Task, path: str, digest: str, numbers: Sequence[int], k: int) -> Finished:

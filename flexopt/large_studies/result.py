@@ -190,8 +190,8 @@ class StudyResult(Result):
     def quantiles(self, quantity: str, shares: Any) -> xr.Dataset:
         """Exact quantiles over all points, in four passes over the chunks; memory does not grow with their number.
 
-        The quantile of share q of n numbers is the least of them that at least q n of them do not exceed. Points without a number
-        do not count.
+        The quantile of share q of n numbers is the least of them that at least q n of them do not exceed. Points
+        without a number do not count.
 
         Args:
             quantity: its name.

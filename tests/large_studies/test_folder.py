@@ -162,7 +162,7 @@ def test_a_driver_that_ends_loses_what_is_in_flight_at_most(
 def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, slow_files: dict[str, bytes]) -> None:
     folder = tmp_path / "study"
     driver = start(folder)
-    wait_for(folder, 1)
+    wait_for(folder, 2)
     children = Path(f"/proc/{driver.pid}/task/{driver.pid}/children")
     if not children.exists():
         driver.kill()
