@@ -236,6 +236,11 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any], outer: str =
         if isinstance(one, Mapping) and isinstance(two, Mapping):
             faults += _differences(cast(Any, one), cast(Any, two), f"{outer}{key}.")
         elif one != two:
-            short = [text if len(text) <= 80 else f"{text[:77]}..." for text in map(json.dumps, [one, two])]
-            faults.append(Fault(f"{outer}{key}".removeprefix("study."), f"is {short[0]} in the folder, not {short[1]}"))
+            told = [_short(one), _short(two)]
+            faults.append(Fault(f"{outer}{key}".removeprefix("study."), f"is {told[0]} in the folder, not {told[1]}"))
     return faults
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
