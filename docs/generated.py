@@ -29,6 +29,7 @@ Examples of a result go on from those of the call that makes it, those of a meth
 INTRODUCTIONS = {
     "machine": "A machine file has the keys of `Machine` or, where it has the key `robot`, those of `Overlay`.",
     "problem": "A problem file has the keys of `Problem`.",
+    "study": "A study file, what `flexopt study run` carries out, has the keys of `Study`.",
     "experiment": "An experiment file, a simulation in a file, has the keys of `Experiment`.",
 }
 # What to do about each: the docstring of the class says what it means.
@@ -44,6 +45,8 @@ REMEDIES = {
     "MarginNotComputed": "The plant is scaled too badly, or damped too lightly. Ask for `w1`, which needs no ε_max.",
     "WrongSlope": "Nothing was solved. Where an own Function takes part, look whether it is smooth; else report it.",
     "ExportError": "Leave the part out (`parts`), or choose a control that has an equivalent in C.",
+    "StudyInterrupted": "Mend what the sentence names (room on the disk, workers, the scheduler) and make the same "
+    "call again: it goes on from the chunks that are there.",
     "WriteError": "Make room, make the folder, or choose another path. What was there before is as it was.",
     "FlexoptWarning": "The result is right. Read the sentence before you use it.",
     "ImplausibleMachine": "Run `flexopt check FILE`: it names each number, and the unit that was probably meant.",

@@ -31,6 +31,10 @@ TOPICS: dict[str, tuple[str, str]] = {
         "solve_problem certify Certificate select_stand Stand plan_base BasePlan nullspace_trajectory BaseTrajectory "
         "report Report explore Explorer",
     ),
+    "studies": (
+        "Large studies and sensitivity",
+        "Study Vary load_study run_study StudyResult open_study sensitivity Sensitivity",
+    ),
     "simulation": (
         "Simulation and identification",
         "simulate Trajectory SimulationOptions Sensor Actuator Path run_experiment simulate_ensemble Ensemble identify "
@@ -44,7 +48,7 @@ TOPICS: dict[str, tuple[str, str]] = {
     "errors": (
         "Errors and warnings",
         "FlexoptError InputError ModelError UnreachableTarget SingularPosture NotStabilizable NoSolutionFound "
-        "MarginNotComputed WrongSlope ExportError WriteError FlexoptWarning ImplausibleMachine",
+        "MarginNotComputed WrongSlope StudyInterrupted ExportError WriteError FlexoptWarning ImplausibleMachine",
     ),
 }
 # What classes of flexopt's own ask of each other: no user calls it.

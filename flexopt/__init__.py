@@ -13,6 +13,7 @@ from flexopt.errors import ModelError as ModelError
 from flexopt.errors import NoSolutionFound as NoSolutionFound
 from flexopt.errors import NotStabilizable as NotStabilizable
 from flexopt.errors import SingularPosture as SingularPosture
+from flexopt.errors import StudyInterrupted as StudyInterrupted
 from flexopt.errors import UnreachableTarget as UnreachableTarget
 from flexopt.errors import WriteError as WriteError
 from flexopt.errors import WrongSlope as WrongSlope
@@ -36,10 +37,15 @@ if TYPE_CHECKING:
     from flexopt.export.fmu import export_fmu as export_fmu
     from flexopt.identification import Identification as Identification
     from flexopt.identification import identify as identify
+    from flexopt.large_studies import StudyResult as StudyResult
+    from flexopt.large_studies import open_study as open_study
+    from flexopt.large_studies import run_study as run_study
     from flexopt.loop.evaluation import Outcome as Outcome
     from flexopt.loop.evaluation import outcome as outcome
     from flexopt.loop.region import Region as Region
     from flexopt.loop.region import stable_region as stable_region
+    from flexopt.loop.sensitivity import Sensitivity as Sensitivity
+    from flexopt.loop.sensitivity import sensitivity as sensitivity
     from flexopt.model import Machine as Machine
     from flexopt.model import Problem as Problem
     from flexopt.model import SelectionOptions as SelectionOptions
@@ -55,6 +61,9 @@ if TYPE_CHECKING:
     from flexopt.model.robots import load_robot as load_robot
     from flexopt.model.simulation import Experiment as Experiment
     from flexopt.model.simulation import SimulationOptions as SimulationOptions
+    from flexopt.model.study import Study as Study
+    from flexopt.model.study import Vary as Vary
+    from flexopt.model.study_file import load_study as load_study
     from flexopt.model.uncertainty import Uncertainty as Uncertainty
     from flexopt.plant import Hydraulics as Hydraulics
     from flexopt.plant import Plant as Plant
@@ -145,15 +154,20 @@ __all__ = [
     "Selection",
     "SelectionOptions",
     "SelectionProblem",
+    "Sensitivity",
     "Sensor",
     "SimulationOptions",
     "SingularPosture",
     "Stand",
     "StateSpace",
+    "Study",
+    "StudyInterrupted",
+    "StudyResult",
     "Trajectory",
     "Tree",
     "Uncertainty",
     "UnreachableTarget",
+    "Vary",
     "Verdict",
     "Verification",
     "WorkspaceMap",
@@ -179,22 +193,26 @@ __all__ = [
     "load_experiment",
     "load_problem",
     "load_robot",
+    "load_study",
     "machine_from_dict",
     "map_loop",
     "map_workspace",
     "ncf_margin",
     "nu_gap",
     "nullspace_trajectory",
+    "open_study",
     "optimal_controller",
     "outcome",
     "plan_base",
     "report",
     "robust_margin",
     "run_experiment",
+    "run_study",
     "sampled_loop",
     "schema",
     "select",
     "select_stand",
+    "sensitivity",
     "simulate",
     "simulate_ensemble",
     "solve_problem",
@@ -213,8 +231,10 @@ _LATER = {
     "export": "ExportReport Verification export_c verify_bundle",
     "export.fmu": "FmuReport export_fmu",
     "identification": "Identification identify",
+    "large_studies": "StudyResult open_study run_study",
     "loop.evaluation": "Outcome outcome",
     "loop.region": "Region stable_region",
+    "loop.sensitivity": "Sensitivity sensitivity",
     "model": (
         "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"
     ),
@@ -223,6 +243,8 @@ _LATER = {
     "model.own": "Constraint",
     "model.robots": "load_robot",
     "model.simulation": "Experiment SimulationOptions",
+    "model.study": "Study Vary",
+    "model.study_file": "load_study",
     "model.uncertainty": "Uncertainty",
     "plant": "Hydraulics Plant build_hydraulics build_plant inverse_kinematics",
     "robustness": "Evaluation Measures build_measures evaluate evaluate_w",

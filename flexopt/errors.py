@@ -234,6 +234,34 @@ class ExportError(FlexoptError):
     """
 
 
+class StudyInterrupted(FlexoptError):
+    """A study ended before its last chunk: its disk is full, its workers or their scheduler are gone.
+
+    Nothing that was finished is lost: the same call goes on where this one ended.
+
+    Attributes:
+        folder: of the study.
+        done, chunks: chunks that are finished, and all.
+
+    Example:
+        >>> issubclass(flexopt.StudyInterrupted, flexopt.FlexoptError)
+        True
+    """
+
+    def __init__(self, message: str, *, folder: str, done: int, chunks: int) -> None:
+        super().__init__(message)
+        self.folder, self.done, self.chunks = folder, done, chunks
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready description, with how far the study came.
+
+        Example:
+            >>> flexopt.StudyInterrupted("stopped", folder="study", done=3, chunks=8).to_dict()["done"]
+            3
+        """
+        return super().to_dict() | {"folder": self.folder, "done": self.done, "chunks": self.chunks}
+
+
 class WriteError(InputError, OSError):
     """A file cannot be written: no room, no permission, no folder. What was there before is as it was.
 

@@ -1,4 +1,4 @@
-"""The command `flexopt`: evaluate, select, verdict, simulate, map, atlas, explore, report, export and others.
+"""The command `flexopt`: evaluate, select, verdict, simulate, map, study, explore, report, export and others.
 
 In: options as text. Out: a result as text or, with `--json`, one JSON document on standard output; progress and errors
 go to standard error. Exit codes: 0 success, 2 bad input, 3 a solve that did not converge or a check that failed.
@@ -43,6 +43,8 @@ _COMMANDS = {
     "check": "checking",
     "schema": "layouts",
     "completion": "shell",
+    "study": "large_studies",
+    "sensitivity": "large_studies",
     "doctor": "studies",
 }
 

@@ -55,7 +55,7 @@ def print_json(document: dict[str, Any]) -> None:
 @contextmanager
 def option_names(options: dict[str, Any]) -> Generator[None]:
     """Faults of arguments under the names of the options they were given by."""
-    spelled = {"target": "end_point", "end-point": "end_point"}
+    spelled = {"target": "end_point", "end-point": "end_point", "executor": "dask"}
     asked = dict(options)
     try:
         yield

@@ -106,6 +106,7 @@ ARGUMENTS: dict[str, Complete] = {
     "machine or problem": _of(_shipped("models", "problems"), files=True),
     "results": _path("file"),
     "problem": _of(_shipped("problems", "models"), files=True),
+    "study": _of(_shipped("problems"), files=True),
     "shell": _of(lambda _: SHELLS),
 }
 

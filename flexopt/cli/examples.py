@@ -48,6 +48,15 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "reproduce": ("flexopt reproduce --out report",),
     "schema": ("flexopt schema machine --out machine.json", "flexopt schema problem --json"),
     "select": ("flexopt select excavator --end-point 0,1.6 --base 0", "flexopt select article --plot choice.png"),
+    "sensitivity": (
+        "flexopt sensitivity excavator --posture 0.9929,-2.6306 --ranges stiffness=0.5,2",
+        "flexopt sensitivity excavator --posture 0.9929,-2.6306 --loop kp=1e4 --plot what.png",
+    ),
+    "study": (
+        "flexopt study run excavator-study --out soils --workers 2",
+        "flexopt study status soils",
+        "flexopt study export soils --out soils.nc",
+    ),
     "simulate": (
         "flexopt simulate excavator --posture 0.0448,-2.0499 --kp 1e5 --kv 2e3",
         "flexopt simulate article-a --plot run.png",

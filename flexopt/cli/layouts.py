@@ -12,7 +12,7 @@ from flexopt.model.file_schema import FileKind, schema
 
 
 @click.command("schema", short_help="The layout of a kind of file, as JSON Schema for editors.")
-@click.argument("kind", metavar="machine|problem|experiment")
+@click.argument("kind", metavar="machine|problem|experiment|study")
 @value("--out", "PATH", "Write it to a file, .json, in place of standard output.")
 @JSON
 def schema_command(as_json: bool, kind: FileKind, out: str | None) -> None:

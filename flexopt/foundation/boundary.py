@@ -295,6 +295,7 @@ def public(
     error: type[InputError] = InputError,
     checks: Mapping[str, Check] | None = None,
     keywords: Keywords | None = None,
+    turn: bool = True,
     **own: Check,
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A function whose arguments are checked before it runs.
@@ -309,6 +310,7 @@ def public(
         error: what is raised.
         checks, own: of arguments, in place of the table's.
         keywords: those that the function takes as `**keywords`, and as fields of its argument `options`.
+        turn: whether it computes, and so holds the turn of threads; else it waits for others that compute.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
@@ -321,7 +323,6 @@ def public(
         each = {name: table[name] if name in table else TABLE[name] for name in parameters}
 
         @wraps(function)
-        @in_turn
         def checked(*args: P.args, **kwargs: P.kwargs) -> T:
             try:
                 bound = signature.bind(*args, **kwargs)
@@ -351,8 +352,9 @@ def public(
             arguments.done()
             return function(*bound.args, **bound.kwargs)
 
-        cast(Any, checked).__signature__ = signature
-        return checked
+        known = in_turn(checked) if turn else checked
+        cast(Any, known).__signature__ = signature
+        return known
 
     return decorate
 

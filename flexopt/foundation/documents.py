@@ -45,7 +45,12 @@ def write_netcdf(path: AnyPath, dataset: Any) -> None:
     Raises:
         WriteError: the file cannot be written.
     """
-    write_file(path, bytes(dataset.to_netcdf(engine="scipy", format="NETCDF3_64BIT")))
+    write_file(path, netcdf_bytes(dataset))
+
+
+def netcdf_bytes(dataset: Any) -> bytes:
+    """An xarray.Dataset as the content of a netCDF 3 file; it holds no time stamp."""
+    return bytes(dataset.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
 
 
 def json_ready(value: Any) -> Any:

@@ -48,8 +48,10 @@ def in_parallel(
     done: Done | None = None,
     meanwhile: Callable[[], None] | None = None,
     lost: Callable[[int, str], T] | None = None,
+    seen: Callable[[T], None] | None = None,
     *,
     at_once: bool = False,
+    ahead: int = 1,
 ) -> list[T]:
     """[task(0), …, task(count − 1)].
 
@@ -64,13 +66,15 @@ def in_parallel(
         meanwhile: called once while processes work; not where none do.
         lost: the result of a number whose processes were ended from outside, as for lack of memory, every time that it
             was tried; takes the number and a sentence. Without it that is an error.
+        seen: called with each result as it comes, in any order; what it raises ends the others.
+        ahead: how many numbers each process is given at a time, where this process looks after them all along.
 
     Raises:
         Exception: the first one, by number, that the task raised.
         ProcessLost: as above.
     """
     with one_blas_thread():
-        return _worked_off(task, count, workers, done, meanwhile, lost, at_once=at_once)
+        return _worked_off(task, count, workers, done, meanwhile, lost, seen, at_once=at_once, ahead=ahead)
 
 
 def _worked_off(
@@ -80,8 +84,10 @@ def _worked_off(
     done: Done | None,
     meanwhile: Callable[[], None] | None,
     lost: Callable[[int, str], T] | None,
+    seen: Callable[[T], None] | None,
     *,
     at_once: bool,
+    ahead: int,
 ) -> list[T]:
     """As `in_parallel`."""
     results: list[T] = []
@@ -94,11 +100,13 @@ def _worked_off(
         if workers > 1 and left > 1 and known and not _is_worker():
             numbers = list(range(len(results), count))
             context = multiprocessing.get_context(method)
-            rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile, lost)
+            rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile, lost, seen, ahead)
             if rest is not None:
                 return results + rest
             workers = 1
         results.append(task(len(results)))
+        if seen is not None:
+            seen(results[-1])
         if done is not None:
             done(len(results))
     return results
@@ -166,6 +174,8 @@ def _spread(
     before: int,
     meanwhile: Callable[[], None] | None,
     lost: Callable[[int, str], T] | None,
+    seen: Callable[[T], None] | None,
+    ahead: int,
 ) -> list[T] | None:
     """Results of the numbers from `workers` processes; None where processes cannot be started."""
     crew = _Crew(context, task)
@@ -174,7 +184,7 @@ def _spread(
             pass
         if not crew.pairs:
             return None
-        return _collect(crew, numbers, done, before, meanwhile, lost)
+        return _collect(crew, numbers, done, before, meanwhile, lost, seen, ahead)
     finally:
         crew.dismiss()
 
@@ -186,6 +196,8 @@ def _collect(
     before: int,
     meanwhile: Callable[[], None] | None,
     lost: Callable[[int, str], Any] | None,
+    seen: Callable[[Any], None] | None,
+    ahead: int,
 ) -> list[Any]:
     waiting, results, tried = deque(numbers), dict[int, Any](), dict[int, int]()
     failures: dict[int, BaseException] = {}
@@ -200,6 +212,8 @@ def _collect(
 
     def finished(number: int, value: Any) -> None:
         results[number] = value
+        if seen is not None:
+            seen(value)
         if done is not None:
             done(before + len(results))
 
@@ -223,7 +237,7 @@ def _collect(
 
     # Enough to do for as long as this process does not look; more than a pipe holds would stop it for good, as the
     # others wait until it reads their results.
-    ahead = 1 if meanwhile is None else max(1, min(AHEAD_MAX, len(numbers) // (2 * len(crew.pairs))))
+    ahead = ahead if meanwhile is None else max(1, min(AHEAD_MAX, len(numbers) // (2 * len(crew.pairs))))
     for _ in range(ahead):
         for connection in crew.pairs:
             feed(connection)

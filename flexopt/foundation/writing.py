@@ -17,7 +17,7 @@ import shutil
 import stat
 import sys
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -32,32 +32,33 @@ _FRESH = re.compile(r"\.flexopt-[0-9a-f]{16}\.new")
 _STALE = 86400.0
 _AT_FDCWD, _EXCHANGE = -100, 2
 
-Content = str | bytes
+Content = str | bytes | bytearray
 AnyPath = str | os.PathLike[str]
 
 
-def write_file(path: AnyPath, content: Content, *, private: bool = False) -> None:
+def write_file(path: AnyPath, content: Content, *, private: bool = False, durable: bool = True) -> None:
     """Write one file; text as UTF-8. A link stays one, and an older file's mode stays.
 
     Args:
         path: of the file.
         content: what it shall hold.
         private: it belongs to this user, and nobody else may read or write it, whatever an older one was.
+        durable: wait until it is on the disk. Else a loss of power may leave less, which its reader must find out.
 
     Raises:
         WriteError: it cannot be written; the older file is as it was.
     """
-    write_files({path: content}, private=private)
+    write_files({path: content}, private=private, durable=durable)
 
 
-def write_files(contents: Mapping[Any, Content], *, private: bool = False) -> None:
+def write_files(contents: Mapping[Any, Content], *, private: bool = False, durable: bool = True) -> None:
     """Write several files, path -> content, as `write_file` does. None is swapped before all are written.
 
     Raises:
         WriteError: one cannot be written.
     """
     with contextlib.ExitStack() as stack:
-        ready: list[tuple[Path, Path, IO[bytes], bytes]] = []
+        ready: list[tuple[Path, Path, IO[bytes], bytes | bytearray]] = []
         for path, content in contents.items():
             data = content.encode() if isinstance(content, str) else content
             with _told(path, len(data)):
@@ -67,11 +68,31 @@ def write_files(contents: Mapping[Any, Content], *, private: bool = False) -> No
                     continue
                 _check(final)
                 fresh, file = stack.enter_context(_beside(final, 0o600 if private else 0o666))
-                _fill(file, data)
+                _fill(file, data, durable=durable)
                 ready.append((fresh, final, file, data))
         for fresh, final, file, data in ready:
             with _told(final, len(data)):
                 _swap(fresh, final, file, keep=not private)
+
+
+def write_parts(path: AnyPath, parts: Iterable[bytes]) -> None:
+    """Write one file whose content comes in parts, of which one is in memory at a time; else as `write_file`.
+
+    Raises:
+        WriteError: it cannot be written; the older file is as it was.
+    """
+    size = 0
+    with _told(path, 0):
+        final = Path(os.path.realpath(path))
+        _check(final)
+        with _beside(final) as (fresh, file):
+            for part in parts:
+                size += len(part)
+                with _told(path, size):
+                    file.write(part)
+            with _told(path, size):
+                _fill(file, b"")
+                _swap(fresh, final, file, keep=True)
 
 
 def make_folder(path: AnyPath) -> Path:
@@ -158,10 +179,12 @@ def _amount(size: int) -> str:
     return f"{size / 1000**power:.3g} {unit}" if power else f"{size} {unit}"
 
 
-def _fill(file: IO[bytes], data: bytes) -> None:
+def _fill(file: IO[bytes], data: bytes | bytearray, *, durable: bool = True) -> None:
     """Write and bring to the disk, so that the swap never comes before the content."""
     file.write(data)
     file.flush()
+    if not durable:
+        return
     with contextlib.suppress(OSError) if sys.platform == "darwin" else contextlib.nullcontext():
         os.fsync(file.fileno())
 
@@ -297,7 +320,7 @@ def _exchanged(first: Path, second: Path) -> bool:
         return False
 
 
-def _one_by_one(folder: Path, contents: Mapping[str, bytes], keep: Callable[[str], bool]) -> None:
+def _one_by_one(folder: Path, contents: Mapping[str, bytes | bytearray], keep: Callable[[str], bool]) -> None:
     """Each file swapped on its own; then those that are neither new nor kept removed."""
     for name in contents:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

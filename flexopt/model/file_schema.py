@@ -1,4 +1,4 @@
-"""What a machine, problem or experiment file may say, as JSON Schema: for editors, for the pages of the documentation.
+"""What each kind of file may say, as JSON Schema: for editors, for the pages of the documentation.
 
 In: the models that read the files. Out: one dictionary. Types, ranges and defaults are the models' own, sentences are
 those of their docstrings.
@@ -20,13 +20,15 @@ from flexopt.model.problem import Problem
 from flexopt.model.robots.overlay import Overlay
 from flexopt.model.robots.reading import COLLISION
 from flexopt.model.simulation import Experiment
+from flexopt.model.study import Study
 
-FileKind = Literal["machine", "problem", "experiment"]
+FileKind = Literal["machine", "problem", "experiment", "study"]
 # What reads each kind of file; a machine file that names a robot file has keys of its own.
 MODELS: dict[FileKind, tuple[type[FileModel], ...]] = {
     "machine": (Machine, Overlay),
     "problem": (Problem,),
     "experiment": (Experiment,),
+    "study": (Study,),
 }
 DIALECT = GenerateJsonSchema.schema_dialect
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
@@ -40,7 +42,7 @@ def schema(kind: FileKind) -> dict[str, Any]:
     `default` what holds where it is left out. What several keys must be together is left to `flexopt.check`.
 
     Args:
-        kind: `"machine"`, `"problem"` or `"experiment"`.
+        kind: `"machine"`, `"problem"`, `"experiment"` or `"study"`.
 
     Raises:
         InputError: it is another word.

@@ -26,7 +26,7 @@ Kind = Literal["models", "problems"]
 WORDS: dict[Kind, str] = {"models": "machine", "problems": "problem"}
 KINDS: tuple[Kind, Kind] = ("models", "problems")
 # A file with any of these keys is meant as a problem.
-PROBLEM_KEYS = frozenset({"machine", "target", "selection", "simulation", "nullspace"})
+PROBLEM_KEYS = frozenset({"machine", "target", "selection", "simulation", "nullspace", "compute"})
 
 
 @dataclass(frozen=True)

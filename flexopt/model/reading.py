@@ -149,6 +149,8 @@ def _experiment(source: Source) -> Experiment:
     from flexopt.model.simulation import Experiment  # noqa: PLC0415  (what no file asks for is not loaded)
     from flexopt.model.simulation_faults import experiment_faults  # noqa: PLC0415
 
+    if "compute" in source.data:
+        raise ModelError(f"{source.name}: is a study, not an experiment; `flexopt study run` takes it")
     if "simulation" not in source.data:
         raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
     experiment = validated(Experiment, source.data, source.name, ())
@@ -163,6 +165,8 @@ def _problem(source: Source) -> Problem:
 
     if "simulation" in source.data:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
+    if "compute" in source.data:
+        raise ModelError(f"{source.name}: is a study, not a configuration problem; `flexopt study run` takes it")
     check_extent(source.data, source.name)
     faults = problem_faults(source.data)
     name = source.data.get("machine")

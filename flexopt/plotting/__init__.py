@@ -8,6 +8,7 @@ from flexopt.plotting.atlas import plot_atlas as plot_atlas
 from flexopt.plotting.base_trajectory import plot_base_trajectory as plot_base_trajectory
 from flexopt.plotting.identification import plot_identification as plot_identification
 from flexopt.plotting.selection import plot_selection as plot_selection
+from flexopt.plotting.sensitivity import plot_sensitivity as plot_sensitivity
 from flexopt.plotting.several import plot_plan as plot_plan
 from flexopt.plotting.several import plot_stand as plot_stand
 from flexopt.plotting.trajectory import plot_trajectories as plot_trajectories

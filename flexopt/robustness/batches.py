@@ -73,31 +73,46 @@ def evaluate_w(
         >>> found.w[0].round(7)
         array([-2.968e-04, -2.400e-06])
     """
-    bases, postures = np.asarray(bases), np.asarray(postures)
     p = measures.plant.parameter_values.full().ravel()
+    return w_at(measures, np.asarray(bases), np.asarray(postures), p, threads=threads, gradient=gradient)
+
+
+def w_at(
+    measures: Measures, bases: Array, postures: Array, p: Array, *, threads: int = 1, gradient: bool = False
+) -> BatchedW:
+    """As `evaluate_w`, with parameters p (n_par,) or (n_par, N)."""
     quick = measures.quick_batch_with_gradient if gradient else measures.quick_batch
     w, gap, *slopes = quick(bases, postures, p, threads=threads)
     # A NaN is not trusted either.
     doubtful = np.flatnonzero(~(gap[0] >= TRUSTED_GAP))
     if doubtful.size:
-        points = [_columns(given, w.shape[1])[:, doubtful] for given in (bases, postures)]
-        w[:, doubtful] = measures.w.call([*points, ca.DM(p)])[0].full()
+        points = [_columns(given, w.shape[1])[:, doubtful] for given in (bases, postures, p)]
+        points = [ca.DM(part) for part in points]
+        w[:, doubtful] = measures.w.call(points)[0].full()
         if gradient:
-            flat = measures.w_with_gradient.call([*points, ca.DM(p)])[1].full()
+            flat = measures.w_with_gradient.call(points)[1].full()
             m, n = slopes[0].shape[0] // measures.plant.n_actuated, measures.plant.n_actuated
             slopes[0][:, doubtful] = flat.reshape(m, doubtful.size, n).transpose(2, 0, 1).reshape(m * n, -1)
     w_posture = slopes[0].reshape(-1, w.shape[0], w.shape[1]).transpose(1, 0, 2) if gradient else None
+    singular, unheld = unsound(measures, bases, postures, p, threads=threads)
+    # Points that fit every input alone are one.
+    none = np.flatnonzero(np.broadcast_to(singular | unheld, w.shape[1]))
+    w[:, none] = np.nan
+    if w_posture is not None:
+        w_posture[..., none] = np.nan
+    return BatchedW(w, w_posture, int(doubtful.size), singular, unheld)
+
+
+def unsound(
+    measures: Measures, bases: Array, postures: Array, p: Array, *, threads: int = 1
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which of N points have no measures: singular ones, and those that nothing holds; see `BatchedW`."""
     *jacobians, left_over, least_pivot = measures.sound_batch(bases, postures, p, threads=threads)
     singular = singular_points(measures.plant, measures.control, *jacobians)
     unheld = np.zeros_like(singular)
     if measures.gravity:
         unheld = ~((left_over[0] <= SOLVE_TOLERANCE) & (least_pivot[0] > 0))
-    # Points that fit every input alone are one.
-    none = np.broadcast_to(singular | unheld, w.shape[1])
-    w[:, none] = np.nan
-    if w_posture is not None:
-        w_posture[..., none] = np.nan
-    return BatchedW(w, w_posture, int(doubtful.size), singular, unheld)
+    return singular, unheld
 
 
 def _columns(given: ArrayLike, n_points: int) -> Array:

@@ -16,9 +16,11 @@ from flexopt.foundation.boundary import TABLE, instance, path, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, Problem, load_file
-from flexopt.model.files import ROBOT_SUFFIXES
+from flexopt.model.files import KINDS, ROBOT_SUFFIXES, read_source
 from flexopt.model.plausibility import REACH_MAX, ImplausibleNumber
 from flexopt.model.simulation import Experiment
+from flexopt.model.study import Study
+from flexopt.model.study_file import study_from
 from flexopt.robustness.plausibility import implausibilities
 
 # A start displacement beyond this, rad, is a quarter turn: hardly a disturbance.
@@ -32,8 +34,8 @@ class Check(Result):
 
     Attributes:
         name: of what was looked at, or the path that was given.
-        kind: `"machine"`, `"problem"`, `"experiment"` or `"robot"` (a URDF or MJCF file); None where it could not be
-            told.
+        kind: `"machine"`, `"problem"`, `"experiment"`, `"study"` or `"robot"` (a URDF or MJCF file); None where it
+            could not be told.
         machine: the machine's name; None where it could not be read.
         faults: what must be mended before anything can be computed.
         findings: numbers that are allowed but hardly meant.
@@ -82,13 +84,12 @@ def _given(arguments: Arguments, field: str, value: Any) -> Any:
         return path(limited=False)(arguments, field, value)
     if isinstance(value, Problem | Experiment):
         return TABLE["problem" if isinstance(value, Problem) else "experiment"](arguments, field, value)
-    return instance(AnyMachine, "a machine, a problem or an experiment, or the name or path of one")(
-        arguments, field, value
-    )
+    sentence = "a machine, a problem, an experiment or a study, or the name or path of one"
+    return instance((AnyMachine, Study), sentence)(arguments, field, value)
 
 
 @public(machine_or_path=_given)
-def check(machine_or_path: AnyMachine | Problem | Experiment | str | os.PathLike[str]) -> Check:
+def check(machine_or_path: AnyMachine | Problem | Experiment | Study | str | os.PathLike[str]) -> Check:
     """Every fault of a file, and every number of its machine that is allowed but hardly meant.
 
     Looked for are slips of unit: kN for N, mm for m, tonnes and grams, degrees, inertia about the pivot. A link's
@@ -97,7 +98,7 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | str | os.PathLike
     100 m.
 
     Args:
-        machine_or_path: a machine, problem or experiment, or the name or path of one; a URDF or MJCF file, too.
+        machine_or_path: a machine, problem, experiment or study, or the name or path of one; a URDF or MJCF file, too.
 
     Raises:
         InputError: it is none of these. Faults of a file are no error here but part of the result.
@@ -107,7 +108,7 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | str | os.PathLike
         >>> flexopt.check("excavator")
         machine 'excavator': nothing to mend
     """
-    if isinstance(machine_or_path, AnyMachine | Problem | Experiment):
+    if isinstance(machine_or_path, AnyMachine | Problem | Experiment | Study):
         return _checked(machine_or_path, ())
     name = os.fsdecode(machine_or_path)
     with warnings.catch_warnings(record=True) as caught:
@@ -115,7 +116,8 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | str | os.PathLike
         try:
             if name.lower().endswith(ROBOT_SUFFIXES):
                 return _checked_robot(name)
-            loaded = load_file(machine_or_path)
+            source = read_source(machine_or_path, KINDS)
+            loaded = study_from(source) if "compute" in source.data else load_file(machine_or_path)
         except ModelError as error:
             word = name if len(name) <= NAME_SHOWN else name[: NAME_SHOWN - 3] + "..."
             faults = error.faults or (Fault(word, str(error).removeprefix(f"{name}: ")),)
@@ -135,9 +137,9 @@ def _checked_robot(name: str) -> Check:
     return Check(robot.name or name, "robot", None, tuple(faults), (), robot.warnings, provenance())
 
 
-def _checked(loaded: AnyMachine | Problem | Experiment, sentences: tuple[str, ...]) -> Check:
+def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple[str, ...]) -> Check:
     machine = loaded if isinstance(loaded, AnyMachine) else loaded.loaded_machine
-    kind = "machine" if loaded is machine else "problem" if isinstance(loaded, Problem) else "experiment"
+    kind = "machine" if loaded is machine else type(loaded).__name__.lower()
     found = [*implausibilities(machine)]
     if isinstance(loaded, Problem):
         found += _targets(loaded)

@@ -14,6 +14,7 @@ from flexopt.errors import FlexoptError
 from flexopt.foundation.documents import package_version, provenance
 from flexopt.model import load, load_experiment, load_problem, shipped_names
 from flexopt.model.files import Kind, read_source
+from flexopt.model.study_file import load_study
 
 COMPILERS = ("cc", "gcc", "clang", "cl")
 
@@ -105,10 +106,9 @@ def _shipped(kind: Kind) -> InstallationCheck:
 def _read(kind: Kind, name: str) -> None:
     if kind == "models":
         load(name)
-    elif "simulation" in read_source(name, (kind,)).data:
-        load_experiment(name)
-    else:
-        load_problem(name)
+        return
+    data = read_source(name, (kind,)).data
+    (load_experiment if "simulation" in data else load_study if "compute" in data else load_problem)(name)
 
 
 def _compiler() -> InstallationCheck:

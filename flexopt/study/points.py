@@ -62,20 +62,24 @@ def evaluate_points(
     postures: Vector,
     *,
     bases: Vector | None = None,
+    parameters: Vector | None = None,
     control: Control = "inverse",
     gain: float = 5e5,
     gravity: bool = False,
     epsilon_max: bool = True,
     threads: int | None = None,
     progress: Progress | None = None,
+    expected: int | None = None,
 ) -> PointValues:
     """Everything about `postures` (n, N), rad or m, that a map or a curve shows, the base at `bases` (n_b, N) or at 0.
 
-    The arguments are taken as they are; `map_workspace` checks them.
+    The arguments are taken as they are; `map_workspace` checks them. `parameters` (n_par, N) take the place of the
+    machine's own, not with ε_max. `expected` says how many points are to come in all, where these are not all.
     """
     threads = available_cores() if threads is None else threads
     count = postures.shape[1]
-    batches = expect_points(count, machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
+    ahead = count if expected is None else expected
+    batches = expect_points(ahead, machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
     placed = np.zeros((len(machine.base_coordinates), count)) if bases is None else bases
     parts: list[tuple[Vector, ...]] = []
     if progress is not None:
@@ -83,7 +87,8 @@ def evaluate_points(
     for start in range(0, max(count, 1), CHUNK):
         chunk = postures[:, start : start + CHUNK]
         base = placed[:, start : start + CHUNK]
-        values = _measured(batches, base, chunk, threads)
+        p = None if parameters is None else parameters[:, start : start + CHUNK]
+        values = _measured(batches, base, chunk, p, threads)
         epsilon = np.full(chunk.shape[1], np.nan)
         sound = np.isfinite(values[-2])
         if epsilon_max and sound.any():
@@ -157,10 +162,12 @@ def _measure_function(measures: Measures) -> ca.Function:
     return ca.Function("map_measures", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
 
 
-def _measured(batches: Batches, bases: Vector, postures: Vector, threads: int) -> tuple[Vector, ...]:
+def _measured(
+    batches: Batches, bases: Vector, postures: Vector, parameters: Vector | None, threads: int
+) -> tuple[Vector, ...]:
     """The fields of `PointValues` up to `condition`."""
     plant = batches.measures.plant
-    p = np.array(plant.parameter_values).ravel()
+    p = np.array(plant.parameter_values).ravel() if parameters is None else parameters
     frequency, w, scale, trace, least, rigid, jv, position, left_over = batches.values(
         bases, postures, p, threads=threads
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 
@@ -65,6 +66,13 @@ def trajectory() -> flexopt.Trajectory:
 @cache
 def workspace() -> flexopt.WorkspaceMap:
     return flexopt.map_workspace(excavator(), points=(4, 4), epsilon_max=False, threads=1)
+
+
+@cache
+def study() -> flexopt.Study:
+    """Four points."""
+    vary = [{"of": "posture.boom", "value": [0.5, 1.0], "count": 4}]
+    return flexopt.Study(name="small", machine="excavator", compute="measures", vary=vary, posture=POSTURE)
 
 
 @cache
@@ -228,6 +236,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     "load": lambda: {"name_or_path": "excavator"},
     "load_experiment": lambda: {"name_or_path": "article-a"},
     "load_problem": lambda: {"name_or_path": "article"},
+    "load_study": lambda: {"name_or_path": "excavator-study"},
     "load_robot": lambda: {"path": "truck-crane.toml"},
     "machine_from_dict": lambda: {"data": excavator().to_dict(), "origin": "here"},
     "map_loop": lambda: _machine(
@@ -286,6 +295,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         duration=0.05,
         on_descent="stop",
     ),
+    "open_study": lambda: {"folder": flexopt.run_study(study(), "opened", workers=1).folder},
     "optimal_controller": lambda: STATE_SPACE,
     "outcome": lambda: _machine(
         posture=POSTURE, base=0.0, control="inverse", gravity=False, loop={"kp": 1e4, "kv": 1e3}
@@ -311,6 +321,13 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     },
     "robust_margin": lambda: STATE_SPACE,
     "run_experiment": lambda: {"experiment": experiment(), "loop": None, "overrides": {"duration": 0.02}},
+    "run_study": lambda: {
+        "study": study(),
+        "folder": "study",
+        "executor": ThreadPoolExecutor(1),
+        "workers": 1,
+        "progress": print,
+    },
     "sampled_loop": lambda: _machine(posture=POSTURE, **SIMULATE),
     "select": lambda: _machine(
         target=TARGET,
@@ -324,6 +341,16 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     ),
     "select_stand": lambda: _machine(
         targets=[TARGET, [0.1, 1.6]], combine="weighted", shares=[1.0, 1.0], **SELECT, **RUN
+    ),
+    "sensitivity": lambda: _machine(
+        posture=POSTURE,
+        base=0.0,
+        control="inverse",
+        gravity=False,
+        loop={"kp": 1e4, "kv": 1e3},
+        ranges={"stiffness": [0.5, 2.0]},
+        samples=64,
+        seed=0,
     ),
     "simulate": lambda: _machine(posture=POSTURE, loop=None, **SIMULATE),
     "simulate_ensemble": lambda: _machine(
@@ -456,6 +483,29 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
         "filter_hz": 20.0,
     },
     "StateSpace": lambda: STATE_SPACE,
+    "Study": lambda: {
+        "schema": 1,
+        "name": "small",
+        "description": "",
+        "source": "",
+        "machine": "excavator",
+        "problem": None,
+        "experiment": None,
+        "compute": "outcome",
+        "quantities": ["decay"],
+        "vary": [{"of": "kp", "value": [1e3, 1e4]}],
+        "points": "sobol",
+        "count": 4,
+        "seed": 0,
+        "chunk": 2,
+        "posture": POSTURE,
+        "base": [0.0],
+        "control": "inverse",
+        "gravity": False,
+        "gain": 5e5,
+        "loop": {"kv": 1e3},
+    },
+    "Vary": lambda: {"of": "stiffness", "value": None, "factor": [0.5, 2.0], "count": 3, "scale": "log"},
     "Tree": lambda: (
         {
             "schema": 1,
@@ -507,6 +557,10 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "Actuator": flexopt.Actuator,
     "Stand": lambda: flexopt.select_stand(excavator(), [TARGET, [0.1, 1.6]], starts=1, workers=1),
     "StateSpace": state_space,
+    "Sensitivity": lambda: flexopt.sensitivity(excavator(), POSTURE, samples=64),
+    "Study": study,
+    "StudyResult": lambda: flexopt.run_study(study(), "result", workers=1),
+    "Vary": lambda: flexopt.Vary(of="stiffness", factor=(0.5, 2.0)),
     "Trajectory": trajectory,
     "Tree": tree,
     "Verdict": verdict,
@@ -578,6 +632,12 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "SelectionProblem.wrapped": lambda: {"z": _z()},
     "Stand.plot": lambda: {"path": "stand.png"},
     "StateSpace.at": lambda: {"points": [1j, 2j]},
+    "Sensitivity.plot": lambda: {"path": "sensitivity.png"},
+    "Study.with_subject": lambda: {"subject": excavator()},
+    "StudyResult.quantiles": lambda: {"quantity": "w", "shares": [0.5]},
+    "StudyResult.reduce": lambda: {"quantity": "w", "how": "min", "over": ["posture.boom"]},
+    "StudyResult.to_csv": lambda: {"path": "study.csv"},
+    "StudyResult.to_netcdf": lambda: {"path": "study.nc"},
     "Trajectory.animate": lambda: {"path": "run.gif", "speed": 1.0, "magnify": 1.0},
     "Trajectory.plot": lambda: {"path": "run.png"},
     "Trajectory.skeletons": lambda: {"q": trajectory().q[:2], "base": trajectory().base[:2]},

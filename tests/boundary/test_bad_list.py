@@ -83,6 +83,16 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("Experiment", "nullspace", ("empty dict",), "the defaults"),
     ("*.to_csv", "path", ("text",), "a file may have any name"),
     ("*.to_netcdf", "path", ("text",), "a file may have any name"),
+    (
+        "Vary",
+        "of",
+        ("text", "NUL"),
+        "looked up where the machine is known, in flexopt.run_study",
+    ),
+    ("Study", "machine", ("text", "million *", "NUL"), "looked up where the study is carried out"),
+    ("StudyResult.quantiles", "shares", ("wrong length",), "as many as wanted"),
+    ("Study", "*", ("wrong length",), "how many there must be is the machine's to say, in flexopt.run_study"),
+    ("run_study", "folder", ("text",), "a folder may have any name"),
     ("Report.write", "folder", ("text",), "a folder may have any name"),
     ("export_c", "folder", ("text",), "a folder may have any name"),
 ]
@@ -91,7 +101,7 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
 RESULTS = {
     "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Ensemble", "Evaluation", "Explanation", "Explorer",
     "ExportReport", "FmuReport", "Identification", "Outcome", "Region", "Report", "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory",
-    "Verdict", "Verification", "WorkspaceMap",
+    "Sensitivity", "StudyResult", "Verdict", "Verification", "WorkspaceMap",
 }  # fmt: skip
 NAMES = [call.name for call in calls()]
 
@@ -148,6 +158,7 @@ def names(row: Mapping[str, str]) -> bool:
         "load",
         "load_problem",
         "load_experiment",
+        "load_study",
         "load_robot",
         "machine_from_dict",
         "tree_from_dict",

@@ -25,7 +25,7 @@ LINE_MAX = 200
 # Objects that are asked to do things, and things to ask with: no results.
 TOOLS = {
     "Actuator", "Constraint", "Experiment", "Hydraulics", "Machine", "Measures", "Path", "Plant", "Problem",
-    "SelectionOptions", "SelectionProblem", "Sensor", "Tree",
+    "SelectionOptions", "SelectionProblem", "Sensor", "Study", "Tree", "Vary",
 }  # fmt: skip
 
 

@@ -18,7 +18,8 @@ from flexopt.model.file_model import FileModel
 from flexopt.model.file_schema import MODELS, key_sentences
 from flexopt.model.files import shipped_folder, shipped_names
 
-LOADERS = {"machine": flexopt.load, "problem": flexopt.load_problem, "experiment": flexopt.load_experiment}
+LOADERS = {"machine": flexopt.load, "problem": flexopt.load_problem, "experiment": flexopt.load_experiment,
+           "study": flexopt.load_study}  # fmt: skip
 VALIDATORS = {kind: Draft202012Validator(flexopt.schema(kind)) for kind in MODELS}
 
 
@@ -27,7 +28,9 @@ def shipped() -> Iterator[tuple[str, Path, dict[str, Any]]]:
         for name in shipped_names(folder):
             path = shipped_folder(folder) / f"{name}.toml"
             data = tomllib.loads(path.read_text(encoding="utf-8"))
-            yield ("machine" if folder == "models" else "experiment" if "simulation" in data else "problem"), path, data
+            told = {"simulation": "experiment", "compute": "study"}
+            kind = next((kind for key, kind in told.items() if key in data), "problem")
+            yield ("machine" if folder == "models" else kind), path, data
 
 
 SHIPPED = list(shipped())
@@ -37,9 +40,10 @@ def read(kind: str, data: dict[str, Any], folder: Path) -> None:
     """As the loader reads a file in that folder."""
     from flexopt.model.files import Source  # noqa: PLC0415
     from flexopt.model.reading import _experiment, _machine, _problem  # noqa: PLC0415
+    from flexopt.model.study_file import study_from  # noqa: PLC0415
 
     source = Source(data, "models" if kind == "machine" else "problems", folder, "file")
-    {"machine": _machine, "problem": _problem, "experiment": _experiment}[kind](source)
+    {"machine": _machine, "problem": _problem, "experiment": _experiment, "study": study_from}[kind](source)
 
 
 def places(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:

@@ -1,0 +1,246 @@
+"""The folder of a study: its document, and where its chunks lie; who may go on with it.
+
+In: a study and a folder. Out: `study.json`, which says all that a chunk depends on, and the paths of chunks. Whoever
+computes reads it from there: messages between processes stay small, and state lies in files alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.compiled import find_compiler
+from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.documents import package_version
+from flexopt.foundation.netcdf_form import NetcdfForm
+from flexopt.foundation.writing import make_folder, write_file
+from flexopt.large_studies.points import StudyPoints
+from flexopt.large_studies.status import WORDS
+from flexopt.model.study import Study
+from flexopt.model.study_file import described, study_of
+
+DOCUMENT, CHUNKS, PROGRESS = "study.json", "chunks", "progress.json"
+# Files of a folder: each file that is written looks through its own once, see `foundation/writing.py`.
+TOGETHER = 256
+NAME = re.compile(r"(\d{8,})-([0-9a-f]{8})\.nc")
+# Points whose numbers, to the last bit, tell whether two processes compute alike.
+PROBED = 64
+# Numbers that a chunk's file says of itself: how many, and of which kind.
+ATTRIBUTES = {"chunk": (1, "i4"), "first_point": (1, "f8"), "points_by_status": (len(WORDS), "i4")}
+PACKAGES = ("flexopt", "casadi", "numpy", "scipy")
+
+
+def work_of(study: Study, points: StudyPoints) -> Any:
+    """What computes a chunk of a study from its columns."""
+    # Each kind loads what it needs alone.
+    if study.compute in ("measures", "outcome"):
+        from flexopt.large_studies.together import ManyMeasures, ManyOutcomes  # noqa: PLC0415
+
+        return (ManyMeasures if study.compute == "measures" else ManyOutcomes)(study, points.axes)
+    from flexopt.large_studies.singly import ManySelections, ManySimulations  # noqa: PLC0415
+
+    return (ManySelections if study.compute == "selection" else ManySimulations)(study, points.axes)
+
+
+@dataclass(frozen=True)
+class StudyFolder:
+    """A folder and the study that it holds.
+
+    Attributes:
+        path: of the folder.
+        study: which.
+        made_by: versions, whether code is compiled, and the checksum of a few numbers, when it was begun.
+    """
+
+    path: Path
+    study: Study
+    made_by: Mapping[str, Any]
+
+    @cached_property
+    def points(self) -> StudyPoints:
+        """The numbers of its points."""
+        return StudyPoints(self.study)
+
+    @cached_property
+    def work(self) -> Any:
+        """What computes a chunk."""
+        return work_of(self.study, self.points)
+
+    @cached_property
+    def digest(self) -> str:
+        """Of the study, without who made it."""
+        return digest_of(self.study)
+
+    @property
+    def about(self) -> dict[str, dict[str, Any]]:
+        """Attributes of the variables in a chunk's file."""
+        flags = {"flag_values": np.arange(len(WORDS), dtype=np.int8), "flag_meanings": " ".join(WORDS)}
+        return {name: {"units": unit} for name, unit in self.work.units.items()} | {"status": flags}
+
+    @property
+    def texts(self) -> dict[str, bytes]:
+        """Attributes of the file."""
+        return {"study": self.study.name.encode(), "sha256": self.digest.encode()}
+
+    def form(self, count: int) -> NetcdfForm | None:
+        """What a chunk of so many points is filled into; None of one that is made anew each time."""
+        variables = None if not hasattr(self.work, "fill") else self.work.variables(count)
+        if variables is None or not NetcdfForm.fits(variables):
+            return None
+        if count not in self.forms:
+            self.forms.clear()  # there are two sizes, of which the last chunk has its own
+            self.forms[count] = NetcdfForm(variables, self.about, self.texts, ATTRIBUTES)
+        return self.forms[count]
+
+    @cached_property
+    def forms(self) -> dict[int, NetcdfForm]:
+        """The last one, by its number of points."""
+        return {}
+
+    def place(self, number: int) -> Path:
+        """The folder of a chunk."""
+        return self.path / CHUNKS / f"{number // TOGETHER:06d}"
+
+    def file(self, number: int, checksum: int) -> Path:
+        """The file of a chunk, whose name says what its content must be."""
+        return self.place(number) / f"{number:08d}-{checksum:08x}.nc"
+
+    def there(self) -> dict[int, list[Path]]:
+        """Files of chunks by their numbers, unread."""
+        found: dict[int, list[Path]] = {}
+        for group in sorted(_entries(self.path / CHUNKS)):
+            for path in sorted(_entries(group)):
+                named = NAME.fullmatch(path.name)
+                if named and self.place(int(named[1])) == group:
+                    found.setdefault(int(named[1]), []).append(path)
+        return found
+
+    def files_of(self, number: int) -> list[Path]:
+        """Files of one chunk, unread."""
+        return [path for path in sorted(_entries(self.place(number))) if path.name.startswith(f"{number:08d}-")]
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return [Path(entry.path) for entry in os.scandir(folder)]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
+def digest_of(study: Study) -> str:
+    """SHA-256 of all that a study says, its machine included."""
+    return hashlib.sha256(json.dumps(described(study), sort_keys=True).encode()).hexdigest()
+
+
+def intact(path: Path) -> bytes | None:
+    """What a chunk's file holds; None where it is gone, or not what its name says."""
+    named = NAME.fullmatch(path.name)
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    return content if named and zlib.crc32(content) == int(named[2], 16) else None
+
+
+def fingerprint(folder: StudyFolder) -> dict[str, Any]:
+    """What decides about the last bits: versions, compiled or not, and for compiled ones the bits of a few numbers."""
+    found: dict[str, Any] = {name: package_version(name) for name in PACKAGES}
+    found["compiled"] = find_compiler() is not None
+    if folder.study.compute == "measures":
+        columns = folder.points.columns(0)[:, :PROBED]
+        values, _, _ = folder.work(columns)
+        found["bits"] = f"{zlib.crc32(b''.join(np.ascontiguousarray(values[name]).tobytes() for name in values)):08x}"
+    return found
+
+
+def begin(path: str | os.PathLike[str], study: Study) -> StudyFolder:
+    """The folder of a study: a new one, or one that holds the same study and can go on here.
+
+    Raises:
+        InputError: it holds another study, other files, or was begun where numbers come out otherwise.
+        WriteError: it cannot be written.
+    """
+    folder = Path(path)
+    if (folder / DOCUMENT).exists():
+        found = open_folder(folder)
+        faults = _differences(described(found.study), described(study))
+        raise_if_any(InputError, f"run_study: folder = {str(path)!r} holds another study", faults)
+        check_alike(found)
+        return found
+    others = [entry.name for entry in _entries(folder) if not entry.name.startswith(".")]
+    if others or (folder.exists() and not folder.is_dir()):
+        listed = ", ".join(sorted(others)[:3]) or "it is a file"
+        fault = Fault("folder", f"must be a new or empty folder, or that of this study; there is {listed}", str(path))
+        raise_if_any(InputError, "run_study", [fault])
+    fresh = StudyFolder(folder, study, {})
+    made_by = fingerprint(fresh)
+    text = json.dumps(described(study) | {"layout": 1, "sha256": fresh.digest, "made_by": made_by}, indent=2)
+    make_folder(folder)
+    write_file(folder / DOCUMENT, text + "\n")
+    return StudyFolder(folder, study, made_by)
+
+
+def open_folder(path: str | os.PathLike[str]) -> StudyFolder:
+    """The folder of a study that was begun.
+
+    Raises:
+        InputError: there is none, or its document was changed.
+    """
+    try:
+        told = json.loads((Path(path) / DOCUMENT).read_text(encoding="utf-8"))
+        study = study_of(told)
+        fits = told["sha256"] == digest_of(study) and told["layout"] == 1
+        made_by = cast("dict[str, Any]", told["made_by"])
+    except FileNotFoundError:
+        sentence = f"is no folder of a study: it has no {DOCUMENT}"
+        raise InputError(f"folder = {os.fspath(path)!r}: {sentence}", [Fault("folder", sentence)]) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        sentence = f"its {DOCUMENT} cannot be read ({' '.join(str(error).split())[:200]})"
+        raise InputError(f"folder = {os.fspath(path)!r}: {sentence}", [Fault("folder", sentence)]) from None
+    if not fits:
+        sentence = f"its {DOCUMENT} was changed, or comes from another version"
+        raise InputError(f"folder = {os.fspath(path)!r}: {sentence}", [Fault("folder", sentence)])
+    return StudyFolder(Path(path), study, made_by)
+
+
+def check_alike(folder: StudyFolder) -> None:
+    """Raise where this process would compute other bits than the one that began the study."""
+    here = fingerprint(folder)
+    differ = [
+        f"{name} {folder.made_by.get(name)} there, {here.get(name)} here"
+        for name in sorted({*here, *folder.made_by})
+        if here.get(name) != folder.made_by.get(name)
+    ]
+    if differ:
+        sentence = f"was begun where numbers come out otherwise ({'; '.join(differ)}), and results would mix"
+        fault = Fault("folder", f"{sentence}; use the same versions and kind of processor, or a new folder")
+        raise_if_any(InputError, f"study {folder.study.name!r}", [fault])
+
+
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any], outer: str = "") -> list[Fault]:
+    """Keys whose values differ, with both."""
+    faults: list[Fault] = []
+    for key in sorted({*there, *here}):
+        one: Any = there.get(key)
+        two: Any = here.get(key)
+        if isinstance(one, Mapping) and isinstance(two, Mapping):
+            faults += _differences(cast(Any, one), cast(Any, two), f"{outer}{key}.")
+        elif one != two:
+            told = [_short(one), _short(two)]
+            faults.append(Fault(f"{outer}{key}".removeprefix("study."), f"is {told[0]} in the folder, not {told[1]}"))
+    return faults
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

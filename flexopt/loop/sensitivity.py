@@ -1,0 +1,272 @@
+"""Which of the numbers that nobody has measured matters: variance-based indices and derivative-based bounds.
+
+In: a machine in a posture, what is uncertain, and a loop where there is one. Out: `Sensitivity`, for every w_i and the
+loop's decay.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from flexopt.errors import Fault, InputError, NoSolutionFound, raise_if_any
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import by, public
+from flexopt.foundation.control import Control
+from flexopt.foundation.documents import provenance
+from flexopt.foundation.pictures import Pictured
+from flexopt.foundation.plain import plain
+from flexopt.foundation.results import Result
+from flexopt.loop.evaluation import settings_at
+from flexopt.loop.outcome import DEAD_TIME
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop
+from flexopt.model.uncertainty import GROUND, LATE, Uncertainty
+from flexopt.robustness import build_measures
+from flexopt.robustness.batches import w_at
+
+# Samples, and those of them where slopes are computed; a power of two, as Sobol sequences have it.
+SAMPLES, SLOPES, SLOPES_OF_LOOP = 1024, 512, 128
+LEAST, MOST = 64, 2**18
+# How often the samples are drawn anew for an interval, and the share of all indices that it holds.
+DRAWN, SHARE = 200, 0.95
+
+
+@by
+def _samples(value: Any) -> int:
+    """How many samples: a power of two."""
+    given = plain(value)
+    if isinstance(given, bool) or not isinstance(given, int) or not LEAST <= given <= MOST or given & (given - 1):
+        raise ValueError(f"must be a power of two between {LEAST} and {MOST}")
+    return given
+
+
+@dataclass(frozen=True)
+class Sensitivity(Pictured, Result):
+    """Which uncertain number matters for what. s outputs, k uncertain numbers.
+
+    Its picture: for each output the first-order and total indices with their intervals, and the bounds from slopes.
+
+    Attributes:
+        machine: its name.
+        outputs: `"w1"`, … and, with a loop, `"decay"` (1/s).
+        names: of what is uncertain.
+        first: S_i = Var(E[y | x_i]) / Var(y), (s, k): the share of the variance that x_i explains alone.
+        total: S_Ti = 1 − Var(E[y | all but x_i]) / Var(y), (s, k): with all that it does together with others.
+        first_interval, total_interval: where they lie, (s, k, 2), 95 % of 200 bootstrap samples.
+        bound: ν_i / (π² Var(y)), ν_i = E[(∂y/∂u_i)²] with exact slopes, u_i in [0, 1], (s, k). S_Ti is no larger.
+        bound_error: its standard error, (s, k).
+        mean, deviation: of each output over the samples, (s,).
+        samples: base samples; each output was computed (k + 2) times as often.
+        most: for each output the name with the largest total index; `""` where its interval overlaps that of another,
+            so that it cannot be told, or where the output does not vary.
+
+    Example:
+        >>> ranges = {"stiffness": (0.5, 2.0), "damping": (0.5, 2.0)}
+        >>> found = flexopt.sensitivity(flexopt.load("excavator"), (0.9929, -2.6306), ranges=ranges, samples=256)
+        >>> found.most[0]
+        'stiffness'
+    """
+
+    machine: str
+    outputs: tuple[str, ...]
+    names: tuple[str, ...]
+    first: Vector
+    first_interval: Vector
+    total: Vector
+    total_interval: Vector
+    bound: Vector
+    bound_error: Vector
+    mean: Vector
+    deviation: Vector
+    samples: int
+    provenance: dict[str, Any]
+
+    DOCUMENT = """
+    machine outputs names first first_interval total total_interval bound bound_error mean deviation samples most
+    provenance
+    """
+
+    @property
+    def most(self) -> tuple[str, ...]:
+        """See the class."""
+        found: list[str] = []
+        for total, ends in zip(self.total, self.total_interval, strict=True):
+            if not np.all(np.isfinite(total)):
+                found.append("")
+                continue
+            best = int(np.argmax(total))
+            others = [ends[k, 1] for k in range(len(self.names)) if k != best]
+            found.append(self.names[best] if not others or ends[best, 0] > max(others) else "")
+        return tuple(found)
+
+    def __repr__(self) -> str:
+        lines = [f"{self.machine}: what matters, over {', '.join(self.names)} ({self.samples} base samples)"]
+        width = max(map(len, self.names))
+        for s, output in enumerate(self.outputs):
+            lines.append(f"  {output}: mean {self.mean[s]:.4g}, standard deviation {self.deviation[s]:.3g}")
+            for k, name in enumerate(self.names):
+                if not np.isfinite(self.total[s, k]):
+                    lines.append(f"    {name:{width}}  does not vary")
+                    continue
+                one, all_ = self.first_interval[s, k], self.total_interval[s, k]
+                lines.append(
+                    f"    {name:{width}}  alone {self.first[s, k]:6.3f} [{one[0]:6.3f}, {one[1]:6.3f}]  "
+                    f"in all {self.total[s, k]:6.3f} [{all_[0]:6.3f}, {all_[1]:6.3f}]  "
+                    f"at most {self.bound[s, k]:.3g} ± {2 * self.bound_error[s, k]:.2g}"
+                )
+            said = self.most[s] or "undecided: the intervals overlap"
+            lines.append(f"    matters most: {said if self.deviation[s] > 0 else 'nothing, it does not vary'}")
+        return "\n".join(lines)
+
+
+@public(samples=_samples)
+def sensitivity(
+    machine: AnyMachine,
+    posture: Any,
+    *,
+    base: Any = None,
+    control: Control | None = None,
+    gravity: bool = False,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
+    samples: int = SAMPLES,
+    seed: int = 0,
+) -> Sensitivity:
+    """Which unknown matters, for each w_i and, with a loop, for how fast it decays: what to measure first.
+
+    Sobol indices by Saltelli's samples (`scipy.stats.sobol_indices`), and bounds from exact derivatives. All uncertain
+    numbers are independent and uniform, factors in their logarithm.
+
+    Args:
+        machine, posture, base, gravity: as of `flexopt.evaluate`.
+        control: Jacobian `"inverse"` (default), `"transpose"` or `"damped:LAMBDA"`.
+        loop: the real controller, as of `flexopt.outcome`; none by default, and then no decay.
+        ranges: what is uncertain, as of `flexopt.verdict`; by default the machine's `[[uncertainty]]`, or where there
+            is none one factor ½ to 2 of all springs.
+        samples: base samples, a power of two.
+        seed: of the samples.
+
+    Raises:
+        InputError, SingularPosture: as `flexopt.evaluate` and `flexopt.outcome`.
+        NoSolutionFound: some members of the ranges have no measures.
+
+    Example:
+        >>> found = flexopt.sensitivity(flexopt.load("excavator"), (0.9929, -2.6306), samples=64)
+        >>> found.outputs, found.names
+        (('w1', 'w2', 'w3'), ('stiffness',))
+    """
+    known = cast("tuple[Uncertainty, ...]", ranges or machine.uncertainty or GROUND)
+    asked = cast("Loop | None", loop)
+    settings, placed = settings_at(machine, posture, base, control, asked, gravity=gravity, call="sensitivity")
+    box = UncertaintyBox(machine, known, settings.dead_time)
+    if asked is not None:
+        raise_if_any(InputError, "sensitivity", box.faults(settings.rate))
+    elif any(each.of == (LATE,) for each in known):
+        fault = Fault("ranges", "dead_time goes with a loop", LATE)
+        raise_if_any(InputError, "sensitivity", [fault])
+    of = _Outputs(box, posture, placed, settings.control, gravity=gravity)
+    loops = None if asked is None else UncertainLoop(settings, placed, posture, gravity, box)
+    a, b = _saltelli(len(known), samples, seed)
+    mixed = [np.where(np.arange(len(known)) == k, b, a) for k in range(len(known))]
+    members = np.concatenate([a, b, *mixed])
+    values = of.values(members)
+    if loops is not None:
+        values = np.vstack([values, loops.decays(members)[None]])
+    missing = np.count_nonzero(~np.isfinite(values).all(axis=0))
+    if missing:
+        raise NoSolutionFound(
+            f"sensitivity: {missing} of {len(members)} members of the ranges have no measures or no loop; narrow them",
+            violations={"members": float(missing)}, iterate={},
+        )  # fmt: skip
+    parts = values.reshape(values.shape[0], len(known) + 2, samples).transpose(1, 0, 2)
+    first, total = _indices(parts)
+    first_ends, total_ends = _intervals(parts, seed)
+    squares = [np.array([of.slopes(u) for u in a[:SLOPES]])]
+    if loops is not None:
+        squares.append(np.array([_slopes_of_loop(loops, u)[None] for u in a[:SLOPES_OF_LOOP]]))
+    deviation = parts[:2].std(axis=(0, 2))
+    bound, error = (np.concatenate(each) for each in zip(*map(_mean_square, squares), strict=True))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.where(_varies(parts), math.pi**2 * deviation**2, np.nan)[:, None]
+    outputs = (*(f"w{i + 1}" for i in range(of.modes)), *(() if loops is None else ("decay",)))
+    options = {"posture": posture, "base": placed, "control": settings.control, "gravity": gravity, "samples": samples}
+    options |= {"seed": seed, "ranges": [each.model_dump(exclude_none=True) for each in known]}
+    return Sensitivity(
+        machine=machine.name, outputs=outputs, names=box.names, first=first, first_interval=first_ends, total=total,
+        total_interval=total_ends, bound=bound / scale, bound_error=error / scale, mean=parts[:2].mean(axis=(0, 2)),
+        deviation=deviation, samples=samples, provenance=provenance(machine, **options),
+    )  # fmt: skip
+
+
+class _Outputs:
+    """The w_i of members of the box, and their slopes."""
+
+    def __init__(self, box: UncertaintyBox, posture: Vector, base: Vector, control: Control, *, gravity: bool) -> None:
+        self.box, self.posture, self.base = box, posture, base
+        self.measures = build_measures(box.machine, control, gravity)
+        self.modes = self.measures.plant.n_passive
+
+    def values(self, members: Vector) -> Vector:
+        """(m, N)."""
+        p = np.array([self.box.numbers(u)[0] for u in members]).T
+        postures = np.tile(self.posture[:, None], len(members))
+        return w_at(self.measures, self.base, postures, np.ascontiguousarray(p)).w
+
+    def slopes(self, u: Vector) -> Vector:
+        """∂w/∂u (m, k)."""
+        p, _ = self.box.numbers(u)
+        by_p = self.measures.gradients.call([self.base, self.posture, p])[1].full()
+        return np.array([self.box.slopes(u, row, 0.0) for row in by_p])
+
+
+def _slopes_of_loop(loops: UncertainLoop, u: Vector) -> Vector:
+    """∂decay/∂u (k,); NaN where eigenvalues meet."""
+    point = loops.outcome(u)
+    by_what = point.gradient(point.decay())
+    return loops.box.slopes(u, by_what["p"], float(by_what[DEAD_TIME][0]))
+
+
+def _saltelli(k: int, samples: int, seed: int) -> tuple[Vector, Vector]:
+    """Two independent samples (n, k) from one sequence."""
+    from scipy.stats.qmc import Sobol  # noqa: PLC0415  (loads slowly)
+
+    drawn = Sobol(2 * k, seed=seed).random(samples)
+    return drawn[:, :k], drawn[:, k:]
+
+
+def _varies(parts: Vector) -> Any:
+    """Which outputs vary by more than rounding, (s,)."""
+    return np.ptp(parts, axis=(0, 2)) > 1e-9 * np.abs(parts).max(axis=(0, 2))
+
+
+def _indices(parts: Vector) -> tuple[Vector, Vector]:
+    """First-order and total indices (s, k) of outputs (k + 2, s, n): of both samples, and of each mixed one."""
+    from scipy.stats import sobol_indices  # noqa: PLC0415  (loads slowly)
+
+    found, varies = np.full((2, parts.shape[1], parts.shape[0] - 2), np.nan), _varies(parts)
+    for s in np.flatnonzero(varies):
+        # Twice, as SciPy stumbles over one output of one number.
+        y = parts[:, [s, s]]
+        known: Any = sobol_indices(func={"f_A": y[0], "f_B": y[1], "f_AB": y[2:]}, n=parts.shape[2])
+        found[:, s] = [np.reshape(order, (2, -1))[0] for order in (known.first_order, known.total_order)]
+    return found[0], found[1]
+
+
+def _intervals(parts: Vector, seed: int) -> tuple[Vector, Vector]:
+    """Ends (s, k, 2) of both over samples drawn anew from these."""
+    rng, n = np.random.default_rng(seed), parts.shape[2]
+    drawn = np.array([_indices(parts[:, :, rng.integers(0, n, n)]) for _ in range(DRAWN)])
+    ends = np.quantile(drawn, [(1 - SHARE) / 2, (1 + SHARE) / 2], axis=0)
+    return ends[:, 0].transpose(1, 2, 0), ends[:, 1].transpose(1, 2, 0)
+
+
+def _mean_square(slopes: Vector) -> tuple[Vector, Vector]:
+    """Mean of the squares of slopes (n, s, k) and its standard error."""
+    squares = slopes**2
+    return squares.mean(axis=0), squares.std(axis=0, ddof=1) / math.sqrt(len(squares))
