@@ -55,12 +55,13 @@ def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     ]
     draw_scene(axes, views(actors[0].shape)[0], actors, stopped.target)
     legend_above(axes, title="x of the undercarriage")
+    unit = residue_unit(stopped.control, stopped.final.joint_units)
     both = {"stop at B": stopped, "no stop": climb}
     panels = [
         Panel("base position, m", tuple((name, t.time, t.base[:, 0]) for name, t in both.items())),
         Panel("base rate, m/s", tuple((name, t.time, t.base_rate[:, 0]) for name, t in both.items()), steps=True),
         Panel(
-            labelled(f"V: {stopped.objective}", residue_unit(stopped.control, stopped.final.joint_units)),
+            labelled(f"V: {stopped.objective}", unit),
             tuple((name, t.time, t.V) for name, t in both.items()),
         ),
     ]
@@ -111,8 +112,8 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
             )  # fmt: skip
         differ = [d for d in gains.disagreements if d.stand == name]
         axes.plot(
-            [d.kp for d in differ], [d.kv for d in differ], "x", color=inks.undecided, markersize=6, markeredgewidth=1.4,
-            label="run and eigenvalues differ",
+            [d.kp for d in differ], [d.kv for d in differ], "x", color=inks.undecided, markersize=6,
+            markeredgewidth=1.4, label="run and eigenvalues differ",
         )  # fmt: skip
         axes.axhline(kv, color=inks.muted, linewidth=1.0, linestyle="--", label=f"Kv = {kv:g}")
         for ratio, style in zip(ratios, (":", "-."), strict=False):

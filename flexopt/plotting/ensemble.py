@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.foundation.palette import colors
+from flexopt.plotting.scene import legend_above
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled
 from flexopt.simulation.ensemble import VERDICTS, Ensemble
@@ -82,7 +83,7 @@ def _draw_rates(axes: Axes, ensemble: Ensemble) -> None:
     axes.set_xlabel(label)
     axes.set_ylabel("growth rate, 1/s")
     axes.grid(visible=True)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+    legend_above(axes, "right", ncols=3)
 
 
 def _varied(ensemble: Ensemble) -> tuple[str, Values]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from matplotlib.patches import FancyBboxPatch, Polygon
+from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 
 from flexopt.foundation.palette import colors
 from flexopt.plotting.shape import Points, Shape, View, capsule_outline, chain, links_of, spring_line, views
@@ -16,6 +16,8 @@ from flexopt.plotting.shape import Points, Shape, View, capsule_outline, chain, 
 # below it and of itself.
 HALF_WIDTH, SPRING, HEIGHT = 0.16, 0.04, 0.045
 FAINT = 0.4
+# Depth of the ground in a picture, m: farther than any shows.
+DEEP = 1e3
 
 
 def draw_machine(axes: Axes, skeleton: Points, color: str, *, ghost: bool = False, label: str = "") -> None:
@@ -99,7 +101,13 @@ def _draw_undercarriage(axes: Axes, view: View, shape: Shape, alpha: float, orde
 
 def draw_ground(axes: Axes, height: float) -> None:
     """Ground up to a height, m, as wide as the axes."""
-    axes.axhspan(height - 1e3, height, facecolor=colors().ground, edgecolor="none", zorder=0)
+    # Not among the data, which the limits may be fitted to.
+    axes.add_artist(
+        Rectangle(
+            (0.0, height - DEEP), 1.0, DEEP, facecolor=colors().ground, edgecolor="none", zorder=0,
+            transform=axes.get_yaxis_transform(),
+        )
+    )  # fmt: skip
     axes.axhline(height, color=colors().ground_line, linewidth=1.2, zorder=1)
 
 
@@ -113,7 +121,8 @@ def draw_target(axes: Axes, point: Points, name: str = "", *, line: bool = False
     if name:
         axes.annotate(
             name, (float(points[0, 0]), float(points[1, 0])), xytext=(6, 6), textcoords="offset points", zorder=6,
-            fontsize="small", bbox={"boxstyle": "round,pad=0.1", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.7},
+            fontsize="small",
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.7},
         )  # fmt: skip
 
 

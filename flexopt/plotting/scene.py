@@ -78,18 +78,20 @@ def draw_scene(
         draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
     draw_target(axes, marks, name, line=line)
     axes.set_aspect("equal", adjustable=fill)
-    axes.set_xlim(float(extent[0].min()) - room, float(extent[0].max()) + room)
-    axes.set_ylim(float(extent[1].min()) - room, float(extent[1].max()) + room)
+    # Matplotlib may widen what is set as if by itself.
+    axes.set_xlim(float(extent[0].min()) - room, float(extent[0].max()) + room, auto=fill == "datalim")
+    axes.set_ylim(float(extent[1].min()) - room, float(extent[1].max()) + room, auto=fill == "datalim")
     axes.set_xlabel(view.labels[0])
     axes.set_ylabel(view.labels[1])
 
 
-def legend_above(axes: Axes, **settings: Any) -> None:
-    """Names of what is drawn, above the axes, where nothing is drawn."""
+def legend_above(axes: Axes, side: Literal["left", "right"] = "left", **settings: Any) -> None:
+    """Names of what is drawn, above the axes, where nothing is drawn; the axis' power of ten stands on the left."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
+        corner = (float(side == "right"), 1.0)
         axes.legend(
-            handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, borderaxespad=0.2, **settings
+            handles, labels, loc=f"lower {side}", bbox_to_anchor=corner, frameon=False, borderaxespad=0.2, **settings
         )
 
 
@@ -122,5 +124,5 @@ def _outer(view: View, shape: Shape) -> Points:
         found.append(view.of(shape.support))
     foot = view.of(shape.skeleton[:, :1])
     if view.upright:
-        found.append(foot + [[0.0], [(HEIGHT + SPRING) * shape.size]])
+        found.append(foot + np.array([[0.0], [(HEIGHT + SPRING) * shape.size]]))
     return np.hstack(found)

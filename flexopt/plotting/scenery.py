@@ -106,7 +106,8 @@ def _draw_half_plane(axes: Axes, view: View, obstacle: HalfPlane) -> None:
     along, far = np.array([-normal[1], normal[0]]), 1e3
     corners = [point + far * along, point - far * along, point - far * along - far * normal]
     corners.append(point + far * along - far * normal)
-    axes.add_patch(
+    # Not among the data, which the limits may be fitted to.
+    axes.add_artist(
         Polygon(
             np.array(corners), closed=True, facecolor=colors().obstacle, edgecolor=colors().edge, linewidth=0.8,
             alpha=0.3, zorder=1.2,

@@ -149,7 +149,7 @@ def draw_candidates(panels: Sequence[Axes], selection: Selection) -> None:
     floor = min(float(e.w.min()) for e in (best, *([initial] if initial is not None else [])))
     panels[0].set_ylim(1.12 * floor, -0.05 * floor if floor < 0 else 1.0)
     panels[0].set_title("measures of each mode, 0 is best", loc="right")
-    legend_above(panels[1], ncols=3)
+    legend_above(panels[1], "right", ncols=3)
     panels[1].set_xlabel("mode, and its frequency when chosen, Hz")
     _draw_ranks(panels[2], selection)
 

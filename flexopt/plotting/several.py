@@ -75,7 +75,7 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
 
 @picture(
     "BasePlan",
-    size=lambda plan: (10.5, 7.6),
+    size=lambda _: (10.5, 7.6),
     check=instance(BasePlan, "a BasePlan, from flexopt.plan_base for example"),
 )
 def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
@@ -175,7 +175,7 @@ def _draw_measures(axes: Axes, places: Sequence[TargetConfiguration], numbers: N
     for i in range(w.shape[1]):
         at = numbers + (i - (w.shape[1] - 1) / 2) * width
         axes.bar(at, w[:, i], width, color=series[i % len(series)], label=f"$w_{{{i + 1}}}$")
-    legend_above(axes, ncols=w.shape[1], columnspacing=1.0)
+    legend_above(axes, "right", ncols=w.shape[1], columnspacing=0.7, handlelength=0.7, handletextpad=0.3)
     axes.set_ylabel(measure_label(places[0].evaluation))
 
 

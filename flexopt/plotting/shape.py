@@ -20,6 +20,8 @@ Points = NDArray[np.float64]
 ARC = 16
 # By how much of its thickness a link is deeper between its pins.
 DEEPER = 0.45
+# Share of the machine's size by which the first link is cut off at the ground.
+LIFTED = 0.07
 # Below this share of the machine's size an arm has no main direction to be seen from the side.
 UPRIGHT = 1e-3
 # What is as near to a plane as this share of its coordinates, which is rounding, touches it.
@@ -250,6 +252,9 @@ def links_of(shape: Shape, view: View) -> list[tuple[tuple[int, int], Points]]:
             continue
         thick, thin = (size * (0.026 - 0.015 * float(before[k]) / farthest) for k in (i, j))
         start, end = view.of(points[:, [i, j]]).T
+        if i == 0:
+            # What stands on the ground begins above it, on the undercarriage.
+            start = start + min(0.5, LIFTED * size / (before[j] - before[i])) * (end - start)
         tool = j == tip and len(arm) > 1
         found.append(((i, j), tool_outline(start, end, thick) if tool else link_outline(start, end, thick, thin)))
     return found

@@ -41,7 +41,7 @@ def run(name: str) -> Any:
 
 
 def ensemble(name: str) -> Any:
-    vary = {"kp": np.linspace(5e3, 2e4, 12)}
+    vary = {"kp": np.geomspace(1e3, 1e6, 12)}
     return flexopt.simulate_ensemble(machine(name), posture(name), vary=vary, keep="trajectories", kv=1e3, duration=1.0)
 
 
