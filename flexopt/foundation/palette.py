@@ -65,8 +65,9 @@ class Palette:
     series: tuple[str, ...]
 
     def css(self) -> dict[str, str]:
-        """The single colours as CSS names them: `ground-line` for `ground_line`."""
-        return {name.replace("_", "-"): value for name, value in self.named().items()}
+        """As CSS names them: `ground-line` for `ground_line`, `series-1` for the first of the series."""
+        series = {f"series-{k + 1}": color for k, color in enumerate(self.series)}
+        return {name.replace("_", "-"): value for name, value in self.named().items()} | series
 
     def named(self) -> dict[str, str]:
         """The single colours by name, all but the series."""
@@ -77,17 +78,17 @@ LIGHT = Palette(
     page="#ffffff", panel="#f6f7f9", halo="#ffffff", text="#1c2530", muted="#566270", line="#c9d0d8", grid="#e3e6ea",
     focus="#0050b3", present="#3b6ea5", chosen="#d95f02", other="#8a8f94", grows="#b23a00", settles="#0b6b5d",
     undecided="#8b7ca6", base="#777777", undercarriage="#444444", edge="#111111", ground="#efe9df",
-    ground_line="#8a7a5c", target="#111111", obstacle="#8c564b", allowed="#1c8a5a", forbidden="#9c1f4f",
+    ground_line="#8a7a5c", target="#111111", obstacle="#8c564b", allowed="#1c8a5a", forbidden="#8e1b6b",
     in_phase="#f5d327", out_of_phase="#27509b", mark="#d81b1b", emphasis="#f0e442", measured="#9aa0a6",
-    fitted="#332288", series=("#332288", "#cc6677", "#44aa99", "#aa4499", "#999933", "#88ccee"),
+    fitted="#2d155b", series=("#2d155b", "#aa4164", "#899d25", "#6a98af", "#5d45d3", "#5b2d15"),
 )  # fmt: skip
 DARK = Palette(
     page="#12161b", panel="#1c2229", halo="#12161b", text="#e6eaef", muted="#a5b0bc", line="#3b4551", grid="#2b333c",
     focus="#8fc1ff", present="#6fa3dc", chosen="#f0893a", other="#8f979f", grows="#ff8f57", settles="#4fc9b4",
-    undecided="#b9a6dc", base="#9aa0a6", undercarriage="#b4bac1", edge="#05070a", ground="#2a2620",
-    ground_line="#a08f6c", target="#f5f7fa", obstacle="#b98376", allowed="#4cc38a", forbidden="#e8669a",
+    undecided="#a894d6", base="#9aa0a6", undercarriage="#b4bac1", edge="#05070a", ground="#2a2620",
+    ground_line="#a08f6c", target="#f5f7fa", obstacle="#b98376", allowed="#4cc38a", forbidden="#d96bd0",
     in_phase="#f5d327", out_of_phase="#27509b", mark="#ff5a52", emphasis="#f0e442", measured="#7d868f",
-    fitted="#a5b0ff", series=("#a5b0ff", "#ee8899", "#66d1bd", "#d98ad9", "#c9c95e", "#9fdcf5"),
+    fitted="#b9d4ef", series=("#b9d4ef", "#b87a85", "#d8c35a", "#5a5ad8", "#ac8fe5", "#b9efcb"),
 )  # fmt: skip
 PALETTES: dict[Theme, Palette] = {"light": LIGHT, "dark": DARK}
 _USED = ContextVar[Palette]("_USED", default=LIGHT)

@@ -77,6 +77,8 @@ def draw_scene(
     for actor in actors:
         draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
     draw_target(axes, marks, name, line=line)
+    if name:
+        extent = np.hstack([extent, marks + [[0.0], [room]]])
     axes.set_aspect("equal", adjustable=fill)
     # Matplotlib may widen what is set as if by itself.
     axes.set_xlim(float(extent[0].min()) - room, float(extent[0].max()) + room, auto=fill == "datalim")

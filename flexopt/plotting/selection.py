@@ -21,7 +21,7 @@ from flexopt.plotting.units import labelled, measure_label, objective_label
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.result import Selection
 
-BRANCHES = {-1.0: (0, "elbow up"), 1.0: (3, "elbow down")}
+BRANCHES = {-1.0: (0, "elbow up"), 1.0: (1, "elbow down")}
 # Fraction of the scan that sets the lower end of the axes: near singular postures the measures fall without end.
 WORST_SHOWN = 0.12
 

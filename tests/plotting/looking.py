@@ -56,7 +56,8 @@ def faults(figure: Figure) -> list[str]:
     found = [
         f"{a!r} on {b!r}"
         for (a, one), (b, other) in combinations(boxes, 2)
-        if min(one.x1, other.x1) - max(one.x0, other.x0) > touch and min(one.y1, other.y1) - max(one.y0, other.y0) > touch
+        if min(one.x1, other.x1) - max(one.x0, other.x0) > touch
+        and min(one.y1, other.y1) - max(one.y0, other.y0) > touch
     ]
     edge = figure.bbox
     found += [

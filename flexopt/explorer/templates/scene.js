@@ -1,7 +1,6 @@
 "use strict";
 // The machine drawn in one plane: a view of a planar machine, or of one in space from the side or from above.
 
-const MODE_COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
 
 class View {
   // `axes`: two directions in the machine's space; `upright`: whether the second is the height.
@@ -177,7 +176,7 @@ class Painter {
     for (const [x, y] of flat.slice(1, -1)) {
       c.beginPath();
       c.arc(x, y, Math.max(2, 0.009 * size * view.scale), 0, 2 * Math.PI);
-      c.fillStyle = "#ffffff";
+      c.fillStyle = theme.halo;
       c.fill();
       c.strokeStyle = theme.edge;
       c.lineWidth = 1;
