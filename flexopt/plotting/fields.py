@@ -56,9 +56,9 @@ class FieldPlane:
 
 
 def signed_colors() -> LinearSegmentedColormap:
-    """From what grows to what settles, dark where it does so fast; the two meet in no common white."""
+    """From what grows to what settles, dark where it does so fast; the two meet in no common colour."""
     inks = colors()
-    light = [_mixed(ink, "#ffffff", 0.72) for ink in (inks.grows, inks.settles)]
+    light = [_mixed(ink, inks.page, 0.72) for ink in (inks.grows, inks.settles)]
     stops = [(0.0, inks.grows), (0.5, light[0]), (0.5, light[1]), (1.0, inks.settles)]
     return LinearSegmentedColormap.from_list("signed", stops)
 

@@ -78,11 +78,13 @@ def draw_scene(
         draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
     draw_target(axes, marks, name, line=line)
     if name:
-        extent = np.hstack([extent, marks + [[0.0], [room]]])
+        extent = np.hstack([extent, marks + np.array([[0.0], [room]])])
     axes.set_aspect("equal", adjustable=fill)
-    # Matplotlib may widen what is set as if by itself.
-    axes.set_xlim(float(extent[0].min()) - room, float(extent[0].max()) + room, auto=fill == "datalim")
-    axes.set_ylim(float(extent[1].min()) - room, float(extent[1].max()) + room, auto=fill == "datalim")
+    low, high = extent.min(axis=1) - room, extent.max(axis=1) + room
+    # Matplotlib may widen what is set as if by itself, and shrinks it no further than to what it knows as data.
+    axes.update_datalim([low, high])
+    axes.set_xlim(float(low[0]), float(high[0]), auto=fill == "datalim")
+    axes.set_ylim(float(low[1]), float(high[1]), auto=fill == "datalim")
     axes.set_xlabel(view.labels[0])
     axes.set_ylabel(view.labels[1])
 
