@@ -10,7 +10,9 @@ from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, TwoSlopeNorm, to_rgb
+from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -94,11 +96,17 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, cli
         vmin=low,
         vmax=high,
     )
+    _bar(axes, image, label, extend="min" if clipped and finite.size else "neither")
+
+
+def _bar(axes: Axes, image: AxesImage, label: str, *, extend: Literal["neither", "both", "min", "max"]) -> Colorbar:
+    """The scale of colours beside axes, as high as these."""
     figure = axes.get_figure()
     assert figure is not None
-    bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="min" if clipped and finite.size else "neither")
+    bar = figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)), extend=extend)
     bar.set_label(label)
     bar.outline.set_edgecolor(colors().line)  # pyright: ignore[reportCallIssue]
+    return bar
 
 
 def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) -> None:
@@ -113,10 +121,7 @@ def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) ->
     )  # fmt: skip
     if above.size and below.size:
         axes.contour(*plane.scaled, values, levels=[0.0], colors=colors().text, linewidths=0.8)
-    figure = axes.get_figure()
-    assert figure is not None
-    bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="both")
-    bar.set_label(label)
+    bar = _bar(axes, image, label, extend="both")
     bar.set_ticks([-low, -low / 2, 0.0, high / 2, high])
     bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}")
 
@@ -161,7 +166,7 @@ def draw_best(axes: Axes, plane: FieldPlane, values: Values) -> None:
     row, column = np.unravel_index(int(np.nanargmax(values)), values.shape)
     x, y = plane.scaled
     axes.plot(
-        x[column], y[row], "*", color=colors().chosen, markeredgecolor="white", markersize=11, markeredgewidth=0.8,
+        x[column], y[row], "*", color=colors().chosen, markeredgecolor="black", markersize=12, markeredgewidth=0.8,
         linestyle="none", label="best place of this panel", zorder=6,
     )  # fmt: skip
 
