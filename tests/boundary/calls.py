@@ -529,11 +529,13 @@ def _pin() -> Cylinder:
     return hydraulic().cylinders[0]
 
 
+PICTURE = {"ax": None, "size": (6.0, 5.0), "theme": "dark"}
 METHODS: dict[str, Callable[[], dict[str, Any]]] = {
-    "Atlas.plot": lambda: {"path": "atlas.png", "width": 5.0},
+    "Atlas.plot": lambda: {"path": "atlas.png", **PICTURE},
     "Atlas.to_netcdf": lambda: {"path": "atlas.nc"},
-    "BasePlan.plot": lambda: {"path": "plan.png"},
-    "BaseTrajectory.plot": lambda: {"path": "base.png"},
+    "BasePlan.plot": lambda: {"path": "plan.png", **PICTURE},
+    "BaseTrajectory.plot": lambda: {"path": "base.png", **PICTURE},
+    "Ensemble.plot": lambda: {"path": "ensemble.png", **PICTURE},
     "Ensemble.share": lambda: {"verdict": "converges"},
     "Ensemble.to_netcdf": lambda: {"path": "ensemble.nc"},
     "Experiment.with_machine": _machine,
@@ -544,7 +546,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
         "q": [0.0] * flexopt.build_plant(hydraulic()).n_coordinates,
         "base": [0.0] * len(hydraulic().base_coordinates),
     },
-    "Identification.plot": lambda: {"path": "identification.png"},
+    "Identification.plot": lambda: {"path": "identification.png", **PICTURE},
     "Machine.beyond_stroke": lambda: {"joint": "boom", "q": 0.0},
     "Machine.joint_frame": lambda: {"joint": "boom"},
     "Machine.travel": lambda: {"cylinder": _pin()},
@@ -560,7 +562,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "Report.mode_shares": lambda: {"stand": report().stands["chosen"]},
     "Report.write": lambda: {"folder": "report"},
     "Certificate.write_log": lambda: {"path": "log.json"},
-    "Selection.plot": lambda: {"path": "selection.png"},
+    "Selection.plot": lambda: {"path": "selection.png", **PICTURE},
     "SelectionProblem.branches": lambda: {"objective": _objective(), "z": _z(), "exact": True},
     "SelectionProblem.factors": lambda: {"z": _z()},
     "SelectionProblem.given_up": lambda: {"best": 0.1},
@@ -569,10 +571,10 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "SelectionProblem.solver": lambda: {"quick": False},
     "SelectionProblem.travel_cost": lambda: {"objective": _objective(), "z": _z()},
     "SelectionProblem.wrapped": lambda: {"z": _z()},
-    "Stand.plot": lambda: {"path": "stand.png"},
+    "Stand.plot": lambda: {"path": "stand.png", **PICTURE},
     "StateSpace.at": lambda: {"points": [1j, 2j]},
     "Trajectory.animate": lambda: {"path": "run.gif", "speed": 1.0, "magnify": 1.0},
-    "Trajectory.plot": lambda: {"path": "run.png"},
+    "Trajectory.plot": lambda: {"path": "run.png", **PICTURE},
     "Trajectory.skeletons": lambda: {"q": trajectory().q[:2], "base": trajectory().base[:2]},
     "Trajectory.to_csv": lambda: {"path": "run.csv"},
     "Trajectory.to_netcdf": lambda: {"path": "run.nc"},
@@ -582,6 +584,6 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "WorkspaceMap.array": lambda: {"name": "w"},
     "WorkspaceMap.fraction": lambda: {"mask": np.ones((4, 4), dtype=bool)},
     "WorkspaceMap.in_phase_fraction": lambda: {"modes": (1, 2), "strict": False},
-    "WorkspaceMap.plot": lambda: {"path": "map.png", "marks": {"here": (0.0, 1.0)}},
+    "WorkspaceMap.plot": lambda: {"path": "map.png", "marks": {"here": (0.0, 1.0)}, **PICTURE},
     "WorkspaceMap.to_netcdf": lambda: {"path": "map.nc"},
 }

@@ -68,10 +68,15 @@ def faults(figure: Figure) -> list[str]:
     return found
 
 
+def _all_axes(figure: Figure) -> list[Any]:
+    """The axes with the scales of colours beside them."""
+    return [*figure.axes, *(bar for axes in figure.axes for bar in axes.child_axes)]
+
+
 def _beyond(figure: Figure) -> set[int]:
     """Labels of ticks beyond the limits, which Matplotlib keeps but does not draw."""
     found = set[int]()
-    for axes in [*figure.axes, *(bar for axes in figure.axes for bar in axes.child_axes)]:
+    for axes in _all_axes(figure):
         for axis in (axes.xaxis, axes.yaxis):
             shown = {id(tick) for tick in axis._update_ticks()}
             for tick in (*axis.majorTicks, *axis.minorTicks):
@@ -84,7 +89,7 @@ def without_units(figure: Figure) -> list[str]:
     """Labels of axes that show numbers and do not end in a unit, a comma before it; axes that have no label at all."""
     drawn(figure)
     found = []
-    for axes in [*figure.axes, *(bar for axes in figure.axes for bar in axes.child_axes)]:
+    for axes in _all_axes(figure):
         for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
             numbers = any(label.get_text() for label in axis.get_ticklabels() if label.get_visible())
             if not numbers or not axis.get_visible():

@@ -98,7 +98,8 @@ SPECIMENS: dict[str, Callable[[], Any]] = {
     **{f"way {name}": partial(way, name) for name in MACHINES},
     **{f"identification {name}": partial(identification, name) for name in MACHINES},
     **{f"atlas {name}": partial(atlas, name) for name in MACHINES},
-    **{f"map {over} {name}": partial(workspace, name, over) for name in MACHINES for over in ("end_point", "posture")},
+    **{f"map end_point {name}": partial(workspace, name, "end_point") for name in ("excavator", "mobile-manipulator")},
+    **{f"map posture {name}": partial(workspace, name, "posture") for name in ("boom-stick-bucket", "truck-crane")},
     **{f"map base {name}": partial(workspace, name, "base") for name in SPATIAL},
     **{f"loop {name}": partial(loop, name) for name in MACHINES},
 }
