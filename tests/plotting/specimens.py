@@ -17,7 +17,7 @@ from flexopt.model.files import shipped_names
 from tests.oracles.free_swing import FreeSwing
 
 LOOP = {"kp": 1e4, "kv": 1e3, "duration": 2.0}
-TURN = 0.3  # rad, of every joint from the middle of its limits
+TURN = 0.3  # rad, of the joints from the middle of their limits, every other one twice as far
 
 
 @cache
@@ -31,9 +31,8 @@ def machine(name: str) -> Any:
 def posture(name: str) -> tuple[float, ...]:
     """Joints a little off the middle of what their limits allow, the second bent."""
     limits = np.array(machine(name).limits)
-    middle = np.where(np.isfinite(limits).all(axis=1), limits.mean(axis=1), 0.0)
-    half = np.where(np.isfinite(limits).all(axis=1), np.ptp(limits, axis=1) / 2, 1.0)
-    return tuple(float(x) for x in middle + np.minimum(TURN, half / 3) * (1 + np.arange(len(middle)) % 2))
+    low, high = np.where(np.isfinite(limits), limits, [-1.0, 1.0]).T
+    return tuple(map(float, (low + high) / 2 + np.minimum(TURN, (high - low) / 6) * (1 + np.arange(len(low)) % 2)))
 
 
 def run(name: str) -> Any:
