@@ -7,8 +7,6 @@ In: an `Ensemble`. Out: a figure.
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
@@ -25,8 +23,10 @@ Values = NDArray[np.float64]
 
 # Quantiles of the bands, the outer one first, and how densely they are painted.
 BANDS = (((0.05, 0.95), 0.2), ((0.25, 0.75), 0.35))
-# From this ratio of its ends on what varies is on a logarithmic axis.
+# From this ratio of its ends, or of its largest and usual values, on an axis is logarithmic.
 DECADES = 20.0
+# Where what has no number any more is drawn: beyond every axis.
+ABOVE = 1e30
 NAMES = {"converges": "settles", "grows": "grows", "undecided": "undecided"}
 
 
@@ -98,22 +98,23 @@ def _varied(ensemble: Ensemble) -> tuple[str, Values]:
 
 
 def _draw_bands(axes: Axes, ensemble: Ensemble, values: Values) -> None:
-    """Quantiles over time of values (members, samples), each verdict by itself."""
+    """Quantiles over time of values (members, samples), each verdict by itself; what has diverged lies above all."""
     time, inks = np.asarray(ensemble.dataset["time"], dtype=float), colors()
-    top = 0.0
+    sizes, known = np.where(np.isfinite(values), values, ABOVE), values[np.isfinite(values)]
     for word in VERDICTS:
-        chosen = values[ensemble.verdict == word]
+        chosen = sizes[ensemble.verdict == word]
         if not len(chosen):
             continue
-        color, finite = getattr(inks, NAMES[word]), np.isfinite(chosen).all(axis=0)
-        shown: Any = np.where(finite, chosen, 0.0)
+        color = getattr(inks, NAMES[word])
         for band, density in BANDS:
-            low, high = np.quantile(shown, band, axis=0)
-            axes.fill_between(time, low, high, where=finite.tolist(), color=color, alpha=density, linewidth=0.0)
-            top = max(top, float(high[finite].max(initial=0.0)))
-        middle = np.where(finite, np.median(shown, axis=0), np.nan)
-        axes.plot(time, middle, color=color, label=NAMES[word])
+            axes.fill_between(time, *np.quantile(chosen, band, axis=0), color=color, alpha=density, linewidth=0.0)
+        axes.plot(time, np.median(chosen, axis=0), color=color, label=NAMES[word])
+    most, usual = float(known.max(initial=0.0)), float(np.median(known)) if known.size else 0.0
     axes.set_xlim(float(time[0]), float(time[-1]))
-    axes.set_ylim(0.0, 1.05 * top or 1.0)
+    if most > DECADES * usual > 0.0:
+        axes.set_yscale("log")
+        axes.set_ylim(float(np.quantile(known[known > 0], 0.02)), 1.2 * most)
+    else:
+        axes.set_ylim(0.0, 1.05 * most or 1.0)
     axes.set_xlabel("time, s")
     axes.grid(visible=True)

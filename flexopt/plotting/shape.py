@@ -235,11 +235,14 @@ def capsule_outline(start: Points, end: Points, radius: float) -> Points:
 
 def bars_of(shape: Shape, view: View) -> list[Points]:
     """Outlines (k, 2) of the segments that have a length, in their order, thinner from the ground outwards."""
-    return [outline for _, outline in links_of(shape, view)]
+    return [outline for _, outline in links_of(shape, view, 0.0)]
 
 
-def links_of(shape: Shape, view: View) -> list[tuple[tuple[int, int], Points]]:
-    """The segments that have a length, each with its outline in a view; the last of the arm ends in a point."""
+def links_of(shape: Shape, view: View, lifted: float = LIFTED) -> list[tuple[tuple[int, int], Points]]:
+    """The segments that have a length, each with its outline in a view; the last of the arm ends in a point.
+
+    The first is cut off at the ground by `lifted`, a share of the machine's size.
+    """
     size, points = shape.size, shape.skeleton
     before = np.zeros(points.shape[1])
     for i, j in shape.segments:
@@ -254,7 +257,7 @@ def links_of(shape: Shape, view: View) -> list[tuple[tuple[int, int], Points]]:
         start, end = view.of(points[:, [i, j]]).T
         if i == 0:
             # What stands on the ground begins above it, on the undercarriage.
-            start = start + min(0.5, LIFTED * size / (before[j] - before[i])) * (end - start)
+            start = start + min(0.5, lifted * size / (before[j] - before[i])) * (end - start)
         tool = j == tip and len(arm) > 1
         found.append(((i, j), tool_outline(start, end, thick) if tool else link_outline(start, end, thick, thin)))
     return found
