@@ -184,14 +184,15 @@ def write_output(option: str, path: str, write: Callable[[], object]) -> None:
         raise WriteError(f"{option} = {path!r}: {error}", path=error.path, size=error.size, code=error.errno) from error
 
 
-def hand_out(result: Any, out: str | None, draw: Callable[[Any], None], *, as_json: bool) -> None:
+def hand_out(result: Any, out: str | None, draw: Callable[[Any], None] | None, *, as_json: bool) -> None:
     """Write a result's files, netCDF or by its name the document, and its picture, and print it."""
     if out is not None and Path(out).suffix.lower() == ".json":
         text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
         write_output("--out", out, lambda: write_file(out, text))
     elif out is not None:
         write_output("--out", out, lambda: result.to_netcdf(out))
-    draw(result)
+    if draw is not None:
+        draw(result)
     if as_json:
         print_json(result.to_dict())
     else:

@@ -5,7 +5,7 @@ In: a theme. Out: colours by what they stand for. Told apart with colour-blind e
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, fields
@@ -100,7 +100,7 @@ def colors() -> Palette:
 
 
 @contextmanager
-def painted_in(theme: Theme) -> Iterator[Palette]:
+def painted_in(theme: Theme) -> Generator[Palette]:
     """Within it `colors()` are those of a theme."""
     before = _USED.set(PALETTES[theme])
     try:

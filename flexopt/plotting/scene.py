@@ -93,10 +93,8 @@ def legend_above(axes: Axes, side: Literal["left", "right"] = "left", **settings
     """Names of what is drawn, above the axes, where nothing is drawn; the axis' power of ten stands on the left."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        corner = (float(side == "right"), 1.0)
-        axes.legend(
-            handles, labels, loc=f"lower {side}", bbox_to_anchor=corner, frameon=False, borderaxespad=0.2, **settings
-        )
+        place: Any = {"loc": f"lower {side}", "bbox_to_anchor": (float(side == "right"), 1.0)}
+        axes.legend(handles, labels, **place, frameon=False, borderaxespad=0.2, **settings)
 
 
 def target_point(tip: Points, rows: Sequence[str], target: Sequence[float] | Points) -> Points:

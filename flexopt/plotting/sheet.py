@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from matplotlib import cycler, rc_context
+import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase, SubFigure
+from matplotlib.rcsetup import cycler
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import Check, anything, public
@@ -106,7 +107,7 @@ def picture(
                 sheet = _sheet(ax, inches, palette)
                 draw(sheet, result, **options)
                 _finish(sheet)
-                whole = cast(Figure, sheet.figure.figure)
+                whole = sheet.figure.figure
                 write(whole, path, dpi=DOTS.get(size, DOTS_OTHERWISE))
             return whole
 
@@ -118,9 +119,9 @@ def picture(
 
 
 @contextmanager
-def styled(theme: Theme = "light", letters: float = LETTERS) -> Iterator[Palette]:
+def styled(theme: Theme = "light", letters: float = LETTERS) -> Generator[Palette]:
     """Within it Matplotlib draws as all pictures here are drawn; afterwards its settings are the user's again."""
-    with painted_in(theme) as palette, rc_context(_settings(palette, letters)):
+    with painted_in(theme) as palette, cast(Any, matplotlib).rc_context(_settings(palette, letters)):
         yield palette
 
 
@@ -179,7 +180,7 @@ def _settings(palette: Palette, letters: float) -> dict[str, Any]:
         "figure.edgecolor": palette.page, "legend.facecolor": palette.page, "legend.edgecolor": palette.line,
         "legend.framealpha": 0.9, "legend.handlelength": 1.4, "legend.borderaxespad": 0.4, "grid.color": palette.grid,
         "grid.linewidth": 0.6 * thin, "axes.linewidth": thin, "xtick.major.width": thin, "ytick.major.width": thin,
-        "lines.linewidth": 1.4 * thin, "axes.axisbelow": True, "axes.prop_cycle": cycler(color=palette.series),
+        "lines.linewidth": 1.4 * thin, "axes.axisbelow": True, "axes.prop_cycle": cycler(color=list(palette.series)),
         "hatch.color": palette.muted, "axes.titlepad": 4.0, "axes.labelpad": 2.5, "axes.unicode_minus": True,
         "axes.formatter.limits": (-3, 4), "axes.formatter.use_mathtext": True, "svg.fonttype": "path",
     }  # fmt: skip
