@@ -4,7 +4,7 @@ In: a function that draws a result on a `Sheet`. Out: the public function behind
 `(result, path, *, ax, size, theme)`, which the result's `plot` finds.
 """
 
-# pyright: reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
@@ -198,3 +198,6 @@ def _finish(sheet: Sheet) -> None:
                 text.set_color(palette.text)
         for axis in (axes.xaxis, axes.yaxis):
             axis.get_offset_text().set(color=palette.text, fontsize="small")
+    if any(axes.get_adjustable() == "datalim" and axes.get_aspect() != "auto" for axes in sheet.figure.axes):
+        # Limits that give way to the frame change the numbers beside it, and these the frame.
+        sheet.figure.figure.draw_without_rendering()
