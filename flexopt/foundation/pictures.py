@@ -8,9 +8,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.boundary import TABLE, public, words
+from flexopt.foundation.boundary import TABLE, by, public, words
 from flexopt.foundation.palette import THEMES, Theme
-from flexopt.foundation.plain import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,18 +27,16 @@ SIZES = ("screen", "paper", "slide")
 INCHES = (2.0, 60.0)
 
 
-def picture_size(arguments: Arguments, field: str, value: Any) -> Any:
+def check_size(value: Any) -> Size:
     """One of the named sizes, or (width, height)."""
     if isinstance(value, str) and value in SIZES:
-        return value
-    pair = plain(value)
-    if isinstance(pair, list | tuple) and len(cast(list[Any], pair)) == 2:
-        given = cast(list[Any], pair)
+        return cast(Size, value)
+    if isinstance(value, list | tuple) and len(cast(list[Any], value)) == 2:
+        given = cast(list[Any], value)
         if all(type(x) in (int, float) and INCHES[0] <= x <= INCHES[1] for x in given):
             return float(given[0]), float(given[1])
     listed = ", ".join(f'"{word}"' for word in SIZES)
-    arguments.note(field, f"must be one of {listed}, or (width, height), each {INCHES[0]:g} to {INCHES[1]:g} in", value)
-    return value
+    raise ValueError(f"must be one of {listed}, or (width, height), each {INCHES[0]:g} to {INCHES[1]:g} in")
 
 
 def picture_place(arguments: Arguments, field: str, value: Any) -> Any:
@@ -57,7 +54,7 @@ def picture_place(arguments: Arguments, field: str, value: Any) -> Any:
     return value
 
 
-TABLE.update(ax=picture_place, size=picture_size, theme=words(*THEMES))
+TABLE.update(ax=picture_place, size=by(check_size), theme=words(*THEMES))
 
 
 def draws(kind: str, form: str = "picture") -> Callable[[C], C]:

@@ -19,12 +19,17 @@ def test_every_kind_of_picture_is_there():
     assert len({exhibit.name for exhibit in gallery.EXHIBITS}) == len(gallery.EXHIBITS)
 
 
+def picture(file: Path) -> Image.Image:
+    with Image.open(file) as opened:
+        return opened.convert("RGB")
+
+
 @pytest.mark.parametrize("exhibit", gallery.EXHIBITS, ids=lambda exhibit: exhibit.name)
 def test_its_lines_draw_it(exhibit, tmp_path: Path):
     result = gallery.draw(exhibit, tmp_path)
     assert type(result).__name__ == exhibit.kind
     files = gallery.files_of(exhibit, tmp_path)
-    light, *dark = [Image.open(file).convert("RGB") for file in files]
+    light, *dark = [picture(file) for file in files]
     assert sum(light.getpixel((1, 1))) > 700
     for image in dark:
         assert image.size == light.size

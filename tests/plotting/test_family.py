@@ -85,7 +85,8 @@ def test_one_signature():
 def test_sizes(size, inches, dots, tmp_path):
     figure = made("run excavator").plot(tmp_path / "a.png", size=size)
     np.testing.assert_allclose(figure.get_size_inches(), inches)
-    assert Image.open(tmp_path / "a.png").size == dots
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size == dots
 
 
 def test_a_page_is_as_wide_as_a_page():
@@ -109,7 +110,8 @@ def test_ground_letters_and_meanings_are_the_theme_s(theme, tmp_path):
     assert drawn["present"] == inks.present
     faces = {to_hex(patch.get_facecolor()) for patch in scene.patches}
     assert {inks.chosen, inks.present, inks.ground, inks.base} <= faces
-    red, green, blue = Image.open(tmp_path / "a.png").convert("RGB").getpixel((2, 2))
+    with Image.open(tmp_path / "a.png") as picture:
+        red, green, blue = picture.convert("RGB").getpixel((2, 2))
     assert f"#{red:02x}{green:02x}{blue:02x}" == inks.page
 
 
