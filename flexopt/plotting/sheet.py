@@ -91,7 +91,7 @@ def picture(
                 sentence = "must be an empty Figure or SubFigure: this picture has several panels, not one"
                 arguments.note("ax", sentence, ax)
 
-        @public(draw.__name__, together=fits, result=check, options=anything)
+        @public("plot" if kind else draw.__name__, together=fits, result=check, options=anything)
         def plot(
             result: Any,
             path: str | os.PathLike[str] | None = None,
