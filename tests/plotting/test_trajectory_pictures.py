@@ -187,7 +187,7 @@ def test_base_trajectory(excavator, base_trajectory, tmp_path):
     np.testing.assert_array_equal(shown["V: w1, 1/(kg m²)"]["V"], [t.time, t.V])
     machines = figure.axes[0]
     outlines = [patch.get_path().vertices.mean(axis=0) for patch in machines.patches]
-    assert len(outlines) == 2 * 4
+    assert len(outlines) == 2 * 4 + 1  # two machines and the ground
     for skeleton in (t.initial.skeleton, t.final.skeleton):
         middle = skeleton[:, -2:].mean(axis=1)
         assert min(np.linalg.norm(outline - middle) for outline in outlines) < 0.25
