@@ -107,7 +107,7 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
             (~grows, "o", inks.page, "run converges"),
         ):
             axes.plot(
-                tested_kp[mask], tested_kv[mask], mark, color=color, markersize=2.6, markeredgewidth=0,
+                tested_kp[mask], tested_kv[mask], mark, color=color, markersize=3.0, markeredgewidth=0.4, markeredgecolor=inks.edge,
                 linestyle="none", label=label,
             )  # fmt: skip
         differ = [d for d in gains.disagreements if d.stand == name]
@@ -130,7 +130,7 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
     bar = figure.colorbar(image, ax=figure.axes, shrink=0.9, pad=0.01, extend="both")
     bar.set_label("growth rate of the sampled linear loop, 1/s")
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), markerscale=1.2)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=1.2)
     return figure
 
 

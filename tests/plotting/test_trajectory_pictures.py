@@ -186,7 +186,8 @@ def test_base_trajectory(excavator, base_trajectory, tmp_path):
     np.testing.assert_array_equal(shown["base rate, m/s"]["x"], [t.time, t.base_rate[:, 0]])
     np.testing.assert_array_equal(shown["V: w1, 1/(kg m²)"]["V"], [t.time, t.V])
     machines = figure.axes[0]
-    outlines = [patch.get_path().vertices.mean(axis=0) for patch in machines.patches]
+    corners = [patch.get_path().vertices for patch in machines.patches]
+    outlines = [(points.min(axis=0) + points.max(axis=0)) / 2 for points in corners]
     assert len(outlines) == 2 * 4 + 1  # two machines and the ground
     for skeleton in (t.initial.skeleton, t.final.skeleton):
         middle = skeleton[:, -2:].mean(axis=1)
