@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.boundary import TABLE, by, public, words
+from flexopt.foundation.boundary import TABLE, anything, by, public, words
 from flexopt.foundation.palette import THEMES, Theme
 
 if TYPE_CHECKING:
@@ -83,7 +83,8 @@ def drawn(result: object, *arguments: Any, form: str = "picture", **options: Any
 class Pictured:
     """A result with one picture; its own class says what is on it."""
 
-    @public()
+    # Who draws checks them, all together with what the picture of this result is like.
+    @public(path=anything, ax=anything, size=anything, theme=anything)
     def plot(
         self,
         path: str | os.PathLike[str] | None = None,

@@ -20,12 +20,6 @@ FAINT = 0.4
 DEEP = 1e3
 
 
-def draw_machine(axes: Axes, skeleton: Points, color: str, *, ghost: bool = False, label: str = "") -> None:
-    """A planar machine of which the skeleton (2, K) is known: ground point, joints and end-point, m."""
-    shape = chain(skeleton)
-    draw_shape(axes, views(shape)[0], shape, color, ghost=ghost, label=label)
-
-
 def draw_shape(axes: Axes, view: View, shape: Shape, color: str, *, ghost: bool = False, label: str = "") -> None:
     """A machine in one view, its capsules behind it and what it stands on below.
 

@@ -216,6 +216,10 @@ def test_own_axes():
         ({"ax": Figure().add_subplot()}, ("several panels", "empty Figure or SubFigure")),
         ({"ax": Figure().add_subplot().get_figure()}, ("empty", "axes")),
         ({"ax": Figure().add_subplot(projection="polar")}, ("projection",)),
+        (
+            {"ax": Figure().add_subplot(), "size": "paper", "theme": "x", "path": "a.bmp"},
+            ("panels", "size", "theme", ".png"),
+        ),
         ({"ax": Figure(), "size": "paper"}, ("size", "does not go with ax")),
     ],
 )
