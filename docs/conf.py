@@ -9,6 +9,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from docs.docstrings import restructured, signature_of
+from docs.gallery import write_pictures
 from docs.generated import write_pages
 from flexopt.foundation.documents import package_version
 
@@ -45,5 +46,6 @@ html_show_sphinx = False
 def setup(app: Any) -> None:
     """Pages are written, docstrings become reStructuredText."""
     app.connect("config-inited", lambda app, _: write_pages(Path(app.srcdir) / "generated"))
+    app.connect("config-inited", lambda app, _: write_pictures(Path(app.srcdir) / "generated"))
     app.connect("autodoc-process-docstring", lambda *given: restructured(given[-1]), priority=400)
     app.connect("autodoc-process-signature", signature_of)

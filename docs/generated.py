@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 import flexopt
+from docs import gallery
 from docs.public import PLUMBING, TOPICS, names
 from flexopt.cli import cli
 from flexopt.model.file_schema import MODELS
@@ -59,7 +60,7 @@ def write_pages(folder: Path) -> None:
     """All of them, those that are as they were left alone, so that Sphinx builds only what changed."""
     pages = {f"reference-{topic}.md": reference(topic) for topic in TOPICS}
     pages |= {f"keys-{kind}.md": keys(kind) for kind in MODELS}
-    pages |= {"errors.md": errors(), "commands.md": commands()}
+    pages |= {"errors.md": errors(), "commands.md": commands(), "gallery.md": gallery.page()}
     folder.mkdir(exist_ok=True)
     for old in folder.glob("*.md"):
         if old.name not in pages:

@@ -15,17 +15,21 @@ from matplotlib.axes import Axes
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
-from flexopt.plotting.machine import draw_ground, draw_machine, reach
-from flexopt.plotting.panels import COLORS, Panel, draw_panel
+from flexopt.foundation.palette import colors
+from flexopt.plotting.fields import signed_colors
+from flexopt.plotting.panels import Panel, draw_panel
+from flexopt.plotting.scene import Actor, draw_scene, legend_above
+from flexopt.plotting.shape import chain, views
+from flexopt.plotting.sheet import styled
 from flexopt.plotting.trajectory import plot_trajectories
+from flexopt.plotting.units import labelled
+from flexopt.robustness.residues import residue_unit
 from flexopt.selection.base_trajectory import BaseTrajectory
 from flexopt.simulation.trajectory import Trajectory
 from flexopt.study.gains import GainMap
 
 # Growth rates below this are drawn on a linear scale, above RATE_SHOWN in one colour, 1/s.
 RATE_LINEAR, RATE_SHOWN = 0.01, 10.0
-HELD = "#333333"
-GROWS, CONVERGES, DIFFERS = "#7a1010", "#0b2e5c", "#00a651"
 
 
 def plot_figure9(runs: Mapping[str, Trajectory]) -> Figure:
@@ -33,44 +37,41 @@ def plot_figure9(runs: Mapping[str, Trajectory]) -> Figure:
     return plot_trajectories(runs)
 
 
+@styled()
 def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     """The base's way with and without a stop: the machine at its ends, base position, its rate and V over time."""
     figure = Figure(figsize=(9.6, 4.9), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=[1.15, 1.0])
+    inks = colors()
     ends = {
-        "A": (stopped.initial.skeleton, "#8a8f96", True),
-        "at the stop (B)": (stopped.final.skeleton, COLORS[0], False),
-        "where the law ends": (climb.final.skeleton, COLORS[1], False),
+        "A": (stopped.initial.skeleton, inks.present, True),
+        "at the stop (B)": (stopped.final.skeleton, inks.chosen, False),
+        "where the law ends": (climb.final.skeleton, inks.other, False),
     }
     axes = figure.add_subplot(grid[:, 0])
-    points = np.hstack([skeleton for skeleton, _, _ in ends.values()])
-    size = reach(stopped.final.skeleton)
-    low, high = float(points[0].min()) - 0.25 * size, float(points[0].max()) + 0.2 * size
-    draw_ground(axes, low, high, float(points[1].min()) - 0.035 * size)
-    for name, (skeleton, color, ghost) in ends.items():
-        draw_machine(axes, skeleton, color, ghost=ghost, label=f"{name}: {_minus(f'{skeleton[0, 0]:.3f}')} m")
-    axes.plot(*stopped.target, marker="+", color="black", markersize=11, linestyle="none", zorder=6)
-    axes.set(aspect="equal", xlim=(low, high), ylim=(points[1].min() - 0.12 * size, points[1].max() + 0.4 * size))
-    axes.set_xlabel("x, m (inertial frame)", fontsize=8)
-    axes.set_ylabel("y, m", fontsize=8)
-    axes.tick_params(labelsize=7.5)
-    axes.set_title("(a)", loc="left", fontsize=8, pad=2.5)
-    axes.legend(loc="upper center", fontsize=7.5, title="x of the undercarriage", title_fontsize=7.5)
+    actors = [
+        Actor(chain(skeleton), color, f"{name}: {_minus(f'{skeleton[0, 0]:.3f}')} m", ghost)
+        for name, (skeleton, color, ghost) in ends.items()
+    ]
+    draw_scene(axes, views(actors[0].shape)[0], actors, stopped.target)
+    legend_above(axes, title="x of the undercarriage")
+    unit = residue_unit(stopped.control, stopped.final.joint_units)
     both = {"stop at B": stopped, "no stop": climb}
     panels = [
         Panel("base position, m", tuple((name, t.time, t.base[:, 0]) for name, t in both.items())),
         Panel("base rate, m/s", tuple((name, t.time, t.base_rate[:, 0]) for name, t in both.items()), steps=True),
-        Panel(f"V: {stopped.objective}", tuple((name, t.time, t.V) for name, t in both.items())),
+        Panel(
+            labelled(f"V: {stopped.objective}", unit),
+            tuple((name, t.time, t.V) for name, t in both.items()),
+        ),
     ]
     drawn: list[Axes] = []
     for row, panel in enumerate(panels):
         drawn.append(figure.add_subplot(grid[row, 1], sharex=drawn[0] if drawn else None))
         draw_panel(drawn[-1], panel, legend=row == 0)
-        drawn[-1].set_title(f"({'bcd'[row]})", loc="left", fontsize=8, pad=2.5)
         drawn[-1].tick_params(labelbottom=row == len(panels) - 1)
     drawn[0].set_xlim(0.0, 1.02 * float(climb.time[-1]))
-    drawn[-1].set_xlabel("time, s", fontsize=8)
-    drawn[-1].ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
+    drawn[-1].set_xlabel("time, s")
     return figure
 
 
@@ -79,6 +80,7 @@ def plot_figures11and12(runs: Mapping[str, Trajectory]) -> Figure:
     return plot_trajectories(runs)
 
 
+@styled()
 def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: float, ratios: Sequence[float]) -> Figure:
     """Growth rate of the sampled linear loop over Kp and Kv for each posture, with verdicts of nonlinear runs.
 
@@ -89,41 +91,46 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
         ratios: Kv/Kp held, s, two at most.
     """
     figure = Figure(figsize=(4.3 * len(gains.names) + 0.8, 5.0), layout="constrained")
-    norm = SymLogNorm(RATE_LINEAR, vmin=-RATE_SHOWN, vmax=RATE_SHOWN)
+    inks, norm = colors(), SymLogNorm(RATE_LINEAR, vmin=-RATE_SHOWN, vmax=RATE_SHOWN)
     tested_kp, tested_kv = np.meshgrid(gains.tested_kp, gains.tested_kv)
     image: Any = None
     for k, name in enumerate(gains.names):
         axes = figure.add_subplot(1, len(gains.names), k + 1)
         rate, grows = gains.growth_rate[k], np.asarray(gains.grows[k], dtype=bool)
-        image = axes.pcolormesh(gains.kp, gains.kv, rate, norm=norm, cmap="RdBu_r", shading="nearest", rasterized=True)
+        image = axes.pcolormesh(
+            gains.kp, gains.kv, rate, norm=norm, cmap=signed_colors().reversed(), shading="nearest", rasterized=True
+        )
         if rate.min() < 0 < rate.max():
-            axes.contour(gains.kp, gains.kv, rate, levels=[0.0], colors="black", linewidths=1.3)
-        for mask, mark, color, label in ((grows, "^", GROWS, "run grows"), (~grows, "o", CONVERGES, "run converges")):
+            axes.contour(gains.kp, gains.kv, rate, levels=[0.0], colors=inks.text, linewidths=1.3)
+        for mask, mark, color, label in (
+            (grows, "^", inks.text, "run grows"),
+            (~grows, "o", inks.page, "run converges"),
+        ):
             axes.plot(
-                tested_kp[mask], tested_kv[mask], mark, color=color, markersize=2.2, markeredgewidth=0,
-                linestyle="none", label=label,
+                tested_kp[mask], tested_kv[mask], mark, color=color, markersize=3.0, markeredgewidth=0.4,
+                markeredgecolor=inks.edge, linestyle="none", label=label,
             )  # fmt: skip
         differ = [d for d in gains.disagreements if d.stand == name]
         axes.plot(
-            [d.kp for d in differ], [d.kv for d in differ], "x", color=DIFFERS, markersize=6, markeredgewidth=1.4,
-            label="run and eigenvalues differ",
+            [d.kp for d in differ], [d.kv for d in differ], "x", color=inks.undecided, markersize=6,
+            markeredgewidth=1.4, label="run and eigenvalues differ",
         )  # fmt: skip
-        axes.axhline(kv, color=HELD, linewidth=1.0, linestyle="--", label=f"Kv = {kv:g}")
+        axes.axhline(kv, color=inks.muted, linewidth=1.0, linestyle="--", label=f"Kv = {kv:g}")
         for ratio, style in zip(ratios, (":", "-."), strict=False):
-            axes.plot(gains.kp, ratio * gains.kp, style, color=HELD, linewidth=1.1, label=f"Kv/Kp = {ratio:g} s")
+            axes.plot(gains.kp, ratio * gains.kp, style, color=inks.muted, linewidth=1.1, label=f"Kv/Kp = {ratio:g} s")
         axes.plot(
-            *np.array(pairs).T, "*", color="#ffd400", markeredgecolor="black", markersize=8, linestyle="none",
+            *np.array(pairs).T, "*", color=inks.emphasis, markeredgecolor=inks.edge, markersize=8, linestyle="none",
             label="gains of the other figures",
         )  # fmt: skip
         axes.set(xscale="log", yscale="log", xlim=(gains.kp[0], gains.kp[-1]), ylim=(gains.kv[0], gains.kv[-1]))
         axes.minorticks_off()
-        axes.set_xlabel("Kp")
-        axes.set_ylabel("Kv" if k == 0 else "")
-        axes.set_title(f"({'abcdefgh'[k]}) {name}", fontsize=10)
+        axes.set_xlabel("Kp, SI")
+        axes.set_ylabel("Kv, SI" if k == 0 else "")
+        axes.set_title(f"({'abcdefgh'[k]}) {name}")
     bar = figure.colorbar(image, ax=figure.axes, shrink=0.9, pad=0.01, extend="both")
-    bar.set_label("growth rate of the sampled linear loop, 1/s", fontsize=8.5)
+    bar.set_label("growth rate of the sampled linear loop, 1/s")
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8, markerscale=1.2)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=1.2)
     return figure
 
 

@@ -16,13 +16,17 @@ from matplotlib.figure import Figure
 
 from flexopt.article.curves import Curve
 from flexopt.article.gaps import GapSweep
-from flexopt.plotting.fields import LOWEST_SHOWN, POSTURE, Values, draw_arm, draw_field, draw_regions, label_plane
+from flexopt.foundation.palette import colors
+from flexopt.plotting.fields import LOWEST_SHOWN, Values, draw_arm, draw_field, draw_regions, label_plane
+from flexopt.plotting.sheet import styled
+from flexopt.plotting.units import labelled, written
 from flexopt.plotting.workspace import dataset_plane
+from flexopt.robustness.residues import residue_unit
 
-EPSILON_COLOR, W_COLOR = "#1b6ca8", "#d9820f"
 Arms = Mapping[str, Values]
 
 
+@styled()
 def plot_figure5(inverse: Any, arms: Arms) -> Figure:
     """In-phase regions of modes 1 to 3, and the first two together (their intersection)."""
     plane, in_phase = dataset_plane(inverse), _array(inverse, "in_phase")
@@ -35,62 +39,67 @@ def plot_figure5(inverse: Any, arms: Arms) -> Figure:
         for name, arm in arms.items():
             draw_arm(axes, arm, name)
         label_plane(axes, plane, title, left=k % 2 == 0, bottom=k > 1)
-    figure.suptitle("Fig. 5: in phase (yellow) and out of phase (blue), Jacobian inverse control", fontsize=11)
+    figure.suptitle("Fig. 5: in phase (yellow) and out of phase (blue), Jacobian inverse control")
     return figure
 
 
+@styled()
 def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
     """ε_max over the workspace."""
     figure = Figure(figsize=(11.0, 4.9), layout="constrained")
     for k, (title, dataset) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
         axes, plane = figure.add_subplot(1, 2, k + 1), dataset_plane(dataset)
-        draw_field(axes, plane, _array(dataset, "epsilon_max"), label="$\\epsilon_{max}$", clipped=True)
+        draw_field(axes, plane, _array(dataset, "epsilon_max"), label=labelled("$\\epsilon_{max}$", ""), clipped=True)
         for name, arm in arms.items():
             draw_arm(axes, arm, name)
         label_plane(axes, plane, title, left=k == 0)
-    figure.suptitle(f"Fig. 6: $\\epsilon_{{max}}$ over the workspace, kr = {inverse.attrs['gain']:.4g}", fontsize=11)
+    figure.suptitle(f"Fig. 6: $\\epsilon_{{max}}$ over the workspace, kr = {inverse.attrs['gain']:.4g}")
     return figure
 
 
+@styled()
 def plot_figure7(transpose: Any, inverse: Any) -> Figure:
     """w_i over the workspace: a row for each control, a column for each mode."""
     figure = Figure(figsize=(13.0, 7.6), layout="constrained")
     for row, (control, dataset) in enumerate((("transpose", transpose), ("inverse", inverse))):
         plane, w, frequency = dataset_plane(dataset), _array(dataset, "w"), _array(dataset, "frequency_hz")
-        unit = dataset["w"].attrs["units"].replace("m2", "m²")
+        unit = dataset["w"].attrs["units"]
         for mode in range(len(w)):
             axes = figure.add_subplot(2, len(w), row * len(w) + mode + 1)
-            draw_field(axes, plane, w[mode], label=unit, clipped=True)
+            draw_field(axes, plane, w[mode], label=labelled("$w_i$", unit), clipped=True)
             letter = "abcdefghij"[row * len(w) + mode]
             title = f"({letter}) {control}: $w_{mode + 1}$, mean {np.nanmean(frequency[mode]):.4f} Hz"
             label_plane(axes, plane, title, left=mode == 0, bottom=row == 1)
-    figure.suptitle("Fig. 7: $w_i$ over the workspace (0 is best; the lowest twentieth in one colour)", fontsize=11)
+    figure.suptitle("Fig. 7: $w_i$ over the workspace (0 is best; the lowest twentieth in one colour)")
     return figure
 
 
+@styled()
 def plot_figure8(transpose: Curve, inverse: Curve, marks: Mapping[str, float]) -> Figure:
     """ε_max and w_1 along one height, with the end-points `marks` (name -> x, m) as thin lines."""
+    inks = colors()
+    epsilon_color, w_color = inks.series[0], inks.series[1]
     figure = Figure(figsize=(12.5, 4.6), layout="constrained")
     for k, (title, curve) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
         left = figure.add_subplot(1, 2, k + 1)
         right = left.twinx()
-        _along(left, curve, curve.epsilon_max, EPSILON_COLOR, "$\\epsilon_{max}$", "-")
-        _along(right, curve, curve.w[0], W_COLOR, "$w_1$", "--")
+        _along(left, curve, curve.epsilon_max, epsilon_color, "$\\epsilon_{max}$", "-")
+        _along(right, curve, curve.w[0], w_color, "$w_1$", "--")
         right.ticklabel_format(axis="y", style="sci", scilimits=(0, 0))
-        left.set_ylabel("$\\epsilon_{max}$", color=EPSILON_COLOR)
-        right.set_ylabel("$w_1$", color=W_COLOR)
+        left.set_ylabel("$\\epsilon_{max}$, –", color=epsilon_color)
+        right.set_ylabel(f"$w_1$, {written(residue_unit(curve.control, ('rad',)))}", color=w_color)
         left.set_xlabel(f"x of the end-point, m (workspace frame, y = {curve.y:g} m)")
-        left.set_title(title, fontsize=10)
-        left.axhline(np.sin(np.pi / 8), color="#999999", linewidth=0.8, linestyle=":", zorder=0)
+        left.set_title(title)
+        left.axhline(np.sin(np.pi / 8), color=colors().muted, linewidth=0.8, linestyle=":", zorder=0)
         for name, x in marks.items():
-            left.axvline(x, color=POSTURE, linewidth=0.9, alpha=0.75, zorder=0)
+            left.axvline(x, color=inks.mark, linewidth=0.9, alpha=0.75, zorder=0)
             left.annotate(
                 name, (x, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 0), textcoords="offset points",
-                color=POSTURE, fontsize=8.5, rotation=90, va="bottom",
+                color=inks.mark, rotation=90, va="bottom",
             )  # fmt: skip
         lines = [*left.lines[:1], *right.lines[:1]]
-        left.legend(lines, [str(line.get_label()) for line in lines], loc="lower left", fontsize=8.5, framealpha=0.95)
-    figure.suptitle("Fig. 8: measures along $y_d$, elbow up (dotted: sin π/8)", fontsize=11)
+        left.legend(lines, [str(line.get_label()) for line in lines], loc="lower left", framealpha=0.95)
+    figure.suptitle("Fig. 8: measures along $y_d$, elbow up (dotted: sin π/8)")
     return figure
 
 
@@ -105,6 +114,7 @@ def _along(axes: Axes, curve: Curve, values: Values, color: str, label: str, sty
     axes.set_ylim(low - 0.12 * (high - low), high + 0.08 * (high - low))
 
 
+@styled()
 def plot_gaps(sweep: GapSweep) -> Figure:
     """ν-gap between rigid and full plant, and ε_max, as the damping grows; robust postures and others."""
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
@@ -117,14 +127,14 @@ def plot_gaps(sweep: GapSweep) -> Figure:
             axes.semilogx(
                 sweep.factors, row, "-o" if special else "-", linewidth=1.8 if special else 1.0,
                 markersize=4.5, label=name if special or name.endswith(" 1") else None,
-                color=None if special else "#8a8f96" if not name.endswith(" 1") else "#222222",
+                color=None if special else colors().other if not name.endswith(" 1") else colors().text,
             )  # fmt: skip
-        axes.axhline(np.sin(np.pi / 8), color="#999999", linewidth=1.0, linestyle=":", zorder=0)
-        axes.set_xlabel("factor of the machine's damping")
-        axes.set_ylabel(label)
+        axes.axhline(np.sin(np.pi / 8), color=colors().muted, linewidth=1.0, linestyle=":", zorder=0)
+        axes.set_xlabel("factor of the machine's damping, –")
+        axes.set_ylabel(f"{label}, –")
         axes.grid(alpha=0.25)
     figure.axes[0].legend(fontsize=8.5, title="grey: further optima of $w_1$", title_fontsize=8)
-    figure.suptitle("Rigid plant kr R0/s² against the full one (dotted: sin π/8)", fontsize=11)
+    figure.suptitle("Rigid plant kr R0/s² against the full one (dotted: sin π/8)")
     return figure
 
 

@@ -18,11 +18,12 @@ from flexopt.cli.common import (
     GAIN,
     GRAVITY,
     JSON,
-    PICTURES,
     check_output,
+    check_picture,
     given,
     number,
     numbers,
+    of_picture,
     option,
     option_names,
     print_json,
@@ -123,17 +124,17 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     "arm held as its joints or else --posture say. With --certify (.json): write what the proof stands on, for another "
     "program to check.",
 )
-@value("--plot", "PATH", "Draw the choice: .png, .svg or .pdf.")
+@of_picture("Draw the choice: .png, .svg or .pdf.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
 def select_command(
-    as_json: bool, machine: str, plot: str | None, out: str | None, certify: bool, log: str | None, **options: Any
+    as_json: bool, machine: str, out: str | None, certify: bool, log: str | None, **options: Any
 ) -> None:
     """Best placement and posture for a target, of MACHINE: a machine with --end-point, or a problem (name or file).
 
     A problem may ask for one placement for several targets, or for a way of the base along a path of them.
     """
-    check_output("--plot", plot, PICTURES)
+    draw = check_picture(options)
     check_output("--out", out, (".json",))
     swing, log = (log, None) if log is not None and log.lower().endswith(".csv") else (None, log)
     check_output("--log", log, (".json",))
@@ -161,8 +162,7 @@ def select_command(
         more |= {} if identified is None else {"identification": identified.to_dict()}
         return result.to_dict() | more | ({} if judgement is None else {"verdict": judgement.to_dict()})
 
-    if plot is not None:
-        write_output("--plot", plot, lambda: result.plot(plot))
+    draw(result)
     if out is not None:
         text = json.dumps(document(), indent=2, allow_nan=False) + "\n"
         write_output("--out", out, lambda: write_file(out, text))

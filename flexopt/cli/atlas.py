@@ -10,12 +10,13 @@ from flexopt.cli.common import (
     CONTROL,
     GRAVITY,
     JSON,
-    PICTURES,
     check_output,
+    check_picture,
     given,
     hand_out,
     names,
     numbers,
+    of_picture,
     option_names,
     placement,
     read,
@@ -38,9 +39,9 @@ from flexopt.model import load
 @value("--y-range", "LO,HI", "Of the second that varies, rad or m; its limits or a whole turn by default.", numbers)
 @value("--cells", "N,M", "Of the grid on which curves are found (128,128): smaller loops may be missed.", wholes)
 @value("--out", "FILE.nc|FILE.json", "Write all curves and points to a netCDF file, or the document as JSON.")
-@value("--plot", "FILE.png", "Draw the atlas: .png, .svg or .pdf.")
+@of_picture("Draw the atlas: .png, .svg or .pdf.")
 @JSON
-def atlas_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
+def atlas_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
     """All robust postures of MACHINE (a name or a file) over two of its joints.
 
     With two task rows curves w_i = 0, the points where two of them meet (w_i = w_j = 0), those where they end, singular
@@ -48,9 +49,9 @@ def atlas_command(as_json: bool, machine: str, plot: str | None, out: str | None
     """
     from flexopt.study import atlas  # noqa: PLC0415  (only this command needs it)
 
-    check_output("--plot", plot, PICTURES)
+    draw = check_picture(options)
     check_output("--out", out, (".nc", ".json"))
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
         result = atlas(loaded, **given(options))
-    hand_out(result, out, plot, as_json=as_json)
+    hand_out(result, out, draw, as_json=as_json)

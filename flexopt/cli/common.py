@@ -16,8 +16,11 @@ import click
 from flexopt.cli.completing import of_option
 from flexopt.cli.terminal import VOICE, Colour, fitted, painted
 from flexopt.errors import Fault, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.control import CONTROLS, DAMPED
 from flexopt.foundation.escapes import terminal
+from flexopt.foundation.pictures import SIZES
 from flexopt.foundation.writing import write_file
 from flexopt.model.choices import ELBOWS
 
@@ -38,6 +41,41 @@ def option(*names: str, **settings: Any) -> Decorator:
 def value(name: str, metavar: str, text: str, read: Callable[[str], Any] = str, *, multiple: bool = False) -> Decorator:
     """An option with a value: what stands for it, what it does, and what is made of its text."""
     return option(name, metavar=metavar, help=text, type=read, multiple=multiple)
+
+
+def of_picture(text: str) -> Decorator:
+    """`--plot` with what it draws, and how large and on which ground: `plotted` writes it."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        sizes = f"With --plot: how large, {', '.join(SIZES)} or W,H in inches (screen by default)."
+        command = value("--theme", "light|dark", "With --plot: on which ground (light by default).")(command)
+        command = value("--size", "|".join((*SIZES, "W,H")), sizes, _size)(command)
+        return value("--plot", "FILE.png", text)(command)
+
+    return decorate
+
+
+def _size(text: str) -> Any:
+    """A word, or two numbers."""
+    return tuple(numbers(text)) if "," in text else text.strip()
+
+
+def check_picture(options: dict[str, Any]) -> Callable[[Any], None]:
+    """Takes the options of `of_picture` out of all, refuses what cannot be written, gives what draws a result."""
+    plot, size, theme = (options.pop(name) for name in ("plot", "size", "theme"))
+    check_output("--plot", plot, PICTURES)
+    arguments, asked = Arguments("--plot"), given({"size": size, "theme": theme})
+    for name, wanted in asked.items():
+        TABLE[name](arguments, f"--{name}", wanted)
+        if plot is None:
+            arguments.note(f"--{name}", "goes with --plot", typed(wanted))
+    arguments.done()
+
+    def draw(result: Any) -> None:
+        if plot is not None:
+            write_output("--plot", plot, lambda: result.plot(plot, **asked))
+
+    return draw
 
 
 def say(text: str, *, err: bool = False, colour: Colour | None = None) -> None:
@@ -149,15 +187,15 @@ def write_output(option: str, path: str, write: Callable[[], object]) -> None:
         raise WriteError(f"{option} = {path!r}: {error}", path=error.path, size=error.size, code=error.errno) from error
 
 
-def hand_out(result: Any, out: str | None, plot: str | None, *, as_json: bool) -> None:
+def hand_out(result: Any, out: str | None, draw: Callable[[Any], None] | None, *, as_json: bool) -> None:
     """Write a result's files, netCDF or by its name the document, and its picture, and print it."""
     if out is not None and Path(out).suffix.lower() == ".json":
         text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
         write_output("--out", out, lambda: write_file(out, text))
     elif out is not None:
         write_output("--out", out, lambda: result.to_netcdf(out))
-    if plot is not None:
-        write_output("--plot", plot, lambda: result.plot(plot))
+    if draw is not None:
+        draw(result)
     if as_json:
         print_json(result.to_dict())
     else:

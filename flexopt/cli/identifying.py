@@ -10,12 +10,13 @@ from flexopt.cli.common import (
     BASE,
     GRAVITY,
     JSON,
-    PICTURES,
     check_output,
+    check_picture,
     given,
     hand_out,
     names,
     numbers,
+    of_picture,
     option_names,
     read,
     value,
@@ -34,10 +35,10 @@ from flexopt.model import load
 @value("--window", "FROM,TO", "Part of the log, s; by default all after the arm's last motion.", numbers)
 @value("--imu", "X,Y[,Z]", "Where the accelerometer sits on the body that carries the arm, m; its origin.", numbers)
 @GRAVITY
-@value("--plot", "PATH", "Draw log, fit and residuals: .png, .svg or .pdf.")
+@of_picture("Draw log, fit and residuals: .png, .svg or .pdf.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
-def identify_command(as_json: bool, machine: str, log: str, plot: str | None, out: str | None, **options: Any) -> None:
+def identify_command(as_json: bool, machine: str, log: str, out: str | None, **options: Any) -> None:
     """Springs, dampers and load of MACHINE (a name or a file) from LOG: a CSV file of a free swing, the arm held.
 
     Its first line names the columns: t [s] and some of gyro_x [rad/s], base.pitch [deg], end_point.x [mm], acc_x [g],
@@ -45,9 +46,9 @@ def identify_command(as_json: bool, machine: str, log: str, plot: str | None, ou
     """
     from flexopt.identification import identify  # noqa: PLC0415  (only this command needs it)
 
-    check_output("--plot", plot, PICTURES)
+    draw = check_picture(options)
     check_output("--out", out, (".json",))
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
         result = identify(loaded, log, **given(options))
-    hand_out(result, out, plot, as_json=as_json)
+    hand_out(result, out, draw, as_json=as_json)

@@ -11,12 +11,13 @@ from flexopt.cli.common import (
     CONTROL,
     ELBOW,
     JSON,
-    PICTURES,
     check_output,
+    check_picture,
     given,
     hand_out,
     number,
     numbers,
+    of_picture,
     option_names,
     read,
     table,
@@ -70,13 +71,11 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
 @value("--members", "N", "Points of the uncertainty that decays are computed of (64 by default).", whole)
 @value("--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none).", whole)
 @value("--duration", "S", "Of a run, s (20 by default).", number)
-@value("--plot", "PATH", "Draw the bands of every place: .png, .svg or .pdf.")
+@of_picture("Draw the bands of every place: .png, .svg or .pdf.")
 @value("--html", "FILE", "Write a page: the word, the bands, the table, the rule.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
-def verdict_command(
-    as_json: bool, problem: str, out: str | None, plot: str | None, html: str | None, **options: Any
-) -> None:
+def verdict_command(as_json: bool, problem: str, out: str | None, html: str | None, **options: Any) -> None:
     """Move, stay, change gains, or cannot tell: PROBLEM is a problem file, or a machine with --end-point and --base.
 
     The present configuration beside the best ones found, with the controller of --loop, over all that is uncertain.
@@ -84,7 +83,7 @@ def verdict_command(
     from flexopt.study import verdict  # noqa: PLC0415  (only this command needs it)
 
     check_output("--out", out, (".json",))
-    check_output("--plot", plot, PICTURES)
+    draw = check_picture(options)
     check_output("--html", html, (".html",))
     with option_names(options), warnings_to_stderr(as_json):
         asked, own = asked_problem("verdict", problem, options)
@@ -93,7 +92,7 @@ def verdict_command(
         result = verdict(asked, loop=real_loop(own, options["loop"]), ranges=ranges, **settings)
     if html is not None:
         write_output("--html", html, lambda: result.to_html(html))
-    hand_out(result, out, plot, as_json=as_json)
+    hand_out(result, out, draw, as_json=as_json)
 
 
 @click.command("region", short_help="Is a loop stable over all that is uncertain, and is it proven?")

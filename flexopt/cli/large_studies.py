@@ -21,12 +21,13 @@ from flexopt.cli.common import (
     END_POINT,
     GRAVITY,
     JSON,
-    PICTURES,
     check_folder,
     check_output,
+    check_picture,
     given,
     hand_out,
     numbers,
+    of_picture,
     option_names,
     print_json,
     read,
@@ -129,17 +130,17 @@ def export_command(as_json: bool, folder: str, out: str | None) -> None:
 @LOOP
 @RANGES
 @value("--samples", "N", "Base samples, a power of two (1024 by default).", whole)
-@value("--plot", "FILE.png", "Draw it: .png, .svg or .pdf.")
+@of_picture("Draw it: .png, .svg or .pdf.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
-def sensitivity_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
+def sensitivity_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
     """Which of what is uncertain matters for every w_i of a posture of MACHINE and, with --loop, for its decay.
 
     The share of the variance that each explains alone and in all, with intervals, and bounds from exact slopes.
     """
     from flexopt.loop.sensitivity import sensitivity  # noqa: PLC0415  (only this command needs it)
 
-    check_output("--plot", plot, PICTURES)
+    draw = check_picture(options)
     check_output("--out", out, (".json",))
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
@@ -147,7 +148,7 @@ def sensitivity_command(as_json: bool, machine: str, plot: str | None, out: str 
         ranges, loop = table("--ranges", options["ranges"]), real_loop(loaded.loop, options["loop"])
         chosen = given(options, "base", "control", "gravity", "samples")
         result = sensitivity(loaded, posture, loop=loop, ranges=ranges, **chosen)
-    hand_out(result, out, plot, as_json=as_json)
+    hand_out(result, out, draw, as_json=as_json)
 
 
 @contextmanager

@@ -13,12 +13,13 @@ from flexopt.cli.common import (
     CONTROL,
     GAIN,
     JSON,
-    PICTURES,
     Decorator,
     check_output,
+    check_picture,
     given,
     number,
     numbers,
+    of_picture,
     option,
     option_names,
     print_json,
@@ -112,7 +113,7 @@ def type_of(annotation: Any) -> Any:
 @GAIN
 @LOOP
 @value("--out", "PATH", "Write every sample: .nc or .csv.")
-@value("--plot", "PATH", "Draw the run: .png, .svg or .pdf.")
+@of_picture("Draw the run: .png, .svg or .pdf.")
 @value("--animate", "PATH", "Draw the moving machine: .gif or .html.")
 @JSON
 def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
@@ -121,8 +122,10 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     A driven base and a moving target (base_path, target_path), and baked, code for one set of numbers alone, are given
     in an experiment file's [simulation] or in Python (flexopt.simulate).
     """
-    for name, suffixes in (("out", (".nc", ".csv")), ("plot", PICTURES), ("animate", FILMS)):
+    for name, suffixes in (("out", (".nc", ".csv")), ("animate", FILMS)):
         check_output(f"--{name}", options[name], suffixes)
+    plot = options["plot"]
+    draw = check_picture(options)
     loaded = read(load_simulated, machine)
     entries = options.pop("loop")
     asked = simulate_arguments(options)
@@ -138,12 +141,11 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
             if "posture" not in asked and "end_point" not in asked:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")
             result = simulate(loaded, loop=real_loop(loaded.loop, entries), **asked)
-    out, plot, film = options["out"], options["plot"], options["animate"]
+    out, film = options["out"], options["animate"]
     if out is not None:
         save = result.to_netcdf if Path(out).suffix.lower() == ".nc" else result.to_csv
         write_output("--out", out, lambda: save(out))
-    if plot is not None:
-        write_output("--plot", plot, lambda: result.plot(plot))
+    draw(result)
     if film is not None:
         write_output("--animate", film, lambda: result.animate(film))
     files = {name: path for name, path in (("data", out), ("plot", plot), ("animation", film)) if path is not None}

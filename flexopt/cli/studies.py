@@ -15,13 +15,14 @@ from flexopt.cli.common import (
     GAIN,
     GRAVITY,
     JSON,
-    PICTURES,
     check_folder,
     check_output,
+    check_picture,
     given,
     hand_out,
     names,
     numbers,
+    of_picture,
     option,
     option_names,
     placement,
@@ -81,9 +82,9 @@ REPORT_FOLDER, PROBLEM_FOLDER = "flexopt-reproduce", "flexopt-report"
 @value("--x-range", "LO,HI", "Of the first that varies, m or rad; all of it by default.", numbers)
 @value("--y-range", "LO,HI", "Of the second that varies, m or rad; all of it by default.", numbers)
 @value("--out", "FILE.nc", "Write the map to a netCDF file.")
-@value("--plot", "FILE.png", "Draw the map: .png, .svg or .pdf.")
+@of_picture("Draw the map: .png, .svg or .pdf.")
 @JSON
-def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, **options: Any) -> None:
+def map_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
     """Frequencies, w_i, in-phase regions and ε_max of MACHINE over end-points, two joints or its placement.
 
     With --loop how fast its controller's loop decays, too; with --vary that alone, over gains, dead time or soil.
@@ -93,7 +94,7 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
     """
     from flexopt.study import map_loop, map_workspace  # noqa: PLC0415  (only this command needs them)
 
-    check_output("--plot", plot, PICTURES)
+    draw = check_picture(options)
     check_output("--out", out, (".nc",))
     loaded = read(load, machine)
     vary, options["loop"] = options.pop("vary"), real_loop(loaded.loop, options["loop"])
@@ -102,7 +103,7 @@ def map_command(as_json: bool, machine: str, plot: str | None, out: str | None, 
             result = map_loop(loaded, **_of_loop(given(options), vary), progress=progress)
         else:
             result = map_workspace(loaded, progress=progress, **given(options))
-    hand_out(result, out, plot, as_json=as_json)
+    hand_out(result, out, draw, as_json=as_json)
 
 
 def _of_loop(options: dict[str, Any], vary: tuple[str, ...]) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, provenance
+from flexopt.foundation.palette import LIGHT, PALETTES
 from flexopt.foundation.rendering import render
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
@@ -187,6 +188,8 @@ def _page(
         data=json.dumps(json_ready(data), allow_nan=False, ensure_ascii=False).replace("<", "\\u003c"),
         graphs=scripts(functions),
         title=told["title"],
+        palettes=PALETTES,
+        inks=json.dumps(LIGHT.named() | {"series": LIGHT.series}),
     )
     return Explorer(machine.name, dict(configurations), page, provenance(machine, control=settings.control))
 

@@ -24,6 +24,7 @@ from flexopt.foundation.boundary import instance, number, path, public
 from flexopt.foundation.pictures import draws
 from flexopt.foundation.rendering import render
 from flexopt.foundation.writing import write_file
+from flexopt.plotting.sheet import styled
 from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.stage_space import SpaceStage
 from flexopt.simulation.trajectory import Trajectory
@@ -55,7 +56,7 @@ def _alive(trajectory: Trajectory) -> NDArray[np.int64]:
     return np.flatnonzero(np.all(np.isfinite(trajectory.q), axis=1))
 
 
-@draws(Trajectory, "film")
+@draws("Trajectory", "film")
 @public(
     trajectory=instance(Trajectory, "a Trajectory, from flexopt.simulate for example"),
     path=path(".gif", ".html"),
@@ -83,7 +84,8 @@ def animate_trajectory(
     """
     alive = _alive(trajectory)
     film = _film(trajectory, alive, float(trajectory.time[alive[-1]]) / speed, speed, magnify)
-    images = list(_frames(film))
+    with styled():
+        images = list(_frames(film))
     if Path(path).suffix.lower() == ".gif":
         buffer, (still, *others) = io.BytesIO(), images
         still.save(buffer, "GIF", save_all=True, append_images=others, duration=10 * film.delay, loop=0, optimize=True)

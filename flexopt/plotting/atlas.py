@@ -4,49 +4,36 @@
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
-from flexopt.foundation.pictures import draws
-from flexopt.plotting.files import write
+from flexopt.foundation.palette import colors
+from flexopt.plotting.sheet import Sheet, picture
 from flexopt.robustness.atlas import Atlas, RobustPoint
 
-# Colours that colour-blind people tell apart (Okabe and Ito, 2008), and lines that need no colour.
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+# Lines that need no colour to be told apart.
 STYLES = ("-", (0, (6, 1.6)), (0, (7, 1.6, 1.4, 1.6)), (0, (1.6, 1.2)), (0, (3, 1, 1, 1, 1, 1)), (0, (9, 2)))
 MARKERS = ("*", "D", "s", "^", "v", "P")
+# Style, width and name of the edges of what is reached.
 EDGES = {
-    "singular": ("#222222", "-", 1.8, "singular postures: edge of the workspace"),
-    "fold": ("#222222", "-", 1.3, "edge of what the two joints reach, or a fold"),
-    "limit": ("#8a8f94", "-", 1.0, "limits"),
+    "singular": ("-", 1.8, "singular postures: edge of the workspace"),
+    "fold": ("-", 1.3, "edge of what the two joints reach, or a fold"),
+    "limit": ("-", 1.0, "limits"),
 }
-# Share of an axis that is shown beyond a limit; below this width, inches, the two parts stand one below the other.
-MARGIN, NARROW = 0.04, 8.0
+# Share of an axis that is shown beyond a limit; the two parts of a sheet so narrow stand one below the other, in.
+MARGIN, NARROW = 0.04, 6.0
 
 
-@draws(Atlas)
-def plot_atlas(atlas: Atlas, path: str | os.PathLike[str] | None = None, *, width: float = 11.0) -> Figure:
-    """Draw an atlas.
-
-    Args:
-        atlas: from `flexopt.atlas`.
-        path: file to write (`.png`, `.svg`, `.pdf`), or None.
-        width: inches.
-
-    Raises:
-        WriteError: the file cannot be written.
-    """
-    wide = width >= NARROW
-    size = (width, 0.5 * width + 0.9) if wide else (width, 2.0 * width + 1.6)
-    figure = Figure(figsize=size, layout="constrained")
-    joints, task = figure.subplots(1, 2) if wide else figure.subplots(2, 1)
+@picture("Atlas", size=lambda _: (10.5, 6.2))
+def plot_atlas(sheet: Sheet, atlas: Atlas) -> None:
+    """Draw an atlas: its curves and points over the two joints, and where the end-point then is."""
+    width, inks = sheet.size[0], colors()
+    joints, task = sheet.figure.subplots(1, 2) if width >= NARROW else sheet.figure.subplots(2, 1)
     varied = [atlas.joints.index(name) for name in atlas.varied]
     _draw(joints, atlas, lambda curve: _broken(atlas, curve.points), lambda posture: posture[varied])
     _frame(joints, atlas)
@@ -54,30 +41,27 @@ def plot_atlas(atlas: Atlas, path: str | os.PathLike[str] | None = None, *, widt
     _draw(task, atlas, lambda curve: curve.end_point[seen], None)
     task.set_aspect("equal")
     place = ", ".join(f"{value:g}" for value in atlas.base)
-    task.set_title("the end-point there" + (f", base at {place}" if place else ""), fontsize=9.5)
-    task.set_xlabel(f"{atlas.rows[0]}, m (inertial frame)", fontsize=9)
-    task.set_ylabel(f"{atlas.rows[-1]}, m (inertial frame)", fontsize=9)
+    task.set_title("the end-point there" + (f", base at {place}" if place else ""))
+    task.set_xlabel(f"{atlas.rows[0]}, m (inertial frame)")
+    task.set_ylabel(f"{atlas.rows[-1]}, m (inertial frame)")
     for axes in (joints, task):
-        axes.tick_params(labelsize=8)
-        axes.grid(color="#ececec", linewidth=0.5)
-        axes.set_axisbelow(True)
+        axes.grid(color=inks.grid)
     handles, labels = joints.get_legend_handles_labels()
     columns = max(1, min(len(labels), int(width / 2.7)))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8.5, frameon=False)
-    figure.suptitle(mathtext(atlas.title, TITLE_MAX), fontsize=11 if wide else 9.5)
-    write(figure, path)
-    return figure
+    sheet.figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    sheet.title(mathtext(atlas.title, TITLE_MAX))
 
 
 def _draw(axes: Axes, atlas: Atlas, at: Callable[[Any], Vector], plane: Callable[[Vector], Vector] | None) -> None:
     """Edges, curves and points; `at` places a curve, `plane` postures (n, K), else they stand at the end-points."""
-    named: set[str] = set()
+    named, inks = set[str](), colors()
 
     def once(label: str) -> str:
         return "_" if label in named or named.add(label) else label
 
     for edge in atlas.edges:
-        color, style, line, label = EDGES[edge.kind]
+        style, line, label = EDGES[edge.kind]
+        color = inks.muted if edge.kind == "limit" else inks.text
         axes.plot(*at(edge), linestyle=style, color=color, linewidth=line, label=once(label), zorder=1.5)
     for curve in atlas.curves:
         color, style = mode_line(curve.mode)
@@ -92,16 +76,16 @@ def _draw(axes: Axes, atlas: Atlas, at: Callable[[Any], Vector], plane: Callable
             return np.array([point.end_point[[0, -1]] for point in listed]).T
         return plane(np.array([point.posture for point in listed]).T)
 
-    for vanishing, face in (("a", "white"), ("b", "#777777")):
+    for vanishing, face in (("a", inks.page), ("b", inks.other)):
         found = [point for point in atlas.vanishing if point.vanishing == vanishing]
         if found:
             label = f"${vanishing}_i = 0$, beyond it opposed"
-            axes.plot(*placed(found), "o", color=face, markeredgecolor="#222222", markersize=4.5, label=label, zorder=4)
+            axes.plot(*placed(found), "o", color=face, markeredgecolor=inks.text, markersize=4.5, label=label, zorder=4)
     for mode in sorted({point.modes[0] for point in atlas.isolated}):
         found = [point for point in atlas.isolated if point.modes == (mode,)]
         marker, label = MARKERS[(mode + 1) % len(MARKERS)], f"$w_{{{mode}}} = 0$"
         axes.plot(
-            *placed(found), marker, color=mode_line(mode)[0], markeredgecolor="black", markeredgewidth=0.6,
+            *placed(found), marker, color=mode_line(mode)[0], markeredgecolor=inks.edge, markeredgewidth=0.6,
             markersize=7, label=label, zorder=5,
         )  # fmt: skip
     pairs = sorted({point.modes for point in atlas.doubly_robust})
@@ -110,16 +94,17 @@ def _draw(axes: Axes, atlas: Atlas, at: Callable[[Any], Vector], plane: Callable
         marker = MARKERS[number % len(MARKERS)]
         label = f"$w_{{{pair[0]}}} = w_{{{pair[1]}}} = 0$"
         axes.plot(
-            *placed(found), marker, color="#f0e442", markeredgecolor="black", markeredgewidth=0.9,
+            *placed(found), marker, color=inks.emphasis, markeredgecolor=inks.edge, markeredgewidth=0.9,
             markersize=11 if marker == "*" else 6.5, label=label, zorder=5,
         )  # fmt: skip
     if plane is not None and atlas.singular.size:
-        axes.plot(*plane(atlas.singular), "x", color="#222222", markersize=6, label="singular posture", zorder=4)
+        axes.plot(*plane(atlas.singular), "x", color=inks.text, markersize=6, label="singular posture", zorder=4)
 
 
 def mode_line(mode: int) -> tuple[str, Any]:
     """Colour and style of the curves of a mode, counted from 1."""
-    return COLORS[(mode - 1) % len(COLORS)], STYLES[(mode - 1) % len(STYLES)]
+    series = colors().series
+    return series[(mode - 1) % len(series)], STYLES[(mode - 1) % len(STYLES)]
 
 
 def _frame(axes: Axes, atlas: Atlas) -> None:
@@ -129,8 +114,8 @@ def _frame(axes: Axes, atlas: Atlas) -> None:
     shown = ranges + MARGIN * spans[:, None] * ([-1, 1] * ~np.array(atlas.periodic)[:, None])
     style: dict[str, Any] = {
         "label": "beyond the joints' limits",
-        "facecolor": "#e3e5e8",
-        "edgecolor": "#9aa0a6",
+        "facecolor": colors().grid,
+        "edgecolor": colors().other,
         "hatch": "////",
         "linewidth": 0.0,
     }
@@ -143,11 +128,11 @@ def _frame(axes: Axes, atlas: Atlas) -> None:
     alike = atlas.units[0] == atlas.units[1] and 0.4 <= spans[1] / spans[0] <= 2.5
     axes.set_aspect("equal" if alike else "auto")
     x, y = (f"{mathtext(name)}, {unit}" for name, unit in zip(atlas.varied, atlas.units, strict=True))
-    axes.set_xlabel(x, fontsize=9)
-    axes.set_ylabel(y, fontsize=9)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
     held = [name for name in atlas.joints if name not in atlas.varied]
     listed = ", ".join(f"{mathtext(name)} = {value:g}" for name, value in zip(held, atlas.fixed, strict=True))
-    axes.set_title("robust postures" + (f", {mathtext(listed, TITLE_MAX)}" if listed else ""), fontsize=9.5)
+    axes.set_title("robust postures" + (f", {mathtext(listed, TITLE_MAX)}" if listed else ""))
 
 
 def _broken(atlas: Atlas, points: Vector) -> Vector:

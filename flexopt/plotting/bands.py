@@ -8,22 +8,23 @@ In: names with their least, nominal and greatest values. Out: figures, one for e
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flexopt.plotting.files import write
-from flexopt.plotting.selection import CHOSEN, PRESENT
+from flexopt.foundation.palette import colors
+from flexopt.plotting.sheet import Sheet, picture, styled
+from flexopt.plotting.units import labelled
 
 # Ratio of the largest to the least from which an axis is logarithmic.
 LOG_FROM = 20.0
 # Of what is neither the present choice nor the one that is told of.
 PALE = 0.45
 WIDTH = 3.9  # inches
-GROWS, EDGE = "#f6dcd9", "#8a3a33"
+VEIL = 0.16  # of the colour of what grows, over where it does
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,15 @@ class Bands:
     """One measure of every choice.
 
     Attributes:
-        label: quantity and unit;  more: whether more of it is better; None: neither.
+        label: quantity;  unit: its unit, empty where it is the gains' own.
+        more: whether more of it is better; None: neither.
         rows: the choices;  present, told: names of the present one, and of the one that is told of.
         heading: above the texts.
         border: below it the loop is not stable, and what is written there; None: there is no such value.
     """
 
     label: str
+    unit: str
     more: bool | None
     rows: tuple[Row, ...]
     present: str
@@ -62,23 +65,34 @@ class Bands:
 
 def plot_band(bands: Bands) -> Figure:
     """One measure."""
-    figure = Figure(figsize=(WIDTH, _height(bands)), layout="constrained")
-    _draw(figure.add_subplot(), bands)
+    with styled():
+        figure = Figure(figsize=(WIDTH, _height(bands)), layout="constrained")
+        _draw(figure.add_subplot(), bands)
     return figure
 
 
-def plot_bands(
-    bands: Sequence[Bands], path: str | os.PathLike[str] | None = None, *, title: str = "", columns: int = 1
-) -> Figure:
-    """All measures, in one column or several; `title` above them."""
-    count = math.ceil(len(bands) / columns)
-    size = 1.5 * WIDTH * columns, 0.4 + count * max(map(_height, bands), default=1.0)
-    figure = Figure(figsize=size, layout="constrained")
-    for k, each in enumerate(bands):
-        _draw(figure.add_subplot(count, columns, k + 1), each)
-    figure.suptitle(title, fontsize=10)
-    write(figure, path)
-    return figure
+@picture("Verdict", size=lambda answer: _size(answer, 1), panels=lambda answer: len(answer.bands))
+def plot_verdict(sheet: Sheet, answer: Any) -> None:
+    """Decay, settling, allowed gain, delay margin and base swing of every place, as bands over what is uncertain."""
+    _draw_all(sheet, answer, 1)
+
+
+@picture("", size=lambda comparison: _size(comparison, 2))
+def plot_comparison(sheet: Sheet, comparison: Any) -> None:
+    """Every quantity that is a number, a ring for each result, with its error where one is known."""
+    _draw_all(sheet, comparison, 2)
+
+
+def _size(result: Any, columns: int) -> tuple[float, float]:
+    count = math.ceil(len(result.bands) / columns)
+    return 1.5 * WIDTH * columns, 0.5 + count * max(map(_height, result.bands), default=1.0)
+
+
+def _draw_all(sheet: Sheet, result: Any, columns: int) -> None:
+    count = math.ceil(len(result.bands) / columns)
+    for k, each in enumerate(result.bands):
+        _draw(sheet.only() if len(result.bands) == 1 else sheet.figure.add_subplot(count, columns, k + 1), each)
+    sheet.title(result.heading)
 
 
 def _height(bands: Bands) -> float:
@@ -87,6 +101,7 @@ def _height(bands: Bands) -> float:
 
 def _draw(axes: Axes, bands: Bands) -> None:
     """A bar from least to greatest in each row, a ring at the nominal value, and the worst as text."""
+    inks = colors()
     finite = [v for row in bands.rows for v in (row.least, row.nominal, row.greatest) if math.isfinite(v)]
     border = None if bands.border is None else bands.border[0]
     finite += [] if border is None else [border]
@@ -95,14 +110,14 @@ def _draw(axes: Axes, bands: Bands) -> None:
     low, high = _limits(axes, finite)
     axes.set_xlim(low, high)
     if bands.border is not None:
-        axes.axvspan(low, bands.border[0], color=GROWS, linewidth=0, zorder=0)
-        axes.axvline(bands.border[0], color=EDGE, linewidth=0.9, zorder=1)
+        axes.axvspan(low, bands.border[0], color=inks.grows, alpha=VEIL, linewidth=0, zorder=0)
+        axes.axvline(bands.border[0], color=inks.grows, linewidth=0.9, zorder=1)
         axes.annotate(
             f"{bands.border[1]} ", (bands.border[0], 1.0), xycoords=("data", "axes fraction"), ha="right", va="bottom",
-            fontsize=7.5, color=EDGE,
+            fontsize="x-small", color=inks.grows,
         )  # fmt: skip
     for k, row in enumerate(bands.rows):
-        color = PRESENT if row.name == bands.present else CHOSEN
+        color = inks.present if row.name == bands.present else inks.chosen
         alpha = 1.0 if row.name in (bands.present, bands.told) else PALE
         if not math.isnan(row.least + row.greatest):
             ends = [min(max(v, low), high) for v in (row.least, row.greatest)]
@@ -112,27 +127,27 @@ def _draw(axes: Axes, bands: Bands) -> None:
                 axes.plot([high], [k], ">", color=color, alpha=alpha, markersize=9, clip_on=False, zorder=4)
         if math.isfinite(row.nominal):
             axes.plot(
-                [row.nominal], [k], "o", color="white", markeredgecolor="black", markersize=5.5, markeredgewidth=1.0,
-                zorder=5,
+                [row.nominal], [k], "o", color=inks.page, markeredgecolor=inks.text, markersize=5.5,
+                markeredgewidth=1.0, zorder=5,
             )  # fmt: skip
-        axes.text(1.04, k, row.worst, transform=axes.get_yaxis_transform(), va="center", fontsize=8)
-    axes.set_yticks(range(len(bands.rows)), [row.name for row in bands.rows])
+        weight = "bold" if row.name == bands.told else "normal"
+        across = axes.get_yaxis_transform()
+        axes.text(-0.03, k, row.name, transform=across, va="center", ha="right", fontsize="small", fontweight=weight)
+        axes.text(1.04, k, row.worst, transform=across, va="center", fontsize="small")
+    axes.set_yticks([])
     axes.set_ylim(len(bands.rows) - 0.4, -0.6)
-    for tick, row in zip(axes.get_yticklabels(), bands.rows, strict=True):
-        tick.set_fontweight("bold" if row.name == bands.told else "normal")
     better = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)"
-    axes.set_xlabel(f"{bands.label}{better}", fontsize=8.5)
-    axes.text(
-        1.04, -0.75, bands.heading, transform=axes.get_yaxis_transform(), va="bottom", fontsize=7.5, color="#555555"
-    )
-    axes.tick_params(labelsize=8)
-    axes.xaxis.get_offset_text().set(fontsize=7.5)
+    axes.set_xlabel(labelled(f"{bands.label}{better}", bands.unit or "SI"))
+    if bands.heading:
+        axes.text(
+            1.04, -0.75, bands.heading, transform=axes.get_yaxis_transform(), va="bottom", fontsize="x-small",
+            color=inks.muted,
+        )  # fmt: skip
     if not finite:
         axes.set_xticks([])
     elif axes.get_xscale() == "linear":
         axes.locator_params(axis="x", nbins=5)
-    axes.grid(axis="x", color="#e3e3e3", linewidth=0.5)
-    axes.set_axisbelow(True)
+    axes.grid(axis="x")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
 

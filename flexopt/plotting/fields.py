@@ -9,19 +9,19 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap, TwoSlopeNorm
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, TwoSlopeNorm, to_rgb
+from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+
+from flexopt.foundation.palette import colors
 
 Values = NDArray[np.float64]
 
-IN_PHASE, OUT_OF_PHASE = "#f5d327", "#27509b"
-POSTURE = "#d81b1b"
 # Near singular postures the measures fall without end: colours and axes start at this fraction of the points.
 LOWEST_SHOWN = 0.05
-# Purple and green that meet in no common white.
-SIGNED = ListedColormap(colormaps["PRGn"](np.concatenate([np.linspace(0.0, 0.4, 128), np.linspace(0.6, 1.0, 128)])))
 # Share of a field by which its values differ from rounding alone.
 SAME = 1e-9
 
@@ -57,6 +57,20 @@ class FieldPlane:
         return "equal" if 0.25 <= float(np.ptp(self.y) / np.ptp(self.x)) <= 4.0 else "auto"
 
 
+def signed_colors() -> LinearSegmentedColormap:
+    """From what grows to what settles, dark where it does so fast; the two meet in no common colour."""
+    inks = colors()
+    light = [_mixed(ink, inks.page, 0.72) for ink in (inks.grows, inks.settles)]
+    stops = [(0.0, inks.grows), (0.5, light[0]), (0.5, light[1]), (1.0, inks.settles)]
+    return LinearSegmentedColormap.from_list("signed", stops)
+
+
+def _mixed(color: str, other: str, share: float) -> tuple[float, float, float]:
+    a, b = np.array(to_rgb(color)), np.array(to_rgb(other))
+    red, green, blue = ((1 - share) * a + share * b).tolist()
+    return red, green, blue
+
+
 def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, clipped: bool = False) -> None:
     """A field (n_y, n_x) with its colour bar; NaN stays white, what is the same everywhere has one colour.
 
@@ -82,74 +96,91 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, cli
         vmin=low,
         vmax=high,
     )
+    _bar(axes, image, label, extend="min" if clipped and finite.size else "neither")
+
+
+def _bar(axes: Axes, image: AxesImage, label: str, *, extend: Literal["neither", "both", "min", "max"]) -> Colorbar:
+    """The scale of colours beside axes, as high as these."""
     figure = axes.get_figure()
     assert figure is not None
-    bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="min" if clipped and finite.size else "neither")
-    bar.set_label(label, fontsize=8.5)
-    bar.ax.tick_params(labelsize=7.5)
-    bar.formatter.set_powerlimits((-2, 3))  # pyright: ignore[reportAttributeAccessIssue]
-    bar.ax.yaxis.get_offset_text().set(fontsize=7.5)
+    bar = figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)), extend=extend)
+    bar.set_label(label)
+    bar.outline.set_edgecolor(colors().line)  # pyright: ignore[reportCallIssue]
+    return bar
 
 
 def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) -> None:
-    """A field whose sign decides, with its border: above 0 green, below purple, each in its own scale; NaN grey."""
+    """A field whose sign decides, with its border: above 0 it settles, below it grows; NaN grey."""
     finite = values[np.isfinite(values)]
     above, below = finite[finite > 0], -finite[finite < 0]
     low, high = (float(np.quantile(part, 1 - LOWEST_SHOWN)) if part.size else 1e-3 for part in (below, above))
-    axes.set_facecolor("0.8")
+    axes.set_facecolor(colors().line)
     image = axes.imshow(
-        values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, cmap=SIGNED,
+        values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, cmap=signed_colors(),
         norm=TwoSlopeNorm(0.0, -low, high),
     )  # fmt: skip
     if above.size and below.size:
-        axes.contour(*plane.scaled, values, levels=[0.0], colors="black", linewidths=0.8)
-    figure = axes.get_figure()
-    assert figure is not None
-    bar = figure.colorbar(image, ax=axes, shrink=0.86, pad=0.02, extend="both")
-    bar.set_label(label, fontsize=8.5)
-    bar.ax.tick_params(labelsize=7.5)
+        axes.contour(*plane.scaled, values, levels=[0.0], colors=colors().text, linewidths=0.8)
+    bar = _bar(axes, image, label, extend="both")
     bar.set_ticks([-low, -low / 2, 0.0, high / 2, high])
     bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}")
 
 
 def draw_regions(axes: Axes, plane: FieldPlane, values: Values) -> None:
-    """In-phase points (1) yellow, the others (0) blue, what is not mapped (NaN) white."""
+    """In-phase points (1) yellow, the others (0) blue, what is not mapped (NaN) bare."""
     axes.imshow(
         values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, vmin=0.0, vmax=1.0,
-        cmap=ListedColormap([OUT_OF_PHASE, IN_PHASE]),
+        cmap=ListedColormap([colors().out_of_phase, colors().in_phase]),
     )  # fmt: skip
 
 
 def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True, bottom: bool = True) -> None:
     """Title and labels; those of inner panels are left out."""
-    axes.set_title(title, fontsize=9.5)
-    axes.set_xlabel(plane.x_label if bottom else "", fontsize=8.5)
-    axes.set_ylabel(plane.y_label if left else "", fontsize=8.5)
-    axes.tick_params(labelsize=7.5)
+    axes.set_title(title)
+    axes.set_xlabel(plane.x_label if bottom else "")
+    axes.set_ylabel(plane.y_label if left else "")
     for axis, log in zip((axes.xaxis, axes.yaxis), plane.logarithmic, strict=True):
         if log:
-            axis.set_major_formatter(lambda value, _: f"{10**value:.3g}")
+            axis.set_major_locator(MaxNLocator(4, integer=True))
+            axis.set_major_formatter(lambda value, _: f"$10^{{{value:g}}}$")
+        else:
+            axis.set_major_locator(MaxNLocator(5))
 
 
 def draw_marks(axes: Axes, marks: Mapping[str, tuple[float, float]]) -> None:
     """Named points: what is chosen a star, the end-point a cross, others rings."""
+    inks = colors()
     for name, point in marks.items():
         marker, size = {"chosen": ("*", 10.0), "end-point": ("+", 9.0)}.get(name, ("o", 5.5))
         axes.plot(
-            *point, marker=marker, color="white", markersize=size, markeredgecolor=POSTURE, markeredgewidth=1.2,
+            *point, marker=marker, color="white", markersize=size, markeredgecolor=inks.mark, markeredgewidth=1.2,
             linestyle="none", label=name, zorder=5,
         )  # fmt: skip
 
 
+def draw_best(axes: Axes, plane: FieldPlane, values: Values) -> None:
+    """A star where a field (n_y, n_x) is largest; none where it is the same everywhere."""
+    finite = values[np.isfinite(values)]
+    if not finite.size or np.ptp(finite) <= SAME * np.max(np.abs(finite)):
+        return
+    row, column = np.unravel_index(int(np.nanargmax(values)), values.shape)
+    x, y = plane.scaled
+    axes.plot(
+        x[column], y[row], "*", color=colors().chosen, markeredgecolor="black", markersize=12, markeredgewidth=0.8,
+        linestyle="none", label="best place of this panel", zorder=6,
+    )  # fmt: skip
+
+
 def draw_arm(axes: Axes, arm: Values, name: str) -> None:
-    """An arm (2, joints and end-point) in red, with its name beside the end-point."""
+    """An arm (2, joints and end-point) over a field, with its name beside the end-point."""
+    inks = colors()
     axes.plot(arm[0], arm[1], "-", color="white", linewidth=3.4, solid_capstyle="round", zorder=4)
     axes.plot(
-        arm[0], arm[1], "-o", color=POSTURE, linewidth=1.9, markersize=4.0, markeredgecolor="white",
+        arm[0], arm[1], "-o", color=inks.mark, linewidth=1.9, markersize=4.0, markeredgecolor="white",
         markeredgewidth=0.6, label=f"posture {name}", zorder=5,
     )  # fmt: skip
     axes.annotate(
         name, (float(arm[0, -1]), float(arm[1, -1])), xytext=(5, -11), textcoords="offset points", fontsize=9.5,
-        fontweight="bold", color=POSTURE, zorder=6,
+        fontweight="bold", color=inks.mark, zorder=6,
         bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
     )  # fmt: skip

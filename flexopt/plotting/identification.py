@@ -7,80 +7,72 @@ In: an `Identification`. Out: a figure.
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
-import os
 import textwrap
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from flexopt.foundation.boundary import instance, public
+from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
-from flexopt.foundation.pictures import draws
+from flexopt.foundation.palette import colors
 from flexopt.identification.result import FittedColumn, Identification
-from flexopt.plotting.files import write
-from flexopt.plotting.panels import COLORS
+from flexopt.plotting.sheet import Sheet, picture
 
-TITLE_WIDTH = 110  # characters
-MEASURED, FITTED = "#9aa0a6", COLORS[0]
+TITLE_WIDTH = 105  # characters
 
 
-@draws(Identification)
-@public(identification=instance(Identification, "an Identification, from flexopt.identify for example"))
-def plot_identification(identification: Identification, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw the samples of every column and the fit, and below them the residuals with twice their root mean square.
+def _wide(found: Identification) -> int:
+    return 1 if len(found.columns) == 1 else 2
 
-    Args:
-        identification: from `flexopt.identify`.
-        path: file to write (`.png`, `.svg`, `.pdf`), or None.
 
-    Raises:
-        InputError: not an identification, or the file's suffix is unknown.
-        WriteError: the file cannot be written.
-    """
-    found = identification
-    count = len(found.columns)
-    wide = 1 if count == 1 else 2
+def _size(found: Identification) -> tuple[float, float]:
+    return 4.6 * _wide(found) + 0.4, 2.5 * -(-len(found.columns) // _wide(found)) + 1.1
+
+
+@picture(
+    "Identification", size=_size, check=instance(Identification, "an Identification, from flexopt.identify for example")
+)
+def plot_identification(sheet: Sheet, identification: Identification) -> None:
+    """Draw the samples of every column and the fit, and below them the residuals with twice their root mean square."""
+    found, inks = identification, colors()
+    count, wide = len(found.columns), _wide(found)
     high = -(-count // wide)
-    figure = Figure(figsize=(4.4 * wide + 0.4, 2.5 * high + 0.8), layout="constrained")
-    outer = figure.add_gridspec(high, wide)
+    outer = sheet.figure.add_gridspec(high, wide)
+    handles: list[Any] = []
     for k, column in enumerate(found.columns):
         inner = outer[k // wide, k % wide].subgridspec(2, 1, height_ratios=[2.0, 1.0], hspace=0.05)
-        top = figure.add_subplot(inner[0])
-        below = figure.add_subplot(inner[1], sharex=top)
-        top.plot(found.time, found.measured[:, k], ".", color=MEASURED, markersize=1.8, label="log")
-        top.plot(found.time, found.fitted[:, k], color=FITTED, linewidth=0.7, label="fit")
+        top = sheet.figure.add_subplot(inner[0])
+        below = sheet.figure.add_subplot(inner[1], sharex=top)
+        handles = [
+            *top.plot(found.time, found.measured[:, k], ".", color=inks.measured, markersize=1.8, label="log"),
+            *top.plot(found.time, found.fitted[:, k], color=inks.fitted, linewidth=0.7, label="fit"),
+        ]
         _style(top, f"{mathtext(column.name)}, {column.unit}")
         top.tick_params(labelbottom=False)
-        if k == 0:
-            top.legend(loc="upper right", ncols=2, fontsize=7.5, frameon=False, markerscale=3)
         _draw_residuals(below, found, k, column)
-        if k // wide == high - 1 or k + wide >= count:
-            below.set_xlabel("time, s", fontsize=8)
+        below.set_xlabel("time, s" if k + wide >= count else "")
+        below.tick_params(labelbottom=k + wide >= count)
+    sheet.figure.legend(handles, ["log", "fit"], loc="outside lower right", ncols=2, frameon=False, markerscale=3)
     modes = "; ".join(mode.words for mode in found.modes)
     known = len(found.values) - len(found.unidentified)
     heading = f"{mathtext(found.before.name)}: {known} of {len(found.values)} parameters identified. {modes}"
-    figure.suptitle(textwrap.fill(heading, TITLE_WIDTH if wide == 2 else TITLE_WIDTH // 2), fontsize=8.5)
-    write(figure, path)
-    return figure
+    sheet.title(textwrap.fill(heading, TITLE_WIDTH // (3 - wide)))
 
 
 def _draw_residuals(axes: Axes, found: Identification, k: int, column: FittedColumn) -> None:
-    residual = found.residuals[:, k]
-    axes.plot(found.time, residual, ".", color=COLORS[1], markersize=1.5)
+    residual, inks = found.residuals[:, k], colors()
+    axes.plot(found.time, residual, ".", color=inks.measured, markersize=1.5)
     for sign in (-2.0, 2.0):
-        axes.axhline(sign * column.residual_rms, color="#5f6368", linewidth=0.7, linestyle="--")
+        axes.axhline(sign * column.residual_rms, color=inks.muted, linewidth=0.7, linestyle="--")
     top = max(4.0 * column.residual_rms, 1.05 * float(np.nanmax(np.abs(residual))))
     axes.set_ylim(-top, top)
-    _style(axes, "residual" if column.white else "residual, not white")
+    _style(axes, f"{'residual' if column.white else 'coloured residual'}, {column.unit}")
 
 
 def _style(axes: Axes, label: str) -> None:
-    axes.set_ylabel(label, fontsize=8)
-    axes.tick_params(labelsize=7)
-    axes.grid(color="#e3e3e3", linewidth=0.5)
-    axes.set_axisbelow(True)
-    axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4))
-    axes.yaxis.get_offset_text().set(fontsize=7)
+    axes.set_ylabel(label)
+    axes.grid(visible=True)
+    axes.locator_params(axis="y", nbins=4)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

@@ -1,4 +1,4 @@
-"""A machine in one posture, in the plane or as seen from one side."""
+"""A machine in one posture, in the plane or as seen from one side: links with their pins, a base on its springs."""
 
 # pyright: reportUnknownMemberType=false
 # (the stubs of matplotlib leave keyword arguments untyped)
@@ -7,49 +7,17 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 
-from flexopt.plotting.shape import Points, Shape, View, bar, bars_of, capsule_outline
+from flexopt.foundation.palette import colors
+from flexopt.plotting.shape import Points, Shape, View, capsule_outline, chain, links_of, spring_line, views
 
-UNDERCARRIAGE, BASE = "#444444", "#777777"
-
-
-def draw_machine(
-    axes: Axes, skeleton: Points, color: str, *, ghost: bool = False, label: str = "", plate: bool = True
-) -> None:
-    """Undercarriage, bodies as tapered bars, joints and end-point.
-
-    Args:
-        axes: with equal aspect, m.
-        skeleton: ground point, joints and end-point, (2, n_bodies + 1), m, inertial frame.
-        color: of the bodies.
-        ghost: drawn faintly, for a posture that is not the one chosen.
-        label: for the legend.
-        plate: whether an undercarriage is drawn about the ground point.
-    """
-    alpha, order = (0.35, 2.0) if ghost else (1.0, 3.0)
-    size = reach(skeleton)
-    width = 0.32 * size
-    x, y = skeleton[:, 0]
-    if plate:
-        axes.add_patch(
-            Rectangle(
-                (x - width / 2, y - 0.035 * size), width, 0.07 * size,
-                facecolor=UNDERCARRIAGE, edgecolor="#222222", alpha=alpha, zorder=order,
-            )
-        )  # fmt: skip
-    for k, outline in enumerate(bars(skeleton)):
-        axes.add_patch(
-            Polygon(
-                outline, closed=True, facecolor=BASE if k == 0 else color, edgecolor="black", linewidth=0.6,
-                alpha=alpha, zorder=order + 0.1,
-            )
-        )  # fmt: skip
-    axes.plot(
-        skeleton[0, 1:-1], skeleton[1, 1:-1], "o", color="white", markeredgecolor="black", markersize=4.5,
-        alpha=min(1.0, 2 * alpha), zorder=order + 0.2,
-    )  # fmt: skip
-    axes.plot([], [], color=color, linewidth=6, alpha=alpha, label=label)
+# Shares of the machine's size: half the width of an undercarriage of which nothing is known; heights of the springs
+# below it and of itself.
+HALF_WIDTH, SPRING, HEIGHT = 0.16, 0.04, 0.045
+FAINT = 0.4
+# Depth of the ground in a picture, m: farther than any shows.
+DEEP = 1e3
 
 
 def draw_shape(axes: Axes, view: View, shape: Shape, color: str, *, ghost: bool = False, label: str = "") -> None:
@@ -59,68 +27,97 @@ def draw_shape(axes: Axes, view: View, shape: Shape, color: str, *, ghost: bool 
         axes: with equal aspect, m.
         view: one of `views(shape)`.
         shape: the machine.
-        color: of the bodies.
+        color: of the arm.
         ghost: drawn faintly, for a posture that is not the one chosen.
         label: for the legend.
     """
-    alpha, order = (0.35, 2.0) if ghost else (1.0, 3.0)
+    alpha, order, inks = (FAINT, 2.0, colors()) if ghost else (1.0, 3.0, colors())
     for start, end, radius in shape.capsules:
         outline = capsule_outline(view.of(start), view.of(end), radius)
         axes.add_patch(
             Polygon(
-                outline, closed=True, facecolor=(*to_rgb(color), 0.12 * alpha), edgecolor=(*to_rgb(color), 0.6 * alpha),
+                outline, closed=True, facecolor=(*to_rgb(color), 0.16 * alpha), edgecolor=(*to_rgb(color), 0.6 * alpha),
                 linewidth=0.7, zorder=order - 0.3,
             )
         )  # fmt: skip
-    if shape.support is not None:
-        _draw_support(axes, view, shape.support, ghost=ghost)
-    if shape.skeleton.shape[0] == 2:
-        draw_machine(axes, shape.skeleton, color, ghost=ghost, label=label, plate=shape.support is None)
-        return
-    if shape.support is None:
+    if view.upright:
         _draw_undercarriage(axes, view, shape, alpha, order)
-    for outline in bars_of(shape, view):
+    elif shape.support is not None:
         axes.add_patch(
             Polygon(
-                outline, closed=True, facecolor=color, edgecolor="black", linewidth=0.6, alpha=alpha, zorder=order + 0.1
+                view.of(shape.support).T, closed=True, facecolor=(*to_rgb(inks.undercarriage), 0.05 if ghost else 0.2),
+                edgecolor=inks.undercarriage, linewidth=1.0, linestyle="--" if ghost else "-", zorder=1.8,
             )
-        )
+        )  # fmt: skip
+    for segment, outline in links_of(shape, view):
+        axes.add_patch(
+            Polygon(
+                outline, closed=True, facecolor=inks.base if segment in shape.base else color, edgecolor=inks.edge,
+                linewidth=0.6, joinstyle="round", alpha=alpha, zorder=order + 0.1,
+            )
+        )  # fmt: skip
     joints = view.of(shape.skeleton[:, 1:-1])
     axes.plot(
-        joints[0], joints[1], "o", color="white", markeredgecolor="black", markersize=3.5, markeredgewidth=0.8,
+        joints[0], joints[1], "o", color=inks.page, markeredgecolor=inks.edge, markersize=3.5, markeredgewidth=0.8,
         alpha=min(1.0, 2 * alpha), zorder=order + 0.2,
     )  # fmt: skip
-    axes.plot([], [], color=color, linewidth=6, alpha=alpha, label=label)
-
-
-def _draw_support(axes: Axes, view: View, support: Points, *, ghost: bool) -> None:
-    """The polygon or span on which the machine stands."""
-    corners = view.of(support)
-    if view.upright:
+    if shape.elastic:
+        springs = view.of(shape.skeleton[:, list(shape.elastic)])
         axes.plot(
-            [corners[0].min(), corners[0].max()], [corners[1].mean()] * 2, color=UNDERCARRIAGE, linewidth=2.5,
-            alpha=0.35 if ghost else 1.0, solid_capstyle="butt", marker="|", markersize=8, zorder=2.6,
+            springs[0], springs[1], "o", markerfacecolor="none", markeredgecolor=inks.undercarriage, markersize=7.5,
+            alpha=min(1.0, 2 * alpha), zorder=order + 0.2,
         )  # fmt: skip
-        return
-    axes.add_patch(
-        Polygon(
-            corners.T, closed=True, facecolor=(0.27, 0.27, 0.27, 0.05 if ghost else 0.18), edgecolor=UNDERCARRIAGE,
-            linewidth=1.0, linestyle="--" if ghost else "-", zorder=1.8,
-        )
-    )  # fmt: skip
+    axes.plot([], [], color=color, linewidth=5, alpha=alpha, label=label)
 
 
 def _draw_undercarriage(axes: Axes, view: View, shape: Shape, alpha: float, order: float) -> None:
-    """A plate where the ground point is."""
-    half, thick = 0.16 * shape.size, 0.035 * shape.size
-    x, y = view.of(shape.skeleton[:, 0])
-    high = thick if view.upright else half
+    """What stands on the ground, as wide as its support where that is known, on springs where it gives."""
+    size, inks = shape.size, colors()
+    foot = view.of(shape.skeleton[:, 0])
+    wide = HALF_WIDTH * size * np.array([-1.0, 1.0]) + foot[0] if shape.support is None else view.of(shape.support)[0]
+    left, right = float(wide.min()), float(wide.max())
+    floor = float(foot[1])
+    spring, high = SPRING * size if shape.springs else 0.0, HEIGHT * size
+    round_by = min(0.45 * high, 0.25 * (right - left))
     axes.add_patch(
-        Rectangle(
-            (x - half, y - high), 2 * half, 2 * high, facecolor=UNDERCARRIAGE, edgecolor="#222222",
-            alpha=alpha if view.upright else 0.4 * alpha, zorder=order - 0.1,
+        FancyBboxPatch(
+            (left + round_by, floor + spring + round_by), right - left - 2 * round_by, high - 2 * round_by,
+            boxstyle=f"round,pad={round_by},rounding_size={round_by}", facecolor=inks.undercarriage,
+            edgecolor=inks.edge, linewidth=0.6, alpha=alpha, zorder=order,
         )
     )  # fmt: skip
+    if spring:
+        for share in (0.14, 0.86):
+            x = left + share * (right - left)
+            line = spring_line(np.array([x, floor]), np.array([x, floor + spring]), 0.3 * spring)
+            axes.plot(*line.T, color=inks.undercarriage, linewidth=0.9, alpha=alpha, zorder=order - 0.1)
+
+
+def draw_ground(axes: Axes, height: float) -> None:
+    """Ground up to a height, m, as wide as the axes."""
+    # Not among the data, which the limits may be fitted to.
+    axes.add_artist(
+        Rectangle(
+            (0.0, height - DEEP), 1.0, DEEP, facecolor=colors().ground, edgecolor="none", zorder=0,
+            transform=axes.get_yaxis_transform(),
+        )
+    )  # fmt: skip
+    axes.axhline(height, color=colors().ground_line, linewidth=1.2, zorder=1)
+
+
+def draw_target(axes: Axes, point: Points, name: str = "", *, line: bool = False) -> None:
+    """Where the end-point shall be, one point (2,) or several (2, K), joined where they are a path."""
+    inks, points = colors(), np.reshape(point, (2, -1))
+    axes.plot(
+        points[0], points[1], "+", color=inks.target, markersize=11, markeredgewidth=1.5, linewidth=0.7,
+        linestyle="-" if line else "none", zorder=6,
+    )  # fmt: skip
+    if name:
+        axes.annotate(
+            name, (float(points[0, 0]), float(points[1, 0])), xytext=(6, 6), textcoords="offset points", zorder=6,
+            fontsize="small",
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.7},
+        )  # fmt: skip
 
 
 def reach(skeleton: Points) -> float:
@@ -129,16 +126,7 @@ def reach(skeleton: Points) -> float:
 
 
 def bars(skeleton: Points) -> list[Points]:
-    """Outlines (4, 2) of the bodies, each a bar that tapers towards the end-point; a point without length is one."""
-    size, count = reach(skeleton), skeleton.shape[1] - 1
-    outlines: list[Points] = []
-    for k, (start, end) in enumerate(zip(skeleton.T[:-1], skeleton.T[1:], strict=True)):
-        thick, thin = size * (0.028 - 0.016 * k / count), size * (0.028 - 0.016 * (k + 1) / count)
-        outlines.append(bar(start, end, thick, thin))
-    return outlines
-
-
-def draw_ground(axes: Axes, low: float, high: float, height: float) -> None:
-    """A hatched line at the height of the ground."""
-    axes.fill_between([low, high], height - 10.0, height, color="#efe9df", zorder=0)
-    axes.plot([low, high], [height, height], color="#8a7a5c", linewidth=1.2, zorder=1)
+    """Outlines of the links of a planar machine, a body without a length as a point."""
+    shape = chain(skeleton)
+    found = dict(links_of(shape, views(shape)[0], 0.0))
+    return [found.get((k, k + 1), skeleton[:, [k, k]].T) for k in range(skeleton.shape[1] - 1)]

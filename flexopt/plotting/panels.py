@@ -8,6 +8,7 @@ In: labelled samples. Out: drawn axes.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,11 +16,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.palette import colors
 from flexopt.simulation.behaviour import ROUNDING
 
-COLORS = ("#3b6ea5", "#d95f02", "#1b9e77", "#7570b3", "#222222", "#9aa0a6")
 STYLES = ("-", "--", "-.", ":")
-ENVELOPE = "#5f6368"
 # Letters that a legend has room for in a row, and what a line beside its name takes of them.
 ROW, HANDLE = 48, 5
 # A line has at most twice as many points: more than a column of print has dots.
@@ -41,6 +41,8 @@ class Panel:
         rate: of their envelopes, 1/s; None: none.
         logarithmic: where that is of use.
         steps: a value holds until the next.
+        colors: of a line, from its name and number; by default what stands now and what is proposed have theirs, the
+            others those of the series.
     """
 
     label: str
@@ -48,17 +50,25 @@ class Panel:
     rate: float | None = None
     logarithmic: bool = False
     steps: bool = False
+    colors: Callable[[str, int], str] | None = None
+
+
+def line_color(name: str, k: int) -> str:
+    """Of a line among several."""
+    inks = colors()
+    return {"present": inks.present, "chosen": inks.chosen}.get(name, inks.series[k % len(inks.series)])
 
 
 def draw_panel(axes: Axes, panel: Panel, *, legend: bool = True) -> None:
     """Lines, envelopes, label and scale of one panel."""
+    inks = colors()
     sizes = [float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))) for _, _, values in panel.lines]
     smaller_on_top = np.argsort(np.argsort(-np.array(sizes), kind="stable"))
     for k, (name, time, values) in enumerate(panel.lines):
-        color, style = COLORS[k % len(COLORS)], STYLES[k // len(COLORS) % len(STYLES)]
+        color, style = (panel.colors or line_color)(name, k), STYLES[k // len(inks.series) % len(STYLES)]
         order = 2.0 + 0.01 * float(smaller_on_top[k])
         axes.plot(
-            *thinned(time, values), style, color=color, linewidth=0.9, label=name, zorder=order,
+            *thinned(time, values), style, color=color, linewidth=1.0, label=name, zorder=order,
             drawstyle="steps-post" if panel.steps else "default",
         )  # fmt: skip
     times = np.concatenate([time[np.isfinite(values)] for _, time, values in panel.lines])
@@ -70,18 +80,18 @@ def draw_panel(axes: Axes, panel: Panel, *, legend: bool = True) -> None:
         axes.set_ylim(axes.get_ylim())
         for _, time, values in panel.lines:
             for label, curve in zip(("envelope", "_"), _envelopes(time, values, panel.rate), strict=False):
-                axes.plot(*curve, "--", color=ENVELOPE, linewidth=0.8, label=label, zorder=4)
-    axes.set_ylabel(panel.label, fontsize=8)
-    axes.tick_params(labelsize=7.5)
+                axes.plot(*curve, "--", color=inks.muted, linewidth=0.8, label=label, zorder=4)
+    axes.set_ylabel(panel.label)
     axes.locator_params(axis="x", nbins=6)
-    axes.grid(color="#e3e3e3", linewidth=0.5)
-    axes.set_axisbelow(True)
+    if axes.get_yscale() == "linear":
+        axes.locator_params(axis="y", nbins=5)
+    axes.grid(visible=True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     if legend and len(panel.lines) > 1:
         columns = max(1, ROW // (max(len(name) for name, _, _ in panel.lines) + HANDLE))
         axes.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, fontsize=7.5, frameon=False,
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, frameon=False,
             borderaxespad=0.0, borderpad=0.0, handlelength=1.4, columnspacing=1.0,
         )  # fmt: skip
 
@@ -92,7 +102,6 @@ def _set_scale(axes: Axes, panel: Panel) -> None:
     sizes = [size for size in sizes if size.size]
     if not sizes:
         return
-    axes.yaxis.get_offset_text().set(fontsize=7.5)
     # An energy goes with the square of the motion.
     power = 2 if panel.logarithmic else 1
     tops = [_top(size, power) for size in sizes]

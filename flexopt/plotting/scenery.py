@@ -13,26 +13,33 @@ from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.patches import Circle, Polygon
 
 from flexopt.foundation.escapes import mathtext
+from flexopt.foundation.palette import colors
 from flexopt.model.constraints import Area, Box, Constraints, HalfPlane, Obstacle, Sphere
-from flexopt.plotting.shape import Points, View
+from flexopt.plotting.shape import Points, Shape, View
 
-AREAS = ("may stand here", "kept out")
-OBSTACLE, ALLOWED, FORBIDDEN = "#8c564b", "#2a7f3f", "#b3261e"
+WHAT_HOLDS = {"footprint": "the whole footprint", "point": "the anchor point (ring)"}
 # Below this share a plane's normal is seen end-on: it has no trace in the view.
 TRACE = 0.05
 
 
-def draw_scenery(axes: Axes, view: View, constraints: Constraints, height: float) -> None:
+def held(constraints: Constraints, shape: Shape) -> str:
+    """What of the machine the areas of its placement are meant for."""
+    return constraints.holds or ("point" if shape.support is None else "footprint")
+
+
+def draw_scenery(axes: Axes, view: View, constraints: Constraints, height: float, holds: str) -> None:
     """Obstacles of the clearance, and the areas of the placement, on the ground at `height`, m, where seen upright."""
+    inks, what = colors(), WHAT_HOLDS[holds]
     clearance = constraints.clearance
     for obstacle in clearance.obstacles if clearance is not None else ():
         _draw_obstacle(axes, view, obstacle)
     for areas, color, label in (
-        (constraints.region, ALLOWED, AREAS[0]),
-        (constraints.keep_out, FORBIDDEN, AREAS[1]),
+        (constraints.region, inks.allowed, f"{what} may stand here"),
+        (constraints.keep_out, inks.forbidden, f"{what} must not"),
     ):
         for k, area in enumerate(areas or ()):
             _draw_area(axes, view, area, color, label if k == 0 else "_", height)
@@ -64,42 +71,53 @@ def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:
         axes.add_patch(Polygon(_hull(view.of(corners)).T, closed=True, **_style(view, corners)))
         middle = view.of(np.array(obstacle.center))
     else:
-        middle = _draw_half_plane(axes, view, obstacle)
-        if middle is None:
-            return
+        _draw_half_plane(axes, view, obstacle)
+        return
     if obstacle.name:
-        axes.annotate(
-            mathtext(obstacle.name), (float(middle[0]), float(middle[1])), fontsize=7.5, ha="center", va="center",
-            zorder=7, clip_on=True,
-        )  # fmt: skip
+        _name(axes, mathtext(obstacle.name), middle)
+
+
+def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:
+    """What something is, on it, readable on whatever else is drawn there."""
+    inks = colors()
+    axes.annotate(
+        text, (float(at[0]), float(at[1])), fontsize="small", ha="center", va="center", zorder=7, annotation_clip=True,
+        bbox={"boxstyle": "round,pad=0.1", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.6}, **placed,
+    )  # fmt: skip
 
 
 def _style(view: View, points: Points, radius: float = 0.0) -> dict[str, Any]:
     """Fainter and dashed what stands beside the arm's plane, seen from the side."""
     beside = view.upright and not view.cuts(points, radius)
     return {
-        "facecolor": OBSTACLE, "edgecolor": "black", "linewidth": 0.8, "alpha": 0.2 if beside else 0.55,
+        "facecolor": colors().obstacle, "edgecolor": colors().edge, "linewidth": 0.8, "alpha": 0.2 if beside else 0.55,
         "linestyle": "--" if beside else "-", "zorder": 1.5,
     }  # fmt: skip
 
 
-def _draw_half_plane(axes: Axes, view: View, obstacle: HalfPlane) -> Points | None:
-    """The trace of the obstacle's plane in the view's, and the side that is filled; None where it is seen face-on."""
+def _draw_half_plane(axes: Axes, view: View, obstacle: HalfPlane) -> None:
+    """The trace of the obstacle's plane in the view's, and the side that is filled; nothing where seen face-on."""
     normal = view.of(np.array(obstacle.normal))
     length = float(np.hypot(*normal))
     if length < TRACE:
-        return None
+        return
     away = float(np.dot(obstacle.normal, np.array(obstacle.point) - view.origin))
     point, normal = view.of(view.origin) + normal * away / length**2, normal / length
     along, far = np.array([-normal[1], normal[0]]), 1e3
     corners = [point + far * along, point - far * along, point - far * along - far * normal]
     corners.append(point + far * along - far * normal)
-    axes.add_patch(
+    # Not among the data, which the limits may be fitted to.
+    axes.add_artist(
         Polygon(
-            np.array(corners), closed=True, facecolor=OBSTACLE, edgecolor="black", linewidth=0.8, alpha=0.3, zorder=1.2
+            np.array(corners), closed=True, facecolor=colors().obstacle, edgecolor=colors().edge, linewidth=0.8,
+            alpha=0.3, zorder=1.2,
         )
-    )
-    return point
+    )  # fmt: skip
+    if obstacle.name:
+        angle = math.degrees(math.atan2(along[1], along[0]))
+        upright = (angle + 90.0) % 180.0 - 90.0
+        _name(axes, mathtext(obstacle.name), point, xytext=tuple(-8.0 * normal), textcoords="offset points",
+              rotation=upright)  # fmt: skip
 
 
 def _corners(box: Box) -> Points:
@@ -126,16 +144,9 @@ def _draw_area(axes: Axes, view: View, area: Area, color: str, label: str, heigh
     if corners.ndim == 2 and not view.upright:
         axes.add_patch(
             Polygon(
-                corners,
-                closed=True,
-                facecolor=color,
-                edgecolor=color,
-                linewidth=1.2,
-                alpha=0.13,
-                zorder=0.5,
+                corners, closed=True, facecolor=to_rgba(color, 0.13), edgecolor=color, linewidth=1.2, zorder=0.5,
                 label=label,
             )
-        )
-        axes.add_patch(Polygon(corners, closed=True, fill=False, edgecolor=color, linewidth=1.2, zorder=1.0))
+        )  # fmt: skip
     elif corners.ndim == 1:
         axes.plot(corners, [height, height], color=color, linewidth=4.0, solid_capstyle="butt", label=label, zorder=1.6)

@@ -7,69 +7,61 @@ In: a `Sensitivity`. Out: a figure.
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
-import os
-
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
-from flexopt.foundation.boundary import instance, public
 from flexopt.foundation.escapes import mathtext
-from flexopt.foundation.pictures import draws
+from flexopt.foundation.palette import colors
 from flexopt.loop.sensitivity import Sensitivity
-from flexopt.plotting.files import write
-from flexopt.plotting.panels import COLORS
+from flexopt.plotting.sheet import Sheet, picture
+from flexopt.plotting.units import labelled
 
 WIDE = 3
 
 
-@draws(Sensitivity)
-@public(sensitivity=instance(Sensitivity, "a Sensitivity, from flexopt.sensitivity"))
-def plot_sensitivity(sensitivity: Sensitivity, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw first-order and total indices with their intervals, and the bounds that slopes give.
+def _grid(found: Sensitivity) -> tuple[int, int]:
+    columns = min(len(found.outputs), WIDE)
+    return -(-len(found.outputs) // columns), columns
 
-    Args:
-        sensitivity: from `flexopt.sensitivity`.
-        path: file to write (`.png`, `.svg`, `.pdf`), or None.
 
-    Raises:
-        InputError: not a sensitivity, or the file's suffix is unknown.
-        WriteError: the file cannot be written.
-    """
-    found, count = sensitivity, len(sensitivity.outputs)
-    columns = min(count, WIDE)
-    rows = -(-count // columns)
-    high = 1.1 + 0.55 * len(found.names)
-    figure = Figure(figsize=(3.4 * columns + 0.6, high * rows + 0.7), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    at = np.arange(len(found.names))
-    for k, panel in enumerate(axes.ravel()):
-        if k >= count:
-            panel.set_visible(False)
-            continue
+def _size(found: Sensitivity) -> tuple[float, float]:
+    rows, columns = _grid(found)
+    return 3.6 * columns + 1.2, (1.1 + 0.55 * len(found.names)) * rows + 0.9
+
+
+@picture("Sensitivity", size=_size, panels=lambda found: len(found.outputs))
+def plot_sensitivity(sheet: Sheet, found: Sensitivity) -> None:
+    """Draw first-order and total indices with their intervals, and the bounds that slopes give."""
+    count, (rows, columns), inks = len(found.outputs), _grid(found), colors()
+    at, panels = np.arange(len(found.names)), list[Axes]()
+    for k in range(count):
+        panel = sheet.only() if count == 1 else sheet.figure.add_subplot(rows, columns, k + 1)
+        panels.append(panel)
         for values, interval, shift, color, label in (
-            (found.first[k], found.first_interval[k], -0.18, COLORS[0], "alone"),
-            (found.total[k], found.total_interval[k], 0.18, COLORS[1], "in all"),
+            (found.first[k], found.first_interval[k], -0.18, inks.series[0], "alone"),
+            (found.total[k], found.total_interval[k], 0.18, inks.series[2], "in all"),
         ):
             error = np.abs(interval.T - values)
-            style = {"ecolor": "#202124", "elinewidth": 0.8, "capsize": 2}
+            style = {"ecolor": inks.text, "elinewidth": 0.8, "capsize": 2}
             panel.barh(at + shift, values, 0.34, color=color, xerr=error, error_kw=style, label=label)
         # Far bounds say nothing: an index is at most 1.
         shown = np.where(found.bound[k] <= 1.5, found.bound[k], np.nan)
-        panel.plot(shown, at + 0.18, "|", color="#202124", markersize=13, label="at most, by slopes")
+        panel.plot(shown, at + 0.18, "|", color=inks.text, markersize=13, label="at most, by slopes")
         said = mathtext(found.most[k]) if found.most[k] else "undecided"
-        panel.set_title(f"{found.outputs[k]}: {said}", fontsize=9)
-        panel.set_yticks(at, [mathtext(name) for name in found.names], fontsize=8)
+        panel.set_title(f"{found.outputs[k]}: {said}")
+        panel.set_yticks([])
+        if k % columns == 0:
+            for place, name in enumerate(found.names):
+                across = panel.get_yaxis_transform()
+                panel.text(-0.03, place, mathtext(name), transform=across, va="center", ha="right", fontsize="small")
         ends = np.stack([found.first_interval[k], found.total_interval[k]])
         panel.set_xlim(float(np.nanmin(ends, initial=0.0)) - 0.02, float(np.nanmax(ends, initial=1.0)) + 0.05)
-        panel.set_xlabel("share of the variance", fontsize=8)
-        panel.tick_params(labelsize=7.5)
-        panel.grid(axis="x", color="#e3e3e3", linewidth=0.5)
-        panel.set_axisbelow(True)
+        panel.set_xlabel(labelled("share of the variance", ""))
+        panel.set_ylim(len(found.names) - 0.4, -0.6)
+        panel.grid(axis="x")
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
-    axes[0, 0].invert_yaxis()
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    figure.suptitle(f"{mathtext(found.machine)}: what matters most", fontsize=10)
-    write(figure, path)
-    return figure
+    if sheet.axes is None:
+        handles, labels = panels[0].get_legend_handles_labels()
+        sheet.figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    sheet.title(f"{mathtext(found.machine)}: what matters most")

@@ -7,163 +7,163 @@ In: a `Stand` or a `BasePlan`. Out: a figure.
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
-import os
 import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from flexopt.foundation.boundary import instance, public
+from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
-from flexopt.foundation.pictures import draws
-from flexopt.plotting.files import write
-from flexopt.plotting.machine import draw_ground, draw_shape
+from flexopt.foundation.palette import colors
 from flexopt.plotting.panels import Line, Panel, draw_panel
-from flexopt.plotting.scenery import draw_scenery, scenery_points
-from flexopt.plotting.selection import CHOSEN, MUTED, PRESENT
+from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
+from flexopt.plotting.sheet import Sheet, picture
+from flexopt.plotting.units import measure_label, objective_label
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 
 TITLE_WIDTH = 95  # characters
-# More machines than this in one picture cannot be told apart: of a longer path some are left out.
-GHOSTS = 9
+# More machines than this on top of each other cannot be told apart; a film strip has room for fewer.
+GHOSTS, SHOTS, ROW = 9, 6, 3
 
 
-@draws(Stand)
-@public(stand=instance(Stand, "a Stand, from flexopt.select_stand for example"))
-def plot_stand(stand: Stand, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw the machine from its one placement at every target, and V and every w_i at each.
+def _spatial(result: Stand | BasePlan) -> bool:
+    return len(result.problems[0].machine.kinematic_tree.axes) == 3
 
-    Args:
-        stand: from `flexopt.select_stand`.
-        path: file to write (`.png`, `.svg`, `.pdf`), or None.
 
-    Raises:
-        InputError: not a stand, or the file's suffix is unknown.
-        WriteError: the file cannot be written.
-    """
-    figure, panels = _begin(stand, 2)
-    numbers = np.arange(1, len(stand.places) + 1)
-    colors = [CHOSEN if k == stand.worst else PRESENT for k in range(numbers.size)]
-    panels[0].bar(numbers, [place.objective for place in stand.places], 0.6, color=colors)
-    panels[0].set_ylabel(f"objective {stand.problems[0].name}", fontsize=8)
-    panels[0].set_title("objective at each target (0 is best), the worst in orange", loc="left", fontsize=9)
-    _draw_measures(panels[1], stand.places, numbers)
+@picture(
+    "Stand",
+    size=lambda stand: (10.5, 7.8 if _spatial(stand) else 4.8),
+    check=instance(Stand, "a Stand, from flexopt.select_stand for example"),
+)
+def plot_stand(sheet: Sheet, stand: Stand) -> None:
+    """Draw the machine from its one placement at every target, and V and every w_i at each."""
+    places, inks = stand.places, colors()
+    drawn = _some(len(places), GHOSTS)
+    if stand.worst not in drawn:
+        drawn = sorted({*drawn, stand.worst})
+    shapes = {k: shape_of(stand.problems[k].machine, places[k].evaluation) for k in drawn}
+    seen = views(shapes[stand.worst])
+    grid = sheet.figure.add_gridspec(1, 2, width_ratios=[1.35, 1.0])
+    left, right = grid[0].subgridspec(len(seen), 1), grid[1].subgridspec(2, 1)
+    actors = [Actor(shape, inks.other, ghost=True) for k, shape in shapes.items() if k != stand.worst]
+    if actors:
+        actors[0] = Actor(actors[0].shape, inks.other, "at the other targets", ghost=True)
+    actors.append(Actor(shapes[stand.worst], inks.chosen, "at the worst target"))
+    targets = _target_points(places, stand.problems[0].machine.task_rows)
+    for k, view in enumerate(seen):
+        axes = sheet.figure.add_subplot(left[k, 0])
+        draw_scene(axes, view, actors, targets, stand.problems[0].asked)
+        _number(axes, view.of(targets))
+        if k == 0:
+            legend_above(axes, ncols=2)
+    panels: list[Axes] = [sheet.figure.add_subplot(right[k, 0]) for k in range(2)]
+    numbers = np.arange(1, len(places) + 1)
+    shades = [inks.chosen if k == stand.worst else inks.other for k in range(numbers.size)]
+    panels[0].bar(numbers, [place.objective for place in places], 0.6, color=shades)
+    panels[0].set_ylabel(objective_label(stand.problems[0].sought[0], places[0].evaluation))
+    panels[0].set_title("objective at each target, 0 is best", loc="right")
+    _draw_measures(panels[1], places, numbers)
     for panel in panels:
         panel.set_xticks(numbers)
-        panel.set_xlabel("target", fontsize=8)
-    return _end(figure, stand, path)
+    panels[-1].set_xlabel("target, by number")
+    _title(sheet, stand)
 
 
-@draws(BasePlan)
-@public(plan=instance(BasePlan, "a BasePlan, from flexopt.plan_base for example"))
-def plot_plan(plan: BasePlan, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw the machine at every target of its path; over time V, moving and standing still, and the placement.
+@picture(
+    "BasePlan",
+    size=lambda _: (10.5, 7.6),
+    check=instance(BasePlan, "a BasePlan, from flexopt.plan_base for example"),
+)
+def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
+    """Draw the way as a film strip; over time V, moving and standing still, and the placement.
 
-    Args:
-        plan: from `flexopt.plan_base`.
-        path: file to write (`.png`, `.svg`, `.pdf`), or None.
-
-    Raises:
-        InputError: not a plan, or the file's suffix is unknown.
-        WriteError: the file cannot be written.
+    Each shot shows the machine at a target of its path, faintly where it came from; of a longer path some targets.
     """
     e = plan.places[0].evaluation
+    machine, shots = plan.problems[0].machine, _some(len(plan.places), SHOTS)
+    shapes = [shape_of(machine, plan.places[k].evaluation) for k in shots]
+    # All shots see the same plane: a machine in space from above, where its way is seen.
+    view = views(shapes[0])[-1]
+    rows = -(-len(shots) // ROW)
     units = sorted(set(e.base_units))
-    figure, panels = _begin(plan, 1 + len(units))
+    outer = sheet.figure.add_gridspec(2, 1, height_ratios=[1.15 * rows, 1.6])
+    _draw_strip(sheet, outer[0].subgridspec(rows, min(ROW, len(shots))), plan, shots, shapes, view)
+    below = outer[1].subgridspec(1, 1 + len(units))
+    panels = [sheet.figure.add_subplot(below[0, k]) for k in range(1 + len(units))]
     moving: tuple[Line, ...] = (("the base moves", plan.time, plan.V),)
     if plan.still is not None:
         moving = (*moving, ("it stands still", plan.time, plan.still.V))
-    draw_panel(panels[0], Panel(f"objective {plan.problems[0].name}", moving))
-    panels[0].axhline(0.0, color=MUTED, linewidth=0.8, zorder=0)
-    panels[0].ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
-    panels[0].yaxis.get_offset_text().set(fontsize=7.5)
-    for panel, unit in zip(panels[1:], units, strict=True):
-        rows = [k for k, other in enumerate(e.base_units) if other == unit]
-        lines: tuple[Line, ...] = tuple((e.base_coordinates[k], plan.time, plan.base[:, k]) for k in rows)
-        draw_panel(panel, Panel(f"base, {unit}", lines))
-    panels[-1].set_xlabel("time, s", fontsize=8)
+    draw_panel(panels[0], Panel(objective_label(plan.problems[0].sought[0], e), moving, colors=_of_ways))
+    panels[0].axhline(0.0, color=colors().muted, linewidth=0.8, zorder=0)
     for line in panels[0].get_lines()[: len(moving)]:
         line.set_marker("o")
         line.set_markersize(3)
-    return _end(figure, plan, path)
+    for panel, unit in zip(panels[1:], units, strict=True):
+        rows_of = [k for k, other in enumerate(e.base_units) if other == unit]
+        lines: tuple[Line, ...] = tuple((mathtext(e.base_coordinates[k]), plan.time, plan.base[:, k]) for k in rows_of)
+        names = ", ".join(name for name, _, _ in lines)
+        draw_panel(panel, Panel(f"placement {names}, {unit}", lines))
+    for panel in panels:
+        panel.set_xlabel("time, s")
+    _title(sheet, plan)
 
 
-def _begin(result: Stand | BasePlan, count: int) -> tuple[Figure, list[Axes]]:
-    """The figure with its machines drawn, and axes beside them."""
-    machine, places = result.problems[0].machine, result.places
-    count_drawn = min(len(places), GHOSTS)
-    drawn = [round(k * (len(places) - 1) / max(1, count_drawn - 1)) for k in range(count_drawn)]
-    shapes = [shape_of(machine, places[k].evaluation) for k in drawn]
-    seen = views(shapes[len(drawn) // 2])
-    figure = Figure(figsize=(10.5, 4.6 if len(seen) == 1 else 7.6), layout="constrained")
-    grid = figure.add_gridspec(1, 2, width_ratios=[1.35, 1.0])
-    left, right = grid[0].subgridspec(len(seen), 1), grid[1].subgridspec(count, 1)
-    points = _target_points(places, machine.task_rows)
-    for k, view in enumerate(seen):
-        axes = figure.add_subplot(left[k, 0])
-        _draw_machines(axes, view, result, drawn, shapes, points)
-        if k == 0:
-            axes.legend(loc="upper center", fontsize=7.5, framealpha=0.95, ncols=2, handlelength=1.2)
-    return figure, [figure.add_subplot(right[k, 0]) for k in range(count)]
+def _draw_strip(sheet: Sheet, grid: Any, plan: BasePlan, shots: list[int], shapes: Sequence[Shape], view: View) -> None:
+    inks = colors()
+    targets = _target_points(plan.places, plan.problems[0].machine.task_rows)
+    first: Axes | None = None
+    for number, (k, shape) in enumerate(zip(shots, shapes, strict=True)):
+        axes = sheet.figure.add_subplot(grid[number // ROW, number % ROW], sharex=first, sharey=first)
+        first = first or axes
+        before = [Actor(shapes[number - 1], inks.other, ghost=True)] if number else []
+        actors = [*before, Actor(shape, inks.chosen)]
+        draw_scene(axes, view, actors, targets, plan.problems[0].asked, line=True, fill="box", among=shapes)
+        here = view.of(targets[:, k])
+        axes.plot(*here, "o", markersize=9, markerfacecolor="none", markeredgecolor=inks.chosen, zorder=7)
+        axes.set_title(f"target {k + 1} of {len(plan.places)}, {plan.time[k]:.3g} s", loc="left")
+        if number % ROW:
+            axes.set_ylabel("")
+            axes.tick_params(labelleft=False)
+        if number + ROW < len(shots):
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
 
 
-def _draw_machines(
-    axes: Axes, view: View, result: Stand | BasePlan, drawn: list[int], shapes: Sequence[Shape], targets: Points
-) -> None:
-    """First and last of a path, or the worst of a set, in full color; the others faintly.
+def _of_ways(name: str, _: int) -> str:
+    return {"the base moves": colors().chosen, "it stands still": colors().present}[name]
 
-    `drawn`: the numbers of the targets that the shapes are of.
-    """
-    constraints, size = result.problems[0].asked, shapes[0].size
-    moves = isinstance(result, BasePlan)
-    seen = [
-        view.of(np.hstack([shape.skeleton, *([] if shape.support is None else [shape.support])])) for shape in shapes
-    ]
-    marks = view.of(targets)
-    extent = np.hstack([*seen, marks, scenery_points(view, constraints)])
-    low, high = float(extent[0].min()) - 0.15 * size, float(extent[0].max()) + 0.15 * size
-    bottom, top = float(extent[1].min()), float(extent[1].max())
-    axes.set_aspect("equal")
-    if view.upright:
-        ground = float(np.mean([view.of(shape.skeleton)[1, 0] for shape in shapes]))
-        draw_ground(axes, low, high, ground)
-        draw_scenery(axes, view, constraints, ground)
-    else:
-        draw_scenery(axes, view, constraints, 0.0)
-    if isinstance(result, BasePlan):
-        full = {0: (CHOSEN, "at the first target"), len(shapes) - 1: (PRESENT, "at the last target")}
-    else:
-        full = {drawn.index(result.worst): (CHOSEN, "at the worst target")} if result.worst in drawn else {}
-    for k, shape in enumerate(shapes):
-        color, label = full.get(k, (CHOSEN, "_"))
-        draw_shape(axes, view, shape, color, ghost=k not in full, label=label)
-    axes.plot(
-        marks[0], marks[1], "+", color="black", markersize=9, markeredgewidth=1.3, linestyle="-" if moves else "none",
-        linewidth=0.7, zorder=6,
-    )  # fmt: skip
-    for k in range(marks.shape[1]) if marks.shape[1] <= GHOSTS else (0, marks.shape[1] - 1):
+
+def _some(count: int, most: int) -> list[int]:
+    """At most so many of the numbers below `count`, evenly, first and last among them."""
+    kept = min(count, most)
+    return [round(k * (count - 1) / max(1, kept - 1)) for k in range(kept)]
+
+
+def _number(axes: Axes, marks: Points) -> None:
+    """Numbers of targets beside them, but for those that others hide; of many the first and the last."""
+    size = max(float(np.ptp(marks)), 1e-9)
+    chosen = range(marks.shape[1]) if marks.shape[1] <= GHOSTS else (0, marks.shape[1] - 1)
+    told: list[tuple[Points, list[str]]] = []
+    for k in chosen:
+        near = next((names for point, names in told if np.abs(point - marks[:, k]).max() < 0.06 * size), None)
+        if near is None:
+            told.append((marks[:, k], [str(k + 1)]))
+        else:
+            near.append(str(k + 1))
+    for point, names in told:
         axes.annotate(
-            str(k + 1), (float(marks[0, k]), float(marks[1, k])), xytext=(4, 5), textcoords="offset points", fontsize=8,
-            zorder=6,
-        )  # fmt: skip
-    axes.set_xlim(low, high)
-    axes.set_ylim(bottom - 0.1 * size, top + (0.3 if view.upright else 0.1) * size)
-    axes.set_xlabel(view.labels[0], fontsize=8)
-    axes.set_ylabel(view.labels[1], fontsize=8)
-    axes.tick_params(labelsize=7.5)
+            ", ".join(names), (float(point[0]), float(point[1])), xytext=(4, 5), textcoords="offset points", zorder=6
+        )
 
 
 def _target_points(places: Sequence[TargetConfiguration], rows: tuple[str, ...]) -> Points:
-    """The targets (d, K); of position rows that are no part of the task, where the end-point is."""
-    points: NDArray[np.float64] = np.array([place.evaluation.skeleton[:, -1] for place in places]).T
-    names = "xy" if points.shape[0] == 2 else "xyz"
-    for k, row in enumerate(rows):
-        if row in names:
-            points[names.index(row)] = [place.target[k] for place in places]
+    """The targets (d, K)."""
+    found = [target_point(place.evaluation.skeleton[:, -1], rows, place.target) for place in places]
+    points: NDArray[np.float64] = np.array(found).T
     return points
 
 
@@ -171,24 +171,17 @@ def _draw_measures(axes: Axes, places: Sequence[TargetConfiguration], numbers: N
     """Bars of every w_i at each target."""
     w = np.array([place.evaluation.w for place in places])
     width = 0.8 / w.shape[1]
+    series = colors().series
     for i in range(w.shape[1]):
-        axes.bar(numbers + (i - (w.shape[1] - 1) / 2) * width, w[:, i], width, label=f"$w_{i + 1}$")
-    axes.set_ylim(top=-0.2 * min(float(w.min()), 0.0) or 1.0)
-    axes.legend(loc="upper center", fontsize=7.5, ncols=w.shape[1], columnspacing=1.0, handlelength=1.0)
-    axes.set_ylabel("$w_i$", fontsize=8)
-    axes.set_title("measures of each mode", loc="left", fontsize=9)
+        at = numbers + (i - (w.shape[1] - 1) / 2) * width
+        axes.bar(at, w[:, i], width, color=series[i % len(series)], label=f"$w_{{{i + 1}}}$")
+    legend_above(axes, "right", ncols=w.shape[1], columnspacing=0.7, handlelength=0.7, handletextpad=0.3)
+    axes.set_ylabel(measure_label(places[0].evaluation))
 
 
-def _end(figure: Figure, result: Stand | BasePlan, path: str | os.PathLike[str] | None) -> Figure:
+def _title(sheet: Sheet, result: Stand | BasePlan) -> None:
     first = result.problems[0]
     heading = (
         f"{mathtext(first.machine.name)}, Jacobian {first.control} control, objective {first.name}: {result.status}"
     )
-    figure.suptitle(textwrap.fill(heading, TITLE_WIDTH), fontsize=9)
-    for panel in figure.axes:
-        panel.tick_params(labelsize=7.5)
-        if panel.get_title(loc="left"):
-            panel.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
-            panel.yaxis.get_offset_text().set(fontsize=7.5)
-    write(figure, path)
-    return figure
+    sheet.title(textwrap.fill(heading, TITLE_WIDTH))

@@ -12,11 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.model import AnyMachine
+from flexopt.model.kinematic_tree import KinematicTree
 from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation
 
 Points = NDArray[np.float64]
 ARC = 16
+# By how much of its thickness a link is deeper between its pins.
+DEEPER = 0.45
+# Share of the machine's size by which the first link is cut off at the ground.
+LIFTED = 0.07
 # Below this share of the machine's size an arm has no main direction to be seen from the side.
 UPRIGHT = 1e-3
 # What is as near to a plane as this share of its coordinates, which is rounding, touches it.
@@ -32,12 +37,17 @@ class Shape:
         segments: pairs of its columns that are joined, from the ground outwards.
         capsules: (start (d,), end (d,), radius) each.
         support: what it stands on: corners (d, s), or none.
+        base: the segments that no actuated joint moves.
+        springs: whether these stand on springs; elastic: columns of the skeleton where a joint of the arm gives.
     """
 
     skeleton: Points
     segments: tuple[tuple[int, int], ...]
     capsules: tuple[tuple[Points, Points, float], ...] = ()
     support: Points | None = None
+    base: frozenset[tuple[int, int]] = frozenset()
+    springs: bool = False
+    elastic: tuple[int, ...] = ()
 
     @property
     def size(self) -> float:
@@ -87,8 +97,35 @@ def shape_at(machine: AnyMachine, q: Points, base: Points) -> Shape:
     """A machine at the coordinates q (n_q,) and the placement (n_b,)."""
     plant = build_plant(machine)
     at = [q, base, plant.parameter_values]
-    skeleton = plant.skeleton.call(at)[0].full()
-    return Shape(skeleton, machine_segments(machine), _capsules(machine, q, base), _support(machine, skeleton, base))
+    skeleton, segments = plant.skeleton.call(at)[0].full(), machine_segments(machine)
+    tree = machine.kinematic_tree
+    fixed = _fixed(tree)
+    gives = {i for i, body in enumerate(tree.bodies) if body.joint.passive and i not in tree.held}
+    return Shape(
+        skeleton,
+        segments,
+        _capsules(machine, q, base),
+        _support(machine, skeleton, base),
+        base=frozenset((i, j) for i, j in segments if tree.drawn[i] is None or tree.drawn[i] in fixed),
+        springs=not gives.isdisjoint(fixed),
+        elastic=tuple(k for k, body in enumerate(tree.drawn) if body in gives - fixed),
+    )
+
+
+def chain(skeleton: Points) -> Shape:
+    """A planar machine of which no more is known than its skeleton: the first segment stands on springs."""
+    segments = tuple((k, k + 1) for k in range(skeleton.shape[1] - 1))
+    return Shape(skeleton, segments, base=frozenset(segments[:1]), springs=True)
+
+
+def _fixed(tree: KinematicTree) -> set[int]:
+    """Bodies that no actuated joint moves."""
+    names = [body.name for body in tree.bodies]
+    found = set[int]()
+    for i, body in enumerate(tree.bodies):
+        if body.joint.passive and (body.parent is None or names.index(body.parent) in found):
+            found.add(i)
+    return found
 
 
 def shape_of(machine: AnyMachine, evaluation: Evaluation) -> Shape:
@@ -145,11 +182,43 @@ def views(shape: Shape) -> tuple[View, ...]:
     )
 
 
-def bar(start: Points, end: Points, thick: float, thin: float) -> Points:
-    """Outline (4, 2) of a bar that tapers from start to end; one without length is a point or line."""
+def link_outline(start: Points, end: Points, thick: float, thin: float) -> Points:
+    """Outline (k, 2) of a link: round about both its pins, deepest before its middle as booms are."""
+    along = end - start
+    length = float(np.hypot(*along))
+    angle = math.atan2(along[1], along[0])
+    half = np.linspace(math.pi / 2, 3 * math.pi / 2, ARC)
+    round_start = np.column_stack([np.cos(angle + half), np.sin(angle + half)]) * thick + start
+    round_end = -np.column_stack([np.cos(angle + half), np.sin(angle + half)]) * thin + end
+    if length <= thick:
+        return np.vstack([round_start, round_end])
+    across = np.array([-along[1], along[0]]) / length
+    share = np.linspace(0.0, 1.0, ARC)[1:-1]
+    wide = thick + (thin - thick) * share + DEEPER * thick * np.sin(math.pi * share**0.8)
+    edge = start + share[:, None] * along
+    lower, upper = edge - wide[:, None] * across, (edge + wide[:, None] * across)[::-1]
+    return np.vstack([round_start, lower, round_end, upper])
+
+
+def tool_outline(start: Points, end: Points, thick: float) -> Points:
+    """Outline (k, 2) of the last link: round about its pin, from there to the point that does the work."""
+    along = end - start
+    across = np.array([-along[1], along[0]])
+    size = float(np.hypot(*along)) or 1.0
+    deep = min(2.2 * thick, 0.45 * size) / size
+    half = np.linspace(math.pi / 2, 3 * math.pi / 2, ARC) + math.atan2(along[1], along[0])
+    back = np.column_stack([np.cos(half), np.sin(half)]) * thick + start
+    curve = [start + 0.35 * along - deep * across, start + 0.75 * along - 0.6 * deep * across, end]
+    return np.vstack([back, curve, start + 0.55 * along + 0.25 * deep * across])
+
+
+def spring_line(start: Points, end: Points, amplitude: float) -> Points:
+    """A spring of four turns (n, 2)."""
+    share = np.concatenate([[0.0], np.linspace(0.15, 0.85, 9), [1.0]])
+    side = np.concatenate([[0.0, 0.0], np.tile([1.0, -1.0], 4)[:7], [0.0, 0.0]])
     along = end - start
     across = np.array([-along[1], along[0]]) / (float(np.hypot(*along)) or 1.0)
-    return np.array([start + thick * across, end + thin * across, end - thin * across, start - thick * across])
+    return start + share[:, None] * along + amplitude * side[:, None] * across
 
 
 def capsule_outline(start: Points, end: Points, radius: float) -> Points:
@@ -165,16 +234,30 @@ def capsule_outline(start: Points, end: Points, radius: float) -> Points:
 
 
 def bars_of(shape: Shape, view: View) -> list[Points]:
-    """Outlines (4, 2) of the segments that have a length, thinner from the ground outwards."""
+    """Outlines (k, 2) of the segments that have a length, in their order, thinner from the ground outwards."""
+    return [outline for _, outline in links_of(shape, view, 0.0)]
+
+
+def links_of(shape: Shape, view: View, lifted: float = LIFTED) -> list[tuple[tuple[int, int], Points]]:
+    """The segments that have a length, each with its outline in a view; the last of the arm ends in a point.
+
+    The first is cut off at the ground by `lifted`, a share of the machine's size.
+    """
     size, points = shape.size, shape.skeleton
     before = np.zeros(points.shape[1])
     for i, j in shape.segments:
         before[j] = before[i] + float(np.linalg.norm(points[:, j] - points[:, i]))
     farthest = float(before.max()) or 1.0
-    outlines: list[Points] = []
+    tip, found = points.shape[1] - 1, list[tuple[tuple[int, int], Points]]()
+    arm = [segment for segment in shape.segments if segment not in shape.base]
     for i, j in shape.segments:
-        if before[j] - before[i] > UPRIGHT * size:
-            thick, thin = (size * (0.026 - 0.015 * float(before[k]) / farthest) for k in (i, j))
-            start, end = view.of(points[:, [i, j]]).T
-            outlines.append(bar(start, end, thick, thin))
-    return outlines
+        if before[j] - before[i] <= UPRIGHT * size:
+            continue
+        thick, thin = (size * (0.026 - 0.015 * float(before[k]) / farthest) for k in (i, j))
+        start, end = view.of(points[:, [i, j]]).T
+        if i == 0:
+            # What stands on the ground begins above it, on the undercarriage.
+            start = start + min(0.5, lifted * size / (before[j] - before[i])) * (end - start)
+        tool = j == tip and len(arm) > 1
+        found.append(((i, j), tool_outline(start, end, thick) if tool else link_outline(start, end, thick, thin)))
+    return found

@@ -20,9 +20,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.plotting.machine import BASE, UNDERCARRIAGE, bars, draw_ground, reach
+from flexopt.foundation.palette import LIGHT
+from flexopt.plotting.machine import bars, draw_ground, reach
 from flexopt.plotting.panels import draw_panel
-from flexopt.plotting.selection import CHOSEN, PRESENT
+from flexopt.plotting.shape import spring_line
 from flexopt.plotting.trajectory import deflection_panel, error_panel, title
 from flexopt.simulation.trajectory import Trajectory
 
@@ -76,12 +77,12 @@ class Stage:
         self.scene = self.figure.add_axes(SCENE)
         self._draw_scene(self.scene)
         bodies = film.skeleton.shape[1] - 1
-        faces = [UNDERCARRIAGE, BASE, *[PRESENT] * (bodies - 1)]
+        faces = [LIGHT.undercarriage, LIGHT.base, *[LIGHT.present] * (bodies - 1)]
         self.bodies = PolyCollection([], facecolors=faces, edgecolors="black", linewidths=0.6, zorder=3)
         self.scene.add_collection(self.bodies, autolim=False)
-        (self.springs,) = self.scene.plot([], [], color=UNDERCARRIAGE, linewidth=1.0, zorder=2)
+        (self.springs,) = self.scene.plot([], [], color=LIGHT.undercarriage, linewidth=1.0, zorder=2)
         (self.joints,) = self.scene.plot([], [], "o", color="white", markeredgecolor="black", markersize=4, zorder=4)
-        (self.trace,) = self.scene.plot([], [], color=CHOSEN, linewidth=0.8, zorder=5)
+        (self.trace,) = self.scene.plot([], [], color=LIGHT.chosen, linewidth=0.8, zorder=5)
         (self.target,) = self.scene.plot([], [], "+", color="black", markersize=11, markeredgewidth=1.3, zorder=6)
         self.clock = self.scene.text(0.03, 0.965, "", transform=self.scene.transAxes, fontsize=9, va="top")
         panels = [error_panel(t), *([deflection_panel({"deflection": t}, _widest(t))] if t.n_passive else [])]
@@ -113,7 +114,7 @@ class Stage:
         low = np.minimum(low, [float(anchor[:, 0].min()) - 0.26 * length, floor]) - 0.06 * length
         high = np.maximum(high, [float(anchor[:, 0].max()) + 0.26 * length, high[1]])
         high += np.array([0.06, 0.2]) * length
-        draw_ground(axes, low[0] - 9 * length, high[0] + 9 * length, floor)
+        draw_ground(axes, floor)
         # The same scale on both axes, in a frame that is filled: the narrower direction is given more.
         frame = np.array([SCENE[2] * SIZE[0], SCENE[3] * SIZE[1]])
         more = frame * np.max((high - low) / frame) - (high - low)
@@ -165,10 +166,10 @@ class Stage:
         parts: list[Vector] = []
         for side in (-0.7, 0.7):
             foot = plate + np.array([side * HALF_WIDTH * length, 0.0])
-            parts += [_zigzag(foot, ground + side * wide - high, 0.02 * length if upright else 0.0), gap]
+            parts += [spring_line(foot, ground + side * wide - high, 0.02 * length if upright else 0.0), gap]
         wall = anchor - [(HALF_WIDTH + SPRING) * length, 0.0]
         post = np.array([[wall[0], plate[1]], [wall[0], wall[1] + HALF_HEIGHT * length]])
-        parts += [post, gap, _zigzag(wall, ground - wide, 0.02 * length if "base.x" in free else 0.0)]
+        parts += [post, gap, spring_line(wall, ground - wide, 0.02 * length if "base.x" in free else 0.0)]
         points = np.concatenate(parts)
         return points[:, 0], points[:, 1]
 
@@ -177,12 +178,3 @@ def _widest(t: Trajectory) -> int:
     """The passive coordinate shown: the base's rotation, or else the first."""
     passive = t.coordinates[: t.n_passive]
     return passive.index("base.rotation") if "base.rotation" in passive else 0
-
-
-def _zigzag(start: Vector, end: Vector, amplitude: float) -> Vector:
-    """A spring of four turns (n, 2)."""
-    share = np.concatenate([[0.0], np.linspace(0.15, 0.85, 9), [1.0]])
-    side = np.concatenate([[0.0, 0.0], np.tile([1.0, -1.0], 4)[:7], [0.0, 0.0]])
-    along = end - start
-    across = np.array([-along[1], along[0]]) / (float(np.hypot(*along)) or 1.0)
-    return start + share[:, None] * along + amplitude * side[:, None] * across

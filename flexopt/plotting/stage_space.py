@@ -20,10 +20,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.palette import LIGHT
 from flexopt.plant import build_plant
 from flexopt.plotting.machine import draw_ground
 from flexopt.plotting.panels import draw_panel
-from flexopt.plotting.selection import CHOSEN, PRESENT
 from flexopt.plotting.shape import Shape, View, bars_of, capsule_outline, shape_at, views
 from flexopt.plotting.stage import DPI, USUAL, Film, decimals
 from flexopt.plotting.trajectory import deflection_panel, error_panel, title
@@ -88,15 +88,15 @@ class SpaceStage:
     def _scene(self, place: tuple[float, float, float, float], view: View, first: Shape) -> _Scene:
         axes = self.figure.add_axes(place)
         self._set_limits(axes, place, view, first)
-        color = to_rgb(PRESENT)
+        color = to_rgb(LIGHT.present)
         capsules = PolyCollection(
             [], facecolors=[(*color, 0.12)], edgecolors=[(*color, 0.6)], linewidths=0.7, zorder=2.7
         )
-        bars = PolyCollection([], facecolors=[PRESENT], edgecolors="black", linewidths=0.6, zorder=3)
+        bars = PolyCollection([], facecolors=[LIGHT.present], edgecolors="black", linewidths=0.6, zorder=3)
         for collection in (capsules, bars):
             axes.add_collection(collection, autolim=False)
         (joints,) = axes.plot([], [], "o", color="white", markeredgecolor="black", markersize=3.5, zorder=4)
-        (trace,) = axes.plot([], [], color=CHOSEN, linewidth=0.8, zorder=5)
+        (trace,) = axes.plot([], [], color=LIGHT.chosen, linewidth=0.8, zorder=5)
         (target,) = axes.plot([], [], "+", color="black", markersize=10, markeredgewidth=1.3, zorder=6)
         return _Scene(axes, view, capsules, bars, joints, trace, target)
 
@@ -114,7 +114,7 @@ class SpaceStage:
         low, high = low - 0.06 * size, high + np.array([0.06, 0.14 if view.upright else 0.06]) * size
         if view.upright:
             ground = float(view.of(film.anchor[0])[1])
-            draw_ground(axes, low[0] - 9 * size, high[0] + 9 * size, ground)
+            draw_ground(axes, ground)
         frame = np.array([place[2] * SIZE[0], place[3] * SIZE[1]])
         more = frame * np.max((high - low) / frame) - (high - low)
         low, high = low - more / 2, high + more / 2

@@ -7,41 +7,34 @@ In: trajectories. Out: figures of end-point error (mm), the base's deflections (
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.boundary import instance, public
+from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import LEGEND_MAX, mathtext
-from flexopt.foundation.pictures import draws
 from flexopt.plant import build_plant
-from flexopt.plotting.files import write
 from flexopt.plotting.panels import Panel, draw_panel
+from flexopt.plotting.sheet import Sheet, picture
 from flexopt.simulation.trajectory import Trajectory
 
 
-@draws(Trajectory)
-@public(trajectory=instance(Trajectory, "a Trajectory, from flexopt.simulate for example"))
-def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None = None) -> Figure:
+def _size(t: Trajectory) -> tuple[float, float]:
+    return 7.2, 0.9 + 1.45 * max(3, t.n_passive)
+
+
+@picture("Trajectory", size=_size, check=instance(Trajectory, "a Trajectory, from flexopt.simulate for example"))
+def plot_trajectory(sheet: Sheet, trajectory: Trajectory) -> None:
     """Draw a run over time: end-point error, torques and energy; each passive coordinate with its envelope.
 
     Envelopes are ±A exp(σ t), σ the growth rate, A the least that holds the second half of the run, from which σ was
     found. A run that diverges is drawn up to the last number, on axes that show what came before. Of long runs the
     extremes of every 1,200th part are drawn.
-
-    Args:
-        trajectory: from `flexopt.simulate`.
-        path: file to write (`.png`, `.svg`, `.pdf`), or None.
-
-    Raises:
-        InputError: not a trajectory, or the file's suffix is unknown.
-        WriteError: the file cannot be written.
     """
     t = trajectory
     torques = Panel(
@@ -51,13 +44,10 @@ def plot_trajectory(trajectory: Trajectory, path: str | os.PathLike[str] | None 
     energy = Panel("energy, kJ", (("energy", t.time, 1e-3 * t.energy),), logarithmic=True)
     deflections = [deflection_panel({"deflection": t}, k, t.growth_rate) for k in range(t.n_passive)]
     left, right = [error_panel(t), torques, energy], deflections
-    figure = Figure(figsize=(7.2, 0.9 + 1.45 * max(len(left), len(right))), layout="constrained")
-    drawn = _draw_columns(figure, left, right)
+    drawn = _draw_columns(sheet.figure, left, right)
     if right and drawn[len(left)].lines[1:]:
-        drawn[len(left)].set_title(r"dashed: $\pm A\,e^{\sigma t}$", loc="right", fontsize=8, pad=2.5)
-    figure.suptitle(title(t), fontsize=9.5)
-    write(figure, path)
-    return figure
+        drawn[len(left)].set_title(r"dashed: $\pm A\,e^{\sigma t}$", loc="right")
+    sheet.title(title(t))
 
 
 def _runs(arguments: Arguments, field: str, runs: Any) -> Any:
@@ -80,17 +70,16 @@ def _runs(arguments: Arguments, field: str, runs: Any) -> Any:
     return cast(Any, runs)
 
 
-@public(trajectories=_runs)
-def plot_trajectories(trajectories: Mapping[str, Trajectory], path: str | os.PathLike[str] | None = None) -> Figure:
+def _size_of_runs(runs: Mapping[str, Trajectory]) -> tuple[float, float]:
+    first = next(iter(runs.values()))
+    return 7.2, 0.9 + 0.3 * len(runs) + 1.4 * max(len(axis_names(first)), first.n_passive)
+
+
+@picture("", size=_size_of_runs, check=_runs)
+def plot_trajectories(sheet: Sheet, trajectories: Mapping[str, Trajectory]) -> None:
     """Draw several runs on the same axes: end-point error on the left, the base's oscillation on the right.
 
-    Args:
-        trajectories: name -> run; the runs have the same passive coordinates.
-        path: file to write (`.png`, `.svg`, `.pdf`), or None.
-
-    Raises:
-        InputError: no runs, or they do not compare, or the file's suffix is unknown.
-        WriteError: the file cannot be written.
+    The first argument: name -> run; the runs have the same passive coordinates.
     """
     first = next(iter(trajectories.values()))
     left = [
@@ -98,14 +87,10 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], path: str | os.Pat
         for k, axis in enumerate(axis_names(first))
     ]
     right = [deflection_panel(trajectories, k) for k in range(first.n_passive)]
-    rows = max(len(left), len(right))
-    figure = Figure(figsize=(7.2, 0.9 + 0.3 * len(trajectories) + 1.4 * rows), layout="constrained")
-    panels = _draw_columns(figure, left, right, legends=False)
+    panels = _draw_columns(sheet.figure, left, right, legends=False)
     handles = panels[0].get_lines()[: len(trajectories)]
     labels = [f"{mathtext(name)}: {outcome(t)}" for name, t in trajectories.items()]
-    figure.legend(handles, labels, loc="outside upper center", ncols=1 if len(labels) > 2 else 2, fontsize=8)
-    write(figure, path)
-    return figure
+    sheet.figure.legend(handles, labels, loc="outside upper center", ncols=1 if len(labels) > 2 else 2)
 
 
 def title(trajectory: Trajectory) -> str:
@@ -154,7 +139,7 @@ def deflection_panel(runs: Mapping[str, Trajectory], k: int, rate: float | None 
     return Panel(f"{mathtext(name, LEGEND_MAX)}, {unit}", lines, rate)
 
 
-def _draw_columns(figure: Figure, *columns: Sequence[Panel], legends: bool = True) -> list[Axes]:
+def _draw_columns(figure: Figure | SubFigure, *columns: Sequence[Panel], legends: bool = True) -> list[Axes]:
     """Columns of panels that share their time axis, each column as high as the figure."""
     grid = figure.add_gridspec(1, len(columns))
     drawn: list[Axes] = []
@@ -164,9 +149,7 @@ def _draw_columns(figure: Figure, *columns: Sequence[Panel], legends: bool = Tru
             axes = figure.add_subplot(rows[row], sharex=drawn[0] if drawn else None)
             last = row == len(panels) - 1
             axes.tick_params(labelbottom=last)
-            axes.set_xlabel("time, s" if last else "", fontsize=8)
+            axes.set_xlabel("time, s" if last else "")
             draw_panel(axes, panel, legend=legends)
-            letter = chr(ord("a") + len(drawn)) if len(drawn) < 26 else str(len(drawn) + 1)
-            axes.set_title(f"({letter})", loc="left", fontsize=8, pad=2.5)
             drawn.append(axes)
     return drawn

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import json
-import os
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,8 +14,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
-from flexopt.plotting.fields import FieldPlane, Values, draw_field, draw_marks, draw_regions, draw_signed, label_plane
-from flexopt.plotting.files import write
+from flexopt.plotting.fields import (
+    FieldPlane,
+    Values,
+    draw_best,
+    draw_field,
+    draw_marks,
+    draw_regions,
+    draw_signed,
+    label_plane,
+)
+from flexopt.plotting.sheet import Sheet, picture, styled
+from flexopt.plotting.units import labelled, written
 
 # Up to where ratios of an axis are equal.
 EVEN = 1e-9
@@ -32,7 +42,7 @@ def dataset_plane(dataset: Any) -> FieldPlane:
         for name in (columns, rows)
     ]
     x, y = (_array(dataset, name) for name in (columns, rows))
-    plain = [label.removesuffix(", 1") for label in labels]
+    plain = [f"{label.removesuffix(', 1')}, –" if label.endswith(", 1") else label for label in labels]
     return FieldPlane(x, y, plain[0], plain[1], (_geometric(x), _geometric(y)))
 
 
@@ -41,52 +51,65 @@ def _geometric(values: Values) -> bool:
     return bool(values[0] > 0 and values.size > 2 and abs(values[0] * values[2] / values[1] ** 2 - 1) < EVEN)
 
 
-def plot_workspace(
-    dataset: Any,
-    path: str | os.PathLike[str] | None = None,
-    *,
-    marks: Mapping[str, tuple[float, float]] | None = None,
-) -> Figure:
+def _each(plane: FieldPlane) -> float:
+    """Height of a panel, in."""
+    width, height = (np.ptp(values) for values in plane.scaled)
+    return 2.5 * (min(1.6, max(0.6, float(height / width))) if plane.aspect == "equal" else 0.8)
+
+
+def _size(chart: Any) -> tuple[float, float]:
+    panels = _panels(chart.dataset)
+    columns = max(len(row) for row in panels)
+    return 0.8 + 3.2 * columns, 1.1 + (0.55 + _each(dataset_plane(chart.dataset))) * len(panels)
+
+
+def _count(chart: Any) -> int:
+    return sum(map(len, _panels(chart.dataset)))
+
+
+@picture("WorkspaceMap", size=_size, panels=_count)
+def plot_workspace(sheet: Sheet, chart: Any, *, marks: Mapping[str, tuple[float, float]] | None = None) -> None:
     """Draw a map: a row for frequencies, w_i and in-phase regions, a column for each mode, and what concerns all.
 
-    Args:
-        dataset: the xarray.Dataset of a `WorkspaceMap`.
-        path: file to write (`.png`, `.svg`, `.pdf`), or None.
-        marks: points of the plane to show, name -> (x, y); the dataset's own by default.
-
-    Raises:
-        WriteError: the file cannot be written.
+    On a map of the placement a star in each panel of a measure marks where that is best. `marks`: points of the plane
+    to show, name -> (x, y); the map's own by default.
     """
+    dataset = chart.dataset
     plane, panels = dataset_plane(dataset), _panels(dataset)
     shown = json.loads(dataset.attrs.get("marks", "{}")) if marks is None else marks
-    columns = max(len(row) for row in panels)
-    each = _height(plane)
-    figure = Figure(figsize=(1.0 + 3.9 * columns, 0.8 + (0.45 + each) * len(panels)), layout="constrained")
+    columns, named = max(len(row) for row in panels), dict[str, Any]()
     for row, entries in enumerate(panels):
         for column, panel in enumerate(entries):
-            axes = figure.add_subplot(len(panels), columns, row * columns + column + 1)
-            _draw(axes, plane, panel)
+            place = (len(panels), columns, row * columns + column + 1)
+            axes = sheet.only() if _count(chart) == 1 else sheet.figure.add_subplot(*place)
+            _draw(axes, plane, panel, best=dataset.attrs["over"] == "base")
             draw_marks(axes, _placed(plane, shown))
-            label_plane(axes, plane, panel[1], left=column == 0, bottom=row == len(panels) - 1)
-    if shown:
-        figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=8.5)
+            # Where nothing stands below a panel it has the axis' name itself.
+            bottom = row == len(panels) - 1 or column >= len(panels[row + 1])
+            label_plane(axes, plane, panel[1], left=column == 0, bottom=bottom)
+            handles, names = axes.get_legend_handles_labels()
+            named |= dict(zip(names, handles, strict=True))
+    if named and sheet.axes is None:
+        sheet.figure.legend(list(named.values()), list(named), loc="outside lower right", ncols=3, frameon=False)
     gain = f", kr = {float(dataset.attrs['gain']):.3g}" if "gain" in dataset.attrs else ""
-    figure.suptitle(f"{mathtext(dataset.attrs['title'], TITLE_MAX)}{gain}", fontsize=11)
-    write(figure, path, dpi=150)
-    return figure
+    if sheet.axes is None:
+        sheet.title(textwrap.fill(f"{mathtext(dataset.attrs['title'], TITLE_MAX)}{gain}", int(15 * sheet.size[0])))
 
 
-def plot_quantities(dataset: Any, *, marks: Mapping[str, tuple[float, float]]) -> dict[str, Figure]:
+def plot_quantities(chart: Any, *, marks: Mapping[str, tuple[float, float]]) -> dict[str, Figure]:
     """Each panel of a map as a picture of its own, by its title without mathematics."""
+    dataset = chart.dataset
     plane, found = dataset_plane(dataset), dict[str, Figure]()
     for panel in sum(_panels(dataset), list[Panel]()):
-        figure = Figure(figsize=(5.2, 1.3 + 1.3 * _height(plane)), layout="constrained")
-        axes = figure.add_subplot()
-        _draw(axes, plane, panel)
-        draw_marks(axes, _placed(plane, marks))
-        label_plane(axes, plane, panel[1])
-        if marks:
-            figure.legend(*axes.get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=8.5)
+        with styled():
+            figure = Figure(figsize=(5.2, 1.3 + 1.6 * _each(plane)), layout="constrained")
+            axes = figure.add_subplot()
+            _draw(axes, plane, panel, best=dataset.attrs["over"] == "base")
+            draw_marks(axes, _placed(plane, marks))
+            label_plane(axes, plane, panel[1])
+            handles, names = axes.get_legend_handles_labels()
+            if names:
+                figure.legend(handles, names, loc="outside lower right", ncols=3, frameon=False)
         found[_plain(panel[1])] = figure
     return found
 
@@ -95,13 +118,8 @@ def _plain(title: str) -> str:
     return title.replace("$\\lambda_{min}(R_0 + R_0^T)$", "λmin(R0 + R0ᵀ)").replace("$", "").replace("w_", "w")
 
 
-def _height(plane: FieldPlane) -> float:
-    """Of a panel, inches, beside a width of 3."""
-    width, height = (np.ptp(values) for values in plane.scaled)
-    return 3.0 * (min(2.0, max(0.6, height / width)) if plane.aspect == "equal" else 0.8)
-
-
-def _draw(axes: Axes, plane: FieldPlane, panel: Panel) -> None:
+def _draw(axes: Axes, plane: FieldPlane, panel: Panel, *, best: bool) -> None:
+    """One panel; `best`: with a star at the best place of a measure."""
     kind, _, label, values = panel
     if kind == "regions":
         draw_regions(axes, plane, values)
@@ -109,6 +127,8 @@ def _draw(axes: Axes, plane: FieldPlane, panel: Panel) -> None:
         draw_signed(axes, plane, values, label=label)
     else:
         draw_field(axes, plane, values, label=label, clipped=kind == "clipped")
+    if best and kind in ("clipped", "signed"):
+        draw_best(axes, plane, values)
 
 
 def _placed(plane: FieldPlane, marks: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
@@ -127,24 +147,35 @@ def _panels(dataset: Any) -> list[list[Panel]]:
     whole: list[Panel] = []
     if "w" in dataset:
         frequency, w, in_phase = (_array(dataset, name) for name in ("frequency_hz", "w", "in_phase"))
-        unit = dataset["w"].attrs["units"].replace("m2", "m²")
+        unit = written(dataset["w"].attrs["units"])
         modes = range(len(w))
-        rows.append([("field", f"mode {i + 1}: frequency", "Hz", frequency[i]) for i in modes])
-        rows.append([("clipped", f"mode {i + 1}: $w_{i + 1}$", unit, w[i]) for i in modes])
+        rows.append([("field", f"mode {i + 1}: frequency", "frequency, Hz", frequency[i]) for i in modes])
+        rows.append([("clipped", f"mode {i + 1}: $w_{i + 1}$", labelled(f"$w_{i + 1}$", unit), w[i]) for i in modes])
         rows.append([("regions", f"mode {i + 1}: in phase (yellow)", "", in_phase[i]) for i in modes])
         if len(w) > 1:
             whole.append(("regions", "modes 1 and 2 both in phase (yellow)", "", in_phase[0] * in_phase[1]))
-        whole.append(("clipped", "rigid part: $\\lambda_{min}(R_0 + R_0^T)$", unit, _array(dataset, "rigid")))
+        whole.append(
+            (
+                "clipped",
+                "rigid part: $\\lambda_{min}(R_0 + R_0^T)$",
+                labelled("$\\lambda_{min}$", unit),
+                _array(dataset, "rigid"),
+            )
+        )
     if "epsilon_max" in dataset:
-        whole.insert(0, ("clipped", "robust stability margin", "$\\epsilon_{max}$", _array(dataset, "epsilon_max")))
+        whole.insert(
+            0, ("clipped", "robust stability margin", labelled("$\\epsilon_{max}$", ""), _array(dataset, "epsilon_max"))
+        )
     loop: list[Panel] = []
     if "decay" in dataset:
-        loop.append(("signed", "sampled loop: decay (green: stable)", "1/s", _array(dataset, "decay")))
-        loop.append(("field", "its slowest motion", "Hz", _array(dataset, "loop_frequency_hz")))
+        loop.append(("signed", "sampled loop: decay, above 0 it settles", "decay, 1/s", _array(dataset, "decay")))
+        loop.append(("field", "its slowest motion", "frequency, Hz", _array(dataset, "loop_frequency_hz")))
     if dataset.attrs["over"] == "loop":
         return [loop]
     if not whole:
-        whole.append(("field", "condition of the rigid-body Jacobian", "cond Jv", _array(dataset, "condition")))
+        whole.append(
+            ("field", "condition of the rigid-body Jacobian", labelled("cond Jv", ""), _array(dataset, "condition"))
+        )
     rows = [*rows, whole] if max(map(len, rows), default=0) != 1 else [sum(rows, list[Panel]()), whole]
     return [*rows, loop] if loop else rows
 

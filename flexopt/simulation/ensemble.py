@@ -24,6 +24,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, of_machine, path, public, words
 from flexopt.foundation.documents import json_ready, provenance, write_netcdf
+from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Tabled
 from flexopt.foundation.turns import available_cores
@@ -51,8 +52,10 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Ensemble(Tabled):
+class Ensemble(Pictured, Tabled):
     """Measures of N members, one dataset.
+
+    Its picture: the growth rate of each over what varies; with trajectories also bands of them over time.
 
     Attributes:
         dataset: xarray.Dataset over `member`: `grows`, `growth_rate`, `growth_rate_error`, `settling_time`,

@@ -124,12 +124,21 @@ class Comparison(Result):
     rows: tuple[ComparedRow, ...]
     differences: tuple[tuple[str, tuple[str, ...]], ...]
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Every quantity that is a number, a dot for each result, with its error where one is known."""
-        from flexopt.plotting.bands import plot_bands  # noqa: PLC0415  (matplotlib is slow to import)
+    def plot(self, path: str | os.PathLike[str] | None = None, **asked: Any) -> Figure:
+        """Every quantity that is a number, a ring for each result; `asked`: as of the `plot` of results."""
+        from flexopt.plotting.bands import plot_comparison  # noqa: PLC0415  (matplotlib is slow to import)
 
-        drawn = [each for each in map(self._bands, self.rows) if each is not None]
-        return plot_bands(drawn, path, title=f"{self.kind}s: {', '.join(self.names)}"[:80], columns=2)
+        return plot_comparison(self, path, **asked)
+
+    @property
+    def bands(self) -> list[Bands]:
+        """Of every quantity that is a number."""
+        return [each for each in map(self._bands, self.rows) if each is not None]
+
+    @property
+    def heading(self) -> str:
+        """What is compared."""
+        return f"{self.kind}s: {', '.join(self.names)}"[:80]
 
     def _bands(self, row: ComparedRow) -> Bands | None:
         from flexopt.plotting import bands  # noqa: PLC0415
@@ -140,7 +149,7 @@ class Comparison(Result):
         errors = [error or 0.0 for error in row.errors]
         told = zip(self.names, numbers, errors, row.texts(), strict=True)
         rows = tuple(bands.Row(name, value - error, value, value + error, text) for name, value, error, text in told)
-        return bands.Bands(_named(row), row.more, rows, self.names[0], "", heading="")
+        return bands.Bands(row.label, row.unit or "1", row.more, rows, self.names[0], "", heading="")
 
     def __repr__(self) -> str:
         lines = [("what it was asked", *self.names)] if self.differences else []

@@ -70,7 +70,7 @@ def _panels(report: Report) -> dict[str, Picture]:
 
     if report.map is None:
         return {}
-    figures = plot_quantities(report.map.dataset, marks=report.marks)
+    figures = plot_quantities(report.map, marks=report.marks)
     return {name: picture(figure, f"{begun(name)}.") for name, figure in figures.items()}
 
 

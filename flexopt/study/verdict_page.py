@@ -6,7 +6,6 @@ In: a `Verdict`. Out: figures, rows of tables, HTML. Every number is the verdict
 from __future__ import annotations
 
 import math
-import os
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from flexopt.foundation.rendering import render
@@ -16,8 +15,6 @@ from flexopt.study.page import Picture, Table, begun, number, picture
 from flexopt.study.places import MOVE, STAY, told
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from flexopt.plotting.bands import Bands
     from flexopt.study.verdict_result import PlaceVerdict, Verdict
 
@@ -70,18 +67,10 @@ def bands_of(verdict: Verdict) -> list[Bands]:
             band = getattr(place, m.attribute)
             least, nominal, greatest = (m.factor * value for value in (band.least, band.nominal, band.greatest))
             rows.append(Row(place.name, least, nominal, greatest, _worst(place, m).text))
-        label = f"{m.label}, {m.unit}" if m.unit else m.label
-        found.append(Bands(label, m.worst == "least", tuple(rows), STAY, verdict.place, borders.get(m.attribute)))
+        found.append(
+            Bands(m.label, m.unit, m.worst == "least", tuple(rows), STAY, verdict.place, borders.get(m.attribute))
+        )
     return found
-
-
-def draw_verdict(verdict: Verdict, path: str | os.PathLike[str] | None = None) -> Figure:
-    """All bands in one figure."""
-    from flexopt.plotting.bands import plot_bands  # noqa: PLC0415
-
-    machine = verdict.selection.problem.machine.name
-    where = f" {verdict.place}" if verdict.word == "move" else ""
-    return plot_bands(bands_of(verdict), path, title=f"{machine}: {verdict.word}{' to' if where else ''}{where}")
 
 
 def judged(verdict: Verdict) -> dict[str, Any]:

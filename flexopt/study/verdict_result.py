@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import path, public
+from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
@@ -19,7 +20,7 @@ from flexopt.study.decision import RULE, Word
 from flexopt.study.places import STAY, told
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from flexopt.plotting.bands import Bands
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class PlaceVerdict(Result):
 
 
 @dataclass(frozen=True)
-class Verdict(Result):
+class Verdict(Pictured, Result):
     """Whether it pays to move.
 
     Attributes:
@@ -161,22 +162,18 @@ class Verdict(Result):
         """See the class."""
         return False
 
-    @public()
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw decay, settling, allowed gain, delay margin and base swing of every place, as bands.
+    @property
+    def bands(self) -> list[Bands]:
+        """Decay, settling, allowed gain, delay margin and base swing of every place, as `plot` draws them."""
+        from flexopt.study.verdict_page import bands_of  # noqa: PLC0415  (matplotlib is slow to import)
 
-        Args:
-            path: file to write (`.png`, `.svg`, `.pdf`), or None.
+        return bands_of(self)
 
-        Raises:
-            WriteError: the file cannot be written.
-
-        Example:
-            >>> figure = answer.plot("verdict.png")
-        """
-        from flexopt.study.verdict_page import draw_verdict  # noqa: PLC0415  (matplotlib is slow to import)
-
-        return draw_verdict(self, path)
+    @property
+    def heading(self) -> str:
+        """The machine and the word."""
+        where = f" to {self.place}" if self.word == "move" else ""
+        return f"{self.selection.problem.machine.name}: {self.word}{where}"
 
     @public(path=path(".html"))
     def to_html(self, path: str | os.PathLike[str]) -> None:

@@ -18,6 +18,8 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, by, check_text, path, public
 from flexopt.foundation.coordinates import check_point
 from flexopt.foundation.documents import json_ready, write_netcdf
+from flexopt.foundation.palette import Theme
+from flexopt.foundation.pictures import Size, drawn
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import whole_number
 from flexopt.foundation.results import Tabled
@@ -29,7 +31,8 @@ from flexopt.study.points import PointValues
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
 
 
 def _sizes(of: Any) -> dict[str, int]:
@@ -155,23 +158,31 @@ class WorkspaceMap(Tabled):
 
     @public(marks=_marks)
     def plot(
-        self, path: str | os.PathLike[str] | None = None, *, marks: Mapping[str, tuple[float, float]] | None = None
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        marks: Mapping[str, tuple[float, float]] | None = None,
+        ax: Axes | Figure | SubFigure | None = None,
+        size: Size = "screen",
+        theme: Theme = "light",
     ) -> Figure:
         """Frequencies, w_i, in-phase regions and ε_max; written to `path` (`.png`, `.svg`, `.pdf`) where one is given.
+
+        Over the placement a star in each panel of a measure marks where that is best.
 
         Args:
             path: the file.
             marks: points of the plane to show, name -> (x, y), in place of the map's own.
+            ax, size, theme: where, how large and on which ground; as of every picture, `Trajectory.plot`.
 
         Raises:
+            InputError: unusable arguments, or an Axes for several panels.
             WriteError: the file cannot be written.
 
         Example:
             >>> figure = chart.plot("map.png")
         """
-        from flexopt.plotting.workspace import plot_workspace  # noqa: PLC0415  (matplotlib is slow to import)
-
-        return plot_workspace(self.dataset, path, marks=marks)
+        return drawn(self, path, ax=ax, size=size, theme=theme, marks=marks)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready summary: ranges, means and shares of the area, with provenance; the arrays go to netCDF.

@@ -589,11 +589,13 @@ def _pin() -> Cylinder:
     return hydraulic().cylinders[0]
 
 
+PICTURE = {"ax": None, "size": (6.0, 5.0), "theme": "dark"}
 METHODS: dict[str, Callable[[], dict[str, Any]]] = {
-    "Atlas.plot": lambda: {"path": "atlas.png", "width": 5.0},
+    "Atlas.plot": lambda: {"path": "atlas.png", **PICTURE},
     "Atlas.to_netcdf": lambda: {"path": "atlas.nc"},
-    "BasePlan.plot": lambda: {"path": "plan.png"},
-    "BaseTrajectory.plot": lambda: {"path": "base.png"},
+    "BasePlan.plot": lambda: {"path": "plan.png", **PICTURE},
+    "BaseTrajectory.plot": lambda: {"path": "base.png", **PICTURE},
+    "Ensemble.plot": lambda: {"path": "ensemble.png", **PICTURE},
     "Ensemble.share": lambda: {"verdict": "converges"},
     "Ensemble.to_netcdf": lambda: {"path": "ensemble.nc"},
     "Experiment.with_machine": _machine,
@@ -604,7 +606,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
         "q": [0.0] * flexopt.build_plant(hydraulic()).n_coordinates,
         "base": [0.0] * len(hydraulic().base_coordinates),
     },
-    "Identification.plot": lambda: {"path": "identification.png"},
+    "Identification.plot": lambda: {"path": "identification.png", **PICTURE},
     "Machine.beyond_stroke": lambda: {"joint": "boom", "q": 0.0},
     "Machine.joint_frame": lambda: {"joint": "boom"},
     "Machine.travel": lambda: {"cylinder": _pin()},
@@ -621,7 +623,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "Report.to_pdf": lambda: {"path": "report.pdf"},
     "Report.write": lambda: {"folder": "report"},
     "Certificate.write_log": lambda: {"path": "log.json"},
-    "Selection.plot": lambda: {"path": "selection.png"},
+    "Selection.plot": lambda: {"path": "selection.png", **PICTURE},
     "SelectionProblem.branches": lambda: {"objective": _objective(), "z": _z(), "exact": True},
     "SelectionProblem.factors": lambda: {"z": _z()},
     "SelectionProblem.given_up": lambda: {"best": 0.1},
@@ -630,7 +632,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "SelectionProblem.solver": lambda: {"quick": False},
     "SelectionProblem.travel_cost": lambda: {"objective": _objective(), "z": _z()},
     "SelectionProblem.wrapped": lambda: {"z": _z()},
-    "Stand.plot": lambda: {"path": "stand.png"},
+    "Stand.plot": lambda: {"path": "stand.png", **PICTURE},
     "StateSpace.at": lambda: {"points": [1j, 2j]},
     "Sensitivity.plot": lambda: {"path": "sensitivity.png"},
     "Study.with_subject": lambda: {"subject": excavator()},
@@ -639,7 +641,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "StudyResult.to_csv": lambda: {"path": "study.csv"},
     "StudyResult.to_netcdf": lambda: {"path": "study.nc"},
     "Trajectory.animate": lambda: {"path": "run.gif", "speed": 1.0, "magnify": 1.0},
-    "Trajectory.plot": lambda: {"path": "run.png"},
+    "Trajectory.plot": lambda: {"path": "run.png", **PICTURE},
     "Trajectory.skeletons": lambda: {"q": trajectory().q[:2], "base": trajectory().base[:2]},
     "Trajectory.to_csv": lambda: {"path": "run.csv"},
     "Trajectory.to_netcdf": lambda: {"path": "run.nc"},
@@ -651,6 +653,6 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "WorkspaceMap.array": lambda: {"name": "w"},
     "WorkspaceMap.fraction": lambda: {"mask": np.ones((4, 4), dtype=bool)},
     "WorkspaceMap.in_phase_fraction": lambda: {"modes": (1, 2), "strict": False},
-    "WorkspaceMap.plot": lambda: {"path": "map.png", "marks": {"here": (0.0, 1.0)}},
+    "WorkspaceMap.plot": lambda: {"path": "map.png", "marks": {"here": (0.0, 1.0)}, **PICTURE},
     "WorkspaceMap.to_netcdf": lambda: {"path": "map.nc"},
 }

@@ -89,7 +89,7 @@ def test_an_fmu_takes_what_simulate_takes() -> None:
     """All but what is of one run: its noise and its files."""
     of_fmu = {parameter.name for parameter in export_command.params}
     of_simulate = {parameter.name for parameter in simulate_command.params}
-    assert of_simulate - of_fmu == {"seed", "plot", "animate"}
+    assert of_simulate - of_fmu == {"seed", "plot", "size", "theme", "animate"}
 
 
 def test_tables_of_sensor_and_actuator(command: Command) -> None:

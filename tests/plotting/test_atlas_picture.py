@@ -55,7 +55,7 @@ def test_names_of_all_that_is_drawn(atlas: flexopt.Atlas) -> None:
 @pytest.mark.parametrize("width", [4.0, 16.0])
 def test_narrow_and_wide(width: float, tmp_path: Path) -> None:
     atlas = flexopt.atlas(flexopt.load("boom-stick-bucket"), posture=[-0.5], cells=(32, 32))
-    figure = atlas.plot(tmp_path / "atlas.png", width=width)
+    figure = atlas.plot(tmp_path / "atlas.png", size=(width, 9.0))
     first, second = (axes.get_position() for axes in figure.axes)
     assert (first.x1 <= second.x0) == (width == 16.0)
     assert (first.y0 >= second.y1) == (width == 4.0)

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 import flexopt
 from flexopt.article import curve, sweep_gaps
 from flexopt.article import pictures as article
-from flexopt.plotting import plot_workspace
+from flexopt.foundation.palette import LIGHT
 from flexopt.plotting.fields import FieldPlane, draw_field
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
@@ -53,7 +53,7 @@ def test_map_of_little(excavator):
     geometry = flexopt.map_workspace(excavator, points=(5, 4), measures=False, epsilon_max=False)
     assert list(images(geometry.plot())) == ["condition of the rigid-body Jacobian"]
     over = flexopt.map_workspace(excavator, points=(5, 4), over="posture", epsilon_max=False)
-    assert any(axes.get_xlabel() == "angle of boom, rad" for axes in plot_workspace(over.dataset).axes)
+    assert any(axes.get_xlabel() == "angle of boom, rad" for axes in over.plot().axes)
     nothing = flexopt.map_workspace(excavator, points=(3, 3), x_range=(5, 6))
     nothing.plot()
 
@@ -71,7 +71,7 @@ def test_figure_5_draws_the_intersection_and_both_postures(maps):
         for name, arm in arms.items():
             line = drawn[f"posture {name}"]
             np.testing.assert_array_equal(line.get_xydata(), arm.T)
-            assert line.get_color() == article.POSTURE
+            assert line.get_color() == LIGHT.mark
         low, high = axes.images[0].get_clim()
         assert (low, high) == (0.0, 1.0)
 

@@ -184,10 +184,11 @@ def test_base_trajectory(excavator, base_trajectory, tmp_path):
     shown = panels(figure)
     np.testing.assert_array_equal(shown["base position, m"]["x"], [t.time, t.base[:, 0]])
     np.testing.assert_array_equal(shown["base rate, m/s"]["x"], [t.time, t.base_rate[:, 0]])
-    np.testing.assert_array_equal(shown["V: w1"]["V"], [t.time, t.V])
+    np.testing.assert_array_equal(shown["V: w1, 1/(kg m²)"]["V"], [t.time, t.V])
     machines = figure.axes[0]
-    outlines = [patch.get_path().vertices.mean(axis=0) for patch in machines.patches]
-    assert len(outlines) == 2 * 4
+    corners = [patch.get_path().vertices for patch in machines.patches]
+    outlines = [(points.min(axis=0) + points.max(axis=0)) / 2 for points in corners]
+    assert len(outlines) == 2 * 4 + 1  # two machines and the ground
     for skeleton in (t.initial.skeleton, t.final.skeleton):
         middle = skeleton[:, -2:].mean(axis=1)
         assert min(np.linalg.norm(outline - middle) for outline in outlines) < 0.25
@@ -200,7 +201,7 @@ def test_descents_are_marked(excavator):
     t = flexopt.nullspace_trajectory(excavator, UNSTABLE, step_gain=downhill, on_descent="continue", duration=0.1)
     assert t.descents
     at = [descent.index for descent in t.descents]
-    np.testing.assert_array_equal(panels(t.plot())["V: w1"]["V descends"], [t.time[at], t.V[at]])
+    np.testing.assert_array_equal(panels(t.plot())["V: w1, 1/(kg m²)"]["V descends"], [t.time[at], t.V[at]])
 
 
 def test_long_runs_are_thinned_to_their_extremes():

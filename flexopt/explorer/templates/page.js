@@ -312,7 +312,7 @@ class Explorer extends Pictures {
       const row = body.insertRow(), button = document.createElement("button");
       button.type = "button";
       button.textContent = i + 1;
-      button.style.borderLeftColor = MODE_COLOURS[i % MODE_COLOURS.length];
+      button.style.borderLeftColor = `var(--series-${(i % INKS.series.length) + 1})`;
       button.setAttribute("aria-label", `show mode ${i + 1}`);
       row.insertCell().append(button);
       for (let k = 0; k < 5; k++) row.insertCell();
@@ -328,6 +328,7 @@ class Explorer extends Pictures {
     this.theme = {
       present: get("present"), chosen: get("chosen"), base: get("base"), undercarriage: get("undercarriage"), edge: get("edge"),
       ground: get("ground"), groundLine: get("ground-line"), text: get("text"), muted: get("muted"), halo: get("halo"),
+      series: INKS.series.map((_, k) => get(`series-${k + 1}`)),
     };
     this.touched();
   }

@@ -103,7 +103,7 @@ class Pictures {
       const most = ["a", "b"].map((key) => Math.max(...this.modes.map((mode) => Math.hypot(...mode[key]))));
       const order = this.modes.map((_, i) => i).filter((i) => i === this.mode || $("show-arrows").checked).sort((i, j) => (i === this.mode) - (j === this.mode));
       for (const i of order) {
-        const mode = this.modes[i], width = i === this.mode ? 3.5 : 2, colour = MODE_COLOURS[i % MODE_COLOURS.length];
+        const mode = this.modes[i], width = i === this.mode ? 3.5 : 2, colour = theme.series[i % theme.series.length];
         ["a", "b"].forEach((key, k) => painter.arrow(tip, this.inSpace(mode[key], d), longest * Math.hypot(...mode[key]) / most[k], colour, key === "b", width));
       }
     }
@@ -176,8 +176,8 @@ class Pictures {
       c.arc(u, v, 6, 0, 2 * Math.PI);
       for (const [stroke, wide] of [["#ffffff", 5], [colour, 2.5]]) { c.strokeStyle = stroke; c.lineWidth = wide; c.stroke(); }
     };
-    for (const ghost of this.ghosts) mark(place(ghost.posture), "#d95f02");
-    mark(place(this.posture), "#003f8a");
+    for (const ghost of this.ghosts) mark(place(ghost.posture), INKS.chosen);
+    mark(place(this.posture), INKS.present);
   }
 
   caption() {

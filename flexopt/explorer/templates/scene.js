@@ -2,7 +2,6 @@
 // The machine drawn: a view of a planar machine, or of one in space from where one likes or from above. Without perspective,
 // so that capsules are strokes with round ends and lengths are as they are.
 
-const MODE_COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
 
 // At first so far from the arm's plane, and so far from above, rad; the ground is moved on from so far above it on.
 const TURNED = [-0.5, 0.35], FLAT = 0.15;
@@ -259,7 +258,7 @@ class Painter {
     for (const [x, y] of flat.slice(1, -1)) {
       c.beginPath();
       c.arc(x, y, Math.max(2, 0.009 * size * view.scale), 0, 2 * Math.PI);
-      c.fillStyle = "#ffffff";
+      c.fillStyle = theme.halo;
       c.fill();
       c.strokeStyle = theme.edge;
       c.lineWidth = 1;

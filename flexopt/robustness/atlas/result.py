@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.boundary import PICTURES, number, path, public
+from flexopt.foundation.boundary import path, public
 from flexopt.foundation.documents import write_netcdf
-from flexopt.foundation.pictures import drawn
+from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
 from flexopt.robustness.residues import posture_unit, residue_unit
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
 
 # Postures of a point that are written out.
 DIGITS = 4
@@ -123,7 +122,7 @@ class EdgeCurve(Result):
 
 
 @dataclass(frozen=True)
-class Atlas(Result):
+class Atlas(Pictured, Result):
     """All robust postures of a machine over two of its joints.
 
     Attributes:
@@ -306,22 +305,6 @@ class Atlas(Result):
             >>> found.to_netcdf("atlas.nc")
         """
         write_netcdf(path, self.dataset)
-
-    @public(path=path(*PICTURES), width=number("in", low=3.0, high=40.0))
-    def plot(self, path: str | os.PathLike[str] | None = None, *, width: float = 11.0) -> Figure:
-        """Curves and points over the two joints, and where the end-point is; written to `path` where one is given.
-
-        Args:
-            path: the file, `.png`, `.svg` or `.pdf`.
-            width: of the figure, inches; a narrow one has the two parts one below the other.
-
-        Raises:
-            WriteError: the file cannot be written.
-
-        Example:
-            >>> figure = found.plot("atlas.png")
-        """
-        return drawn(self, path, width=width)
 
     def __repr__(self) -> str:
         held = [name for name in self.joints if name not in self.varied]

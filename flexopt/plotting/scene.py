@@ -1,0 +1,130 @@
+"""Machines where they stand, with their targets and what is around them, in one view.
+
+In: shapes with the colours of what they are, targets, constraints. Out: drawn axes, limits and labels.
+"""
+
+# pyright: reportUnknownMemberType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from flexopt.foundation.palette import colors
+from flexopt.model.constraints import Constraints
+from flexopt.plotting.machine import HEIGHT, SPRING, draw_ground, draw_shape, draw_target
+from flexopt.plotting.scenery import draw_scenery, held, scenery_points
+from flexopt.plotting.shape import Points, Shape, View
+
+# Room about what is drawn, share of the machine's size.
+ROOM = 0.1
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A machine of a scene: its shape, its colour, its name in the legend, whether it is drawn faintly."""
+
+    shape: Shape
+    color: str
+    label: str = ""
+    ghost: bool = False
+
+
+def draw_scene(
+    axes: Axes,
+    view: View,
+    actors: Sequence[Actor],
+    targets: Points,
+    constraints: Constraints | None = None,
+    *,
+    name: str = "",
+    line: bool = False,
+    fill: Literal["datalim", "box"] = "datalim",
+    among: Iterable[Shape] = (),
+) -> None:
+    """Ground, surroundings, machines and targets; the same scale on both axes.
+
+    Args:
+        axes: to draw on.
+        view: one of `views(shape)`.
+        actors: the machines, what lies behind first.
+        targets: one (d,) or several (d, K), m.
+        constraints: whose obstacles and areas are drawn.
+        name: of the target.
+        line: whether the targets are a path.
+        fill: whether the limits give way to the frame, or the frame to the limits.
+        among: shapes that the limits hold, too.
+    """
+    shape = actors[-1].shape
+    marks = view.of(np.reshape(targets, (targets.shape[0], -1)))
+    points = [marks, *(_outer(view, each) for each in (*among, *(actor.shape for actor in actors)))]
+    if constraints is not None:
+        points.append(scenery_points(view, constraints))
+    extent, room = np.hstack(points), ROOM * shape.size
+    ground = float(np.mean([view.of(actor.shape.skeleton)[1, 0] for actor in actors]))
+    if view.upright:
+        draw_ground(axes, ground)
+        extent = np.hstack([extent, [[extent[0, 0]], [ground - room / 2]]])
+    if constraints is not None:
+        holds = held(constraints, shape)
+        draw_scenery(axes, view, constraints, ground, holds)
+        if holds == "point" and (constraints.region or constraints.keep_out) and not view.upright:
+            _draw_anchors(axes, view, actors)
+    for actor in actors:
+        draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
+    draw_target(axes, marks, name, line=line)
+    if name:
+        extent = np.hstack([extent, marks + np.array([[0.0], [room]])])
+    axes.set_aspect("equal", adjustable=fill)
+    low, high = extent.min(axis=1) - room, extent.max(axis=1) + room
+    # Matplotlib may widen what is set as if by itself, and shrinks it no further than to what it knows as data.
+    axes.update_datalim([low, high])
+    axes.set_xlim(float(low[0]), float(high[0]), auto=fill == "datalim")
+    axes.set_ylim(float(low[1]), float(high[1]), auto=fill == "datalim")
+    axes.set_xlabel(view.labels[0])
+    axes.set_ylabel(view.labels[1])
+
+
+def legend_above(axes: Axes, side: Literal["left", "right"] = "left", **settings: Any) -> None:
+    """Names of what is drawn, above the axes, where nothing is drawn; the axis' power of ten stands on the left."""
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        place: Any = {"loc": f"lower {side}", "bbox_to_anchor": (float(side == "right"), 1.0)}
+        axes.legend(handles, labels, **place, frameon=False, borderaxespad=0.2, **settings)
+
+
+def target_point(tip: Points, rows: Sequence[str], target: Sequence[float] | Points) -> Points:
+    """Where the end-point shall be, (d,); of position rows that are no part of the task, where it is."""
+    point = tip.copy()
+    for row, value in zip(rows, target, strict=True):
+        if row in "xyz"[: point.size]:
+            point["xyz".index(row)] = value
+    return point
+
+
+def _draw_anchors(axes: Axes, view: View, actors: Sequence[Actor]) -> None:
+    """The points that the areas of the placement are meant for."""
+    for actor in actors:
+        x, y = view.of(actor.shape.skeleton[:, 0])
+        axes.plot(
+            x, y, "o", markersize=10, markerfacecolor="none", markeredgecolor=colors().allowed, markeredgewidth=1.6,
+            zorder=5,
+        )  # fmt: skip
+
+
+def _outer(view: View, shape: Shape) -> Points:
+    """Points (2, K) that hold a machine: skeleton, capsules, what it stands on."""
+    found = [view.of(shape.skeleton)]
+    for start, end, radius in shape.capsules:
+        ends = view.of(np.column_stack([start, end]))
+        found += [ends - radius, ends + radius]
+    if shape.support is not None:
+        found.append(view.of(shape.support))
+    foot = view.of(shape.skeleton[:, :1])
+    if view.upright:
+        found.append(foot + np.array([[0.0], [(HEIGHT + SPRING) * shape.size]]))
+    return np.hstack(found)

@@ -1,0 +1,203 @@
+"""The sheet that a picture is drawn on: its size, its letters and its colours, in one place for all pictures.
+
+In: a function that draws a result on a `Sheet`. Out: the public function behind `plot`, with the one signature
+`(result, path, *, ax, size, theme)`, which the result's `plot` finds.
+"""
+
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# (the stubs of matplotlib leave keyword arguments untyped)
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase, SubFigure
+from matplotlib.rcsetup import cycler
+
+from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.boundary import Check, anything, public
+from flexopt.foundation.palette import Palette, Theme, painted_in
+from flexopt.foundation.pictures import Size, draws
+from flexopt.foundation.writing import write_file
+
+# Points that letters have on a sheet of a picture's own size, and their range on others.
+LETTERS, SMALLEST, LARGEST = 9.5, 6.0, 14.0
+# Width of a page of two columns and its greatest height, and of a slide, in; dots per inch of files.
+PAGE, SLIDE = (7.16, 9.4), (10.0, 5.625)
+DOTS: dict[Any, float] = {"paper": 300.0, "slide": 192.0}
+DOTS_OTHERWISE = 150.0
+
+Draw = Callable[..., None]
+Inches = tuple[float, float]
+
+
+@dataclass
+class Sheet:
+    """What there is to draw on.
+
+    Attributes:
+        figure: the figure or the part of one; axes: the caller's own, in place of all of it.
+        palette: its colours.
+        size: width and height, in.
+    """
+
+    figure: Figure | SubFigure
+    axes: Axes | None
+    palette: Palette
+    size: Inches
+
+    def only(self) -> Axes:
+        """The axes of a picture that has one panel."""
+        return self.axes or self.figure.add_subplot()
+
+    def title(self, text: str) -> None:
+        """Of the whole picture."""
+        if self.axes is not None:
+            self.axes.set_title(text)
+        else:
+            self.figure.suptitle(text)
+
+
+def picture(
+    kind: str,
+    *,
+    size: Callable[[Any], Inches],
+    panels: Callable[[Any], int] = lambda _: 2,
+    check: Check = anything,
+) -> Callable[[Draw], Callable[..., Figure]]:
+    """Makes the public function of a function that draws.
+
+    Args:
+        kind: name of the class whose results are drawn; empty: of none alone.
+        size: width and height that a result asks for, in.
+        panels: how many pairs of axes the picture of a result has.
+        check: of the result.
+    """
+    natural = size
+
+    def decorate(draw: Draw) -> Callable[..., Figure]:
+        def fits(arguments: Arguments, given: Mapping[str, Any]) -> None:
+            ax = given["ax"]
+            if ax is not None and given["size"] not in (None, "screen"):
+                arguments.note("size", "does not go with ax, whose figure has its own", given["size"])
+            if isinstance(ax, Axes) and given["result"] is not None and panels(given["result"]) > 1:
+                sentence = "must be an empty Figure or SubFigure: this picture has several panels, not one"
+                arguments.note("ax", sentence, ax)
+
+        @public("plot" if kind else draw.__name__, together=fits, result=check, options=anything)
+        def plot(
+            result: Any,
+            path: str | os.PathLike[str] | None = None,
+            *,
+            ax: Axes | Figure | SubFigure | None = None,
+            size: Size = "screen",
+            theme: Theme = "light",
+            **options: Any,
+        ) -> Figure:
+            asked = natural(result)
+            inches = _inches(size, asked) if ax is None else _given(ax)
+            with styled(theme, _letters(inches, asked)) as palette:
+                sheet = _sheet(ax, inches, palette)
+                draw(sheet, result, **options)
+                _finish(sheet)
+                whole = sheet.figure.figure
+                write(whole, path, dpi=DOTS.get(size, DOTS_OTHERWISE))
+            return whole
+
+        plot.__doc__, plot.__name__, plot.__qualname__ = draw.__doc__, draw.__name__, draw.__qualname__
+        plot.__module__ = draw.__module__
+        return draws(kind)(plot) if kind else plot
+
+    return decorate
+
+
+@contextmanager
+def styled(theme: Theme = "light", letters: float = LETTERS) -> Generator[Palette]:
+    """Within it Matplotlib draws as all pictures here are drawn; afterwards its settings are the user's again."""
+    with painted_in(theme) as palette, cast(Any, matplotlib).rc_context(_settings(palette, letters)):
+        yield palette
+
+
+def write(figure: Figure, path: str | os.PathLike[str] | None, *, dpi: float = 200) -> None:
+    """Write a figure where asked; the path's ending, which the boundary has checked, chooses the format."""
+    if path is None:
+        return
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=Path(path).suffix[1:].lower(), dpi=dpi)
+    write_file(path, buffer.getvalue())
+
+
+def _inches(size: Size, asked: Inches) -> Inches:
+    if isinstance(size, tuple):
+        return size
+    if size == "slide":
+        return SLIDE
+    if size == "paper":
+        return PAGE[0], min(PAGE[1], asked[1] * max(0.85, min(1.0, PAGE[0] / asked[0])))
+    return asked
+
+
+def _given(ax: Axes | Figure | SubFigure) -> Inches:
+    """What a caller's axes or figure has."""
+    box = ax.bbox
+    dpi = cast(Any, ax if isinstance(ax, FigureBase) else ax.get_figure()).dpi
+    return max(0.1, box.width / dpi), max(0.1, box.height / dpi)
+
+
+def _letters(inches: Inches, asked: Inches) -> float:
+    """So large that a picture has room on another sheet as it has on its own."""
+    share = min(inches[0] / asked[0], inches[1] / asked[1])
+    return min(LARGEST, max(SMALLEST, LETTERS * share))
+
+
+def _sheet(ax: Axes | Figure | SubFigure | None, inches: Inches, palette: Palette) -> Sheet:
+    if isinstance(ax, Axes):
+        ax.set_facecolor(palette.page)
+        return Sheet(cast(Any, ax.get_figure()), ax, palette, inches)
+    if ax is not None:
+        ax.set_facecolor(palette.page)
+        return Sheet(ax, None, palette, inches)
+    return Sheet(Figure(figsize=inches, layout="constrained"), None, palette, inches)
+
+
+def _settings(palette: Palette, letters: float) -> dict[str, Any]:
+    """Matplotlib's own, for as long as a picture is drawn."""
+    thin = 0.8 * letters / LETTERS
+    return {
+        "font.size": letters, "axes.titlesize": "medium", "figure.titlesize": "medium", "axes.labelsize": "small",
+        "xtick.labelsize": "small", "ytick.labelsize": "small", "legend.fontsize": "small",
+        "legend.title_fontsize": "small", "text.color": palette.text, "axes.labelcolor": palette.text,
+        "axes.titlecolor": palette.text, "xtick.color": palette.muted, "ytick.color": palette.muted,
+        "xtick.labelcolor": palette.text, "ytick.labelcolor": palette.text, "axes.edgecolor": palette.muted,
+        "axes.facecolor": palette.page, "figure.facecolor": palette.page, "savefig.facecolor": "auto",
+        "figure.edgecolor": palette.page, "legend.facecolor": palette.page, "legend.edgecolor": palette.line,
+        "legend.framealpha": 0.9, "legend.handlelength": 1.4, "legend.borderaxespad": 0.4, "grid.color": palette.grid,
+        "grid.linewidth": 0.6 * thin, "axes.linewidth": thin, "xtick.major.width": thin, "ytick.major.width": thin,
+        "lines.linewidth": 1.4 * thin, "axes.axisbelow": True, "axes.prop_cycle": cycler(color=list(palette.series)),
+        "hatch.color": palette.muted, "axes.titlepad": 4.0, "axes.labelpad": 2.5, "axes.unicode_minus": True,
+        "axes.formatter.limits": (-3, 4), "axes.formatter.use_mathtext": True, "svg.fonttype": "path",
+    }  # fmt: skip
+
+
+def _finish(sheet: Sheet) -> None:
+    """Axes keep their colours where Matplotlib makes ticks later, or has made them before."""
+    palette = sheet.palette
+    for axes in [sheet.axes] if sheet.axes is not None else sheet.figure.axes:
+        axes.tick_params(which="both", color=palette.muted, labelcolor=palette.text)
+        for spine in axes.spines.values():
+            spine.set_edgecolor(palette.muted)
+        for text in (axes.xaxis.label, axes.yaxis.label):
+            if sheet.axes is not None:
+                text.set_color(palette.text)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.get_offset_text().set(color=palette.text, fontsize="small")
+    if any(axes.get_adjustable() == "datalim" and axes.get_aspect() != "auto" for axes in sheet.figure.axes):
+        # Limits that give way to the frame change the numbers beside it, and these the frame.
+        sheet.figure.figure.draw_without_rendering()

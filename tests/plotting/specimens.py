@@ -1,0 +1,116 @@
+"""One result of every kind that has a picture, for every shipped machine and problem: small, each made once.
+
+`SPECIMENS`: name -> a call that makes the result.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+import flexopt
+from flexopt.model.files import shipped_names
+from tests.oracles.free_swing import FreeSwing
+
+LOOP = {"kp": 1e4, "kv": 1e3, "duration": 2.0}
+TURN = 0.3  # rad, of the joints from the middle of their limits, every other one twice as far
+
+
+@cache
+def machine(name: str) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", flexopt.FlexoptWarning)
+        return flexopt.load(name)
+
+
+@cache
+def posture(name: str) -> tuple[float, ...]:
+    """Joints a little off the middle of what their limits allow, the second bent."""
+    limits = np.array(machine(name).limits)
+    low, high = np.where(np.isfinite(limits), limits, [-1.0, 1.0]).T
+    return tuple(map(float, (low + high) / 2 + np.minimum(TURN, (high - low) / 6) * (1 + np.arange(len(low)) % 2)))
+
+
+def run(name: str) -> Any:
+    return flexopt.simulate(machine(name), posture(name), **LOOP)
+
+
+def ensemble(name: str) -> Any:
+    vary = {"kp": np.geomspace(1e3, 1e6, 12)}
+    return flexopt.simulate_ensemble(machine(name), posture(name), vary=vary, keep="trajectories", kv=1e3, duration=1.0)
+
+
+def way(name: str) -> Any:
+    limits = dict.fromkeys(machine(name).base_coordinates, (-0.5, 0.5))
+    return flexopt.nullspace_trajectory(machine(name), posture(name), base_range=limits)
+
+
+def identification(name: str) -> Any:
+    """From a swing of the machine by another integrator, with noise."""
+    count = flexopt.build_plant(machine(name)).n_passive
+    swing = FreeSwing(machine(name), posture(name), np.full(count, 2e-3), np.zeros(count))
+    time, noise = np.arange(0.0, 6.0, 0.01), np.random.default_rng(0)
+    log = {"t": time}
+    for column in machine(name).coordinates[:count]:
+        log[column] = swing.column(column, time) + 1e-6 * noise.standard_normal(time.size)
+    return flexopt.identify(machine(name), log, posture=posture(name), unknown="stiffness")
+
+
+def atlas(name: str) -> Any:
+    return flexopt.atlas(machine(name), posture=posture(name)[2:] or None, cells=(12, 12))
+
+
+def workspace(name: str, over: str) -> Any:
+    held = {"posture": posture(name)} if len(posture(name)) > 2 or over == "base" else {}
+    if over == "posture":
+        held = {"posture": posture(name)[2:]} if len(posture(name)) > 2 else {}
+    return flexopt.map_workspace(machine(name), over=over, points=(9, 8), epsilon_max=False, **held)
+
+
+def loop(name: str) -> Any:
+    return flexopt.map_loop(
+        machine(name), posture=posture(name), vary={"kp": (1e3, 1e6), "kv": (1e2, 1e5)}, points=(9, 8)
+    )
+
+
+def verdict(name: str) -> Any:
+    return flexopt.verdict(flexopt.load_problem(name), loop={}, members=8, runs=0)
+
+
+def sensitivity(name: str) -> Any:
+    ranges = {"stiffness": (0.5, 2.0), "damping": (0.5, 2.0)}
+    return flexopt.sensitivity(machine(name), posture(name), ranges=ranges, samples=64)
+
+
+def solved(name: str) -> Any:
+    return flexopt.solve_problem(flexopt.load_problem(name))
+
+
+def experiment(name: str) -> Any:
+    return flexopt.run_experiment(flexopt.load_experiment(name))
+
+
+MACHINES = shipped_names("models")
+SPATIAL = ("mobile-manipulator", "slewing-excavator", "truck-crane")
+EXPERIMENTS = ("article-a", "article-b", "article-move")
+STUDIES = ("excavator-study",)
+PROBLEMS = tuple(name for name in shipped_names("problems") if name not in (*EXPERIMENTS, *STUDIES))
+SPECIMENS: dict[str, Callable[[], Any]] = {
+    **{f"problem {name}": partial(solved, name) for name in PROBLEMS},
+    **{f"experiment {name}": partial(experiment, name) for name in EXPERIMENTS},
+    **{f"run {name}": partial(run, name) for name in MACHINES},
+    **{f"ensemble {name}": partial(ensemble, name) for name in MACHINES},
+    **{f"way {name}": partial(way, name) for name in MACHINES},
+    **{f"identification {name}": partial(identification, name) for name in MACHINES},
+    **{f"atlas {name}": partial(atlas, name) for name in MACHINES},
+    **{f"map end_point {name}": partial(workspace, name, "end_point") for name in ("excavator", "mobile-manipulator")},
+    **{f"map posture {name}": partial(workspace, name, "posture") for name in ("boom-stick-bucket", "truck-crane")},
+    **{f"map base {name}": partial(workspace, name, "base") for name in SPATIAL},
+    **{f"loop {name}": partial(loop, name) for name in MACHINES},
+    **{f"verdict {name}": partial(verdict, name) for name in ("article", "pipe-laying")},
+    **{f"sensitivity {name}": partial(sensitivity, name) for name in ("excavator", "truck-crane")},
+}

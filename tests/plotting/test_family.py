@@ -1,0 +1,239 @@
+"""All pictures are of one family: no text on another, a unit on every axis, one signature, one table of colours."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from PIL import Image
+
+import flexopt
+from flexopt.foundation.palette import DARK, LIGHT, PALETTES
+from flexopt.foundation.pictures import Pictured, drawers
+from flexopt.plotting.ensemble import ABOVE
+from flexopt.plotting.sheet import PAGE, SLIDE
+from flexopt.study.workspace_map import WorkspaceMap
+from tests.plotting.looking import faults, without_units
+from tests.plotting.specimens import SPECIMENS
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
+# One of each kind, and those with most on them.
+DENSE = (
+    "problem article", "problem pipe-laying", "problem stations", "problem trench", "way truck-crane", "run slewing-excavator",
+    "ensemble excavator", "atlas truck-crane", "loop excavator", "identification excavator",
+)  # fmt: skip
+
+
+@cache
+def made(name: str) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", flexopt.FlexoptWarning)
+        return SPECIMENS[name]()
+
+
+@pytest.mark.parametrize("name", SPECIMENS)
+def test_no_text_lies_on_another_and_every_axis_has_a_unit(name):
+    figure = made(name).plot()
+    assert not faults(figure)
+    assert not without_units(figure)
+
+
+@pytest.mark.parametrize("size", ["paper", "slide"])
+@pytest.mark.parametrize("name", DENSE)
+def test_other_sizes_have_room_too(name, size):
+    assert not faults(made(name).plot(size=size, theme="dark"))
+
+
+def test_faults_are_found():
+    figure = Figure()
+    axes = figure.add_subplot(xlabel="x, m", ylabel="height")
+    axes.plot([0, 1], [0, 1])
+    axes.text(0.5, 0.5, "one")
+    axes.text(0.5, 0.5, "another")
+    axes.text(2.0, 0.5, "far away")
+    assert faults(figure) == ["'one' on 'another'", "'far away' cut off"]
+    assert without_units(figure) == ["y axis 'height' of ''"]
+
+
+def test_every_kind_of_picture_is_looked_at():
+    kinds = {kind for kind, form in drawers() if form == "picture"}
+    assert {type(made(name)).__name__ for name in SPECIMENS} == kinds
+
+
+def test_one_signature():
+    import inspect  # noqa: PLC0415
+
+    plots = [inspect.signature(getattr(flexopt, kind).plot) for kind, form in drawers() if form == "picture"]
+    for signature in plots:
+        assert {"path", "ax", "size", "theme"} <= set(signature.parameters)
+        assert signature.parameters["size"].default == "screen"
+        assert signature.parameters["theme"].default == "light"
+    assert sum("plot" in vars(getattr(flexopt, kind)) for kind, _ in drawers()) == 1  # the map's, which takes marks
+    assert "plot" in vars(Pictured)
+    assert issubclass(flexopt.WorkspaceMap, WorkspaceMap)
+
+
+@pytest.mark.parametrize(
+    ("size", "inches", "dots"), [("slide", SLIDE, (1920, 1080)), ((5.0, 4.0), (5.0, 4.0), (750, 600))]
+)
+def test_sizes(size, inches, dots, tmp_path):
+    figure = made("run excavator").plot(tmp_path / "a.png", size=size)
+    np.testing.assert_allclose(figure.get_size_inches(), inches)
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size == dots
+
+
+def test_a_page_is_as_wide_as_a_page():
+    for name in DENSE:
+        width, height = made(name).plot(size="paper").get_size_inches()
+        assert width == PAGE[0]
+        assert height <= PAGE[1]
+
+
+@pytest.mark.parametrize("theme", PALETTES)
+def test_ground_letters_and_meanings_are_the_theme_s(theme, tmp_path):
+    inks = PALETTES[theme]
+    figure = made("problem article").plot(tmp_path / "a.png", theme=theme)
+    assert to_hex(figure.get_facecolor()) == inks.page
+    scene, panel = figure.axes[:2]
+    assert to_hex(scene.get_facecolor()) == inks.page
+    assert to_hex(scene.xaxis.label.get_color()) == inks.text
+    assert {to_hex(label.get_color()) for label in scene.get_xticklabels()} == {inks.text}
+    drawn = {line.get_label(): to_hex(line.get_color()) for line in panel.lines}
+    assert drawn["chosen"] == inks.chosen
+    assert drawn["present"] == inks.present
+    faces = {to_hex(patch.get_facecolor()) for patch in scene.patches}
+    assert {inks.chosen, inks.present, inks.ground, inks.base} <= faces
+    with Image.open(tmp_path / "a.png") as picture:
+        red, green, blue = picture.convert("RGB").getpixel((2, 2))
+    assert f"#{red:02x}{green:02x}{blue:02x}" == inks.page
+
+
+def test_verdicts_have_their_colours():
+    ensemble = made("ensemble excavator")
+    figure = ensemble.plot()
+    names = {"converges": LIGHT.settles, "grows": LIGHT.grows, "undecided": LIGHT.undecided}
+    shown = {
+        to_hex(line.get_color()): line.get_xydata() for line in figure.axes[0].lines if line.get_marker() != "None"
+    }
+    assert set(shown) == {names[word] for word in set(ensemble.verdict)}
+    kp = np.asarray(ensemble.dataset["kp"])
+    for word, color in names.items():
+        if color in shown:
+            expected = np.column_stack([kp, ensemble.linear_growth_rate])[ensemble.verdict == word]
+            np.testing.assert_array_equal(shown[color], expected)
+
+
+def test_bands_hold_the_quantiles():
+    ensemble = made("ensemble excavator")
+    error = ensemble.plot().axes[1]
+    norm = 1e3 * np.linalg.norm(np.asarray(ensemble.dataset["error"]), axis=-1)
+    norm = np.where(np.isfinite(norm), norm, ABOVE)
+    words = [word for word in ("converges", "grows", "undecided") if (ensemble.verdict == word).any()]
+    assert len(error.lines) == len(words)
+    assert len(error.collections) == 2 * len(words)
+    for k, word in enumerate(words):
+        members = norm[ensemble.verdict == word]
+        np.testing.assert_allclose(error.lines[k].get_ydata(), np.median(members, axis=0))
+        for band, share in zip(error.collections[2 * k : 2 * k + 2], (0.05, 0.25), strict=True):
+            corners = band.get_paths()[0].vertices
+            low, high = np.quantile(members, [share, 1 - share], axis=0)
+            assert corners[:, 1].min() == pytest.approx(low.min())
+            assert corners[:, 1].max() == pytest.approx(high.max())
+
+
+def test_the_best_place_is_where_the_measure_is_largest():
+    chart = made("map base slewing-excavator")
+    panels = {axes.get_title(): axes for axes in chart.plot().axes}
+    rows, columns = chart.axes
+    for mode, w in enumerate(chart.array("w")):
+        (star,) = [line for line in panels[f"mode {mode + 1}: $w_{mode + 1}$"].lines if line.get_marker() == "*"]
+        x, y = star.get_xydata()[0]
+        at = chart.dataset["w"][mode].sel({columns: x, rows: y}, method="nearest")
+        assert float(at) == np.nanmax(w)
+
+
+def test_a_plan_is_a_film_strip():
+    plan = made("problem trench")
+    figure = plan.plot()
+    shots = [axes for axes in figure.axes if axes.get_title(loc="left").startswith("target")]
+    assert 3 <= len(shots) <= 6
+    for axes in shots:
+        number = int(axes.get_title(loc="left").split()[1])
+        place = plan.places[number - 1].evaluation
+        ends = [patch.get_path().vertices for patch in axes.patches if to_hex(patch.get_facecolor()) == LIGHT.chosen]
+        tip = min(float(np.linalg.norm(outline - place.skeleton[:, -1], axis=1).min()) for outline in ends)
+        assert tip < 0.05
+    assert len({tuple(axes.get_xlim()) for axes in shots}) == 1
+
+
+def test_what_may_stand_where_is_said_and_marked():
+    figure = made("problem pipe-laying").plot()  # holds = "point"
+    above = figure.axes[1]
+    assert "the anchor point (ring) may stand here" in above.get_legend_handles_labels()[1]
+    selection = made("problem pipe-laying")
+    rings = [line.get_xydata()[0] for line in above.lines if line.get_markeredgecolor() == LIGHT.allowed]
+    for e in (selection.initial, selection.best.evaluation):
+        assert min(np.abs(ring - e.base[:2]).max() for ring in rings) < 0.05
+
+
+def test_own_axes():
+    """A picture of one panel goes into anyone's axes, of several into a part of a figure, and nothing else changes."""
+    ensemble = flexopt.simulate_ensemble(
+        flexopt.load("excavator"), (0.0448, -2.0499), vary={"kp": [1e4, 1e5]}, kv=2e3, duration=0.5
+    )
+    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+    left, right = figure.subfigures(1, 2)
+    axes = left.add_subplot()
+    assert ensemble.plot(ax=axes) is figure
+    assert axes.get_ylabel() == "growth rate, 1/s"
+    assert made("run excavator").plot(ax=right, theme="dark") is figure
+    assert len(right.axes) == 6
+    assert len(left.axes) == 1
+    assert to_hex(right.get_facecolor()) == DARK.page
+    assert to_hex(figure.get_facecolor()) == "#ffffff"
+    np.testing.assert_allclose(figure.get_size_inches(), (9.0, 4.0))
+    whole = Figure(layout="constrained")
+    assert made("problem article").plot(ax=whole) is whole
+    assert not faults(whole)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"size": "poster"}, ("size", "paper", "slide", "screen", "'poster'", "60 in")),
+        ({"size": (1.0, 4.0)}, ("size", "2 to 60 in")),
+        ({"size": (3.0, float("nan"))}, ("size",)),
+        ({"theme": "blue", "size": 3}, ("theme", "light or dark", "size")),
+        ({"ax": 3}, ("ax", "Axes, Figure or SubFigure")),
+        ({"ax": Figure().add_subplot()}, ("several panels", "empty Figure or SubFigure")),
+        ({"ax": Figure().add_subplot().get_figure()}, ("empty", "axes")),
+        ({"ax": Figure().add_subplot(projection="polar")}, ("projection",)),
+        (
+            {"ax": Figure().add_subplot(), "size": "paper", "theme": "x", "path": "a.bmp"},
+            ("panels", "size", "theme", ".png"),
+        ),
+        ({"ax": Figure(), "size": "paper"}, ("size", "does not go with ax")),
+    ],
+)
+def test_bad_arguments_are_one_clear_error(given, words):
+    with pytest.raises(flexopt.InputError) as caught:
+        made("run excavator").plot(**given)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_settings_of_matplotlib_stay_the_user_s():
+    code = (
+        "import flexopt, matplotlib as mpl; mpl.rcParams['font.size'] = 17.0; before = dict(mpl.rcParams.copy()); "
+        "flexopt.simulate(flexopt.load('excavator'), (0.9929, -2.6306), duration=0.5).plot(theme='dark'); "
+        "after = dict(mpl.rcParams.copy()); assert all(after[k] == before[k] for k in before if k != 'backend')"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
