@@ -67,10 +67,10 @@ class Sensitivity(Pictured, Result):
             so that it cannot be told, or where the output does not vary.
 
     Example:
-        >>> ranges = {"stiffness": (0.5, 2.0), "damping": (0.5, 2.0)}
+        >>> ranges = {"base.stiffness.rotation": (5e5, 2e6), "payload.mass": (0.0, 200.0)}
         >>> found = flexopt.sensitivity(flexopt.load("excavator"), (0.9929, -2.6306), ranges=ranges, samples=256)
         >>> found.most[0]
-        'stiffness'
+        'payload.mass'
     """
 
     machine: str
@@ -105,6 +105,14 @@ class Sensitivity(Pictured, Result):
             found.append(self.names[best] if not others or ends[best, 0] > max(others) else "")
         return tuple(found)
 
+    @property
+    def said(self) -> tuple[str, ...]:
+        """For each output the name of `most`, `undecided` or, where it does not vary, `nothing`."""
+        known = [bool(np.isfinite(row).all()) for row in self.total]
+        return tuple(
+            most or ("undecided" if varies else "nothing") for most, varies in zip(self.most, known, strict=True)
+        )
+
     def __repr__(self) -> str:
         lines = [f"{self.machine}: what matters, over {', '.join(self.names)} ({self.samples} base samples)"]
         width = max(map(len, self.names))
@@ -120,8 +128,8 @@ class Sensitivity(Pictured, Result):
                     f"in all {self.total[s, k]:6.3f} [{all_[0]:6.3f}, {all_[1]:6.3f}]  "
                     f"at most {self.bound[s, k]:.3g} ± {2 * self.bound_error[s, k]:.2g}"
                 )
-            said = self.most[s] or "undecided: the intervals overlap"
-            lines.append(f"    matters most: {said if self.deviation[s] > 0 else 'nothing, it does not vary'}")
+            why = {"undecided": ": the intervals overlap", "nothing": ", it does not vary"}.get(self.said[s], "")
+            lines.append(f"    matters most: {self.said[s]}{why}")
         return "\n".join(lines)
 
 

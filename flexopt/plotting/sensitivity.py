@@ -47,8 +47,7 @@ def plot_sensitivity(sheet: Sheet, found: Sensitivity) -> None:
         # Far bounds say nothing: an index is at most 1.
         shown = np.where(found.bound[k] <= 1.5, found.bound[k], np.nan)
         panel.plot(shown, at + 0.18, "|", color=inks.text, markersize=13, label="at most, by slopes")
-        said = mathtext(found.most[k]) if found.most[k] else "undecided"
-        panel.set_title(f"{found.outputs[k]}: {said}")
+        panel.set_title(f"{found.outputs[k]}: {mathtext(found.said[k])}")
         panel.set_yticks([])
         if k % columns == 0:
             for place, name in enumerate(found.names):

@@ -82,7 +82,8 @@ def verdict(name: str) -> Any:
 
 
 def sensitivity(name: str) -> Any:
-    ranges = {"stiffness": (0.5, 2.0), "damping": (0.5, 2.0)}
+    springs = [p for p in machine(name).parameters if "stiffness" in p.name and p.value > 0][:3]
+    ranges = {p.name: (0.5 * p.value, 2.0 * p.value) for p in springs}
     return flexopt.sensitivity(machine(name), posture(name), ranges=ranges, samples=64)
 
 
