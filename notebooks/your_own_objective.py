@@ -47,6 +47,9 @@ choice = flexopt.select(
 )
 choice
 
+# %%
+choice.plot()
+
 # %% [markdown]
 # A name that is not known is answered with those that are:
 

@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 from flexopt.errors import FlexoptError, InputError
+from flexopt.foundation.writing import write_file
 
 # Browsers that print without a window, by the names of their programs.
 NAMES = (
@@ -78,7 +79,7 @@ def printed(html: str) -> bytes:
 def _print(browser: str, html: str, folder: Path) -> tuple[bytes, str]:
     """What the browser printed, nothing where it did not, and how it ended."""
     page, paper = folder / "page.html", folder / "page.pdf"
-    page.write_text(html, encoding="utf-8")
+    write_file(page, html)
     # Without this switch it does not start for the superuser, as in containers; the page is our own.
     alone = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
     command = [

@@ -202,6 +202,7 @@ class Study(BuiltByCall, Described):
         if len(names) > AXES_MAX:
             faults.append(Fault("vary", f"may have at most {AXES_MAX} entries", str(len(names))))
         for k, each in enumerate(self.vary):
+            faults += [Fault(f"vary[{k}].{f.field}", f.sentence, f.value) for f in each.structural_faults()]
             if (each.count is None) == (self.points == "grid"):
                 sentence = (
                     "is required in a grid" if self.points == "grid" else "goes with a grid; count is the study's"

@@ -44,7 +44,7 @@ def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
     assert found.best.objective == pytest.approx(scan, rel=1e-2)
     assert found.best.objective >= scan - 1e-9
     assert found.best.target_error < 1e-8
-    assert "objective decay" in found.plot().axes[0].get_title()
+    assert "objective decay" in found.plot().get_suptitle()
     assert found.best.stationarity < 1e-4
     outcome = found.best.evaluation.outcome
     assert isinstance(outcome, flexopt.Outcome)

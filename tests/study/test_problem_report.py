@@ -101,7 +101,7 @@ def test_files(article, tmp_path):
     # The map's panels come one by one, beside the choice and the runs.
     drawn = list(article.figures())
     assert drawn == ["selection", "map", "loops", "run present", "run chosen"]
-    quantities = plot_quantities(article.map.dataset, marks=article.marks)
+    quantities = plot_quantities(article.map, marks=article.marks)
     assert len(pictures) == len(drawn) - 1 + len(quantities)
     assert len(quantities) == sum(bool(axes.get_title()) for axes in article.map.plot().axes)
     for picture in pictures:

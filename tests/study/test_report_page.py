@@ -118,9 +118,11 @@ def test_every_place_is_beside_the_others(judged: flexopt.Report) -> None:
     assert verdict.rule in words
     figure = verdict.plot()
     assert [axes.get_xlabel().split(" (")[0] for axes in figure.axes] == [
-        "decay, 1/s", "settling time, s", "allowed Kp", "delay margin, ms", "base swing, move of 0.1 m, mrad",
+        "decay", "settling time", "allowed Kp", "delay margin", "base swing, move of 0.1 m",
     ]  # fmt: skip
-    assert [tick.get_text() for tick in figure.axes[0].get_yticklabels()] == [place.name for place in verdict.places]
+    assert [text.get_text() for text in figure.axes[0].texts if text.get_ha() == "right"][-len(verdict.places) :] == [
+        place.name for place in verdict.places
+    ]
     bars = [line.get_xdata() for line in figure.axes[0].get_lines() if line.get_linewidth() == 7]
     for bar, place in zip(bars, verdict.places, strict=True):
         assert bar == pytest.approx([place.decay.least, place.decay.greatest])
@@ -207,9 +209,9 @@ def test_on_paper_nothing_is_folded_or_cut(path: Path, chromium: Browser) -> Non
         page.emulate_media(media="print", color_scheme="dark")
         # In the present browser by the stylesheet alone, in older ones by the page's script.
         page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
-        assert (
-            page.evaluate(hidden.replace("checkVisibility()", "checkVisibility({ contentVisibilityAuto: true })")) == 0
-        )
+        # What is shown again is laid out with the next frame.
+        shown = hidden.replace("checkVisibility()", "checkVisibility({ contentVisibilityAuto: true })")
+        page.wait_for_function(f"{shown} === 0")
         assert page.evaluate("[...document.images].every((each) => each.getBoundingClientRect().height > 20)")
         cut = "[...document.querySelectorAll('.scroll')].map((e) => e.scrollWidth - e.clientWidth)"
         assert max(page.evaluate(cut)) <= 1

@@ -137,11 +137,6 @@ def test_options_of_a_single_target_are_refused(command: Command) -> None:
     assert "p has target.end_points" in outcome.message
 
 
-def test_report_takes_one_target() -> None:
-    with pytest.raises(flexopt.InputError, match=r"must have one target, target\.end_point, not target\.path"):
-        flexopt.report(load_problem("trench"))
-
-
 def test_pictures(trench: BasePlan, tmp_path: Path) -> None:
     figure = trench.plot(tmp_path / "trench.svg")
     assert (tmp_path / "trench.svg").stat().st_size > 10_000
