@@ -76,8 +76,13 @@ def run_command(as_json: bool, study: str, out: str | None, workers: Any, dask: 
     check_folder("--out", folder)
     options = {"workers": workers, "dask": dask}
     try:
-        with _ended_as_interrupted(), option_names(options), warnings_to_stderr(as_json), _progress() as progress:
-            result = run_study(asked, folder, executor=dask, workers=workers, progress=progress)
+        with _interruptible() as check, option_names(options), warnings_to_stderr(as_json), _progress() as progress:
+
+            def told(done: int, total: int) -> None:
+                check()
+                progress(done, total)
+
+            result = run_study(asked, folder, executor=dask, workers=workers, progress=told)
     except KeyboardInterrupt:
         from flexopt.large_studies import open_study  # noqa: PLC0415
 
@@ -152,17 +157,28 @@ def sensitivity_command(as_json: bool, machine: str, out: str | None, **options:
 
 
 @contextmanager
-def _ended_as_interrupted() -> Generator[None]:
-    """Who is told to end, as by a cluster's scheduler, ends as after Ctrl-C."""
+def _interruptible() -> Generator[Callable[[], None]]:
+    """Who is told to end, as by a cluster's scheduler, ends as after Ctrl-C; yields what ends who did not yet.
+
+    Python drops what is raised while it forks, and a signal with it.
+    """
+    asked = False
 
     def end(_number: int, _frame: FrameType | None) -> None:
+        nonlocal asked
+        asked = True
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, end)
+    def check() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield check
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

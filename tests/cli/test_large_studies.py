@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ import pytest
 import xarray as xr
 
 import flexopt
+from flexopt.cli.large_studies import _interruptible
 from tests.cli.command import Command
 from tests.large_studies.studies import files
 
@@ -100,6 +102,16 @@ def test_an_interrupt_says_how_to_go_on(number: int, tmp_path: Path) -> None:
     assert "of 200 chunks are in 'soils', and the same command goes on from there" in said
     assert "Traceback" not in said
     assert files(tmp_path / "soils")
+
+
+def test_a_signal_that_python_drops_is_remembered() -> None:
+    """As what is raised while it forks."""
+    with _interruptible() as check:
+        check()
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            check()
 
 
 def test_sensitivity(command: Command) -> None:
