@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from multiprocessing import popen_fork
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -160,13 +162,18 @@ def sensitivity_command(as_json: bool, machine: str, out: str | None, **options:
 def _interruptible() -> Generator[Callable[[], None]]:
     """Who is told to end, as by a cluster's scheduler, ends as after Ctrl-C; yields what ends who did not yet.
 
-    Python drops what is raised while it forks, and a signal with it.
+    Python drops what is raised while it forks, with a traceback: a signal then is told of at the next chunk.
     """
-    asked = False
+    asked, own = False, os.getpid()
 
-    def end(_number: int, _frame: FrameType | None) -> None:
+    def end(_number: int, frame: FrameType | None) -> None:
         nonlocal asked
         asked = True
+        # All that a forked process does is inside the fork.
+        while frame is not None and os.getpid() == own:
+            if frame.f_code.co_filename == popen_fork.__file__:
+                return
+            frame = frame.f_back
         raise KeyboardInterrupt
 
     def check() -> None:
