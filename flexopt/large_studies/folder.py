@@ -25,7 +25,7 @@ from flexopt.foundation.documents import package_version
 from flexopt.foundation.netcdf_form import NetcdfForm
 from flexopt.foundation.writing import make_folder, write_file
 from flexopt.large_studies.points import StudyPoints
-from flexopt.large_studies.status import WORDS
+from flexopt.large_studies.status import FLAGS, WORDS
 from flexopt.model.study import Study
 from flexopt.model.study_file import described, study_of
 
@@ -84,8 +84,7 @@ class StudyFolder:
     @property
     def about(self) -> dict[str, dict[str, Any]]:
         """Attributes of the variables in a chunk's file."""
-        flags = {"flag_values": np.arange(len(WORDS), dtype=np.int8), "flag_meanings": " ".join(WORDS)}
-        return {name: {"units": unit} for name, unit in self.work.units.items()} | {"status": flags}
+        return {name: {"units": unit} for name, unit in self.work.units.items()} | {"status": FLAGS}
 
     @property
     def texts(self) -> dict[str, bytes]:

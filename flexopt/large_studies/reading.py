@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.arrays import Vector
 from flexopt.large_studies.folder import StudyFolder, intact
-from flexopt.large_studies.status import WORDS
+from flexopt.large_studies.status import FLAGS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -111,7 +111,7 @@ class StudyReader:
 
     def _attributes(self, name: str, units: Mapping[str, str]) -> dict[str, Any]:
         if name == "status":
-            return {"flag_values": np.arange(len(WORDS), dtype=np.int8), "flag_meanings": " ".join(WORDS)}
+            return dict(FLAGS)
         return {"units": units[name]} if name in units else {}
 
     def lazy(self) -> xr.Dataset:

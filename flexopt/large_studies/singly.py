@@ -7,6 +7,7 @@ vary are put into its description, so that each point has a machine of its own, 
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -16,18 +17,19 @@ from numpy.typing import NDArray
 from flexopt.errors import FlexoptWarning, InputError
 from flexopt.foundation.arrays import Vector
 from flexopt.large_studies.status import OK, status_of
+from flexopt.model.loop import GAINS
 from flexopt.model.machine import AnyMachine
 from flexopt.model.parameter_values import with_parameters
 from flexopt.model.problem import Problem
 from flexopt.model.simulation import Experiment
 from flexopt.model.study import Study
-from flexopt.model.study_axes import GAINS, StudyAxis
+from flexopt.model.study_axes import StudyAxis
 from flexopt.plant import build_plant
 from flexopt.selection import select
 from flexopt.simulation import run_experiment
 
 
-class OneByOne:
+class OneByOne(ABC):
     """What selections and simulations have in common."""
 
     def __init__(self, study: Study, axes: tuple[StudyAxis, ...]) -> None:
@@ -103,9 +105,9 @@ class OneByOne:
                 status[k], reasons[k] = status_of(error)
         return found, status, reasons
 
+    @abstractmethod
     def one(self, column: Vector) -> Mapping[str, Any]:
         """The numbers of a point by quantity; None where there is none."""
-        raise NotImplementedError
 
 
 class ManySelections(OneByOne):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from flexopt.errors import FlexoptError, InputError, NoSolutionFound, SingularPosture, UnreachableTarget
 
 # Words of a file's `flag_meanings`, by number.
 WORDS = ("ok", "singular", "no_equilibrium", "no_number", "unreachable", "refused", "no_solution", "failed")
 OK, SINGULAR, NO_EQUILIBRIUM, NO_NUMBER, UNREACHABLE, REFUSED, NO_SOLUTION, FAILED = range(len(WORDS))
+# How a file says which number is which word.
+FLAGS = {"flag_values": np.arange(len(WORDS), dtype=np.int8), "flag_meanings": " ".join(WORDS)}
 # Bytes of a reason that are kept.
 REASON_MAX = 160
 SENTENCES = {

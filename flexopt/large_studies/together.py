@@ -22,9 +22,9 @@ from flexopt.loop.many import decays, expect_decays
 from flexopt.loop.outcome import DEAD_TIME, MEASURES
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertaintyBox
-from flexopt.model.loop import Loop, under_control
+from flexopt.model.loop import GAINS, Loop, under_control
 from flexopt.model.study import POINTS_MAX, Study
-from flexopt.model.study_axes import GAINS, StudyAxis
+from flexopt.model.study_axes import StudyAxis
 from flexopt.model.uncertainty import LATE, Uncertainty
 from flexopt.robustness import build_measures
 from flexopt.robustness.batches import unsound, w_at

@@ -222,7 +222,7 @@ class _Outputs:
 
     def values(self, members: Vector) -> Vector:
         """(m, N)."""
-        p = np.array([self.box.numbers(u)[0] for u in members]).T
+        p, _ = self.box.numbers_at(np.array([self.box.theta(u) for u in members]).T)
         postures = np.tile(self.posture[:, None], len(members))
         return w_at(self.measures, self.base, postures, np.ascontiguousarray(p)).w
 

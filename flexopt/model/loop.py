@@ -22,6 +22,7 @@ DEFAULT_LOOP = "default"
 # Where none is given: the article's, and that of hydraulic excavators.
 RATES: dict[Drive, float] = {"torque": 200.0, "velocity": 100.0}
 LOOP_GAIN = Quantity("N/m and the like", low=0.0, high=1e15)
+GAINS = {"kp": "proportional gain Kp", "kv": "velocity gain Kv", "ki": "integral gain Ki"}
 TORQUE = Quantity("N m or N", low=0.0, high=1e12)
 BANDWIDTH = Quantity("Hz", low=1e-3, high=1e6)
 SERVO_GAIN = Quantity(JOINT_DAMPING.unit, above=0.0, high=1e12)

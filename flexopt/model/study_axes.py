@@ -13,13 +13,12 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.coordinates import check_placement
 from flexopt.foundation.nearest import hint_or_list
 from flexopt.foundation.quantities import COORDINATE, Quantity
-from flexopt.model.loop import DEAD_TIME, LOOP_GAIN, loop_faults
+from flexopt.model.loop import DEAD_TIME, GAINS, LOOP_GAIN, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.problem import Problem
 from flexopt.model.study import Study, Vary
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 
-GAINS = ("kp", "kv", "ki")
 # What may vary, beside parameters of the machine, by what is computed.
 MAY_VARY: dict[str, tuple[str, ...]] = {
     "measures": ("posture", "base"),

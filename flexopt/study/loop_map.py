@@ -26,15 +26,13 @@ from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model import AnyMachine
-from flexopt.model.loop import LOOP_GAIN, Loop
+from flexopt.model.loop import GAINS, LOOP_GAIN, Loop
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 from flexopt.study.grid import Axis, Grid
 from flexopt.study.workspace import check_points
 from flexopt.study.workspace_map import WorkspaceMap, loop_dataset
 
 POINTS = (200, 200)
-# Gains, and whether the law has them.
-GAINS = {"kp": "proportional gain Kp", "kv": "velocity gain Kv", "ki": "integral gain Ki"}
 POSITIVE = Quantity(LOOP_GAIN.unit, above=0.0, high=1e15)
 
 

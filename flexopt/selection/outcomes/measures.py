@@ -24,7 +24,7 @@ from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint
 from flexopt.loop.region import LARGEST, stability_radius
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, DECAY, DELAY_MARGIN, RADIUS
-from flexopt.model.loop import DELAY_MAX
+from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import GROUND
 from flexopt.selection.problem import SelectionProblem
 
@@ -38,7 +38,6 @@ POINTS, NEAR = 24, 1e-3
 DECADES = 3.0
 # Points that are looked at in each box of factors for the stability radius.
 RADIUS_POINTS = 12
-GAINS = ("kp", "kv", "ki")
 
 if TYPE_CHECKING:
     from flexopt.selection.outcomes.program import ProgramPoint
