@@ -99,7 +99,8 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
 @value(
     "--objective",
     "w1|w2|…|V|epsilon_max|decay|…",
-    f"What to maximise (w1 by default); of the loop (--loop): {', '.join(OUTCOMES)}; several in order: w1,decay.",
+    "What to maximise (w1 by default), or of settling and swing to make small; of the loop (--loop): "
+    f"{', '.join(OUTCOMES)}; several in order: w1,decay.",
 )
 @value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
 @value("--slack", "SHARE", "What an objective may give up for the next in order (1e-5 by default).", number)
@@ -215,17 +216,14 @@ def _certificate(result: Any, log: str | None) -> dict[str, Any]:
 def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], own: dict[str, Any]) -> None:
     """What no verdict and no choice by the loop can be had of, before anything is solved."""
     faults = list[Fault]()
-    if "target" not in settings:
+    by_loop = asks_for_loop(settings.get("objective"), settings.get("constraints"))
+    if "path" in settings and by_loop:
+        name = "objective" if of_loop(settings.get("objective")) else "constraints.outcome"
+        faults.append(Fault(name, "of the loop goes with targets, not with a path", settings.get("objective")))
+    elif "target" not in settings and not by_loop:
         sentence = "goes with a single target: of several there is no verdict"
         faults += [Fault(f"--{name}", sentence) for name, given_ones in judged.items() if given_ones]
-        if of_loop(settings.get("objective")):
-            faults.append(Fault("--objective", "goes with a single target", settings["objective"]))
-    elif (
-        any(judged.values())
-        and not asks_for_loop(settings.get("objective"), settings.get("constraints"))
-        and settings.get("base") is None
-        and settings["machine"].base_coordinates
-    ):
+    elif any(judged.values()) and not by_loop and settings.get("base") is None and settings["machine"].base_coordinates:
         faults.append(Fault("--base", "is needed for a verdict: where the machine stands now"))
     raise_if_any(InputError, "select", faults)
     arguments = Arguments("select", settings["machine"])

@@ -203,7 +203,7 @@ class ManyOutcomes:
     @property
     def units(self) -> dict[str, str]:
         """Of each quantity."""
-        known = {"decay": "1/s", "frequency_hz": "Hz", "delay_margin": "s"}
+        known = {"decay": "1/s", "frequency_hz": "Hz", "delay_margin": "s", "settling": "s"}
         return {name: known.get(name, "1") for name in self.study.kept}
 
     def __call__(self, columns: Vector) -> tuple[Arrays, Status, list[str]]:

@@ -153,20 +153,20 @@ class OneSample:
         by_held, by_driven = by_open[s, s], by_open[s, oldest] if self.waiting[0] else by_into[s]
         direct, spread = push.T @ by_held, push.T @ by_driven
         by_push = by_held @ p.direct.T + by_driven @ p.spread.T
-        flow, drive = _through_exponential(p.flow, p.drive, span, by_held, by_push)
+        flow, drive = through_exponential(p.flow, p.drive, span, by_held, by_push)
         if not self._early:
             return Slopes(Parts(flow, drive, direct, spread, by_f, by_law, by_state), math.nan)
         by_measured = by_state @ (held_part + push_part @ p.direct).T + by_old @ (push_part @ p.spread).T
         by_held, by_driven = p.measured.T @ by_state, p.measured.T @ by_old
         direct, spread = direct + push_part.T @ by_held, spread + push_part.T @ by_driven
         by_push = by_held @ p.direct.T + by_driven @ p.spread.T
-        more = _through_exponential(p.flow, p.drive, part, by_held, by_push)
+        more = through_exponential(p.flow, p.drive, part, by_held, by_push)
         dead_time = -float(np.sum(by_held * (p.flow @ held_part)) + np.sum(by_push * (held_part @ p.drive)))
         parts = Parts(flow + more[0], drive + more[1], direct, spread, by_f, by_law, by_measured)
         return Slopes(parts, dead_time)
 
 
-def _through_exponential(
+def through_exponential(
     flow: Vector, drive: Vector, span: float, by_held: Vector, by_push: Vector
 ) -> tuple[Vector, Vector]:
     """Derivatives by A and B from those by e^{Ah} and Γ(h): the adjoint of the exponential's Fréchet derivative.

@@ -17,6 +17,8 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.small_motions import Parts
 
+# Share of what the end-point shows at all above which it sees what nothing holds.
+SEEN = 1e-6
 # Powers of Φ that have vanished; a loop that decays by 1e-9 in a sample needs 36 doublings until they have.
 VANISHED, DOUBLINGS = 1e-20, 64
 
@@ -131,16 +133,24 @@ class Disturbed:
         found[-len(p.force) :, n:] = p.force[:, k:] @ p.measured
         return found
 
+    @property
+    def _lifts(self) -> tuple[Vector, Vector]:
+        """From states to what is left of them (n, n_x), and back."""
+        return self.kept / self.scale, (self.kept * self.scale).T
+
     @cached_property
     def _solved(self) -> tuple[Vector, Vector]:
-        """Covariance X of the states, and Y of the end-point's variance by what comes in, both (n_x, n_x)."""
-        down, up = self.kept / self.scale, (self.kept * self.scale).T
+        """Covariance X of what is left, and Y of the end-point's variance by what comes in there, both (n, n)."""
+        down, up = self._lifts
         matrix = down @ self.sample.matrix @ up
         shown = self._shown @ up
         entering = down @ self._entering
-        x = _summed(matrix, entering @ self._joint @ entering.T)
-        y = _summed(matrix.T, shown.T @ shown)
-        return up @ x @ up.T, down.T @ y @ down
+        return _summed(matrix, entering @ self._joint @ entering.T), _summed(matrix.T, shown.T @ shown)
+
+    @cached_property
+    def _neutral(self) -> Vector:
+        """Orthonormal columns V of what was divided out, of balanced states."""
+        return np.linalg.svd(self.kept)[2][len(self.kept) :].T
 
     @cached_property
     def _shown(self) -> Vector:
@@ -151,13 +161,18 @@ class Disturbed:
 
     @cached_property
     def norm(self) -> float:
-        """The root of the variance, m for forces of unit intensity."""
-        variance = float(np.trace(self._shown @ self._solved[0] @ self._shown.T))
+        """The root of the variance, m for forces of unit intensity; infinite where nothing holds what it sees."""
+        shown = self._shown * self.scale
+        if np.linalg.norm(shown @ self._neutral) > SEEN * np.linalg.norm(shown):
+            return math.inf
+        shown = self._shown @ self._lifts[1]
+        variance = float(np.trace(shown @ self._solved[0] @ shown.T))
         return math.sqrt(variance) if variance > 0 else math.nan
 
     def slopes(self) -> tuple[Slopes, Vector]:
         """Its derivative by what a sample is made of, and by B_d (n_s, n_p)."""
-        p, (x, y), entering, joint = self.sample.parts, self._solved, self._entering, self._joint
+        p, (down, up), entering, joint = self.sample.parts, self._lifts, self._entering, self._joint
+        x, y = up @ self._solved[0] @ up.T, down.T @ self._solved[1] @ down
         n, k, r, half = len(p.flow), len(p.law), len(p.force), 1 / (2 * self.norm)
         by_entering = 2 * half * y @ entering @ joint
         of_law, of_force = by_entering[n : n + k, n:], by_entering[-r:, n:]
@@ -179,7 +194,26 @@ class Disturbed:
         law[:, k:], force[:, k:] = of_law @ p.measured.T, of_force @ p.measured.T
         untouched = {name: np.zeros_like(getattr(p, name)) for name in ("drive", "direct", "spread")}
         rest = Parts(flow=flow, force=force, law=law, measured=by_measured, **untouched)
-        return self.sample.slopes(2 * half * y @ self.sample.matrix @ x) + Slopes(rest, late), into
+        by_matrix = 2 * half * y @ self.sample.matrix @ x + self._through_neutral()
+        return self.sample.slopes(by_matrix) + Slopes(rest, late), into
+
+    def _through_neutral(self) -> Vector:
+        """By Φ, what the norm changes because what is divided out turns with it.
+
+        Φ V = V R, U V = 0 stay so: U dV = Z with A Z − Z R = −U dΦ V, A = U Φ Uᵀ; dA = U dΦ Uᵀ − Z Vᵀ Φ Uᵀ and
+        d(U N) = U dN − Z Vᵀ N, N what comes in. The end-point sees nothing of V, before and after.
+        """
+        from scipy.linalg import solve_sylvester  # noqa: PLC0415  (loads slowly)
+
+        aside, kept, (x, y) = self._neutral, self.kept, self._solved
+        if not aside.size:
+            return np.zeros_like(self.sample.matrix)
+        whole = self.sample.matrix / self.scale[:, None] * self.scale
+        entering = self._entering / self.scale[:, None]
+        matrix = kept @ whole @ kept.T
+        by_turn = y @ (matrix @ x @ kept @ whole.T + kept @ entering @ self._joint @ entering.T) @ aside / self.norm
+        found = kept.T @ solve_sylvester(matrix.T, -(aside.T @ whole @ aside).T, by_turn) @ aside.T
+        return found / self.scale[:, None] * self.scale
 
     def _through_between(self, by_between: Vector) -> Vector:
         from scipy.linalg import expm_frechet  # noqa: PLC0415  (loads slowly)

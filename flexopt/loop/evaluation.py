@@ -47,9 +47,13 @@ class Outcome(Result):
         disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
         h2_norm: root of the end-point's variance under white noise of unit intensity in every force on the base, m; see
             `LoopPoint.h2_norm`.
+        settling, swing: of the standard move, in which the end-point starts beside its target along one task row, the
+            worst row: after which time |e| stays below 2 % of its start, s, NaN where it does not in a minute; and the
+            base's largest turn, rad (of a base that cannot turn a shift, m), for each m of the move.
         gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
             and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
-            time of whole samples those are of a longer one.
+            time of whole samples those are of a longer one; of settling and swing NaN where
+            two rows, or two peaks, are the worst alike.
 
     Example:
         >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
@@ -79,12 +83,14 @@ class Outcome(Result):
     sensitivity_peak: float
     complementary_peak: float
     h2_norm: float
+    settling: float
+    swing: float
     gradient: Slopes
 
     DOCUMENT = """
     settings allowance allowance_isotropic lag[rad] lag_reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
     damping_ratios decay[1/s] frequency_hz[Hz] drift[1/s] allowed_gain gain_intervals delay_margin[s] disk_margin
-    sensitivity_peak complementary_peak h2_norm gradient
+    sensitivity_peak complementary_peak h2_norm settling[s] swing gradient
     """
 
     def __repr__(self) -> str:
@@ -112,6 +118,11 @@ class Outcome(Result):
             lines.append(
                 f"  the end-point's H2 norm from forces on the base {self.h2_norm:.4g} (m of unit white noise)"
             )
+        if math.isfinite(self.swing):
+            settles = (
+                f"settles in {self.settling:.4g} s" if math.isfinite(self.settling) else "does not settle in a minute"
+            )
+            lines.append(f"  standard move: {settles}; the base swings by {self.swing:.4g} for each m")
         return "\n".join(lines)
 
 

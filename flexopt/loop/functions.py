@@ -127,8 +127,8 @@ def outcome_function(motions: SmallMotions, name: str, rate: float) -> ca.Functi
 
     Args:
         motions: from `small_motions` or `LoopSettings.motions`.
-        name: `"decay"`, `"allowed_gain"`, `"delay_margin"`, `"disk_margin"`, `"h2_norm"`, `"sensitivity_peak"` or
-            `"complementary_peak"`; see `LoopPoint`.
+        name: `"decay"`, `"allowed_gain"`, `"delay_margin"`, `"disk_margin"`, `"h2_norm"`,
+            `"sensitivity_peak"`, `"complementary_peak"`, `"settling"` or `"swing"`; see `LoopPoint`.
         rate: of the samples, Hz.
 
     Returns:

@@ -23,7 +23,7 @@ from flexopt.loop.assembly import OneSample
 from flexopt.loop.outcome import DEAD_TIME, LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import Parts, SmallMotions
-from flexopt.loop.spectrum import INVARIANT, balance, neutral_directions
+from flexopt.loop.spectrum import all_without_neutral, balance, neutral_directions
 from flexopt.model import AnyMachine
 
 Progress = Callable[[int, int], None]
@@ -147,29 +147,15 @@ def _slowest(
     chosen = Parts(*(getattr(parts, name)[places] for name in Parts.__dataclass_fields__))
     matrices = OneSample(chosen, 1 / rate, float(late[places[0]])).matrix
     known = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
-    held, alike, removed = _without_neutral(matrices[known], most)
-    if removed < 2 * excess:
+    finite = matrices[known]
+    if most and len(finite):
+        # One scale for all: eigenvalues do not depend on it.
+        _, scale = balance(finite[len(finite) // 2])
+        finite = finite / scale[:, None] * scale
+    held, _, alike = all_without_neutral(finite, most)
+    if matrices.shape[-1] - held.shape[-1] < 2 * excess:
         return np.zeros(0, dtype=complex), np.zeros(len(places), dtype=bool)
     known[known] = alike
     values = np.linalg.eigvals(held).astype(complex)
     largest = np.abs(values).argmax(axis=1)
     return values[np.arange(len(values)), largest], known
-
-
-def _without_neutral(matrices: Vector, most: int) -> tuple[Vector, NDArray[np.bool_], int]:
-    """As `spectrum.without_neutral` of a stack: what is left of those of which as much is, which, and how much went."""
-    alike, before = np.ones(len(matrices), dtype=bool), matrices.shape[-1]
-    if most and len(matrices):
-        _, scale = balance(matrices[len(matrices) // 2])
-        matrices = matrices / scale[:, None] * scale
-    for _ in range(2 if len(matrices) else 0):
-        if not most:
-            break
-        size = matrices.shape[-1]
-        _, sizes, rows = np.linalg.svd(matrices - np.eye(size))
-        counts = np.count_nonzero(sizes[:, -most:] < INVARIANT * sizes[:, :1], axis=1)
-        most = int(np.bincount(counts[alike]).argmax())
-        alike &= counts == most
-        kept = rows[:, : size - most]
-        matrices = kept @ matrices @ kept.transpose(0, 2, 1)
-    return matrices[alike], alike, before - matrices.shape[-1]

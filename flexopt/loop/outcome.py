@@ -32,6 +32,7 @@ from flexopt.loop.spectrum import (
     spectrum,
     without_neutral,
 )
+from flexopt.loop.standard_move import StandardMove
 from flexopt.model.loop import DELAY_MAX
 
 # Multiples of the gains that are searched for borders, as exponents of 10, and how many at first.
@@ -134,16 +135,26 @@ class LoopPoint:
         """The derivative of a measure by each of `INPUTS` and by the dead time; NaN where there is none."""
         if measure.slopes is None:
             return {name: np.full(len(self.numbers[name]), np.nan) for name in INPUTS} | {DEAD_TIME: np.full(1, np.nan)}
-        found = self.motions.gradient(self.numbers, measure.slopes.parts)
-        found[DEAD_TIME] = np.array([measure.slopes.dead_time])
+        found = self.slopes_by(measure.slopes)
         return found | {name: found[name] + more for name, more in (measure.more or {}).items()}
+
+    def slopes_by(self, slopes: Slopes) -> dict[str, Vector]:
+        """A derivative by each of `INPUTS` and by the dead time, from that by what a sample is made of."""
+        return self.motions.gradient(self.numbers, slopes.parts) | {DEAD_TIME: np.array([slopes.dead_time])}
 
     # Eigenvalues.
 
+    @cached_property
+    def _balanced(self) -> tuple[Vector, Vector]:
+        return balance(self.smooth.matrix)
+
     def _by_multiplier(self, value: complex, weight: Callable[[complex], complex], factor: float = 1.0) -> Any:
         """The refined μ of Φ₀ + factor · Γ F, its vectors, and ∂Re(weight(μ) μ)/∂Φ."""
-        matrix = self.smooth.open + factor * self.smooth.into @ self.smooth.force
-        refined, y, x = eigenvectors(matrix, value)
+        if factor == 1.0:
+            refined, y, x = eigenvectors(self.smooth.matrix, value, self._balanced)
+        else:
+            matrix = self.smooth.open + factor * self.smooth.into @ self.smooth.force
+            refined, y, x = eigenvectors(matrix, value)
         return refined, np.outer(y.conj(), weight(refined) * x).real
 
     def rate(self, branch: int = 0) -> Measured:
@@ -400,8 +411,8 @@ class LoopPoint:
         """Root of the end-point's variance at the samples under white noise of unit intensity on every base force, m.
 
         E[d(t) d(t′)ᵀ] = I δ(t − t′) of the forces d on the passive coordinates, N or N m: the H2 norm from them to the
-        end-point, m √s per N s and the like. NaN of a loop that grows or whose self-motion does; without a derivative
-        where nothing holds the self-motion of a redundant arm.
+        end-point, m √s per N s and the like. NaN of a loop that grows or whose self-motion does; infinite where
+        a task row has no gain Kp. What nothing holds and the end-point does not see, self-motion, is divided out.
 
         Source: Chen and Francis, Optimal Sampled-Data Control Systems, 1995, for what comes in within a sample.
         """
@@ -411,12 +422,35 @@ class LoopPoint:
         _, kept = without_neutral(balanced, self._neutral)
         of = [self.numbers[name] for name in (*CONFIGURATION, "held")]
         found = Disturbed(self.smooth, self.motions.disturbance.call(of)[0].full(), kept, scale)
-        if self._neutral or not math.isfinite(found.norm):
+        if not math.isfinite(found.norm):
             return Measured(found.norm)
         slopes, by_into = found.slopes()
         parts = self.motions.disturbance_slopes.call([*of, by_into])
         more = {name: part.full().ravel() for name, part in zip(CONFIGURATION, parts, strict=True)}
         return Measured(found.norm, slopes, more)
+
+    # The standard move.
+
+    @cached_property
+    def move(self) -> StandardMove | None:
+        """Its motion; None of a loop that grows."""
+        return StandardMove(self.motions, self.smooth) if self.loop.stable else None
+
+    def settling(self) -> Measured:
+        """After which time of the standard move |e| stays below 2 % of its start, s, exactly, between samples too.
+
+        Of the task rows the longest; NaN of a loop that grows, and where it does not within a minute. It jumps where
+        an excursion begins to leave the band; there, and where two rows take as long, it has no derivative.
+        """
+        return UNDEFINED if self.move is None else Measured(*self.move.settling())
+
+    def swing(self) -> Measured:
+        """The base's largest turn in the standard move, rad, for each m of the move; NaN of a loop that grows.
+
+        Of a hinge by which the base turns; of a base that cannot turn the deflection of a passive coordinate, m or rad.
+        No derivative where two peaks are as large.
+        """
+        return UNDEFINED if self.move is None else Measured(*self.move.swing())
 
 
 def _between(times: list[float], step: float) -> list[float]:
@@ -437,4 +471,6 @@ MEASURES: dict[str, Callable[[LoopPoint], Measured]] = {
     "h2_norm": LoopPoint.h2_norm,
     "sensitivity_peak": LoopPoint.sensitivity_peak,
     "complementary_peak": LoopPoint.complementary_peak,
+    "settling": LoopPoint.settling,
+    "swing": LoopPoint.swing,
 }

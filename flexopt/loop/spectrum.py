@@ -24,6 +24,8 @@ INVARIANT = 1e-10
 OWN = 0.9
 # Of unit eigenvectors, |yᴴx| below which two eigenvalues meet: there is no derivative.
 MEETING = 1e-7
+# Steps of inverse iteration: next to an eigenvalue one or two do.
+ITERATIONS = 3
 
 Complex = NDArray[np.complex128]
 
@@ -185,28 +187,63 @@ def without_neutral(matrix: Vector, most: int) -> tuple[Vector, Vector]:
     Returns:
         The matrix U Φ Uᵀ that is left, and U, orthonormal rows.
     """
-    basis = np.eye(len(matrix))
-    for _ in range(2):
+    found, basis, _ = all_without_neutral(matrix[None], most)
+    return found[0], basis[0]
+
+
+def all_without_neutral(matrices: Vector, most: int) -> tuple[Vector, Vector, NDArray[np.bool_]]:
+    """The like of a stack (N, n, n): of those of which as much is divided out as of most, and which these are (N,)."""
+    alike, bases = np.ones(len(matrices), dtype=bool), np.eye(matrices.shape[-1])
+    for _ in range(2 if len(matrices) else 0):
         if not most:
             break
-        _, sizes, rows = np.linalg.svd(matrix - np.eye(len(matrix)))
-        most = int(np.count_nonzero(sizes[-most:] < INVARIANT * sizes[0]))
-        kept = rows[: len(matrix) - most]
+        size = matrices.shape[-1]
+        _, sizes, rows = np.linalg.svd(matrices - np.eye(size))
+        counts = np.count_nonzero(sizes[:, -most:] < INVARIANT * sizes[:, :1], axis=1)
+        most = int(np.bincount(counts[alike]).argmax())
+        alike &= counts == most
+        kept = rows[:, : size - most]
         # Φ v = v on the kernel: in this basis the matrix is block triangular, with 1 in the lower block.
-        matrix, basis = np.asarray(kept @ matrix @ kept.T), kept @ basis
-    return matrix, basis
+        matrices, bases = kept @ matrices @ kept.transpose(0, 2, 1), kept @ bases
+    return matrices[alike], np.broadcast_to(bases, (len(alike), *bases.shape[-2:]))[alike], alike
 
 
-def eigenvectors(matrix: Vector, value: complex) -> tuple[complex, Complex, Complex]:
+def eigenvectors(
+    matrix: Vector, value: complex, balanced_by: tuple[Vector, Vector] | None = None
+) -> tuple[complex, Complex, Complex]:
     """The eigenvalue of Φ next to `value`, refined, and vectors y, x with yᴴ Φ = μ yᴴ, Φ x = μ x, yᴴ x = 1.
 
-    dμ = yᴴ dΦ x. Where two eigenvalues meet there is no derivative, and y is NaN.
+    dμ = yᴴ dΦ x. Where two eigenvalues meet there is no derivative, and y is NaN. `balanced_by`: as of `balance`, where
+    it is known.
     """
-    balanced, scale = balance(matrix)
-    left, _, right = np.linalg.svd(balanced - value * np.eye(len(matrix)))
-    y, x = np.asarray(left[:, -1], dtype=np.complex128), np.asarray(right[-1].conj(), dtype=np.complex128)
+    balanced, scale = balance(matrix) if balanced_by is None else balanced_by
+    y, x = _unit_vectors(balanced, value)
     product = complex(np.vdot(y, x))
     if abs(product) < MEETING:
         return value, np.full_like(y, np.nan), x
     refined = complex(np.vdot(y, balanced @ x)) / product
     return refined, y / np.conj(product) / scale, scale * x
+
+
+def _unit_vectors(matrix: Vector, value: complex) -> tuple[Complex, Complex]:
+    """Left and right unit eigenvectors: by inverse iteration, and where that leaves more than rounding, by an SVD."""
+    from scipy.linalg.lapack import zgetrf, zgetrs  # noqa: PLC0415  (loads slowly)
+
+    n = len(matrix)
+    shifted = matrix - value * np.eye(n)
+    rounding = n * np.finfo(float).eps * float(np.linalg.norm(matrix))
+    factors, pivots, _ = zgetrf(shifted)
+    corner = np.diag_indices(n)
+    pivot = factors[corner]
+    factors[corner] = np.where(np.abs(pivot) > np.finfo(float).eps * rounding, pivot, rounding)
+    found = list[Complex]()
+    for transposed, of in ((2, shifted.conj().T), (0, shifted)):
+        vector = np.exp(1j * np.arange(n) ** 2)
+        for _ in range(ITERATIONS):
+            vector = zgetrs(factors, pivots, vector, trans=transposed)[0]
+            vector = vector / np.linalg.norm(vector)
+        if not np.linalg.norm(of @ vector) <= rounding:
+            left, _, right = np.linalg.svd(shifted)
+            return np.asarray(left[:, -1], dtype=np.complex128), np.asarray(right[-1].conj(), dtype=np.complex128)
+        found.append(np.asarray(vector, dtype=np.complex128))
+    return found[0], found[1]

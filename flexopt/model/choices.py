@@ -22,8 +22,8 @@ STARTS_MAX = 10_000
 TARGETS_MAX = 1000
 # Objectives that are what the real loop does, as of `flexopt.Outcome`.
 DECAY, ALLOWED_GAIN, DELAY_MARGIN = "decay", "allowed_gain", "delay_margin"
-ALLOWANCE, RADIUS = "allowance", "radius"
-OUTCOMES = (DECAY, ALLOWED_GAIN, DELAY_MARGIN, ALLOWANCE, RADIUS)
+ALLOWANCE, RADIUS, SETTLING, SWING = "allowance", "radius", "settling", "swing"
+OUTCOMES = (DECAY, ALLOWED_GAIN, DELAY_MARGIN, ALLOWANCE, RADIUS, SETTLING, SWING)
 WEIGHT = Quantity("", low=0.0, high=1e6)
 BASE_RATE, BASE_ACCELERATION = Quantity("m/s", above=0.0, high=1e3), Quantity("m/s²", above=0.0, high=1e4)
 

@@ -234,7 +234,7 @@ class Travel(FileModel):
 
 
 class LeastOutcomes(FileModel):
-    """What the real loop must do at least, as of `flexopt.Outcome` (keys of `[constraints.outcome]`).
+    """What the real loop must do at least, or at most, as of `flexopt.Outcome` (keys of `[constraints.outcome]`).
 
     Attributes:
         decay: of its slowest motion, 1/s.
@@ -242,6 +242,8 @@ class LeastOutcomes(FileModel):
         delay_margin: further dead time that it bears, s.
         allowance: largest velocity gain that damps every mode, N s/m.
         radius: the stability radius, of all springs together.
+        settling: of the standard move, at most, s.
+        swing: of the base in the standard move, at most, rad (of a base that cannot turn m) for each m of the move.
     """
 
     decay: Annotated[float, _LEAST] | None = None
@@ -249,6 +251,8 @@ class LeastOutcomes(FileModel):
     delay_margin: Annotated[float, _LEAST] | None = None
     allowance: Annotated[float, _POSITIVE] | None = None
     radius: Annotated[float, Quantity("", low=1.0, high=10.0)] | None = None
+    settling: Annotated[float, Quantity("s", above=0.0, high=60.0)] | None = None
+    swing: Annotated[float, _POSITIVE] | None = None
 
 
 class Constraints(FileModel):
@@ -268,7 +272,8 @@ class Constraints(FileModel):
         holding: share of each joint's effort that gravity may take.
         tool_angle: range of the end-point's inclination, rad; one number for an exact value.
         travel: cost of leaving the present configuration.
-        outcome: what the real loop must do at least, over all that is uncertain; with `flexopt.select`'s `loop`.
+        outcome: what the real loop must do at least, or at most, over all that is uncertain; with `flexopt.select`'s
+            `loop`.
         own: `flexopt.Constraint`s of the user's own, which files cannot have.
     """
 

@@ -39,7 +39,7 @@ QUANTITIES: dict[str, tuple[str, ...]] = {
     "measures": ("w", "w_posture", "frequency_hz", "scale", "rigid", "condition", "epsilon_max"),
     "outcome": (
         "decay", "frequency_hz", "allowed_gain", "delay_margin", "disk_margin", "h2_norm", "sensitivity_peak",
-        "complementary_peak",
+        "complementary_peak", "settling", "swing",
     ),
     "selection": ("objective", "w", "base", "posture", "epsilon_max"),
     "simulation": (

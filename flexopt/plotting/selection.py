@@ -19,6 +19,7 @@ from flexopt.plotting.shape import Points, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled, measure_label, objective_label
 from flexopt.robustness.evaluation import Evaluation
+from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.result import Selection
 
 BRANCHES = {-1.0: (0, "elbow up"), 1.0: (1, "elbow down")}
@@ -166,9 +167,14 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
     values = np.array([candidate.objective for candidate in selection.candidates])
     axes.plot(ranks[1:], values[1:], "o", color=inks.page, markeredgecolor=inks.other, markersize=4.5, linestyle="none")
     axes.plot(ranks[0], values[0], "*", color=inks.chosen, markersize=14, markeredgecolor=inks.edge)
-    first = selection.problem.sought[0]
-    if selection.initial is not None and first.own is None:
-        axes.axhline(first.value(selection.initial.w, selection.initial.epsilon_max), color=inks.present)
+    first, initial = selection.problem.sought[0], selection.initial
+    now, label = None, objective_label(first, selection.best.evaluation)
+    if isinstance(selection, OutcomeSelection):
+        now, label = selection.present, labelled(f"objective {mathtext(selection.measure)}", selection.criterion.unit)
+    elif initial is not None and first.own is None:
+        now = first.value(initial.w, initial.epsilon_max)
+    if now is not None:
+        axes.axhline(now, color=inks.present)
     axes.set_xlabel("candidate, by rank")
-    axes.set_ylabel(objective_label(first, selection.best.evaluation))
+    axes.set_ylabel(label)
     axes.locator_params(axis="x", integer=True)

@@ -22,7 +22,7 @@ from flexopt.plotting.panels import Line, Panel, draw_panel
 from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
-from flexopt.plotting.units import measure_label, objective_label
+from flexopt.plotting.units import labelled, measure_label, objective_label
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 
 TITLE_WIDTH = 95  # characters
@@ -64,8 +64,10 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     numbers = np.arange(1, len(places) + 1)
     shades = [inks.chosen if k == stand.worst else inks.other for k in range(numbers.size)]
     panels[0].bar(numbers, [place.objective for place in places], 0.6, color=shades)
-    panels[0].set_ylabel(objective_label(stand.problems[0].sought[0], places[0].evaluation))
-    panels[0].set_title("objective at each target, 0 is best", loc="right")
+    modes = stand.unit is None
+    of_modes = objective_label(stand.problems[0].sought[0], places[0].evaluation)
+    panels[0].set_ylabel(of_modes if modes else labelled(f"objective {stand.objective}", stand.unit or ""))
+    panels[0].set_title("objective at each target" + (", 0 is best" if modes else ""), loc="right")
     _draw_measures(panels[1], places, numbers)
     for panel in panels:
         panel.set_xticks(numbers)
@@ -181,7 +183,6 @@ def _draw_measures(axes: Axes, places: Sequence[TargetConfiguration], numbers: N
 
 def _title(sheet: Sheet, result: Stand | BasePlan) -> None:
     first = result.problems[0]
-    heading = (
-        f"{mathtext(first.machine.name)}, Jacobian {first.control} control, objective {first.name}: {result.status}"
-    )
+    heading = f"{mathtext(first.machine.name)}, Jacobian {first.control} control, "
+    heading += f"objective {result.objective}: {result.status}"
     sheet.title(textwrap.fill(heading, TITLE_WIDTH))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -143,13 +144,20 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Kept:
-    """An objective that the next ones keep: its name, the best V found, and what V must be at least."""
+    """An objective that the next ones keep: its name, the best V found, and what V must be at least.
+
+    Of what shall be small, `"settling"` and `"swing"`, what it may be at most. A bound that is none is infinite (JSON:
+    null).
+    """
 
     objective: str
     best: float
     at_least: float
+    at_most: float = math.inf
 
     def __str__(self) -> str:
+        if math.isfinite(self.at_most):
+            return f"{self.objective} kept: at most {self.at_most:.6g}, {self.at_most - self.best:.1e} above its best"
         return f"{self.objective} kept: at least {self.at_least:.6g}, {self.best - self.at_least:.1e} below its best"
 
 

@@ -46,9 +46,9 @@ Extent = dict[str, tuple[float, float]]
 REPRESENTATIVES = 5
 
 
-def _notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
+def loop_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """As of `build_selection`; an objective of the loop is not its to check, nor what a loop must do at least."""
-    least, given = _least(given.get("constraints")), {**given, "constraints": _without_loop(given.get("constraints"))}
+    least, given = least_of(given.get("constraints")), {**given, "constraints": without_loop(given.get("constraints"))}
     if of_loop(given.get("objective")):
         words = given["objective"].split(",")
         own = [word for word in words if word not in OUTCOMES]
@@ -69,17 +69,17 @@ def _notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
     only_notes(arguments, given)
 
 
-def _least(constraints: Any) -> LeastOutcomes | None:
+def least_of(constraints: Any) -> LeastOutcomes | None:
     """What the loop must do at least."""
     return constraints.outcome if isinstance(constraints, Constraints) else None
 
 
-def _without_loop(constraints: Any) -> Any:
+def without_loop(constraints: Any) -> Any:
     """The constraints that are the configuration's alone."""
-    return constraints if _least(constraints) is None else constraints.model_copy(update={"outcome": None})
+    return constraints if least_of(constraints) is None else constraints.model_copy(update={"outcome": None})
 
 
-@public(together=_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
+@public(together=loop_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
 def select(
     machine: AnyMachine,
     target: Any,
@@ -97,7 +97,8 @@ def select(
     Args:
         machine, target, constraints, options, keywords: as in `flexopt.build_selection`. Objectives of the loop, alone
             or in order with each other, w_i and V, are `"decay"`, `"allowed_gain"`, `"delay_margin"` and `"allowance"`
-            (of its modes the least) of `flexopt.Outcome`, and the stability `"radius"` of `flexopt.stable_region`.
+            (of its modes the least) of `flexopt.Outcome`, and the stability `"radius"` of `flexopt.stable_region`; of
+            the standard move, `"settling"` and `"swing"`, which shall be small.
         loop: of the loop's objective: the real controller, as of `flexopt.evaluate`; by default the machine's
             `[loop]`, or where there is none what follows from the machine. With the constraint `outcome` it must do so
             much at least, also where w_i or V is the objective. Of gains with a range (`kp_range`,
@@ -122,7 +123,7 @@ def select(
         ('boom', 'stick')
     """
     real, measure = cast("Loop | None", loop or machine.loop), keywords.get("objective")
-    least = _least(constraints)
+    least = least_of(constraints)
     if of_loop(measure) or least is not None:
         # Its room is built on this one.
         room = later("flexopt.selection.outcomes", in_order="outcome_selection_in_order")
@@ -131,9 +132,7 @@ def select(
             named: Any = {"objective": "w1", "weights": None} if word in OUTCOMES else {"objective": word}
             if word != "V":
                 named["weights"] = None
-            problems[word] = build_selection(
-                machine, target, constraints=_without_loop(constraints), **keywords | named
-            )
+            problems[word] = build_selection(machine, target, constraints=without_loop(constraints), **keywords | named)
         problem = next(iter(problems.values()))
         own = under_control(real or Loop(), machine, problem.control, "select")
         choose = cast(Any, room("outcome_selection_in_order"))

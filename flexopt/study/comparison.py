@@ -52,6 +52,8 @@ POSTURE = (
     SavedQuantity("outcome.allowed_gain", "allowed Kp", more=True),
     SavedQuantity("outcome.delay_margin", "delay margin", "s", more=True),
     SavedQuantity("outcome.sensitivity_peak", "peak of the sensitivity", more=False),
+    SavedQuantity("outcome.settling", "settling time", "s", more=False),
+    SavedQuantity("outcome.swing", "base swing", "rad or m for each m", more=False),
 )
 RUN = (
     SavedQuantity("verdict", "verdict"),

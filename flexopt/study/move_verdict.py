@@ -19,7 +19,6 @@ from flexopt.foundation.boundary import Keywords, number, public, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.loop.settings import loop_settings
-from flexopt.loop.standard_move import standard_move
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.constraints import AnyConstraints
@@ -248,7 +247,6 @@ def _place(
 ) -> PlaceVerdict:
     few = [None, *loop.box.corners(CORNERED), slowest[1]]
     outcomes = [loop.outcome(u) for u in few]
-    moves = [standard_move(outcome) for outcome in outcomes]
     own = decays[name]
     nominal = outcomes[0].decay().value
     stay = decays.get(STAY)
@@ -266,8 +264,8 @@ def _place(
         better=math.nan if stay is None else float(np.mean(faster(own, stay))),
         allowed_gain=_band([outcome.allowed_gain().value for outcome in outcomes]),
         delay_margin=_band([outcome.delay_margin().value for outcome in outcomes]),
-        settling=_band([move.settling for move in moves]),
-        swing=_band([MOVE * move.swing for move in moves]),
+        settling=_band([outcome.settling().value for outcome in outcomes]),
+        swing=_band([MOVE * outcome.swing().value for outcome in outcomes]),
         swing_unit="rad" if outcomes[0].motions.loop.shape.base_hinges else "m",
         runs=runs,
     )

@@ -340,7 +340,13 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         **RUN,
     ),
     "select_stand": lambda: _machine(
-        targets=[TARGET, [0.1, 1.6]], combine="weighted", shares=[1.0, 1.0], **SELECT, **RUN
+        targets=[TARGET, [0.1, 1.6]],
+        combine="worst",
+        shares=None,
+        **SELECT | {"objective": "decay", "weights": None},
+        loop={"kp": 1e4, "kv": 1e3},
+        ranges={"stiffness": [0.5, 2.0]},
+        **RUN,
     ),
     "sensitivity": lambda: _machine(
         posture=POSTURE,

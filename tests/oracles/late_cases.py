@@ -13,6 +13,7 @@ from benchmarks.verdicts import draw
 from flexopt.loop.outcome import LoopPoint, Measured
 from flexopt.loop.small_motions import SmallMotions, small_motions
 from flexopt.loop.spectrum import eigenvectors
+from flexopt.loop.standard_move import SETTLED
 from tests.oracles.late_loop import LateLoop, NonlinearRun, directional
 
 SEED = 15
@@ -104,6 +105,23 @@ def measured(case: Case) -> Iterator[tuple[str, Measured, Value]]:
     norm = outcome.h2_norm()
     if norm.slopes is not None:
         yield "h2_norm", norm, h2_of
+    yield from _of_move(case)
+
+
+def _of_move(case: Case) -> Iterator[tuple[str, Measured, Value]]:
+    """What is measured of the standard move."""
+    outcome = case.outcome
+    settling, swing = outcome.settling(), outcome.swing()
+    if outcome.move is None:
+        return
+    if settling.slopes is not None:
+        row = int(np.argmax(outcome.move.settled))
+        yield "settling", settling, lambda loop, row=row: loop.settling(settling.value, row, SETTLED)
+    peak = outcome.move.swung[1]
+    if swing.slopes is not None and peak is not None:
+        rows = list(case.motions.loop.shape.base_hinges) or list(range(case.motions.plant.n_passive))
+        coordinate = rows[peak.signal - 1]
+        yield "swing", swing, lambda loop, c=coordinate: loop.swing(peak.time, peak.row, c)
 
 
 def h2_of(loop: LateLoop) -> Any:

@@ -215,6 +215,88 @@ class LateLoop:
         shown = block(c, range(half), range(n))
         return (shown * covariance * shown.transpose()).trace().mid().sqrt()
 
+    @cached_property
+    def moves(self) -> tuple[list[arb_mat], list[arb_mat], list[arb_mat], arb]:
+        """Of the standard move along each task row: s and f at the start, x at the first measurement after, and when.
+
+        The joints are displaced by Jv⁺, the springs at rest; all forces on their way are those of the start.
+        """
+        a, b, c = self.plant
+        opened, _, _ = self.sampled
+        n, r, m = a.nrows(), b.ncols(), build_plant(self.machine).n_passive
+        rigid = evaluate_graph(at_rest(self.machine), self.numbers)[4]
+        back = rigid.transpose() * (rigid * rigid.transpose()).inv()
+        kp, kv = (balls([x] * r if np.ndim(x) == 0 else x) for x in (self.kp, self.kv))
+        first = rigid.ncols() + 2 * m
+        late = balls([self.dead_time])[0]
+        whole = int(float(late.mid()) / self.period + 1e-9)
+        rest = late - whole * arb(self.period)
+        offset = arb(self.period) - rest if abs(float(rest.mid())) > 1e-9 * self.period else arb(0)
+        held, driven = self.advanced(offset)
+        starts, forces, states = list[arb_mat](), list[arb_mat](), list[arb_mat]()
+        for row in range(r):
+            s = matrix(n, 1, lambda i, _, row=row: back[i - first, row] if 0 <= i - first < rigid.ncols() else arb(0))
+            seen = c * s
+            f = matrix(r, 1, lambda i, _, seen=seen: -(kp[i] * seen[i, 0] + kv[i] * seen[r + i, 0]))
+            there = held * s + driven * f
+            x = matrix(opened.nrows(), 1, lambda i, _, s=there, f=f: s[i, 0] if i < n else f[(i - n) % r, 0])
+            starts, forces, states = [*starts, s], [*forces, f], [*states, x]
+        return starts, forces, states, offset
+
+    def moving(self, time: arb, row: int) -> tuple[arb_mat, arb_mat]:
+        """s and its rate at a time of the standard move along a task row."""
+        a, b, _ = self.plant
+        starts, forces, states, offset = self.moves
+        n, r = b.nrows(), b.ncols()
+        late = balls([self.dead_time])[0]
+        whole = int(float(late.mid()) / self.period + 1e-9)
+        if float(time.mid()) < float(offset.mid()):
+            s, f, left = starts[row], forces[row], time
+        else:
+            opened, into, force = self.sampled
+            k = int(float((time - offset).mid()) / self.period)
+            x, power, count = states[row], opened + into * force, k
+            while count:
+                if count % 2:
+                    x = (power * x).mid()
+                power, count = (power * power).mid(), count // 2
+            s, left, rest = (
+                block(x, range(n), range(1)),
+                time - offset - k * arb(self.period),
+                late - whole * arb(self.period),
+            )
+            aged = [force * x, *(block(x, range(n + r * j, n + r * j + r), range(1)) for j in range(whole + 1)
+                                 if n + r * j < x.nrows())]  # fmt: skip
+            f = aged[whole]
+            if abs(float(rest.mid())) > 1e-9 * self.period:
+                if float(left.mid()) <= float(rest.mid()):
+                    f = aged[whole + 1]
+                else:
+                    held, driven = self.advanced(rest)
+                    s, left = held * s + driven * aged[whole + 1], left - rest
+        held, driven = self.advanced(left)
+        s = held * s + driven * f
+        return s, a * s + b * f
+
+    def settling(self, start: float, row: int, band: float) -> arb:
+        """The time next to `start` at which the end-point's error is the band's edge."""
+        c, time = self.plant[2], arb(start)
+        half = c.nrows() // 2
+        for _ in range(5):
+            s, rate = self.moving(time, row)
+            e, v = c * s, c * rate
+            height = sum((e[i, 0] * e[i, 0] for i in range(half)), -(arb(band) ** 2))
+            time = (time - height / (2 * sum((e[i, 0] * v[i, 0] for i in range(half)), arb(0)))).mid()
+        return time
+
+    def swing(self, start: float, row: int, coordinate: int) -> arb:
+        """The deflection of a passive coordinate where it is largest next to a time."""
+        time, of = arb(start), evaluate_graph(at_rest(self.machine), self.numbers)[0].nrows()
+        for _ in range(5):
+            s, rate = self.moving(time, row)
+            time = (time - s[coordinate, 0] / rate[coordinate, 0]).mid()
+        return abs(self.moving(time, row)[0][of + coordinate, 0]).mid()
+
     def border(self, name: str, start: float) -> arb:
         """The value of a number next to `start` at which the loop neither grows nor decays, others as they are.
 

@@ -28,8 +28,10 @@ from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection.continua import travel
 from flexopt.selection.optima import SAME_POINT, Progress
+from flexopt.selection.outcomes.borders import RADIUS_POINTS
+from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.climb import Climbed, climbed
-from flexopt.selection.outcomes.measures import MEASURES, RADIUS_POINTS, Measure, OfModes
+from flexopt.selection.outcomes.measures import MEASURES, OfModes
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed, separation, starting_points
@@ -85,30 +87,22 @@ def outcome_selection(
     stand = initial or problem.quantities.evaluated(pool[0])
     settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
     measure = measure_of(name, problem)
-    bounds = (*(() if least is None else ((MEASURES[word], x) for word, x in least if x is not None)), *bounds)
+    bounds = (*asked_of(least), *bounds)
     varied = (uncertainty or GROUND) if name == RADIUS else uncertainty
     box = UncertaintyBox(machine, varied, settings.dead_time)
-    raise_if_any(InputError, "select", [*box.faults(settings.rate), *_unfit(name, bounds, loop, settings, varied)])
+    raise_if_any(InputError, "select", [*box.faults(settings.rate), *unfit(name, bounds, loop, settings, varied)])
     held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
     corners = box.corners(CORNERED) if uncertainty and name != RADIUS else np.zeros((0, 0))
     program = OutcomeProgram(problem, held, gain_ranges(loop), corners, measure=measure, least=bounds)
     count = workers or available_cores()
     program, starts = starting_points(program, pool, count, seeds)
-    done = None if progress is None else partial(_told, progress, len(starts))
-    found = in_parallel(partial(_climbed, program, starts), len(starts), count, done, at_once=len(starts) > 1)
+    found = climbs(program, starts, count, progress)
     attempts = tuple(_attempt(program, start, each) for start, each in zip(starts, found, strict=True))
-    ends = sorted((each for each in found if each is not None and each.holds), key=lambda each: -each.value)
-    distinct = list[Climbed]()
-    for each in ends:
-        if all(separation(program, each.y, other.y) > SAME_POINT for other in distinct):
-            distinct.append(each)
+    distinct, unverified = distinct_optima(program, found)
     # What is as fast goes by the way there.
-    level = distinct[0].value - EQUAL * abs(distinct[0].value) if distinct else 0.0
+    level = distinct[0].value - EQUAL * abs(distinct[0].value)
     alike = [each for each in distinct if each.value >= level]
     distinct[: len(alike)] = sorted(alike, key=lambda each: travel(problem, program.z(each.y)))
-    if not distinct:
-        raise _none(program, found)
-    others = [each.value for each in found if each is not None and not each.holds]
     loops = [program.at(each.y).settings for each in distinct]
     candidates = [_candidate(program, each, chosen) for each, chosen in zip(distinct, loops, strict=True)]
     springs = UncertaintyBox(machine, GROUND, settings.dead_time)
@@ -127,8 +121,39 @@ def outcome_selection(
         settings=tuple(loops),
         loop=loop,
         uncertainty=uncertainty,
-        unverified=max((x for x in others if x > (1 + NEW) * distinct[0].value), default=None),
+        unverified=unverified,
     )
+
+
+def climbs(
+    program: OutcomeProgram, starts: list[Vector], workers: int, progress: Progress | None
+) -> list[Climbed | None]:
+    """Where each start leads, in processes where that pays."""
+    done = None if progress is None else partial(_told, progress, len(starts))
+    return in_parallel(partial(_climbed, program, starts), len(starts), workers, done, at_once=len(starts) > 1)
+
+
+def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tuple[list[Climbed], float | None]:
+    """Ends that hold, the best first, those at the same place once; and what an end that does not hold has more.
+
+    Raises:
+        NoSolutionFound: there is none.
+    """
+    ends = sorted((each for each in found if each is not None and each.holds), key=lambda each: -each.value)
+    distinct = list[Climbed]()
+    for each in ends:
+        if all(separation(program, each.y, other.y) > SAME_POINT for other in distinct):
+            distinct.append(each)
+    if not distinct:
+        raise _none(program, found)
+    worth = distinct[0].value + NEW * abs(distinct[0].value)
+    more = [each.value for each in found if each is not None and not each.holds and each.value > worth]
+    return distinct, program.measure.sign * max(more) if more else None
+
+
+def asked_of(least: LeastOutcomes | None) -> Bounds:
+    """What the loop must do at least, as measures count."""
+    return tuple((MEASURES[word], MEASURES[word].sign * x) for word, x in least or () if x is not None)
 
 
 def measure_of(name: str, problem: SelectionProblem) -> Measure:
@@ -176,13 +201,13 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
 
 def _least(program: OutcomeProgram, y: Vector) -> tuple[float, Vector]:
     """The least of the measure found over the uncertainty, and where."""
-    return _worst(program.at(y), program.measure)
+    return min((_worst(part.at(own), program.measure) for part, own in program.parts(y)), key=lambda found: found[0])
 
 
 def _broken(program: OutcomeProgram, y: Vector) -> Vector | None:
     """A member whose loop does less than it must."""
     for measure, least in program.least:
-        value, at = _worst(program.at(y), measure)
+        value, at = min((_worst(part.at(own), measure) for part, own in program.parts(y)), key=lambda found: found[0])
         if value < least - NEW * abs(least):
             return at
     return None
@@ -197,18 +222,18 @@ def _worst(loop: UncertainLoop, measure: Measure) -> tuple[float, Vector]:
     return values[k], members[k]
 
 
-def _kept(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:
+def kept_values(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:
     """What the worst member's loop does of what it must at least."""
     loop, points = program.at(y), program.points(y)
-    return {
-        measure.told: ConstraintValue(
-            min(measure.value(loop, point) for point in points), least, math.inf, measure.unit
-        )
-        for measure, least in program.least
-    }
+    found = dict[str, ConstraintValue]()
+    for measure, least in program.least:
+        value = measure.sign * min(measure.value(loop, point) for point in points)
+        ends = (least, math.inf) if measure.sign > 0 else (-math.inf, -least)
+        found[measure.told] = ConstraintValue(value, *ends, measure.unit)
+    return found
 
 
-def _unfit(
+def unfit(
     name: str, bounds: Bounds, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]
 ) -> list[Fault]:
     """What measures cannot be had of."""
@@ -231,16 +256,17 @@ def _unfit(
 def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Attempt:
     if end is None:
         return Attempt(tuple(program.z(start).tolist()), "led off the constraints")
+    value = program.measure.sign * end.value
     if not end.holds:
-        sentence = f"came to {end.value:.6g}, where the gradient is not zero, {end.stationarity:.1e}"
+        sentence = f"came to {value:.6g}, where the gradient is not zero, {end.stationarity:.1e}"
         return Attempt(tuple(program.z(start).tolist()), sentence)
-    return Attempt(tuple(program.z(start).tolist()), "verified to first order", end.value)
+    return Attempt(tuple(program.z(start).tolist()), "verified to first order", value)
 
 
 def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFound:
     ends = [each for each in found if each is not None]
     best = max(ends, key=lambda each: each.value, default=None)
-    names = [variable.name for variable in program.problem.variables]
+    names = program.names[: program.n_z]
     iterate = {} if best is None else dict(zip(names, program.z(best.y).tolist(), strict=True))
     left = {} if best is None else {"first-order optimality": best.stationarity}
     return NoSolutionFound(
@@ -254,7 +280,7 @@ def _present(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> flo
     z = np.concatenate([initial.base, initial.posture]) / program.problem.scale
     own = replace(program, members=np.zeros((0, 0)), least=())
     value = own.value(np.append(z, best.y[program.n_z :]))
-    return value if math.isfinite(value) else None
+    return own.measure.sign * value if math.isfinite(value) else None
 
 
 def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) -> Candidate:
@@ -269,9 +295,9 @@ def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) ->
     return Candidate(
         z=z,
         w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
-        objective=end.value,
+        objective=program.measure.sign * end.value,
         active=end.active,
-        constraints=constraint_values(problem, z) | _kept(program, end.y),
+        constraints=constraint_values(problem, z) | kept_values(program, end.y),
         target_error=float(np.linalg.norm(reached - problem.target)),
         stationarity=end.stationarity,
         iterations=end.steps,

@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nonnegative import nonnegative_least_squares
-from flexopt.selection.outcomes.measures import Branches
+from flexopt.selection.outcomes.branches import Branches
 from flexopt.selection.outcomes.program import OutcomeProgram, ProgramPoint
 from flexopt.selection.starts import FEASIBLE
 
@@ -89,7 +89,7 @@ def onto_rows(program: OutcomeProgram, y: Vector) -> Vector | None:
 
     By the rows themselves, which under gravity know the deflection.
     """
-    lower, upper, scale = program.problem.row_bounds
+    lower, upper, scale = program.row_bounds
     equal = lower == upper
     low, high = np.where(equal, 0.0, lower / scale), np.where(equal, 0.0, upper / scale)
     y = np.clip(y, *program.bounds)
@@ -129,7 +129,7 @@ def _search(program: OutcomeProgram, start: Vector, value: float, steps: int) ->
             known[key] = replace(found, slopes=np.nan_to_num(found.slopes), by_level=np.nan_to_num(found.by_level))
         return known[key]
 
-    lower, upper, scale = program.problem.row_bounds
+    lower, upper, scale = program.row_bounds
     equal = lower == upper
     first = np.append(start, program.level(value))
     count, free = len(told(first).values), ~equal
@@ -201,19 +201,17 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
     least, by_level = branches.slopes[chosen], branches.by_level[chosen]
     if not (np.all(np.isfinite(least)) and np.all(np.isfinite(by_level))):
         return math.inf, ()
-    lower, upper, scale = program.problem.row_bounds
+    lower, upper, scale = program.row_bounds
     columns, names = list[Vector](), list[str]()
-    for number, constraint in enumerate(program.problem.constraints):
+    for number, row_name in enumerate(program.row_names):
         if lower[number] == upper[number]:
             columns += [slopes[number], -slopes[number]]
             continue
         for sign, end in ((1.0, lower[number]), (-1.0, upper[number])):
             if abs(rows[number] - end / scale[number]) <= ON_ROW:
                 columns.append(sign * slopes[number])
-                names.append(constraint.name)
-    of_gains = [f"loop.{name}" for name in program.ranges]
-    variables = [*(variable.name for variable in program.problem.variables), *of_gains]
-    for i, (name, low, high) in enumerate(zip(variables, *program.bounds, strict=True)):
+                names.append(row_name)
+    for i, (name, low, high) in enumerate(zip(program.names, *program.bounds, strict=True)):
         for sign, end, side in ((1.0, low, "lower"), (-1.0, high, "upper")):
             if abs(y[i] - end) <= ON_ROW:
                 column = np.zeros(y.size)

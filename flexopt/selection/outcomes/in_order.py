@@ -5,6 +5,7 @@ In: a `SelectionProblem` for each objective, a loop. Out: an `OutcomeSelection` 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from flexopt.errors import NoSolutionFound
@@ -53,9 +54,10 @@ def outcome_selection_in_order(
             found = outcome_selection(problem, loop, uncertainty, initial, workers, progress, name, least,
                                       bounds=bounds, seeds=seeds)  # fmt: skip
             seeds += _seeds(found)
-        best = found.best.objective
+        best = measure.sign * found.best.objective
         at_least = best - (problem.given_up(best) if measure.of_modes else problem.slack * abs(best))
-        bounds, kept = (*bounds, (measure, at_least)), [*kept, Kept(name, best, at_least)]
+        ends = (at_least, math.inf) if measure.sign > 0 else (-math.inf, -at_least)
+        bounds, kept = (*bounds, (measure, at_least)), [*kept, Kept(name, found.best.objective, *ends)]
     last = problems[names[-1]]
     seeds += _of_modes(last, workers) if measure_of(names[-1], last).of_modes else []
     return outcome_selection(last, loop, uncertainty, initial, workers, progress, names[-1], least,

@@ -13,13 +13,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.choices import DECAY
 from flexopt.model.loop import logarithms
-from flexopt.selection.outcomes.measures import MEASURES, Branches, Measure
+from flexopt.selection.outcomes.branches import Branches, Measure
+from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import row_gradients
 
@@ -64,6 +66,30 @@ class OutcomeProgram:
     def z(self, y: Vector) -> Vector:
         """The configuration."""
         return y[: self.n_z] * self.problem.scale
+
+    @property
+    def row_bounds(self) -> tuple[Vector, Vector, Vector]:
+        """Lower and upper bounds and scales of the rows."""
+        return self.problem.row_bounds
+
+    @property
+    def row_names(self) -> list[str]:
+        """Of the rows."""
+        return [constraint.name for constraint in self.problem.constraints]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the entries of y."""
+        return [*(variable.name for variable in self.problem.variables), *(f"loop.{name}" for name in self.ranges)]
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """Which entries of z are angles without limits."""
+        return self.problem.turning
+
+    def parts(self, y: Vector) -> list[tuple[OutcomeProgram, Vector]]:
+        """The program of each target, and its y."""
+        return [(self, y)]
 
     def gains(self, y: Vector) -> dict[str, float]:
         """Those that are variables."""

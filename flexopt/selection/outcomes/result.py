@@ -9,7 +9,8 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model.choices import DECAY
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
-from flexopt.selection.outcomes.measures import MEASURES, Measure
+from flexopt.selection.outcomes.branches import Measure
+from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.result import Selection
 
 # Of the best value, by which the present one may be less and nothing is to gain.
@@ -21,14 +22,14 @@ class OutcomeSelection(Selection):
     """The answer to a configuration problem by what the loop does.
 
     Attributes:
-        measure: what is largest, of `flexopt.Outcome`, of modes the least, or the stability `"radius"`;
-            `Candidate.objective` is its value, SI, over the uncertainty its least.
+        measure: what is largest, of `flexopt.Outcome`, of modes the least, or the stability `"radius"`; of `"settling"`
+            and `"swing"` what is least. `Candidate.objective` is its value, SI, over the uncertainty its worst.
         gains: kp and kv of each candidate, those that were chosen with the configuration.
         radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
             before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
         loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
         present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
-        unverified: the largest value of a climb that did not end where it could be verified, where that is more than
+        unverified: the best value of a climb that did not end where it could be verified, where that is better than
             the best candidate's; else None.
         others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
     """
@@ -89,9 +90,10 @@ class OutcomeSelection(Selection):
         now = self.present
         if now is None or self.uncertainty:
             return ""
-        if not now >= (1 - ALIKE) * self.best.objective:
+        if self.criterion.sign * (self.best.objective - now) > ALIKE * abs(self.best.objective):
             return ""
-        return f"nothing to gain: the present configuration has as much {self.measure}"
+        how = "as much" if self.criterion.sign > 0 else "as little"
+        return f"nothing to gain: the present configuration has {how} {self.measure}"
 
     def __repr__(self) -> str:
         best = self.best.evaluation

@@ -52,15 +52,18 @@ def starting_points(
     Raises:
         NoSolutionFound: no point has the measure, or leads to what the loop must do at least.
     """
-    looked = [*_sown(program, seeds), *_looked(program, pool)]
+    return starts_from(program, [*_sown(program, seeds), *_looked(program, pool)], workers)
+
+
+def starts_from(program: OutcomeProgram, looked: list[Vector], workers: int) -> tuple[OutcomeProgram, list[Vector]]:
+    """The like from points y that are looked at."""
     known = _known(program, looked, workers)
     if known is None and program.least:
         known = _known(program, _lifted(program, looked, workers), workers)
     if known is None:
-        asked = ", ".join(f"{each.told} {x:g}" for each, x in program.least)
-        name = program.measure.name
-        what = f"leads to what it must do at least, {asked}" if asked else f"has a {name}: every loop grows"
-        sentence = f"select: none of {program.measure.looked} configurations that were looked at {what}"
+        measure, asked = program.measure, ", ".join(each.asked(x) for each, x in program.least)
+        what = f"leads to what it must do, {asked}" if asked else f"has a {measure.name}: {measure.lacking}"
+        sentence = f"select: none of {measure.looked} configurations that were looked at {what}"
         raise NoSolutionFound(sentence, violations={}, iterate={})
     program, ys, values = known
     ys, values, distance = _some_steps(program, ys, values, workers)
@@ -93,9 +96,11 @@ def _known(
     program: OutcomeProgram, ys: list[Vector], workers: int
 ) -> tuple[OutcomeProgram, list[Vector], list[float]] | None:
     """The program with the size of its values, points that have one, and these; None where none has."""
-    blocks = [ys[k : k + BLOCK] for k in range(0, len(ys), BLOCK)]
-    found = in_parallel(partial(_values, program, blocks), len(blocks), workers)
-    values = [value for block in found for value in block]
+    values = None if program.least or not ys else program.measure.values(program, ys, workers)
+    if values is None:
+        blocks = [ys[k : k + BLOCK] for k in range(0, len(ys), BLOCK)]
+        found = in_parallel(partial(_values, program, blocks), len(blocks), workers)
+        values = [value for block in found for value in block]
     known = [k for k, value in enumerate(values) if math.isfinite(value)]
     if not known:
         return None
@@ -145,7 +150,7 @@ def _apart(program: OutcomeProgram, ys: list[Vector], values: list[float], count
 
 def separation(program: OutcomeProgram, y: Vector, other: Vector) -> float:
     """The largest scaled difference of two points, of angles without limits the short way round."""
-    away, turning = other - y, program.problem.turning
+    away, turning = other - y, program.turning
     inside = away[: program.n_z]
     inside[turning] = (inside[turning] + math.pi) % math.tau - math.pi
     return float(np.max(np.abs(away)))

@@ -70,6 +70,16 @@ class ConfigurationSet(Tabled):
         return True
 
     @property
+    def objective(self) -> str:
+        """Name of what was sought."""
+        return self.problems[0].name
+
+    @property
+    def unit(self) -> str | None:
+        """Of it, where it is none of the modes'."""
+        return None
+
+    @property
     def V(self) -> Vector:  # noqa: N802 - the article's letter
         """The objective at each target, (K,)."""
         return np.array([place.objective for place in self.places])
@@ -95,9 +105,13 @@ class ConfigurationSet(Tabled):
     def _lines(self, what: str, status: str) -> list[str]:
         """A heading, and a line for each target."""
         first = self.problems[0]
-        how = f"Jacobian {first.control} control, objective {first.name}: {status}"
+        how = f"Jacobian {first.control} control, objective {self.objective}: {status}"
         named = [f"  {assumption}" for assumption in first.assumed]
-        return [f"{first.machine.name}: {what}, {how}", *_table(self.places, self.worst), *named]
+        return [
+            f"{first.machine.name}: {what}, {how}",
+            *_table(self.places, self.worst, "V" if self.unit is None else self.objective),
+            *named,
+        ]
 
 
 @dataclass(frozen=True)
@@ -248,9 +262,9 @@ class BasePlan(Pictured, ConfigurationSet):
 SHOWN = 12
 
 
-def _table(places: tuple[TargetConfiguration, ...], worst: int) -> list[str]:
+def _table(places: tuple[TargetConfiguration, ...], worst: int, name: str) -> list[str]:
     e = places[0].evaluation
-    lines = ["  target " + " ".join(f"{name:>9}" for name in (*e.base_coordinates, *e.joints)) + f"{'V':>13}"]
+    lines = ["  target " + " ".join(f"{name:>9}" for name in (*e.base_coordinates, *e.joints)) + f"{name:>13}"]
     shown = range(len(places)) if len(places) <= SHOWN else np.linspace(0, len(places) - 1, SHOWN).astype(int)
     for k in sorted({*(int(i) for i in shown), worst}):
         numbers = " ".join(f"{x:9.4f}" for x in (*places[k].evaluation.base, *places[k].evaluation.posture))

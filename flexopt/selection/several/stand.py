@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Unpack
+from collections.abc import Mapping, Sequence
+from typing import Any, Unpack, cast
 
 import numpy as np
 
@@ -14,19 +14,22 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
-from flexopt.model.choices import COMBINES
+from flexopt.model.choices import COMBINES, of_loop
 from flexopt.model.constraints import AnyConstraints
+from flexopt.model.loop import Loop, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
+from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness.plausibility import warn_implausible
-from flexopt.selection.build import only_notes
 from flexopt.selection.program import Program
+from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import Progress, places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement
 from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases
+from flexopt.selection.solve import least_of, loop_notes, without_loop
 
 # Placements that are looked at, for one coordinate and for more.
 BASES = 401, 512
@@ -34,7 +37,15 @@ SAME_BASE = 1e-4
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    only_notes(arguments, given)
+    loop_notes(arguments, given)
+    objective = given["objective"]
+    if of_loop(objective) or least_of(given["constraints"]) is not None:
+        if given["combine"] != "worst":
+            arguments.note(
+                "combine", "must be 'worst' where the loop is asked: the worst target counts", given["combine"]
+            )
+        if isinstance(objective, str) and "," in objective:
+            arguments.note("objective", "must be a single one where several targets belong together", objective)
     shares, targets = given["shares"], given["targets"]
     if shares is not None and given["combine"] == "worst":
         arguments.note("shares", "go with combine = 'weighted' only", shares)
@@ -55,6 +66,8 @@ def select_stand(
     targets: Any,
     *,
     constraints: AnyConstraints | None = None,
+    loop: Loop | Mapping[str, Any] | str | None = None,
+    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
@@ -68,6 +81,8 @@ def select_stand(
         constraints: as in `flexopt.build_selection`, at every target.
         options: how to choose, see `SelectionOptions`;  keywords: its fields, which go before it: objective, weights,
             control, gravity, base, posture, base_range, singularity_margin_deg, starts, seed, combine, shares.
+        loop, ranges: as of `flexopt.select`, whose objectives of the loop these are, too: at every target the loop is
+            the same, and the worst target counts.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -86,6 +101,19 @@ def select_stand(
     points, count, asked = targets, workers or available_cores(), SelectionOptions.model_construct(**keywords)
     share = np.array(asked.shares or (1.0,) * len(points))
     share = share / share.sum()
+    least, word = least_of(constraints), asked.objective
+    by_loop = of_loop(word) or least is not None
+    if by_loop:
+        modes = not of_loop(word)
+        asked_of_modes = asked.model_copy(update={} if modes else {"objective": "w1", "weights": None})
+        problems = build_problems("select_stand", machine, points, "targets", asked_of_modes, without_loop(constraints))
+        bases = sample_bases(problems, *BASES, asked.seed)
+        if not bases.shape[1]:
+            raise none_reaches_all(len(points))
+        real = cast("Loop | None", loop or machine.loop) or Loop()
+        own = under_control(real, machine, problems[0].control, "select_stand")
+        known = cast("tuple[Uncertainty, ...]", ranges or ())
+        return outcome_stand(problems, bases, own, known, word, least, count, progress)
     problems = build_problems("select_stand", machine, points, "targets", asked, constraints)
     program = one_placement(problems, share, weighted=asked.combine == "weighted")
     bases = sample_bases(problems, *BASES, asked.seed)

@@ -1,0 +1,238 @@
+"""Measures of a loop that tell how far along lines of loops every motion decays.
+
+In: as of `branches`. A gain, a dead time or a factor that a loop bears is the first place along a line of loops where
+its slowest motion no longer decays. There, and where the rate comes nearest to zero before, motions are branches: that
+the way to the border stays open is asked for, too, so that where another border takes over the slope knows of both.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint
+from flexopt.loop.region import LARGEST, stability_radius
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, RADIUS
+from flexopt.model.loop import DELAY_MAX, GAINS
+from flexopt.model.uncertainty import GROUND
+from flexopt.selection.outcomes.branches import BRANCHES, Branches, Measure, Slopes, rates_of, slopes_of
+
+# Places before a border that count.
+PLACES = 2
+# Places along a line that are looked at for where the rate comes near to zero, and how near to that it is found.
+POINTS, NEAR = 24, 1e-3
+# Decades below a border that gains are looked at in.
+DECADES = 3.0
+# Points that are looked at in each box of factors for the stability radius.
+RADIUS_POINTS = 12
+
+if TYPE_CHECKING:
+    from flexopt.selection.outcomes.program import ProgramPoint
+
+
+@dataclass(frozen=True)
+class Line:
+    """Loops one after another, each a level further.
+
+    Attributes:
+        loop: at a level;  rate: of its slowest motion there, 1/s.
+        start: level at which the line begins;  by: from a derivative there by a loop's numbers, those by y's, and by
+            the level.
+    """
+
+    loop: Callable[[float], LoopPoint]
+    rate: Callable[[float], float]
+    start: float
+    by: Callable[[LoopPoint, Slopes], tuple[dict[str, Any], float]]
+
+    def border(self, level: float) -> float:
+        """The first level, this one at most, at which the loop grows."""
+        from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
+
+        levels, rates = self._looked(level)
+        grows = np.flatnonzero(rates < 0)
+        if not grows.size:
+            return level
+        if grows[0] == 0:
+            return self.start
+        return float(brentq(self.rate, *levels[grows[0] - 1 : grows[0] + 1].tolist(), xtol=1e-13, rtol=1e-14))
+
+    def nearest(self, level: float) -> list[float]:
+        """Levels before this one where the rate is least among its neighbours, the lowest of them."""
+        if not level > self.start:
+            return []
+        levels, rates = self._looked(level)
+        inner = [k for k in range(1, len(levels) - 1) if rates[k] <= min(rates[k - 1], rates[k + 1])]
+        return [float(levels[k]) for k in sorted(inner, key=lambda k: rates[k])[:PLACES]]
+
+    def _looked(self, level: float) -> tuple[Vector, Vector]:
+        """Levels up to this one, ascending, with those between where the rate is least, and the rates there."""
+        from scipy.optimize import minimize_scalar  # noqa: PLC0415  (loads slowly)
+
+        levels = np.linspace(self.start, level, POINTS)
+        rates = np.array([self.rate(float(x)) for x in levels])
+        inner = [k for k in range(1, POINTS - 1) if rates[k] <= min(rates[k - 1], rates[k + 1])]
+        more = list[tuple[float, float]]()
+        for k in sorted(inner, key=lambda k: rates[k])[:PLACES]:
+            ends = float(levels[k - 1]), float(levels[k + 1])
+            best: Any = minimize_scalar(
+                self.rate, bounds=ends, method="bounded", options={"xatol": NEAR * (ends[1] - ends[0])}
+            )
+            more.append((float(best.x), float(best.fun)))
+        told = sorted([*zip(levels.tolist(), rates.tolist(), strict=True), *more])
+        return np.array([x for x, _ in told]), np.array([rate for _, rate in told])
+
+
+class Border(Measure):
+    """How far along lines of loops every motion decays."""
+
+    @abstractmethod
+    def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:
+        """From a member, up to a level."""
+
+    def branches(self, at: ProgramPoint, level: float) -> Branches:
+        """The slowest rates at the level, and where they come near to zero before."""
+        found = list[tuple[float, Vector, float]]()
+        for point in at.points:
+            for line in self.lines(at, point, level):
+                places = [(level, 1.0), *((x, 0.0) for x in line.nearest(level))]
+                for place, moves in places:
+                    there = line.loop(place)
+                    for k, value in enumerate(rates_of(there)[: BRANCHES if moves else 1]):
+                        by, by_level = line.by(there, slopes_of(there, k))
+                        found.append((value, at.by_y(by), moves * by_level))
+        _, high = self.ends(at)
+        if level >= high - NEAR:
+            found.append((high - level, np.zeros(at.count), -1.0))
+        found.sort(key=lambda entry: entry[0])
+        values, slopes, by_level = zip(*found[: 2 * BRANCHES], strict=True)
+        return Branches(np.array(values), np.array(slopes), np.array(by_level))
+
+
+class AllowedGain(Border):
+    """The largest Kp along the present ratio of all gains, up to 1e4 times the present one."""
+
+    name, unit = ALLOWED_GAIN, ""
+
+    def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
+        """See the class."""
+        found = min(point.allowed_gain().value, 10.0**HIGH * _first(point))
+        return found if found > 0 else -math.inf
+
+    def ends(self, at: ProgramPoint) -> tuple[float, float]:
+        """Of the logarithm of Kp."""
+        return -math.inf, HIGH * math.log(10) + math.log(_first(at.points[0]))
+
+    def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
+        """All gains together."""
+        kp = _first(point)
+
+        def loop(x: float) -> LoopPoint:
+            factor = math.exp(x) / kp
+            return replace(point, numbers={**point.numbers, **{name: point.numbers[name] * factor for name in GAINS}})
+
+        def by(there: LoopPoint, slopes: Slopes) -> tuple[dict[str, Any], float]:
+            of = {name: float(slopes[name] @ there.numbers[name]) for name in GAINS}
+            total = sum(of.values())
+            # The gain that the level is told in stays, whatever the present one is; the others follow their ratio.
+            return {**slopes, "ratio": {"kp": of["kp"] - total, "kv": of["kv"]}}, total
+
+        start = level - DECADES * math.log(10)
+        return [Line(loop, lambda x: -point.growth_at((x - math.log(kp)) / math.log(10)), start, by)]
+
+
+class DelayMargin(Border):
+    """Dead time that may be added before the loop grows, s, up to 100 samples in all."""
+
+    name, unit = DELAY_MARGIN, "s"
+
+    def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
+        """See the class."""
+        found = point.delay_margin().value
+        return -math.inf if math.isnan(found) else min(found, DELAY_MAX * point.period - point.dead_time)
+
+    def level(self, value: float, size: float) -> float:
+        """In units of the size."""
+        return value / size
+
+    def ends(self, at: ProgramPoint) -> tuple[float, float]:
+        """No less than none."""
+        point = at.points[0]
+        return 0.0, (DELAY_MAX * point.period - point.dead_time) / at.size
+
+    def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
+        """Later and later."""
+        most = DELAY_MAX * point.period - point.dead_time
+
+        def loop(x: float) -> LoopPoint:
+            return replace(point, dead_time=point.dead_time + min(max(x, 0.0) * at.size, most))
+
+        def by(there: LoopPoint, slopes: Slopes) -> tuple[dict[str, Any], float]:  # noqa: ARG001
+            return dict(slopes), float(slopes[DEAD_TIME][0]) * at.size
+
+        return [Line(loop, lambda x: rates_of(loop(x))[0], 0.0, by)]
+
+
+class Radius(Border):
+    """Up to which s every factor may be anywhere within [1/s, s], 10 at most: along the diagonals of their box."""
+
+    name, unit = RADIUS, ""
+
+    def value(self, loop: UncertainLoop, point: LoopPoint) -> float:
+        """See the class."""
+        if not point.loop.stable:
+            return -math.inf
+        loop = _of_springs(loop)
+        borders = [line.border(math.log(LARGEST)) for line in self._diagonals(loop, point)]
+        found = math.exp(min(borders))
+        if len(borders) == 2:
+            return found
+        # Of several factors the first place may lie beside the diagonals; it is known less exactly.
+        inside = stability_radius(loop, RADIUS_POINTS)
+        return inside if inside < found * (1 - NEAR) else found
+
+    def ends(self, at: ProgramPoint) -> tuple[float, float]:  # noqa: ARG002
+        """Of the logarithm."""
+        return 0.0, math.log(LARGEST)
+
+    def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:  # noqa: ARG002
+        """Towards every corner."""
+        return self._diagonals(_of_springs(at.loop), point)
+
+    def _diagonals(self, loop: UncertainLoop, point: LoopPoint) -> list[Line]:
+        entries = loop.box.entries
+        return [self._towards(entries, point, signs) for signs in product((1.0, -1.0), repeat=len(entries))]
+
+    def _towards(self, entries: list[list[int]], point: LoopPoint, signs: tuple[float, ...]) -> Line:
+        ways = np.zeros(len(point.numbers["p"]))
+        for own, sign in zip(entries, signs, strict=True):
+            ways[own] = sign
+        given = {name: value for name, value in point.numbers.items() if name != "held"}
+
+        def loop(x: float) -> LoopPoint:
+            return replace(point, numbers=point.motions.numbers(given | {"p": point.numbers["p"] * np.exp(x * ways)}))
+
+        def by(there: LoopPoint, slopes: Slopes) -> tuple[dict[str, Any], float]:
+            return dict(slopes), float(slopes["p"] @ (ways * there.numbers["p"]))
+
+        return Line(loop, lambda x: rates_of(loop(x))[0], 0.0, by)
+
+
+def _of_springs(loop: UncertainLoop) -> UncertainLoop:
+    """The loop with one factor of all springs where nothing is said of factors."""
+    box = loop.box
+    return loop if box.uncertainty else replace(loop, box=UncertaintyBox(box.machine, GROUND, box.nominal_dead_time))
+
+
+def _first(point: LoopPoint) -> float:
+    """The gain that allowed gains are told in: of the first row that has one."""
+    kp = point.numbers["kp"]
+    return float(kp[int(np.argmax(kp > 0))])
