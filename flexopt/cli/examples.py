@@ -23,6 +23,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "explore": (
         "flexopt explore excavator --posture 1,-2 --out excavator.html",
+        "flexopt explore truck-crane --gravity --out crane.html",
         "flexopt explore article --out article.html",
     ),
     "export": (

@@ -9,6 +9,7 @@ import click
 from flexopt.cli.common import (
     BASE,
     CONTROL,
+    GRAVITY,
     JSON,
     check_output,
     given,
@@ -33,6 +34,7 @@ PAGE = "flexopt-explorer.html"
 @value("--posture", "A,B,…", "Of a machine: how it is held at first, rad (slides: m).", numbers)
 @BASE
 @CONTROL
+@GRAVITY
 @LOOP
 @value("--out", "FILE.html", f"The page ({PAGE} by default).")
 @JSON
@@ -48,7 +50,7 @@ def explore_command(as_json: bool, machine: str, out: str | None, **options: Any
     check_output("--out", path, (".html",))
     loaded = read(load_any, machine)
     own = loaded.loop or loaded.loaded_machine.loop if isinstance(loaded, Problem) else loaded.loop
-    with option_names(options), warnings_to_stderr(as_json):
+    with option_names(options), warnings_to_stderr(True):
         result = explore(loaded, loop=real_loop(own, options.pop("loop")), **given(options))
     write_output("--out", path, lambda: write_file(path, result.page))
     if as_json:

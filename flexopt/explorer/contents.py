@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.explorer.graphs import CLUSTER_TOLERANCE, moving_placement
+from flexopt.explorer.meshes import Meshes
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import control_damping
 from flexopt.loop.outcome import DEAD_TIME
@@ -23,6 +24,8 @@ from flexopt.model.loop import DELAY_MAX
 from flexopt.model.simulation import PART_OF_SAMPLE
 from flexopt.model.uncertainty import SPRINGS, parameters_of
 from flexopt.plant import build_plant
+from flexopt.plant.plant import STATIC_ITERATIONS
+from flexopt.robustness.measures import SOLVE_TOLERANCE
 from flexopt.robustness.residues import residue_unit
 
 # A joint without limits is shown over a whole turn or this way, m, about zero.
@@ -37,8 +40,20 @@ def contents(
     settings: LoopSettings,
     functions: Mapping[str, ca.Function],
     configurations: Mapping[str, tuple[Vector, Vector]],
+    meshes: Meshes,
+    *,
+    gravity: bool,
 ) -> dict[str, Any]:
-    """All that the page is told; `configurations` are named (base, posture)s, the first of which is shown at first."""
+    """All that the page is told.
+
+    Args:
+        machine: which.
+        settings: numbers of its loop.
+        functions: what the page computes with.
+        configurations: named (base, posture)s, the first of which is shown at first.
+        meshes: of its bodies.
+        gravity: whether under the weight.
+    """
     plant = build_plant(machine)
     names = [parameter.name for parameter in machine.parameters]
     values = [parameter.value for parameter in machine.parameters]
@@ -62,11 +77,14 @@ def contents(
         "n_task": plant.n_task,
         "dimensions": functions["skeleton"].size1_out(0),
         "segments": [list(pair) for pair in plant.graph.segments],
-        "frames": list(plant.frames.names) if machine.capsules else [],
+        "frames": list(plant.frames.names) if "frames" in functions else [],
         "capsules": [
             {"body": plant.frames.names.index(c.body), "start": list(c.start), "end": list(c.end), "radius": c.radius}
             for c in machine.capsules
         ],
+        "meshes": meshes.layout(plant.frames.names),
+        "meshes_note": meshes.told,
+        "weight": {"steps": STATIC_ITERATIONS, "tolerance": SOLVE_TOLERANCE} if gravity else None,
         "support": [list(point) for point in machine.support_points],
         "size": size_of(machine, *next(iter(configurations.values()))),
         "parameters": values,
@@ -78,7 +96,7 @@ def contents(
         "unit": residue_unit(settings.control, machine.joint_units),
         "cluster_tolerance": CLUSTER_TOLERANCE,
         "configurations": shown,
-        "loop": _loop(machine, settings),
+        "loop": _loop(machine, settings, gravity=gravity),
     }
 
 
@@ -103,8 +121,8 @@ def _payload_max(machine: AnyMachine, present: float) -> float:
     return math.ceil(wanted / step) * step
 
 
-def _loop(machine: AnyMachine, settings: LoopSettings) -> dict[str, Any]:
-    motions, plant, numbers = settings.motions(machine, gravity=False), build_plant(machine), settings.numbers
+def _loop(machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> dict[str, Any]:
+    motions, plant, numbers = settings.motions(machine, gravity=gravity), build_plant(machine), settings.numbers
     period = 1 / settings.rate
     return {
         "description": repr(settings).splitlines()[0],

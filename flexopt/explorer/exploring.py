@@ -8,14 +8,17 @@ from __future__ import annotations
 import html
 import json
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from flexopt.errors import FlexoptWarning
 from flexopt.explorer.contents import contents, size_of
 from flexopt.explorer.graphs import explorer_functions, scripts
+from flexopt.explorer.meshes import Meshes, body_meshes
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import path, public
@@ -40,6 +43,8 @@ HEIGHT = 900
 PRESENT, BEST = "present", "recommended"
 # Postures that are tried where none is given.
 TRIED = 64
+# Of the meshes that are left out, so many are named in a warning.
+NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,8 @@ class Explorer(Result):
         machine: its name.
         configurations: (base (n_b,), posture (n,)) by name: `present` and, of a problem, `recommended`.
         page: the whole page, HTML.
+        triangles: of the meshes on it.
+        mesh_bytes: of the page that are meshes.
         provenance: machine, versions and options.
 
     Example:
@@ -58,11 +65,13 @@ class Explorer(Result):
         ['present', 'recommended']
     """
 
-    DOCUMENT = "machine configurations=stands bytes provenance"
+    DOCUMENT = "machine configurations=stands bytes triangles mesh_bytes provenance"
 
     machine: str
     configurations: Mapping[str, tuple[Vector, Vector]]
     page: str = field(repr=False)
+    triangles: int
+    mesh_bytes: int
     provenance: Mapping[str, Any] = field(repr=False)
 
     @public(path=path(".html", parent=True))
@@ -97,7 +106,8 @@ class Explorer(Result):
 
     def __repr__(self) -> str:
         words = " and ".join(self.configurations)
-        return f"Explorer({self.machine}: {words} configuration, page of {self.bytes / 1e3:.0f} kB)"
+        meshes = f", {self.mesh_bytes / 1e3:.0f} of them meshes of {self.triangles} triangles" if self.triangles else ""
+        return f"Explorer({self.machine}: {words} configuration, page of {self.bytes / 1e3:.0f} kB{meshes})"
 
 
 def _explored(arguments: Arguments, field: str, value: Any) -> Any:
@@ -114,8 +124,8 @@ def _explored(arguments: Arguments, field: str, value: Any) -> Any:
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """A problem brings control and configuration."""
     if isinstance(given["machine_or_problem"], Problem | SelectionProblem):
-        for name in ("posture", "base", "control"):
-            if given[name] is not None:
+        for name in ("posture", "base", "control", "gravity"):
+            if given[name] is not None and given[name] is not False:
                 arguments.note(name, "goes with a machine; the problem brings its own", given[name])
 
 
@@ -126,13 +136,15 @@ def explore(
     *,
     base: Any = None,
     control: Control | None = None,
+    gravity: bool = False,
     loop: Any = None,
 ) -> Explorer:
     """One HTML page on which a machine is moved with the mouse, computed in the browser with its own graphs.
 
     The end-point and the base can be dragged. The page shows, for each mode of K φ = ω² M φ, frequency, w_i, |a_i||b_i|
     and the angle between a_i and b_i; a map of w_i or V = Σ αi wi over two joints; and how fast the sampled loop of
-    given gains, dead time, payload and soil decays or grows. It needs no network and no server.
+    given gains, dead time, payload and soil decays or grows. It needs no network and no server. A machine in space is
+    drawn with the meshes of its robot file, where the extra `meshes` is installed, else with its capsules.
 
     Args:
         machine_or_problem: from `flexopt.load`, `flexopt.load_problem` or `flexopt.build_selection`. Of a problem the
@@ -140,13 +152,17 @@ def explore(
         posture: of a machine: the actuated joints at first, (n,), rad or m; by default one far from singular ones.
         base: of a machine: its placement at first, (n_b,), m and rad; 0 by default.
         control: of a machine: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default the loop's.
+        gravity: of a machine: everything under static deflection, as in `flexopt.evaluate`.
         loop: the real controller, as in `flexopt.outcome`; the machine's own by default.
 
     Returns:
         An `Explorer`: `.save("page.html")`; a notebook shows it by itself.
 
     Raises:
-        InputError: an argument is not usable; the start is a singular posture.
+        InputError: an argument is not usable; the start is a singular posture; the springs do not hold the weight.
+
+    Warns:
+        FlexoptWarning: a mesh of the robot file is not drawn, and why; the capsules of its body stay.
 
     Example:
         >>> import flexopt
@@ -157,7 +173,7 @@ def explore(
         machine = machine_or_problem
         place = np.zeros(len(machine.base_coordinates)) if base is None else base
         start = _open_posture(machine, place) if posture is None else posture
-        return _page(machine, {PRESENT: (place, start)}, control, loop, {"title": machine.name})
+        return _page(machine, {PRESENT: (place, start)}, control, loop, gravity, {"title": machine.name})
     asked: Problem | SelectionProblem = machine_or_problem
     found = select(**asked.select_arguments()) if isinstance(asked, Problem) else solve_selection(asked)
     problem = found.problem
@@ -166,7 +182,7 @@ def explore(
     title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)
     sought = problem.objectives[-1]
     told = {"title": title, "target": problem.target.tolist(), "objective": sought.name, "weights": sought.alpha}
-    return _page(problem.machine, configurations, problem.control, own if loop is None else loop, told)
+    return _page(problem.machine, configurations, problem.control, own if loop is None else loop, problem.gravity, told)
 
 
 def _page(
@@ -174,24 +190,45 @@ def _page(
     configurations: Mapping[str, tuple[Vector, Vector]],
     control: Control | None,
     loop: Loop | None,
+    gravity: bool,
     told: Mapping[str, Any],
 ) -> Explorer:
     """The page of configurations by name, the first of which it shows at first; `told`: title and target."""
     base, posture = next(iter(configurations.values()))
-    settings, _ = settings_at(machine, posture, base, control, loop, gravity=False, call="explore")
-    measures, motions = build_measures(machine, settings.control), settings.motions(machine, gravity=False)
-    functions = explorer_functions(measures, motions)
-    data = contents(machine, settings, functions, configurations) | NOTHING_ASKED | dict(told)
+    settings, _ = settings_at(machine, posture, base, control, loop, gravity=gravity, call="explore")
+    measures = build_measures(machine, settings.control, gravity)
+    meshes = body_meshes(machine.visual_shapes)
+    _warn_of(meshes)
+    motions, bodies = settings.motions(machine, gravity=gravity), bool(machine.capsules or meshes.bodies)
+    functions = explorer_functions(measures, motions, frames=bodies)
+    data = contents(machine, settings, functions, configurations, meshes, gravity=gravity)
+    data |= NOTHING_ASKED | dict(told)
     page = render(
         "explorer/templates/page.html",
         # Inside a script element nothing may look like its end.
         data=json.dumps(json_ready(data), allow_nan=False, ensure_ascii=False).replace("<", "\\u003c"),
         graphs=scripts(functions),
         title=told["title"],
+        weight=gravity,
         palettes=PALETTES,
         inks=json.dumps(LIGHT.named() | {"series": LIGHT.series}),
     )
-    return Explorer(machine.name, dict(configurations), page, provenance(machine, control=settings.control))
+    return Explorer(
+        machine=machine.name,
+        configurations=dict(configurations),
+        page=page,
+        triangles=meshes.triangles,
+        mesh_bytes=sum(len(mesh[key]) for mesh in data["meshes"] for key in ("corners", "triangles")),
+        provenance=provenance(machine, control=settings.control, gravity=gravity),
+    )
+
+
+def _warn_of(meshes: Meshes) -> None:
+    if meshes.left_out:
+        more = len(meshes.left_out) - NAMED
+        listed = [*meshes.left_out[:NAMED], *([f"and {more} more"] if more > 0 else [])]
+        sentence = f"explore: not drawn, so that capsules stay: {'; '.join(listed)}"
+        warnings.warn(sentence, FlexoptWarning, stacklevel=6)
 
 
 def _open_posture(machine: AnyMachine, base: Vector) -> Vector:

@@ -13,6 +13,7 @@ import casadi as ca
 from flexopt.explorer.javascript import script_of
 from flexopt.loop.small_motions import SmallMotions
 from flexopt.plant.singularity import screened
+from flexopt.plant.statics import left_over
 from flexopt.robustness.measures import Measures
 from flexopt.robustness.modes import CLUSTER_TOLERANCE
 from flexopt.robustness.residues import measure, summed_residue
@@ -20,31 +21,32 @@ from flexopt.robustness.residues import measure, summed_residue
 __all__ = ["CLUSTER_TOLERANCE", "explorer_functions", "moving_placement", "scripts"]
 
 
-def explorer_functions(measures: Measures, motions: SmallMotions) -> dict[str, ca.Function]:
-    """Functions by the names that the page has for them.
+def explorer_functions(measures: Measures, motions: SmallMotions, *, frames: bool) -> dict[str, ca.Function]:
+    """Functions by the names that the page has for them; `frames`: whether bodies are drawn.
 
-    `skeleton`, `frames`: where the machine is at q. `rest`: q at a posture. `reach`: r and J_B at rest. `reduced`: K_p,
-    M̄ and F of the modes and `screen`, how far from singular (`screened`); `more` besides: follow, D. `measure` and
-    `symmetric`: w_i of f, whose first columns are the mode, and what its eigenvectors `vectors` are of. `motions`: the
-    linear loop; `own`: M and Jv at rest, for the self-motion.
+    `skeleton`, `frames`: where the machine is at q. `unloaded`: q at a posture; under the weight `sink`: a step towards
+    the static deflection, `held`, about which all others are: `rest`: q; `reach`: r and its derivative by base and
+    posture; `reduced`: K_p, M̄ and F of the modes, `screen`, how far from singular (`screened`), and `left_over` of the
+    deflection; `more` besides: follow, D; `own`: M and Jv, for the self-motion; `motions`: the linear loop. `measure`
+    and `symmetric`: w_i of f, whose first columns are the mode, and what its eigenvectors `vectors` are of.
     """
     plant, expansion, g = measures.plant, measures.expansion, measures.plant.graph
-    at, names = measures.inputs, ["base", "posture", "p"]
-    rest = plant.rest(*at)
-    end_point = plant.end_point(rest, g.base, g.p)
-    stiffness, mass, factors = expansion.graphs
-    screen = screened(plant)["screen"]
-    found = {
-        "skeleton": plant.skeleton,
-        "rest": plant.rest,
-        "reach": _function("reach", at, names, {"r": end_point, "J": plant.base_jacobian(*at)}),
-        "reduced": _function("reduced", at, names, {"K": stiffness, "M": mass, "F": factors, "screen": screen}),
-        "more": _function("more", at, names, {"follow": expansion.pencil.follow, "D": expansion.point.damping}),
-        "own": _function("own", at, names, {"M": plant.mass(rest, g.base, g.p),
-                                            "Jv": plant.rigid_jacobian(rest, g.base, g.p)}),
-        "motions": motions.matrices,
+    point, (stiffness, mass, factors) = expansion.point, expansion.graphs
+    about = {
+        "rest": {"q": point.q},
+        "reach": {"r": point.end_point, "J": ca.jacobian(point.end_point, ca.vertcat(g.base, g.posture))},
+        "reduced": {"K": stiffness, "M": mass, "F": factors, "screen": screened(plant)["screen"],
+                    "left_over": left_over(plant, point) if measures.gravity else ca.SX(0)},
+        "more": {"follow": expansion.pencil.follow, "D": point.damping},
+        "own": {"M": point.mass, "Jv": point.rigid_jacobian},
     }  # fmt: skip
-    if measures.plant.machine.capsules:
+    at, names = [*measures.inputs, expansion.held_parts["deflection"]], ["base", "posture", "p", "held"]
+    found = {"skeleton": plant.skeleton, "unloaded": plant.rest, "motions": motions.matrices} | {
+        name: _function(name, at, names, outputs) for name, outputs in about.items()
+    }
+    if measures.gravity:
+        found["sink"] = plant.static_step
+    if frames:
         found["frames"] = plant.body_frames
     return found | _measure(plant.n_task, plant.n_passive)
 

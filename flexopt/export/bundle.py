@@ -369,7 +369,7 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         "prefix": library.prefix,
         "bundle_sha256": bundle_hash,
         "machine_sha256": machine.content_hash,
-        "machine": machine.to_dict(),
+        "machine": {key: value for key, value in machine.to_dict().items() if key != "visuals"},
         "options": options,
         "tolerance": TOLERANCES[library.real],
         "sizes": library.sizes,

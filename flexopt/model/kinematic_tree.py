@@ -25,6 +25,7 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.file_model import FileModel
 from flexopt.model.tree_quantities import (
+    UNTURNED,
     Axis,
     InertiaSix,
     Pair,
@@ -37,7 +38,6 @@ Row = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 Placement = Literal["x", "y", "yaw"]
 ORIENTATION_ROWS: tuple[Row, ...] = ("roll", "pitch", "yaw")
 INERTIA_ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
-UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class TreeJoint(FileModel):

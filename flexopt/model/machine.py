@@ -21,7 +21,7 @@ from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.kinematic_tree import KinematicTree, units_of
 from flexopt.model.loop import Loop, loop_faults
 from flexopt.model.strokes import CylinderTravel, usable_range
-from flexopt.model.tables import Capsule
+from flexopt.model.tables import Capsule, Visual
 from flexopt.model.tree_quantities import axes_about, snapped_rows
 from flexopt.model.uncertainty import Uncertainty, uncertainty_faults
 
@@ -192,6 +192,11 @@ class AnyMachine(BuiltByCall, Described):
         """
 
     @property
+    def visual_shapes(self) -> tuple[Visual, ...]:
+        """What pictures draw of the bodies beside their capsules; empty where nothing is given."""
+        return ()
+
+    @property
     def damped_joints(self) -> bool:
         """Whether any actuated joint has friction."""
         return any(body.joint.joint_damping > 0 for body in self.kinematic_tree.actuated)
@@ -233,8 +238,8 @@ class AnyMachine(BuiltByCall, Described):
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of the validated content: the same for two descriptions that say the same."""
-        absent = {name for name in ("loop", "uncertainty") if not getattr(self, name)}
+        """SHA-256 of the validated content: the same for two descriptions that say the same, however they look."""
+        absent = {name for name in ("loop", "uncertainty") if not getattr(self, name)} | {"visuals"}
         return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
     def to_dict(self) -> dict[str, Any]:

@@ -79,11 +79,22 @@ def _size_faults(where: str, places: Table, dimension: int) -> list[Fault]:
 
 def capsule_faults(data: Table, bodies: list[Any], dimension: int) -> list[Fault]:
     """Capsules of bodies that are not there, and ends with too few or too many coordinates."""
-    faults: list[Fault] = []
+    faults = _unknown_bodies(data, "capsules", bodies)
     for index, capsule in enumerate(tables_of(data.get("capsules"))):
-        body, where = capsule.get("body"), f"capsules[{index}]"
+        faults += _size_faults(f"capsules[{index}]", {key: capsule.get(key) for key in ("start", "end")}, dimension)
+    return faults
+
+
+def visual_faults(data: Table, bodies: list[Any]) -> list[Fault]:
+    """Visuals of bodies that are not there."""
+    return _unknown_bodies(data, "visuals", bodies)
+
+
+def _unknown_bodies(data: Table, word: str, bodies: list[Any]) -> list[Fault]:
+    faults: list[Fault] = []
+    for index, table in enumerate(tables_of(data.get(word))):
+        body = table.get("body")
         if isinstance(body, str) and body and body not in bodies:
             meant = hint_or_list(body, [name for name in bodies if isinstance(name, str)])
-            faults.append(Fault(f"{where}.body", f"is no body's name{meant}", quoted(body)))
-        faults += _size_faults(where, {key: capsule.get(key) for key in ("start", "end")}, dimension)
+            faults.append(Fault(f"{word}[{index}].body", f"is no body's name{meant}", quoted(body)))
     return faults

@@ -1,14 +1,15 @@
-"""Tables that machines of both kinds have: payload, capsules around bodies, what the undercarriage stands on."""
+"""Tables of machines: payload, capsules around bodies, what pictures draw of them, what the undercarriage stands on."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from flexopt.foundation.quantities import OFFSET, Length, MassOrZero, pair, vector
 from flexopt.model.file_model import FileModel
 from flexopt.model.polygons import check_convex_polygon
+from flexopt.model.tree_quantities import UNTURNED, Matrix3, Point, check_matrix
 
 # On a body, in its axes.
 Place = Annotated[
@@ -44,6 +45,28 @@ class Capsule(FileModel):
     start: Place
     end: Place
     radius: Length
+
+
+class Visual(FileModel):
+    """What a picture draws of a body in space: a mesh from a file, or a shape. No number depends on it.
+
+    A point v of it lies at `matrix` v + `position` in the body's frame. Shapes are of unit size about their origin.
+
+    Attributes:
+        body: that it moves with; the anchor frame where none is given.
+        shape: `"mesh"`, `"box"` (edges of 2 m), `"sphere"` (radius 1 m) or `"cylinder"` (radius 1 m, z from −1 to 1 m).
+        file: of a mesh, STL, OBJ or COLLADA.
+        matrix: what turns and scales it, three rows.
+        position: of its origin, m, in the body's frame.
+        why: it cannot be drawn, where it cannot.
+    """
+
+    body: str | None = None
+    shape: Literal["mesh", "box", "sphere", "cylinder"] = "mesh"
+    file: str = ""
+    matrix: Annotated[Matrix3, check_matrix] = UNTURNED
+    position: Point = (0.0, 0.0, 0.0)
+    why: str = ""
 
 
 class Span(FileModel):

@@ -18,7 +18,7 @@ from flexopt.model.kinematic_tree import (
     TreeJoint,
 )
 from flexopt.model.machine import AnyMachine, Entry, Parameter
-from flexopt.model.tables import Payload, Polygon
+from flexopt.model.tables import Payload, Polygon, Visual
 from flexopt.model.tree_faults import tree_faults
 
 
@@ -27,7 +27,7 @@ class Tree(AnyMachine):
 
     Gravity acts along −z. `stiffness_matrix` and `damping_matrix` stand in for `stiffness` and `damping` of the passive
     joints that they name. `placement` lists the coordinates of the anchor frame that the operator chooses. `capsules`
-    say what the bodies fill, `support` what the undercarriage stands on.
+    say what the bodies fill, `support` what the undercarriage stands on, `visuals` what pictures draw.
 
     Example:
         >>> machine = flexopt.load("slewing-excavator")
@@ -44,6 +44,7 @@ class Tree(AnyMachine):
     placement: tuple[Placement, ...] = ("x", "y", "yaw")
     payload: Payload = Payload.model_construct()
     support: Polygon | None = None
+    visuals: tuple[Visual, ...] = ()
 
     __hash__ = AnyMachine.__hash__
 
@@ -82,6 +83,11 @@ class Tree(AnyMachine):
     def support_points(self) -> tuple[tuple[float, ...], ...]:
         """Corners (x, y) of the polygon that the undercarriage stands on, m, counter-clockwise; empty without one."""
         return () if self.support is None else self.support.polygon
+
+    @property
+    def visual_shapes(self) -> tuple[Visual, ...]:
+        """See `AnyMachine`."""
+        return self.visuals
 
     def parameter_entries(self) -> list[Entry]:
         """See `AnyMachine`.

@@ -25,6 +25,7 @@ from flexopt.foundation.quantities import (
 
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
+UNTURNED: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 # Entries of axes and rotations this near to 0 or ±1 are meant to be it; cos(π/2) is 6e-17.
 SNAP = 1e-14
 # How far a rotation matrix may be from orthogonal: it is then made orthogonal.
@@ -74,6 +75,16 @@ def check_rotation(value: Any) -> Matrix3:
         exact = left @ right
         matrix = matrix if np.abs(exact - matrix).max() < SNAP else exact
     return snapped_rows(matrix)
+
+
+@accepting(a_list(_DIRECTION.accepts or {}, 3, 3))
+def check_matrix(value: Any) -> Matrix3:
+    """A matrix (3, 3) by rows."""
+    rows = entries(value)
+    if len(rows) != 3:
+        raise ValueError("must be three rows of three numbers")
+    first, second, third = (_DIRECTION(row) for row in rows)
+    return cast(Matrix3, (first, second, third))
 
 
 def snapped_rows(matrix: np.ndarray[Any, np.dtype[np.float64]]) -> Matrix3:

@@ -274,6 +274,14 @@ class Plant:
             q_p = self._newton_step(q_p, g.base, g.posture, g.p)
         return self._of_posture("deflected", [q_p], ["q_p"])
 
+    @cached_property
+    def static_step(self) -> ca.Function:
+        """One of the Newton steps of `deflected`: from q_p (m,) to the next. Inputs q_p, base, posture, p."""
+        g, q_p = self.graph, ca.SX.sym("q_p", self.n_passive)
+        stepped = self._newton_step(q_p, g.base, g.posture, g.p)
+        inputs = {"q_p": q_p, "base": g.base, "posture": g.posture, "p": g.p}
+        return self._function("static_step", inputs, [ca.densify(stepped)], ["next"])
+
     @public(base=_SX, posture=_SX, p=_SX, deflection=_SX)
     def operating_point(self, base: ca.SX, posture: ca.SX, p: ca.SX, deflection: ca.SX | None = None) -> OperatingPoint:
         """Graphs at rest, or under gravity about the passive coordinates `deflection` (m,) from `deflected`.

@@ -1,12 +1,19 @@
-"""Whether the springs hold the machine under gravity."""
+"""Whether the springs hold the machine under gravity, and what its static deflection leaves over."""
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 
 from flexopt.errors import InputError
 from flexopt.foundation.arrays import Vector
-from flexopt.plant.plant import Plant
+from flexopt.plant.plant import OperatingPoint, Plant
+
+
+def left_over(plant: Plant, at: OperatingPoint) -> ca.SX:
+    """Force that the deflection of an operating point leaves over, relative to the weight; a graph of base and p."""
+    weight = ca.norm_inf(plant.gravity(at.q, plant.graph.base, plant.graph.p)[: plant.n_passive])
+    return ca.norm_inf(at.static_residual) / (1 + weight)
 
 
 def check_held(plant: Plant, q: Vector, base: Vector) -> Vector:

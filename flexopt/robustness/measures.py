@@ -19,6 +19,7 @@ from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import screened
+from flexopt.plant.statics import left_over
 from flexopt.robustness.expansion import Expansion, Held
 from flexopt.robustness.modes import WRITTEN_OUT, modes_function, quick_modes
 from flexopt.robustness.residues import rigid_residue
@@ -188,8 +189,7 @@ class Measures:
         if self.gravity:
             m = plant.n_passive
             at = plant.operating_point(g.base, g.posture, g.p, plant.deflected(g.base, g.posture, g.p))
-            weight = ca.norm_inf(plant.gravity(at.q, g.base, g.p)[:m])
-            outputs["left_over"] = ca.norm_inf(at.static_residual) / (1 + weight)
+            outputs["left_over"] = left_over(plant, at)
             outputs["least_pivot"] = ca.mmin(ca.ldl(ca.densify(at.stiffness[:m, :m]))[0])
         return compiled.batch(_function("sound", self.inputs, outputs))
 

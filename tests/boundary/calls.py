@@ -193,6 +193,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "posture": POSTURE,
         "base": 0.0,
         "control": "inverse",
+        "gravity": False,
         "loop": {"kp": 1e4, "kv": 1e3},
     },
     "explain": lambda: _machine(
@@ -527,6 +528,7 @@ CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
             "payload": {"mass": 0.0},
             "support": None,
             "placement": ["x", "y", "yaw"],
+            "visuals": (),
         }
         | tree().to_dict()
     ),

@@ -73,6 +73,7 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
     ("Problem", "machine", TEXTS, "looked up where a file is loaded; without a machine nothing can be solved"),
     ("Experiment", "machine", TEXTS, "as of a problem"),
     ("*", "capsules", ("empty list", "empty array"), "none"),
+    ("*", "visuals", ("empty list", "empty array"), "none"),
     ("*", "uncertainty", ("empty list", "empty array"), "none"),
     ("Uncertainty", "of", ("text", "text in a list", "million slashes", "array of text"), "a name, looked up in calls"),
     ("*", "cylinders", ("empty list", "empty array"), "none"),

@@ -76,11 +76,13 @@ def random_cases(machine: AnyMachine, count: int, seed: int = 0) -> list[dict[st
     return cases
 
 
-def by_python(machine: AnyMachine, explorer: Explorer, cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def by_python(
+    machine: AnyMachine, explorer: Explorer, cases: list[dict[str, Any]], *, gravity: bool = False
+) -> list[dict[str, Any]]:
     """The same by the package."""
     base, posture = next(iter(explorer.configurations.values()))
-    settings, _ = settings_at(machine, posture, base, None, None, gravity=False, call="test")
-    plant, measures = build_plant(machine), flexopt.build_measures(machine, settings.control)
+    settings, _ = settings_at(machine, posture, base, None, None, gravity=gravity, call="test")
+    plant, measures = build_plant(machine), flexopt.build_measures(machine, settings.control, gravity)
     names = [parameter.name for parameter in machine.parameters]
     springs, payload = list(parameters_of((SPRINGS,), machine)), names.index("payload.mass")
     found: list[dict[str, Any]] = []
@@ -92,14 +94,15 @@ def by_python(machine: AnyMachine, explorer: Explorer, cases: list[dict[str, Any
         values = measures.values(*at)
         values = dict(zip(measures.values.name_out(), values, strict=True))
         sizes = measures.w(*at)[1].full().ravel()
-        motions = settings.motions(machine, gravity=False)
+        motions = settings.motions(machine, gravity=gravity)
         given = settings.numbers | {"base": at[0], "posture": at[1], "p": p}
         given |= {name: case["gain"] * given[name] for name in ("kp", "kv", "ki")}
-        loop = LoopPoint(motions, motions.numbers(given), case["deadTime"]).loop
+        point = LoopPoint(motions, motions.numbers(given), case["deadTime"])
+        loop = point.loop
         q = values["q"].full().ravel()
         found.append({
             "omega": np.sqrt(values["omega_squared"].full().ravel()), "w": values["w"].full().ravel(), "size": sizes,
-            "zeta": values["zeta"].full().ravel(), "decay": -loop.growth_rate, "hz": loop.frequency_hz,
+            "zeta": values["zeta"].full().ravel(), "decay": point.decay().value, "hz": loop.frequency_hz,
             "rounding": loop.rounding, "r": values["end_point"].full().ravel(),
             "points": plant.skeleton(q, at[0], p).full().ravel(order="F"),
         })  # fmt: skip

@@ -68,6 +68,12 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
         main(["explore", "article", "--posture", "1,-2", "--out", str(out)])
     assert left.value.code == 2
     assert "--posture: goes with a machine" in capsys.readouterr().err.replace(" = [1.0, -2.0]", "")
+    with pytest.raises(SystemExit) as left:
+        main(["explore", "article", "--gravity", "--out", str(out)])
+    assert left.value.code == 2
+    assert "--gravity: goes with a machine" in capsys.readouterr().err.replace(" = True", "")
+    main(["explore", "excavator", "--posture", "1,-2", "--gravity", "--out", str(out)])
+    assert "under the machine" in out.read_text(encoding="utf-8")
 
 
 def test_a_problem_by_what_the_loop_does() -> None:

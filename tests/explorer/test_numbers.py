@@ -14,8 +14,9 @@ from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 
 import flexopt
+from flexopt.errors import InputError
 from flexopt.explorer.javascript import PIECE, script_of
-from tests.explorer.browser import explored, opened
+from tests.explorer.browser import POSTURE, drag, explored, opened, settled, state
 from tests.explorer.numbers import ASK, by_node, by_python, deviations, model_script, random_cases
 
 MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator")
@@ -37,6 +38,60 @@ def test_the_browser_computes_what_python_computes(name: str, chromium: Browser,
     assert max(worst[each] for each in names) < 1e-9, worst
     if name == "excavator":
         assert {value["decay"] > 0 for value in known} == {True, False}
+
+
+@pytest.mark.needs("chromium")
+@pytest.mark.parametrize("name", MACHINES)
+def test_under_the_weight_too(name: str, chromium: Browser, pages: Path) -> None:
+    """The machine sags to the same place, and its modes and its loop are those about that place."""
+    machine = flexopt.load(name)
+    explorer = flexopt.explore(machine, POSTURE if name == "excavator" else None, gravity=True)
+    cases = random_cases(machine, 25, seed=2)
+    with opened(chromium, explorer, pages) as page:
+        found = page.evaluate(f"(cases) => ({ASK})(cases)", cases)
+        assert "under the machine's weight" in page.locator("footer").inner_text()
+        # Where the end-point is dragged to there it is, with the sag.
+        page.locator("#motion").select_option("off")
+        drag(page, ".handle.end", 20, -10)
+        at = state(page)
+    worst = deviations(found, by_python(machine, explorer, cases, gravity=True))
+    assert max(worst[each] for each in ("omega", "w", "size", "zeta", "decay", "r", "points")) < 1e-9, worst
+    assert worst["w"] < deviations(found, by_python(machine, explorer, cases))["w"]
+    under = flexopt.evaluate(machine, at["posture"], base=at["base"], gravity=True)
+    assert under.end_point == pytest.approx(at["target"], abs=1e-9)
+    assert [mode["w"] for mode in at["modes"]] == pytest.approx(under.w, abs=1e-9 * max(m["size"] for m in at["modes"]))
+
+
+@pytest.mark.needs("chromium")
+def test_springs_that_do_not_hold_the_weight(chromium: Browser, pages: Path) -> None:
+    """Softer soil by its slider until the machine would fall over: a word, and no number."""
+    data = flexopt.load("excavator").to_dict()
+    machine = flexopt.machine_from_dict(data | {"gravity": 100.0})
+    explorer = flexopt.explore(machine, POSTURE, gravity=True)
+    with opened(chromium, explorer, pages) as page:
+        assert page.evaluate("explorer.modes !== null")
+        page.evaluate("""() => { const input = document.querySelector('input[aria-label="soil, all springs"]');
+          input.value = -1; input.dispatchEvent(new Event("input")); }""")
+        page.wait_for_function("explorer.modes === null")
+        assert "do not hold" in page.locator("#verdict").inner_text()
+    soft = flexopt.load("excavator").to_dict() | {"gravity": 100.0}
+    soft["base"] = data["base"] | {"stiffness": {key: value / 10 for key, value in data["base"]["stiffness"].items()}}
+    with pytest.raises(InputError, match="do not hold"):
+        flexopt.evaluate(flexopt.machine_from_dict(soft), POSTURE, gravity=True)
+
+
+@pytest.mark.needs("chromium")
+def test_a_problem_brings_its_weight(chromium: Browser, pages: Path) -> None:
+    problem = flexopt.load_problem("article")
+    under = problem.selection.model_copy(update={"gravity": True})
+    explorer = flexopt.explore(problem.model_copy(update={"selection": under}))
+    with opened(chromium, explorer, pages) as page:
+        page.get_by_role("button", name="recommended").click()
+        settled(page)
+        at = state(page)
+    found = flexopt.evaluate(problem.loaded_machine, at["posture"], base=at["base"], gravity=True)
+    assert found.end_point == pytest.approx(problem.target.end_point, abs=1e-6)
+    assert [mode["hz"] for mode in at["modes"]] == pytest.approx(found.frequencies_hz, rel=1e-9)
 
 
 @pytest.mark.needs("chromium")

@@ -140,8 +140,14 @@ const Linear = {
     return X;
   },
 
-  // e^A by scaling and squaring, Padé approximant of degree 13. Source: Higham, Functions of Matrices, 2008, 10.3.
+  // e^A by scaling and squaring, Padé approximant of degree 13. Source: Higham, Functions of Matrices, 2008, 10.3. Balanced
+  // first: rows in unlike units would ask for many squarings, each of which rounds.
   exponential(A, n) {
+    const { matrix, scale } = this.balance(A, n);
+    return this.balancedExponential(matrix, n).map((x, k) => x * scale[k % n] / scale[Math.floor(k / n)]);
+  },
+
+  balancedExponential(A, n) {
     let norm = 0;
     for (let j = 0; j < n; j++) {
       let s = 0;
@@ -251,6 +257,44 @@ const Linear = {
       for (let i = k + 2; i < n; i++) H[at(i, k)] = 0;
     }
     return this.hessenbergEigenvalues(H, new Float64Array(n * n), n);
+  },
+
+  // An eigenvalue [real, imaginary] refined: μ = yᴴ A x / yᴴ x of its left and right vectors by inverse iteration, which
+  // errs by the square of what they do.
+  refined(A, n, [re, im]) {
+    const x = this.eigenvector(A, n, re, im), y = this.eigenvector(this.transpose(A, n, n), n, re, -im);
+    const inner = (u, v) => {
+      let real = 0, imaginary = 0;
+      for (let k = 0; k < n; k++) {
+        real += u[k] * v[k] + u[n + k] * v[n + k];
+        imaginary += u[k] * v[n + k] - u[n + k] * v[k];
+      }
+      return [real, imaginary];
+    };
+    const moved = this.multiply(A, x, n, n, 2), [a, b] = inner(y, moved), [c, d] = inner(y, x), size = c * c + d * d;
+    if (!(Math.sqrt(size) > 1e-7)) return [re, im];
+    return [(a * c + b * d) / size, (b * c - a * d) / size];
+  },
+
+  // A unit x of (A − μ) x = 0: its real parts, then its imaginary ones.
+  eigenvector(A, n, re, im) {
+    const size = im === 0 ? n : 2 * n, M = new Float64Array(size * size), shift = re * (1 + 1e-14);
+    for (let j = 0; j < n; j++) {
+      for (let i = 0; i < n; i++) {
+        M[i + j * size] = A[i + j * n] - (i === j ? shift : 0);
+        if (size > n) M[n + i + (n + j) * size] = M[i + j * size];
+      }
+      if (size > n) { M[j + (n + j) * size] = im; M[n + j + j * size] = -im; }
+    }
+    let x = Float64Array.from({ length: size }, (_, k) => 1 + 0.1 * Math.sin(k));
+    for (let turn = 0; turn < 3; turn++) {
+      x = this.solve(M, x, size, 1);
+      const length = Math.hypot(...x);
+      x = x.map((z) => z / length);
+    }
+    const whole = new Float64Array(2 * n);
+    whole.set(x);
+    return whole;
   },
 
   hessenbergEigenvalues(R, I, n) {

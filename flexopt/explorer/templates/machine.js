@@ -1,7 +1,7 @@
 "use strict";
 // The machine: its graphs, and what is no graph. Draws nothing.
 
-const CONDITION_MAX = 1e6;
+const CONDITION_MAX = 1e6, NOTHING = new Float64Array(0);
 
 class Model {
   constructor(data, graphs) {
@@ -12,6 +12,7 @@ class Model {
     this.n = data.joints.length;
     this.n_b = data.placement.length;
     this.p = Float64Array.from(data.parameters);
+    this.held = true;
     const { m, r } = this;
     this.scratch = {
       L: new Float64Array(m * m), X: new Float64Array(m * m), S: new Float64Array(m * m), z: new Float64Array(m * m),
@@ -28,16 +29,40 @@ class Model {
     if (this.data.payload !== null && payload !== null) this.p[this.data.payload] = payload;
   }
 
-  rest(base, posture) { return this.graphs.rest.run([base, posture, this.p]).q; }
-  skeleton(q, base) { return this.graphs.skeleton.run([q, base, this.p]).points; }
-  endPoint(base, posture) { return this.graphs.reach.run([base, posture, this.p]).r; }
+  unloaded(base, posture) { return this.graphs.unloaded.run([base, posture, this.p]).q; }
+  // Passive coordinates under the weight, by Newton's steps; none where the page leaves the weight out.
+  deflection(base, posture) {
+    const { weight } = this.data;
+    if (weight === null) return NOTHING;
+    let q = this.unloaded(base, posture).slice(0, this.m);
+    for (let step = 0; step < weight.steps; step++) {
+      const next = this.graphs.sink.run([q, base, posture, this.p]).next.slice();
+      const moved = next.some((x, k) => Math.abs(x - q[k]) > 1e-15 * this.data.size);
+      q = next;
+      if (!moved) break;
+    }
+    return q;
+  }
 
-  // w_i into `scratch.w`, ω² and φ_p beside them; false in a singular posture. One arithmetic for maps and tables.
+  // A graph about rest, under the weight where the page has it.
+  about(name, base, posture) { return this.graphs[name].run([base, posture, this.p, this.deflection(base, posture)]); }
+  // Where it would fall without end, without its weight.
+  rest(base, posture) {
+    const { q } = this.about("rest", base, posture);
+    return q.every(Number.isFinite) ? q : this.unloaded(base, posture);
+  }
+  skeleton(q, base) { return this.graphs.skeleton.run([q, base, this.p]).points; }
+  endPoint(base, posture) { return this.about("reach", base, posture).r; }
+
+  // w_i into `scratch.w`, ω² and φ_p beside them; false in a singular posture, or one that the springs do not hold. One
+  // arithmetic for maps and tables.
   solve(base, posture) {
-    const { m, r } = this, c = this.scratch, at = this.graphs.reduced.run([base, posture, this.p]);
+    const { m, r } = this, c = this.scratch, at = this.about("reduced", base, posture), { weight } = this.data;
+    Linear.cholesky(at.K, m, c.L);
+    this.held = weight === null || (at.left_over[0] <= weight.tolerance && c.L[m * m - 1] > 0);
+    if (!this.held) return false;
     if (!this.data.damped && !(at.screen[0] > 1 / CONDITION_MAX ** 2)) return false;
     // With K = L Lᵀ and X = M̄⁻¹ L the symmetric S = Lᵀ X has S z = ω² z, and φ = X z / ω.
-    Linear.cholesky(at.K, m, c.L);
     c.X.set(c.L);
     Linear.cholesky(at.M, m, c.S);
     Linear.choleskySolve(c.S, m, c.X, m);
@@ -99,7 +124,7 @@ class Model {
   // All that is shown of the modes in a configuration; null in a singular posture.
   modes(base, posture) {
     if (!this.solve(base, posture)) return null;
-    const { m, r, n } = this, c = this.scratch, { follow, D } = this.graphs.more.run([base, posture, this.p]);
+    const { m, r, n } = this, c = this.scratch, { follow, D } = this.about("more", base, posture);
     return Array.from({ length: m }, (_, i) => {
       const a = Array.from(c.f.subarray(i * 2 * r, i * 2 * r + r)), b = Array.from(c.f.subarray(i * 2 * r + r, (i + 1) * 2 * r));
       const passive = c.phi.subarray(i * m, (i + 1) * m), q = m + n, shape = new Float64Array(q);
@@ -122,7 +147,7 @@ class Model {
   place(target, base, posture, steps = 60) {
     const { r, n, n_b } = this, q = Float64Array.from(posture), limits = this.data.limits;
     const away = (point) => target.map((t, k) => t - point[k]), size = (e) => Math.hypot(...e);
-    let now = this.graphs.reach.run([base, q, this.p]);
+    let now = this.about("reach", base, q);
     let e = away(now.r), J = now.J.slice(), error = size(e), damping = 1e-6;
     for (let step = 0; step < steps && error > 1e-13 * this.data.size; step++) {
       const free = Array.from({ length: n }, (_, j) => {
@@ -152,7 +177,7 @@ class Model {
         if (low !== null) next[j] = Math.max(low, next[j]);
         if (high !== null) next[j] = Math.min(high, next[j]);
       }
-      now = this.graphs.reach.run([base, next, this.p]);
+      now = this.about("reach", base, next);
       const left = away(now.r), tried = size(left);
       if (tried < error) {
         const gained = 1 - tried / error;
@@ -175,7 +200,7 @@ class Loop {
   // One sample's Φ of x = [s, law, forces on their way], and how many states s has.
   sample(base, posture, numbers) {
     const { graphs, p, data } = this.model, { run, inputs, outputs } = graphs.motions;
-    const given = { base, posture, p, held: new Float64Array(0), period: [this.data.period], ...this.data.numbers, ...numbers };
+    const given = { base, posture, p, held: this.model.deflection(base, posture), period: [this.data.period], ...this.data.numbers, ...numbers };
     const values = run(inputs.map(([name, size]) => given[name] ?? new Float64Array(size)));
     const P = Object.fromEntries(outputs.map(([name, m, n]) => [name, new Matrix(m, n, values[name].slice())]));
     const { flow, drive, direct, spread, force, law, measured } = P, T = this.data.period;
@@ -209,8 +234,9 @@ class Loop {
     return [Math.floor(samples) + 1, deadTime - Math.floor(samples) * this.data.period];
   }
 
-  // Decay of the slowest motion, 1/s, its frequency, and what nearer to zero is neither growth nor decay.
-  verdict(base, posture, numbers) {
+  // Decay of the slowest motion, 1/s, its frequency, and what nearer to zero is neither growth nor decay. `rough`: to the
+  // digits that a colour shows.
+  verdict(base, posture, numbers, rough = false) {
     const { matrix } = this.sample(base, posture, numbers), T = this.data.period, size = matrix.m;
     if (!matrix.a.every(isFinite)) return { decay: -Infinity, hz: NaN, rounding: 0, drift: [] };
     const { matrix: balanced, scale } = Linear.balance(matrix.a, size);
@@ -231,7 +257,8 @@ class Loop {
       own.forEach((k) => drift.push(Math.log(values[k][0]) / T));
       values = values.filter((_, k) => !own.includes(k));
     }
-    const slowest = values.reduce((x, y) => (Math.hypot(...y) > Math.hypot(...x) ? y : x));
+    const found = values.reduce((x, y) => (Math.hypot(...y) > Math.hypot(...x) ? y : x));
+    const slowest = rough ? found : Linear.refined(balanced, size, found);
     return {
       decay: -Math.log(Math.hypot(...slowest)) / T, hz: Math.abs(Math.atan2(slowest[1], slowest[0])) / (2 * Math.PI * T),
       rounding: 10 * size * 2.220446049250313e-16 * Math.hypot(...balanced) / T, drift,
@@ -241,7 +268,7 @@ class Loop {
   // Which eigenvalues belong to an arm that drifts along its self-motion: real ones, and its the kinetic energy.
   drifting(base, posture, M, U, scale, values, most) {
     const { m, r, n } = this.model, data = this.model.data, q = m + n;
-    const at = this.model.graphs.own.run([base, posture, this.model.p]), mass = new Matrix(q, q, at.M.slice());
+    const at = this.model.about("own", base, posture), mass = new Matrix(q, q, at.M.slice());
     const square = new Matrix(n, n).put(0, 0, new Matrix(r, n, at.Jv.slice()));
     const own = new Matrix(q, n - r).put(m, 0, new Matrix(n, n, Linear.singular(square.a, n).vectors).columns(r, n));
     const toQ = new Matrix(q, q, Float64Array.from(data.loop.to_q)), inner = own.T.times(mass).times(own);

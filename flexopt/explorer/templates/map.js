@@ -78,7 +78,7 @@ class JointMap {
     posture[into.x] = this.value(into.x, i + stride / 2, CELLS);
     posture[into.y] = this.value(into.y, j + stride / 2, CELLS);
     const good = this.model.solve(into.base, posture), { w } = this.model.scratch;
-    const decay = good && into.gains !== null ? this.loop.verdict(into.base, posture, into.gains).decay : NaN;
+    const decay = good && into.gains !== null ? this.loop.verdict(into.base, posture, into.gains, true).decay : NaN;
     for (let v = j; v < j + stride; v++) {
       for (let u = i; u < i + stride; u++) {
         into.decay[v * CELLS + u] = decay;

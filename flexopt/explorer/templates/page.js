@@ -16,6 +16,7 @@ class Explorer extends Pictures {
     this.model = new Model(data, graphs);
     this.loop = new Loop(this.model);
     this.map = new JointMap(this.model, this.loop);
+    this.meshes = new MeshPainter(data.meshes);
     this.rows = data.rows.map((name) => "xyz".indexOf(name));
     this.mode = 0;
     const sought = /^w(\d+)$/.exec(data.objective ?? "");
@@ -59,7 +60,7 @@ class Explorer extends Pictures {
   moveEnd(target) {
     const { posture, error } = this.model.place(target, this.base, this.posture);
     this.posture = posture;
-    const short = error > 1e-6 * this.data.size;
+    const short = !(error <= 1e-6 * this.data.size);
     this.target = short ? Array.from(this.model.endPoint(this.base, posture)) : target;
     this.note = short ? "Out of reach, or beyond a joint's limit: this is the nearest point." : "";
     this.touched();
@@ -68,7 +69,7 @@ class Explorer extends Pictures {
   // The base to a placement, the end-point kept; where it cannot be kept, the base stays.
   moveBase(base) {
     const { posture, error } = this.model.place(this.target, base, this.posture);
-    if (error > 1e-6 * this.data.size) {
+    if (!(error <= 1e-6 * this.data.size)) {
       this.note = "From there the arm does not reach the end-point: the base stays.";
     } else {
       this.base = Float64Array.from(base);
@@ -231,8 +232,10 @@ class Explorer extends Pictures {
     this.makeMapControls();
     this.makeModes();
     $("motion").addEventListener("change", () => { this.playing = null; this.wake(); });
-    for (const id of ["show-map", "show-arrows"]) $(id).addEventListener("change", () => this.touched());
+    for (const id of ["show-map", "show-arrows", "show-meshes"]) $(id).addEventListener("change", () => this.touched());
     $("map-shown").hidden = data.dimensions !== 2 || this.axes === null;
+    $("meshes-shown").hidden = data.meshes.length === 0;
+    $("meshes-note").textContent = data.meshes_note;
     $("fit").addEventListener("click", () => this.touched(true));
     $("theme").addEventListener("click", () => this.setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
     $("reset").addEventListener("click", () => this.reset());
@@ -400,7 +403,8 @@ class Explorer extends Pictures {
     const { modes, verdict, data } = this, box = $("verdict");
     let word = "undecided", sentence = "Within rounding of neither growth nor decay.";
     if (!modes) {
-      sentence = "Singular posture: the end-point cannot be moved in every direction. Bend the arm.";
+      sentence = this.model.held ? "Singular posture: the end-point cannot be moved in every direction. Bend the arm."
+        : "The springs do not hold the machine's weight in this posture.";
     } else if (verdict.decay === -Infinity) {
       [word, sentence] = ["grows", "Beyond the largest number within one sample."];
     } else if (!(Math.abs(verdict.decay) <= verdict.rounding)) {
@@ -449,7 +453,7 @@ class Explorer extends Pictures {
     const held = others.length ? ` ${others.join(", ")} held as now.` : "";
     const where = this.data.dimensions === 2 ? " In the picture of the machine each cell lies where the end-point is, the arm bent to the present side." : "";
     const side = CELLS / shown.stride, loop = decay ? " The slowest motion of the sampled loop as the sliders have it." : "";
-    $("map-note").textContent = `${side} × ${side} postures, computed exactly at each cell's middle; blank: singular.${loop}${held}${where}`;
+    $("map-note").textContent = `${side} × ${side} postures, computed exactly at each cell's middle; blank: singular${this.data.weight ? ", or not held" : ""}.${loop}${held}${where}`;
   }
 }
 

@@ -25,7 +25,8 @@ class Pictures {
   // The part of the plane that holds what the arm reaches from here, and the ghost.
   fit() {
     const { model, data, base } = this, d = data.dimensions;
-    const points = [...this.shape.points, ...this.ghosts.flatMap((ghost) => ghost.shape.points)];
+    const points = [...this.shape.points, ...this.ghosts.flatMap((ghost) => ghost.shape.points),
+      ...this.meshes.extent(this.shape.places)];
     const seed = { x: 1 }, random = () => { seed.x = (seed.x * 48271) % 2147483647; return seed.x / 2147483647; };
     for (let k = 0; k < 400; k++) {
       const posture = Float64Array.from(data.ranges, ([low, high]) => low + (high - low) * random());
@@ -92,7 +93,7 @@ class Pictures {
     if (d === 2 && $("show-map").checked && this.map.shown !== null) this.underlay(view, painter.c, points[0]);
     if (lifted) painter.springs(shape.points[0], points[0], view.scale * 0.12 * data.size);
     for (const ghost of this.ghosts) painter.machine(ghost.shape, theme.chosen, true);
-    painter.machine(shape, theme.present, false);
+    painter.machine(shape, theme.present, false, this.meshes.bodies.size && $("show-meshes").checked ? this.meshes : null);
     if (data.target) {
       const target = points[points.length - 1].map((x, k) => (this.rows.includes(k) ? data.target[this.rows.indexOf(k)] : x));
       painter.cross(target, theme.text);
@@ -134,7 +135,7 @@ class Pictures {
 
   // To which side the two joints of the map bend the arm.
   branch() {
-    const { J } = this.model.graphs.reach.run([this.base, this.posture, this.model.p]), { r, n_b } = this.model, [x, y] = this.axes;
+    const { J } = this.model.about("reach", this.base, this.posture), { r, n_b } = this.model, [x, y] = this.axes;
     return r < 2 ? 0 : Math.sign(J[(n_b + x) * r] * J[(n_b + y) * r + 1] - J[(n_b + x) * r + 1] * J[(n_b + y) * r]);
   }
 

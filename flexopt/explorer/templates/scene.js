@@ -93,34 +93,40 @@ class View {
   along(dx, dy, up) { return Array.from({ length: this.d }, (_, k) => (this.axes[0][k] * dx - up[k] * dy) / this.scale); }
 }
 
-// Between two colours.
-function mixed(from, to, share) {
+// Between two colours: red, green, blue.
+function blend(from, to, share) {
   const part = (text, k) => parseInt(text.slice(1 + 2 * k, 3 + 2 * k), 16);
-  return `rgb(${[0, 1, 2].map((k) => Math.round((1 - share) * part(from, k) + share * part(to, k))).join()})`;
+  return [0, 1, 2].map((k) => Math.round((1 - share) * part(from, k) + share * part(to, k)));
 }
+function mixed(from, to, share) { return `rgb(${blend(from, to, share).join()})`; }
 
 function columns(points, d) { return Array.from({ length: points.length / d }, (_, k) => Array.from(points.subarray(k * d, k * d + d))); }
 
-// Where the machine is at q: points, capsules and the corners of its support.
+// Where the machine is at q: points, capsules, frames of its bodies and the corners of its support.
 function shapeOf(model, q, base) {
   const { data } = model, d = data.dimensions, points = columns(model.skeleton(q, base), d);
-  let capsules = [];
-  if (data.capsules.length) {
+  let capsules = [], places = [];
+  if (model.graphs.frames) {
     const { origins, rotations } = model.graphs.frames.run([q, base, model.p]);
+    places = Array.from({ length: data.frames.length }, (_, k) => ({
+      rotation: rotations.slice(k * d * d, (k + 1) * d * d), origin: origins.slice(k * d, (k + 1) * d),
+    }));
     capsules = data.capsules.map(({ body, start, end, radius }) => {
       const place = (point) => Array.from({ length: d }, (_, i) => origins[body * d + i]
         + point.reduce((s, x, j) => s + rotations[(body * d + j) * d + i] * x, 0));
-      return { ends: [place(start), place(end)], radius };
+      return { ends: [place(start), place(end)], radius, body };
     });
   }
   const named = Object.fromEntries(data.placement.map((name, k) => [name, base[k]])), yaw = named.yaw ?? 0;
+  // Last the anchor frame, which nothing but the placement moves.
+  if (d === 3) places.push({ rotation: [Math.cos(yaw), Math.sin(yaw), 0, -Math.sin(yaw), Math.cos(yaw), 0, 0, 0, 1], origin: points[0] });
   const support = data.support.map((corner) => {
-    const height = model.skeleton(model.rest(base, new Float64Array(model.n)), base)[d - 1];
+    const height = model.skeleton(model.unloaded(base, new Float64Array(model.n)), base)[d - 1];
     if (d === 2) return [corner[0] + (named.x ?? 0), height];
     return [Math.cos(yaw) * corner[0] - Math.sin(yaw) * corner[1] + (named.x ?? 0),
       Math.sin(yaw) * corner[0] + Math.cos(yaw) * corner[1] + (named.y ?? 0), height];
   });
-  return { points, capsules, support };
+  return { points, capsules, support, places };
 }
 
 class Painter {
@@ -208,7 +214,8 @@ class Painter {
     }
   }
 
-  machine(shape, colour, ghost) {
+  // `meshes`: drawn with the capsules of their bodies as a veil, or null.
+  machine(shape, colour, ghost, meshes = null) {
     const { c, view, theme, size } = this, { points, capsules, support } = shape, flat = points.map((p) => view.at(p));
     c.globalAlpha = ghost ? 0.4 : 1;
     if (support.length) {
@@ -226,9 +233,15 @@ class Painter {
       this.polygon([[x - w, y - h], [x + w, y - h], [x + w, y + h], [x - w, y + h]],
         view.upright ? theme.undercarriage : "rgba(128,128,128,0.25)", theme.edge);
     }
-    const far = capsules.map((capsule) => [view.depth(capsule.ends[0]) + view.depth(capsule.ends[1]), capsule]);
+    const veiled = capsules.filter(({ body }) => meshes !== null && meshes.bodies.has(body));
+    const far = capsules.filter((capsule) => !veiled.includes(capsule)).map((capsule) => [view.depth(capsule.ends[0]) + view.depth(capsule.ends[1]), capsule]);
     far.sort((one, other) => one[0] - other[0]).forEach(([, capsule]) => this.capsule(capsule, colour, ghost));
-    c.globalAlpha = ghost ? 0.4 : capsules.length && view.d === 3 ? 0.55 : 1;
+    if (meshes !== null) {
+      c.globalAlpha = 1;
+      meshes.draw(c, view, shape.places, colour, theme);
+      veiled.forEach((capsule) => this.capsule(capsule, colour, true));
+    }
+    c.globalAlpha = ghost ? 0.4 : (capsules.length || meshes !== null) && view.d === 3 ? 0.55 : 1;
     this.links(points, flat, colour, ghost);
     c.globalAlpha = ghost ? 0.4 : 1;
     this.pins(flat);

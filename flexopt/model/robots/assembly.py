@@ -55,6 +55,7 @@ class Assembly:
         self._capsules = [self._capsule(index, table) for index, table in enumerate(overlay.capsules)]
         if from_collisions:
             self._capsules += [capsule for link in links for capsule in self._round(link)]
+        self._visuals = [visual for link in links for visual in self._seen(link)]
         massless = not any(body.inertial.mass or body.inertial.tensor.any() for body in self.bodies)
         if links and massless and not (overlay.payload.mass or self.faults):
             sentence = "no link that moves has a mass (<inertial>): this description is of the geometry alone"
@@ -83,6 +84,7 @@ class Assembly:
             "placement": overlay.placement,
             "payload": overlay.payload.model_dump(),
             "capsules": tuple(self._capsules),
+            "visuals": tuple(self._visuals),
             "cylinders": tuple(self._cylinders),
             "support": overlay.support and overlay.support.model_dump(),
             "loop": overlay.loop and overlay.loop.model_dump(exclude_unset=True),
@@ -233,6 +235,16 @@ class Assembly:
             start, end = (plain((pose @ Pose(place)).position) for place in (solid.start, solid.end))
             found.append({"body": body.name, "start": start, "end": end, "radius": solid.radius})
         return found
+
+    def _seen(self, link: RobotLink) -> list[dict[str, Any]]:
+        """What pictures draw of the link, in the layout of `Visual`, in the axes of the body that it is part of."""
+        body, pose = self._carriers[link.name]
+        moved = [visual.seen_from(pose) for visual in link.visuals]
+        return [
+            {"body": body and body.name, "shape": visual.shape, "file": visual.file, "why": visual.why,
+             "matrix": tuple(plain(row) for row in visual.matrix), "position": plain(visual.position)}
+            for visual in moved
+        ]  # fmt: skip
 
     def _cylinder(self, index: int, cylinder: Cylinder) -> dict[str, Any]:
         """Its pins in the axes of the bodies that the joint's links are part of."""

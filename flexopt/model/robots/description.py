@@ -15,6 +15,7 @@ import numpy as np
 from flexopt.model.robots.collisions import Solid
 from flexopt.model.robots.elements import Element, Faults
 from flexopt.model.robots.geometry import NO_MOMENT, Array, Inertial, Pose, about, shift
+from flexopt.model.robots.visuals import LinkVisual
 
 # How far the largest principal moment may exceed the sum of the others, as a share of it: printed digits.
 TRIANGLE_ROUNDING = 1e-6
@@ -67,7 +68,7 @@ class Joint:
 class RobotLink:
     """A rigid body. `inertial` is None where the file does not tell it, and `why` is the sentence.
 
-    `solids` are its collision geometry.
+    `solids` are its collision geometry, `visuals` what pictures draw of it.
     """
 
     name: str
@@ -78,6 +79,7 @@ class RobotLink:
     inertial: Inertial | None = field(default_factory=Inertial)
     why: str = ""
     solids: tuple[Solid, ...] = ()
+    visuals: tuple[LinkVisual, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

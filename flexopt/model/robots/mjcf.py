@@ -1,10 +1,10 @@
 """MJCF (MuJoCo's XML) in, a `Description` out.
 
 Read: nested bodies and frames, hinges and slides with stiffness, damping, springref, ref, range and armature,
-inertials, the inertia of primitive geoms, sites, defaults, includes, compiler settings, and what actuators give at
-most. All else of actuators, contacts, sensors and keyframes is left out and noted. What would change the dynamics
-without having a place here (ball joints, flexible bodies, springs that are not linear) is a fault; equality
-constraints, tendons that pull, gravity compensation are `blockers`, which the overlay may ignore by name.
+inertials, the inertia of primitive geoms, what pictures draw, sites, defaults, includes, compiler settings, and what
+actuators give at most. All else of actuators, contacts, sensors and keyframes is left out and noted. What would change
+the dynamics without having a place here (ball joints, flexible bodies, springs that are not linear) is a fault;
+equality constraints, tendons that pull, gravity compensation are `blockers`, which the overlay may ignore by name.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from flexopt.model.robots.mjcf_actuators import drive_efforts
 from flexopt.model.robots.mjcf_geoms import geom_inertial
 from flexopt.model.robots.mjcf_joints import read_joint
 from flexopt.model.robots.mjcf_settings import MAIN, Settings, read_settings, with_includes
+from flexopt.model.robots.visuals import LinkVisual, mjcf_meshes, mjcf_visuals
 
 LEFT_OUT = ("contact", "actuator", "sensor", "keyframe", "extension")
 IN_A_BODY = ("body", "frame", "inertial", "joint", "freejoint", "geom", "site", "camera", "light")
@@ -36,7 +37,7 @@ def read_mjcf(root: Element, folder: Path, faults: Faults, *, strict: bool = Tru
 
     Args:
         root: the root element.
-        folder: where paths of included files start.
+        folder: where paths of included files and of meshes start.
         faults: takes faults and warnings.
         strict: whether words that MJCF does not have are faults.
 
@@ -44,7 +45,8 @@ def read_mjcf(root: Element, folder: Path, faults: Faults, *, strict: bool = Tru
         ModelError: an included file cannot be read or is no XML.
     """
     root = check_known(with_includes(root, folder, faults), "mjcf", faults, strict=strict)
-    reader = _MjcfReader(read_settings(root, faults))
+    settings = read_settings(root, faults)
+    reader = _MjcfReader(settings, mjcf_meshes(root, settings, folder))
     for world in root.all("worldbody"):
         reader.children(world, None, Pose(), world.attributes.get("childclass", MAIN), _Body())
     if not reader.links:
@@ -77,11 +79,13 @@ class _Body:
         self.why = ""
         self.has_geoms = False
         self.solids: list[Solid] = []
+        self.visuals: list[LinkVisual] = []
 
 
 class _MjcfReader:
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, meshes: Mapping[str, LinkVisual]) -> None:
         self.settings = settings
+        self.meshes = meshes
         self.faults = settings.faults
         self.links: list[RobotLink] = []
         self.sites: dict[str, Frame] = {}
@@ -117,6 +121,7 @@ class _MjcfReader:
             inertial=None if why else inertial,
             why=why,
             solids=tuple(body.solids),
+            visuals=tuple(body.visuals),
         )
 
     def _part(self, child: Element, of: Element, name: str, pose: Pose, child_class: str, body: _Body) -> None:
@@ -130,6 +135,7 @@ class _MjcfReader:
             body.has_geoms = True
             shape = mjcf_solid(self.settings, element, pose, of)
             body.solids += [] if shape is None else [shape]
+            body.visuals += mjcf_visuals(self.settings, element, pose, of, self.meshes)
             solid = geom_inertial(self.settings, element, pose, of)
             if isinstance(solid, str):
                 body.why = solid

@@ -65,7 +65,8 @@ of the anchor frame. A free joint of the root link gives way to [base]; a mimic 
 refused where that moves. Effort and speed come from URDF's <limit effort=… velocity=…> (0 is none), or from MJCF's
 `actuatorfrcrange` and the range of a joint's only actuator. `capsules = "collision"` in place of the tables takes the
 capsules from the robot file: each encloses one shape of its collision geometry. Shapes that are not read, meshes above
-all, are warned of.
+all, are warned of. What pictures draw, shapes and files of meshes, comes from the robot file without a key of its own:
+<visual> of URDF, and of MJCF the geoms of the groups 0 to 2.
 """
 
 from __future__ import annotations
@@ -191,7 +192,7 @@ def read_description(path: Path, name: str, *, strict: bool = True) -> tuple[Des
     root = parse(path, name)
     faults = Faults()
     if root.tag == "robot":
-        return read_urdf(root, faults, strict=strict), faults.faults
+        return read_urdf(root, path.parent, faults, strict=strict), faults.faults
     if root.tag == "mujoco":
         return read_mjcf(root, path.parent, faults, strict=strict), faults.faults
     hint = "; convert SDF to URDF first" if root.tag == "sdf" else ""

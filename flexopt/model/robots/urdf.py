@@ -1,7 +1,7 @@
 """URDF in, a `Description` out.
 
 A link without <inertial> is massless, a joint without <origin> stands at its parent's frame, without <axis> along x;
-meshes and visuals are not looked at, what stands there for other programs (gazebo, transmission, left-over macros) is
+what stands there for other programs (gazebo, transmission, left-over macros) is
 left out with a warning, what URDF does not know is a fault. Floating joints are kept for the overlay to replace (root
 link) or refuse; planar ones are refused.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from flexopt.model.robots.description import Description, Joint, Kind, Mimic, Ro
 from flexopt.model.robots.elements import Element, Faults, unique
 from flexopt.model.robots.geometry import Inertial, Pose, from_quaternion, from_rpy, tensor
 from flexopt.model.robots.known import check_known
+from flexopt.model.robots.visuals import urdf_visuals
 
 KINDS: dict[str, Kind | None] = {
     "revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "fixed": None, "floating": "free",
@@ -30,11 +32,12 @@ XACRO = "is xacro, a macro language; expand it to URDF first: xacro robot.urdf.x
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
-def read_urdf(root: Element, faults: Faults, *, strict: bool = True) -> Description:
+def read_urdf(root: Element, folder: Path, faults: Faults, *, strict: bool = True) -> Description:
     """The robot below <robot>; what is wrong is added to `faults`.
 
     Args:
         root: the root element.
+        folder: where paths of meshes start.
         faults: takes faults and warnings.
         strict: whether words that URDF does not have are faults.
 
@@ -53,7 +56,7 @@ def read_urdf(root: Element, faults: Faults, *, strict: bool = True) -> Descript
         faults.add(root, "has no <link>")
     above = _parents(faults, links, joints)
     order = _topological(faults, root, links, above)
-    read = [_link(faults, link, above.get(_name(link))) for link in order]
+    read = [_link(faults, link, above.get(_name(link)), folder) for link in order]
     if faults.faults:
         for macro in [element for element in written.walk() if element.tag.startswith("xacro:")][:1]:
             faults.add(macro, XACRO)
@@ -126,7 +129,7 @@ def _topological(
     return [by_name[name] for name in order]
 
 
-def _link(faults: Faults, link: Element, above: tuple[str, Element] | None) -> RobotLink:
+def _link(faults: Faults, link: Element, above: tuple[str, Element] | None, folder: Path) -> RobotLink:
     parent, element = above or (None, None)
     pose = Pose() if element is None else _origin(faults, element, element)
     joint = None if element is None else _joint(faults, element)
@@ -138,6 +141,7 @@ def _link(faults: Faults, link: Element, above: tuple[str, Element] | None) -> R
         joints=() if joint is None else (joint,),
         inertial=_inertial(faults, link),
         solids=urdf_solids(link, _origin),
+        visuals=urdf_visuals(link, _origin, folder),
     )
 
 

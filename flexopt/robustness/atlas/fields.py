@@ -23,6 +23,7 @@ from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import conditions
+from flexopt.plant.statics import left_over
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import NAMES as INPUTS
 from flexopt.robustness.measures import SOLVE_TOLERANCE
@@ -267,11 +268,8 @@ def _function(machine: AnyMachine, control: Control, gravity: bool) -> Economica
     held, _ = expansion.hold(at, modes_function(m))
     point = expansion.point
     divisor = ca.det(expansion.multiplied[0]) if isinstance(expansion, _Smooth) else ca.SX(1)
-    jv, left_over = ca.vec(ca.densify(point.rigid_jacobian)), ca.SX(0)
-    if gravity:
-        weight = ca.norm_inf(plant.gravity(point.q, plant.graph.base, plant.graph.p)[:m])
-        left_over = ca.norm_inf(point.static_residual) / (1 + weight)
-    outputs = [divisor, jv, ca.jacobian(jv, plant.graph.posture), point.end_point, left_over]
+    jv, residual = ca.vec(ca.densify(point.rigid_jacobian)), left_over(plant, point) if gravity else ca.SX(0)
+    outputs = [divisor, jv, ca.jacobian(jv, plant.graph.posture), point.end_point, residual]
     geometry = expansion.of_machine("atlas_geometry", [], outputs)
     found = geometry.call([*at, held["deflection"]] if gravity else at)
     factors = [held["f"], expansion.factor_slopes(at, held), held["omega_squared"], held["same"]]
