@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from typing import Any
 
@@ -17,10 +18,23 @@ _SPECIAL = re.compile(r"([*|\\]|_(?=\W|$))")
 
 
 def signature_of(*given: Any) -> tuple[str, str] | None:
-    """None where it is shown: calls, and classes that users make objects of; what calls give has no signature."""
+    """That of calls, with types as they are written; of classes that users make objects of Sphinx's, without types.
+
+    What calls give has no signature.
+    """
     _, what, _, named, *_ = given
-    made = what != "class" or issubclass(named, (FileModel, Exception, flexopt.Constraint, flexopt.StateSpace))
-    return None if made else ("", "")
+    if what == "class":
+        made = issubclass(named, (FileModel, Exception, flexopt.Constraint, flexopt.StateSpace))
+        return None if made else ("", "")
+    if not callable(named):  # a property
+        return None
+    signature = inspect.signature(named)
+    told = [each for each in signature.parameters.values() if each.name not in ("self", "cls")]
+    bare = str(signature.replace(parameters=told, return_annotation=inspect.Signature.empty))
+    returned = signature.return_annotation
+    # Annotations are text, which Python shows in quotes.
+    shown = re.sub(r""": (?:'([^']*)'|"([^"]*)")""", r": \1\2", bare)
+    return shown, "" if returned is inspect.Signature.empty else str(returned)
 
 
 def restructured(lines: list[str]) -> None:

@@ -109,6 +109,12 @@ EXHIBITS = (
         'result.plot("FILE")',
     ),
     Exhibit(
+        "explanation", "Why a posture is good or bad",
+        "How the end-point moves in each mode and how feedback pushes it, and what to move.", "Explanation",
+        'machine = flexopt.load("excavator")\nresult = flexopt.explain(machine, (0.9929, -2.6306))\n'
+        'result.plot("FILE")',
+    ),
+    Exhibit(
         "sensitivity", "Which unknown matters", "What each explains of every measure, alone and in all.",
         "Sensitivity",
         'machine = flexopt.load("excavator")\nranges = {"stiffness": (0.5, 2.0), "payload.mass": (0.0, 400.0)}\n'

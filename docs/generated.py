@@ -12,8 +12,9 @@ import click
 
 import flexopt
 from docs import gallery
-from docs.public import PLUMBING, TOPICS, names
+from docs.public import TOPICS, TYPES, names, words
 from flexopt.cli import cli
+from flexopt.foundation.offered import PLUMBING
 from flexopt.model.file_schema import MODELS
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
@@ -27,6 +28,10 @@ import flexopt
 
 Examples of a result go on from those of the call that makes it, those of a method from its class's.
 """
+TYPES_SAID = (
+    "What signatures in the reference, in editors and in `help` say. Every value is checked when a call begins, in "
+    "units and ranges that its `Args` tell; integers stand for floats, and nothing but numbers for numbers."
+)
 INTRODUCTIONS = {
     "machine": "A machine file has the keys of `Machine` or, where it has the key `robot`, those of `Overlay`.",
     "problem": "A problem file has the keys of `Problem`.",
@@ -60,7 +65,7 @@ def write_pages(folder: Path) -> None:
     """All of them, those that are as they were left alone, so that Sphinx builds only what changed."""
     pages = {f"reference-{topic}.md": reference(topic) for topic in TOPICS}
     pages |= {f"keys-{kind}.md": keys(kind) for kind in MODELS}
-    pages |= {"errors.md": errors(), "commands.md": commands(), "gallery.md": gallery.page()}
+    pages |= {"errors.md": errors(), "commands.md": commands(), "gallery.md": gallery.page(), "types.md": types()}
     folder.mkdir(exist_ok=True)
     for old in folder.glob("*.md"):
         if old.name not in pages:
@@ -93,6 +98,16 @@ def reference(topic: str) -> str:
         shown = [f".. {directive}:: flexopt.{name}", *options]
         parts.append("\n".join([f"## {name}", "", "```{eval-rst}", *shown, "```"]))
     return "\n\n".join(parts) + "\n"
+
+
+def types() -> str:
+    """Names of types in signatures, and what each takes."""
+    rows = ["# Types in signatures", TYPES_SAID, "| name | what |\n| --- | --- |"]
+    for name, (_, sentence) in TYPES.items():
+        listed = ", ".join(f'`"{word}"`' for word in words(name))
+        told = f"{sentence.rstrip('.')}: {listed}." if listed else sentence
+        rows[-1] += f"\n| `{name}` | {_cell(told)} |"
+    return "\n\n".join(rows) + "\n"
 
 
 def keys(kind: Any) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 # Lines of one message; more of them help nobody. The error's `faults` are all of them.
 FAULTS_SHOWN = 100
@@ -47,7 +46,7 @@ class FlexoptError(Exception):
         self.faults = tuple(faults)
         self.heading = heading
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """JSON-ready description of the error.
 
         Example:
@@ -108,7 +107,7 @@ class UnreachableTarget(InputError):
         self.miss = miss
         self.base_intervals = tuple(base_intervals)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """JSON-ready description, with the miss and the placements that would do.
 
         Example:
@@ -163,7 +162,7 @@ class NotStabilizable(InputError):
         self.mode = mode
         self.kind = kind
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """JSON-ready description, with the mode and the property that fails.
 
         Example:
@@ -194,7 +193,7 @@ class NoSolutionFound(FlexoptError):
         self.violations = violations
         self.iterate = iterate
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """JSON-ready description, with the violated constraints and the best iterate.
 
         Example:
@@ -252,7 +251,7 @@ class StudyInterrupted(FlexoptError):
         super().__init__(message)
         self.folder, self.done, self.chunks = folder, done, chunks
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """JSON-ready description, with how far the study came.
 
         Example:

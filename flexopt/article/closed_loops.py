@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.article.tables import TARGET, X_MOBILE
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, load_experiment
 from flexopt.plant import inverse_kinematics
@@ -128,7 +128,7 @@ class ClosedLoops:
             f"{float(self.climb.base[-1, 0]):.3f} m. The optimised posture is an addition."
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready but for arrays.
 
         Keys: `stated`; `postures` (name: base, m, posture, rad, w, epsilon_max); `loops` (a row for each posture and

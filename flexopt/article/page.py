@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from flexopt.foundation.rendering import render
 from flexopt.study.gains import BorderRow
-from flexopt.study.page import Table, picture, write_files
+from flexopt.study.page import Table, pictures, write_files
 
 if TYPE_CHECKING:
     from flexopt.article.reproduction import Reproduction
@@ -46,7 +46,10 @@ def report_html(result: Reproduction) -> str:
         title="The article, computed again",
         provenance=result.to_dict()["provenance"],
         result=result,
-        pictures={name: picture(figure, CAPTIONS[name]) for name, figure in result.figures().items()},
+        pictures={
+            name: each._replace(caption=CAPTIONS[name])
+            for name, each in pictures(lambda theme: result.figures(theme=theme)).items()
+        },
         servo_gain=_servo_gain(result),
         table2=_table2(result),
         frequencies=_frequencies(result),

@@ -26,9 +26,10 @@ from flexopt.article.tables import (
     reproduce_table2,
     workspace_posture,
 )
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Progress, Vector
 from flexopt.foundation.control import CONTROLS, Control
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.palette import Theme
 from flexopt.foundation.results import Result
 from flexopt.foundation.turns import in_turn
 from flexopt.model import AnyMachine
@@ -36,7 +37,7 @@ from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant
 from flexopt.selection import Selection, select
 from flexopt.study.gains import KV_HELD, RATIOS, GainMap, map_gains
-from flexopt.study.points import Progress, evaluate_points
+from flexopt.study.points import evaluate_points
 from flexopt.study.workspace import map_workspace
 from flexopt.study.workspace_map import WorkspaceMap
 
@@ -105,26 +106,27 @@ class Reproduction(Result):
     loops: ClosedLoops = field(repr=False)
     gains: GainMap = field(repr=False)
     arms: dict[str, Vector] = field(repr=False)
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
-    def figures(self) -> dict[str, Figure]:
-        """The article's figures by name."""
+    def figures(self, *, theme: Theme = "light") -> dict[str, Figure]:
+        """The article's figures by name, on light or dark ground."""
         from flexopt.article import loop_pictures as draw_loops  # noqa: PLC0415
         from flexopt.article import pictures as draw  # noqa: PLC0415  (matplotlib is slow to import)
 
         transpose, inverse = (self.maps[c].dataset for c in ("transpose", "inverse"))
         marks = {"A": PRINTED_WORKSPACE["A"][0], "B, printed point": PRINTED_WORKSPACE["B"][0]}
         marks["B, point of its measures"] = WORKSPACE_B_OF_MEASURES[0]
+        curves = self.curves["transpose", "up"], self.curves["inverse", "up"]
         return {
-            "figure5": draw.plot_figure5(inverse, self.arms),
-            "figure6": draw.plot_figure6(transpose, inverse, self.arms),
-            "figure7": draw.plot_figure7(transpose, inverse),
-            "figure8": draw.plot_figure8(self.curves["transpose", "up"], self.curves["inverse", "up"], marks),
-            "figure9": draw_loops.plot_figure9(self.loops.figure9),
-            "figure10": draw_loops.plot_figure10(self.loops.stopped, self.loops.climb),
-            "figures11and12": draw_loops.plot_figures11and12(self.loops.adjustment),
-            "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS),
-            "gaps": draw.plot_gaps(self.gaps),
+            "figure5": draw.plot_figure5(inverse, self.arms, theme=theme),
+            "figure6": draw.plot_figure6(transpose, inverse, self.arms, theme=theme),
+            "figure7": draw.plot_figure7(transpose, inverse, theme=theme),
+            "figure8": draw.plot_figure8(*curves, marks, theme=theme),
+            "figure9": draw_loops.plot_figure9(self.loops.figure9, theme=theme),
+            "figure10": draw_loops.plot_figure10(self.loops.stopped, self.loops.climb, theme=theme),
+            "figures11and12": draw_loops.plot_figures11and12(self.loops.adjustment, theme=theme),
+            "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS, theme=theme),
+            "gaps": draw.plot_gaps(self.gaps, theme=theme),
         }
 
     def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.results import Result
 from flexopt.foundation.turns import in_turn
@@ -108,7 +108,7 @@ class ArticleTable(Result):
     note: str = field(default=NOTE, repr=False)
 
     @property
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> Document:
         """Of the article's machine."""
         return provenance(article_machine())
 

@@ -42,6 +42,7 @@ from flexopt.cli.judging import LOOP, RANGES, real_loop
 from flexopt.cli.postures import asked_posture, configuration
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.writing import write_file
 from flexopt.model import load, load_any
@@ -158,7 +159,7 @@ def select_command(
     with option_names(judged), warnings_to_stderr(as_json):
         judgement = _judgement(result, own, **judged)
 
-    def document() -> dict[str, Any]:
+    def document() -> Document:
         more = {} if certificate is None else {"certificate": certificate}
         more |= {} if identified is None else {"identification": identified.to_dict()}
         return result.to_dict() | more | ({} if judgement is None else {"verdict": judgement.to_dict()})

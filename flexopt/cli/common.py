@@ -60,14 +60,17 @@ def _size(text: str) -> Any:
     return tuple(numbers(text)) if "," in text else text.strip()
 
 
-def check_picture(options: dict[str, Any]) -> Callable[[Any], None]:
-    """Takes the options of `of_picture` out of all, refuses what cannot be written, gives what draws a result."""
+def check_picture(options: dict[str, Any], *, film: bool = False) -> Callable[[Any], None]:
+    """Takes the options of `of_picture` out of all, refuses what cannot be written, gives what draws a result.
+
+    A `film`, too, is on the ground of --theme.
+    """
     plot, size, theme = (options.pop(name) for name in ("plot", "size", "theme"))
     check_output("--plot", plot, PICTURES)
     arguments, asked = Arguments("--plot"), given({"size": size, "theme": theme})
     for name, wanted in asked.items():
         TABLE[name](arguments, f"--{name}", wanted)
-        if plot is None:
+        if plot is None and not (film and name == "theme"):
             arguments.note(f"--{name}", "goes with --plot", typed(wanted))
     arguments.done()
 

@@ -18,7 +18,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flexopt evaluate excavator --end-point 0,1.6 --elbow up --json",
     ),
     "explain": (
-        "flexopt explain excavator --posture 0.9929,-2.6306",
+        "flexopt explain excavator --posture 0.9929,-2.6306 --plot why.png",
         "flexopt explain truck-crane --posture 0.3,0.4,-1.2,0.5 --loop default",
     ),
     "explore": (

@@ -9,8 +9,10 @@ import click
 from flexopt.cli.common import (
     JSON,
     check_output,
+    check_picture,
     given,
     hand_out,
+    of_picture,
     option_names,
     read,
     value,
@@ -26,6 +28,7 @@ from flexopt.model import load
 @argument("machine")
 @configuration
 @LOOP
+@of_picture("Draw each mode's arrows and what to move: .png, .svg or .pdf.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
 def explain_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
@@ -37,9 +40,10 @@ def explain_command(as_json: bool, machine: str, out: str | None, **options: Any
     from flexopt.study.explanation import explain  # noqa: PLC0415  (only this command needs it)
 
     check_output("--out", out, (".json",))
+    draw = check_picture(options)
     loaded = read(load, machine)
     with option_names(options), warnings_to_stderr(as_json):
         posture = asked_posture("explain", loaded, options)
         loop = real_loop(loaded.loop, options.pop("loop"))
         result = explain(loaded, posture, loop=loop, **given(options, "base", "control", "gravity"))
-    hand_out(result, out, None, as_json=as_json)
+    hand_out(result, out, draw, as_json=as_json)

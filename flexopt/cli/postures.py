@@ -41,9 +41,9 @@ def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> An
         return posture
     arguments = Arguments(call)
     elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS) if closed_form else None
-    arguments.point(end_point, "end-point", machine)
+    point = arguments.point(end_point, "end-point", machine)
     if base is not None:
         arguments.base(machine, base)
     arguments.control(options["control"] or "inverse")
     arguments.done()
-    return inverse_kinematics(machine, end_point, base=base, gravity=options["gravity"], elbow=elbow)[0]
+    return inverse_kinematics(machine, point, base=base, gravity=options["gravity"], elbow=elbow)[0]

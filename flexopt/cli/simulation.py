@@ -114,7 +114,7 @@ def type_of(annotation: Any) -> Any:
 @LOOP
 @value("--out", "PATH", "Write every sample: .nc or .csv.")
 @of_picture("Draw the run: .png, .svg or .pdf.")
-@value("--animate", "PATH", "Draw the moving machine: .gif or .html.")
+@value("--animate", "PATH", "Draw the moving machine, on the ground of --theme: .gif or .html.")
 @JSON
 def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Nonlinear closed loop of MACHINE: a machine with --posture or --end-point, or an experiment (name or file).
@@ -125,7 +125,8 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     for name, suffixes in (("out", (".nc", ".csv")), ("animate", FILMS)):
         check_output(f"--{name}", options[name], suffixes)
     plot = options["plot"]
-    draw = check_picture(options)
+    asked_theme = given(options, "theme")
+    draw = check_picture(options, film=options["animate"] is not None)
     loaded = read(load_simulated, machine)
     entries = options.pop("loop")
     asked = simulate_arguments(options)
@@ -147,7 +148,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
         write_output("--out", out, lambda: save(out))
     draw(result)
     if film is not None:
-        write_output("--animate", film, lambda: result.animate(film))
+        write_output("--animate", film, lambda: result.animate(film, **asked_theme))
     files = {name: path for name, path in (("data", out), ("plot", plot), ("animation", film)) if path is not None}
     if as_json:
         print_json(result.to_dict() | {"files": files})

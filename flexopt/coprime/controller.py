@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -18,8 +17,9 @@ from flexopt.coprime.guard import guarded
 from flexopt.coprime.margin import Pair, solve_pairs
 from flexopt.coprime.scaling import scale_for_riccati
 from flexopt.coprime.symbols import rotation, to_continuous, to_discrete, turn_controller, turn_plant
-from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
+from flexopt.coprime.system import PLANT, Matrix, StateSpace, SystemLike, from_arguments
 from flexopt.errors import FlexoptError, NoSolutionFound
+from flexopt.foundation.arrays import MatrixLike
 from flexopt.foundation.boundary import public
 
 ATTAINED = 1e-6
@@ -31,7 +31,14 @@ TURNS = (0.0, 0.4, -0.7)  # rotations of the graph, rad, tried in turn
 
 @public(checks=PLANT)
 @guarded
-def optimal_controller(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: Any = 0.0) -> StateSpace:
+def optimal_controller(
+    A: SystemLike,
+    B: MatrixLike | None = None,
+    C: MatrixLike | None = None,
+    D: MatrixLike | None = None,
+    *,
+    dt: float | None = 0.0,
+) -> StateSpace:
     """K with b_{P,K} = ε_max, for u = −K y.
 
     At γ = 1/ε_max the central controller of Glover and McFarlane is the descriptor system

@@ -5,13 +5,11 @@ In: plant P, controller K and the sign of the feedback. Out: the closed-loop rea
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from flexopt.coprime.guard import guarded
 from flexopt.coprime.norms import hinf_peak
-from flexopt.coprime.system import PAIR, StateSpace, system_pair
+from flexopt.coprime.system import PAIR, StateSpace, SystemLike, system_pair
 from flexopt.foundation.boundary import public, words
 
 ILL_POSED = 1e-13
@@ -19,7 +17,7 @@ ILL_POSED = 1e-13
 
 @public(P=PAIR["P1"], K=PAIR["P2"], sign=words(-1, 1))
 @guarded
-def ncf_margin(P: Any, K: Any, sign: int = -1) -> float:
+def ncf_margin(P: SystemLike, K: SystemLike, sign: int = -1) -> float:
     """b_{P,K} = ‖[K; I](I + PK)⁻¹[I P]‖∞⁻¹ for u = −K y (sign = −1; sign = +1: u = K y), between 0 and ε_max.
 
     It is 0 where the loop is not internally stable or not well posed.
@@ -46,7 +44,7 @@ def ncf_margin(P: Any, K: Any, sign: int = -1) -> float:
 
 
 @guarded
-def closed_loop(P: Any, K: Any, sign: int = -1) -> StateSpace | None:
+def closed_loop(P: SystemLike, K: SystemLike, sign: int = -1) -> StateSpace | None:
     """T = [K; I](I + PK)⁻¹[I P] for u = −K y, or with K replaced by −K for sign = +1; None where it is not well posed.
 
     T maps disturbances (at the plant's output (p,), at its input (m,)) to (−u, y). Up to a factor that is co-inner, it

@@ -16,7 +16,7 @@ from flexopt.coprime.guard import guarded
 from flexopt.coprime.norms import axis_peak
 from flexopt.coprime.scaling import Scaled, balance, hamiltonian, riccati_matrices, scale_for_norm, typical
 from flexopt.coprime.symbols import Symbols, graph_symbols, inverse_root
-from flexopt.coprime.system import PAIR, Matrix, StateSpace, system_pair
+from flexopt.coprime.system import PAIR, Matrix, StateSpace, SystemLike, system_pair
 from flexopt.foundation.boundary import public
 
 RESOLUTION = 1e-10
@@ -26,7 +26,7 @@ UNSOLVED = 1e-6
 
 @public(checks=PAIR)
 @guarded
-def gap(P1: Any, P2: Any) -> float:
+def gap(P1: SystemLike, P2: SystemLike) -> float:
     """δ_g(P1, P2) = max of the two directed gaps inf_{Q ∈ H∞} ‖G1 − G2 Q‖∞, to 1e-8.
 
     G_i are the normalized graph symbols. Each directed gap is a two-block Nehari problem: with W = G̃2 G1, it is the
@@ -61,7 +61,7 @@ def gap(P1: Any, P2: Any) -> float:
 
 @public(checks=PAIR)
 @guarded
-def nu_gap(P1: Any, P2: Any) -> float:
+def nu_gap(P1: SystemLike, P2: SystemLike) -> float:
     """δ_ν(P1, P2) = ‖G̃2 G1‖∞ if det(G2*G1) has no zero on the axis and winding number 0, else 1.
 
     ‖G̃2 G1‖∞ is the largest chordal distance between the two responses; level sets find it, not a grid, so that no sharp

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -28,8 +27,9 @@ from flexopt.coprime.extended import (
 from flexopt.coprime.guard import guarded
 from flexopt.coprime.scaling import Scaled, riccati_matrices, scale_for_riccati
 from flexopt.coprime.stabilizability import Escape, escaping_modes, growth, raise_escapes
-from flexopt.coprime.system import PLANT, Matrix, StateSpace, from_arguments
+from flexopt.coprime.system import PLANT, Matrix, StateSpace, SystemLike, from_arguments
 from flexopt.errors import MarginNotComputed
+from flexopt.foundation.arrays import MatrixLike
 from flexopt.foundation.boundary import public
 from flexopt.foundation.results import Result
 
@@ -145,7 +145,14 @@ def epsilon_error(largest: float, bound: float) -> float:
 
 @public(checks=PLANT)
 @guarded
-def robust_margin(A: Any, B: Any = None, C: Any = None, D: Any = None, *, dt: Any = 0.0) -> RobustMargin:
+def robust_margin(
+    A: SystemLike,
+    B: MatrixLike | None = None,
+    C: MatrixLike | None = None,
+    D: MatrixLike | None = None,
+    *,
+    dt: float | None = 0.0,
+) -> RobustMargin:
     """The optimal normalized-coprime-factor margin ε_max = sup_K b_{P,K} = (1 + λmax(XZ))^(−1/2).
 
     With S = I + DᵀD, R = I + DDᵀ, Ã = A − B S⁻¹DᵀC, G = B S⁻¹Bᵀ and H = CᵀR⁻¹C, X and Z are the stabilizing solutions

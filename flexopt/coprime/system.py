@@ -6,9 +6,10 @@ In: a `StateSpace`, another library's system object, a tuple of matrices, or a g
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,24 @@ from numpy.typing import NDArray
 from flexopt.coprime.guard import INSIDE
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import ComplexLike, MatrixLike
 from flexopt.foundation.boundary import Check, anything, array_of, public
 from flexopt.foundation.plain import plain, shown
 from flexopt.foundation.quantities import Quantity
 from flexopt.foundation.results import Result
 
 Matrix = NDArray[np.floating[Any]]
+
+
+class LinearSystem(Protocol):
+    """What python-control and SciPy make of a linear system: it says how it is sampled."""
+
+    @property
+    def dt(self) -> float | bool | None:
+        """Sampling period, s; None or 0 of continuous time."""
+        ...
+
+
 PERIOD_MAX = 1e100
 ENTRY_MAX = 1e100  # squares and products of four entries stay finite
 
@@ -89,7 +102,7 @@ class StateSpace(Result):
         return np.asarray(np.linalg.eigvals(self.A), dtype=complex) if self.n_states else np.zeros(0, complex)
 
     @public(points=array_of((), ("k",), kinds="iufc"))
-    def at(self, points: Any) -> NDArray[np.complex128]:
+    def at(self, points: ComplexLike) -> NDArray[np.complex128]:
         """C (s I − A)⁻¹ B + D at complex `points` (k,) that are no poles; (k, p, m).
 
         Example:
@@ -105,6 +118,10 @@ class StateSpace(Result):
         head = f"StateSpace: {self.n_states} states, {self.n_inputs} inputs, {self.n_outputs} outputs, {time}"
         parts = [f"{name} =\n{np.array2string(getattr(self, name), precision=5)}" for name in "ABCD"]
         return "\n".join([head, *parts])
+
+
+# What calls take as a linear system, see `state_space`.
+SystemLike = StateSpace | LinearSystem | MatrixLike | Sequence[MatrixLike]
 
 
 def state_space(system: Any, *, call: str = "state_space", field: str = "system") -> StateSpace:

@@ -11,7 +11,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from flexopt.explorer.contents import contents, size_of
 from flexopt.explorer.graphs import explorer_functions, scripts
 from flexopt.explorer.meshes import Meshes, body_meshes
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, provenance
@@ -30,7 +30,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import settings_at
 from flexopt.model import AnyMachine, Problem
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, LoopLike
 from flexopt.plant import build_plant
 from flexopt.robustness.measures import build_measures
 from flexopt.selection import SelectionProblem, select, solve_selection
@@ -72,7 +72,7 @@ class Explorer(Result):
     page: str = field(repr=False)
     triangles: int
     mesh_bytes: int
-    provenance: Mapping[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @public(path=path(".html", parent=True))
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -131,13 +131,13 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
 
 @public(machine_or_problem=_explored, together=_together)
 def explore(
-    machine_or_problem: Any,
-    posture: Any = None,
+    machine_or_problem: AnyMachine | Problem | SelectionProblem,
+    posture: PostureLike | None = None,
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     control: Control | None = None,
     gravity: bool = False,
-    loop: Any = None,
+    loop: LoopLike | None = None,
 ) -> Explorer:
     """One HTML page on which a machine is moved with the mouse, computed in the browser with its own graphs.
 
@@ -169,12 +169,13 @@ def explore(
         >>> page = flexopt.explore(flexopt.load("excavator"), [1.0, -2.0])
         >>> page.save("excavator.html")
     """
+    known = cast("Loop | None", loop)
     if isinstance(machine_or_problem, AnyMachine):
         machine = machine_or_problem
-        place = np.zeros(len(machine.base_coordinates)) if base is None else base
-        start = _open_posture(machine, place) if posture is None else posture
-        return _page(machine, {PRESENT: (place, start)}, control, loop, gravity, {"title": machine.name})
-    asked: Problem | SelectionProblem = machine_or_problem
+        place = np.zeros(len(machine.base_coordinates)) if base is None else cast(Vector, base)
+        start = _open_posture(machine, place) if posture is None else cast(Vector, posture)
+        return _page(machine, {PRESENT: (place, start)}, control, known, gravity, {"title": machine.name})
+    asked = machine_or_problem
     found = select(**asked.select_arguments()) if isinstance(asked, Problem) else solve_selection(asked)
     problem = found.problem
     stands = {PRESENT: found.initial, BEST: found.best.evaluation}
@@ -182,7 +183,8 @@ def explore(
     title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)
     sought = problem.objectives[-1]
     told = {"title": title, "target": problem.target.tolist(), "objective": sought.name, "weights": sought.alpha}
-    return _page(problem.machine, configurations, problem.control, own if loop is None else loop, problem.gravity, told)
+    known = own if known is None else known
+    return _page(problem.machine, configurations, problem.control, known, problem.gravity, told)
 
 
 def _page(

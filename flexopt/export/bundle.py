@@ -24,6 +24,7 @@ from flexopt.export.parts import LOOP, PARTS
 from flexopt.export.project import project_files
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import BaseLike, Document, PostureLike
 from flexopt.foundation.boundary import by, number, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, package_version, provenance
@@ -34,7 +35,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.writing import replace_folder
 from flexopt.loop.evaluation import outcome
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, LoopLike
 
 FORMAT = "flexopt C bundle"
 MANIFEST = "manifest.json"
@@ -77,10 +78,10 @@ class ExportReport(Result):
     parts: dict[str, tuple[str, ...]]
     files: tuple[str, ...]
     bundle_sha256: str
-    manifest: dict[str, Any] = field(repr=False)
+    manifest: Document = field(repr=False)
 
     @property
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> Document:
         """Machine, versions and options, as manifest.json says them."""
         return self.manifest["provenance"]
 
@@ -174,9 +175,9 @@ def export_c(
     limit_allowance_m: float = LIMIT_ALLOWANCE_M,
     prefix: str | None = None,
     overwrite: bool = False,
-    loop: Loop | Mapping[str, Any] | str | None = None,
-    posture: Any = None,
-    base: Any = None,
+    loop: LoopLike | None = None,
+    posture: PostureLike | None = None,
+    base: BaseLike | None = None,
 ) -> ExportReport:
     """C for the controller of a machine: a folder with one file for each part.
 

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Container, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, TypeVar, cast, get_type_hints
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -253,7 +253,8 @@ class Keywords(NamedTuple):
 
     def spelt_out(self, signature: inspect.Signature) -> inspect.Signature:
         """The signature with a parameter for each keyword."""
-        fields, types = self.kind.model_fields, get_type_hints(self.types)
+        # As they are written, so that signatures stay short.
+        fields, types = self.kind.model_fields, _written(self.types)
         word, variable = inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.VAR_KEYWORD
         each = [
             inspect.Parameter(name, word, default=None if self.together else field.default, annotation=types[name])
@@ -283,6 +284,12 @@ class Keywords(NamedTuple):
                 arguments.note(f"options.{name}", "is no option of this call", value)
             elif name not in given or (self.together and given[name] is None):
                 given[name] = value
+
+
+def _written(types: type) -> dict[str, str]:
+    """The annotations of a `TypedDict`, as text."""
+    found = inspect.get_annotations(types)
+    return {name: getattr(hint, "__forward_arg__", None) or str(hint) for name, hint in found.items()}
 
 
 def public(

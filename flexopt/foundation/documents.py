@@ -14,6 +14,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.writing import AnyPath, write_file
 
 
@@ -28,7 +29,7 @@ def package_version(name: str) -> str:
         return "unknown"
 
 
-def provenance(machine: Any = None, **options: Any) -> dict[str, Any]:
+def provenance(machine: Any = None, **options: Any) -> Document:
     """Name and content hash of a machine (None where none is concerned), versions, and the options of the call."""
     return {
         "machine": machine and machine.name,

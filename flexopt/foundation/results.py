@@ -6,7 +6,7 @@ In: objects of classes derived from `Result`. Out: dictionaries of plain data; r
 from __future__ import annotations
 
 import re
-from abc import ABC, abstractmethod
+from abc import ABC, ABCMeta, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from functools import lru_cache
@@ -16,7 +16,9 @@ from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.documents import json_ready
+from flexopt.foundation.offered import PLUMBING
 from flexopt.foundation.rendering import render
 
 # Longer arrays are shown by their shape.
@@ -34,11 +36,22 @@ class Key(NamedTuple):
     unit: str
 
 
-class Tabled(ABC):
+class _Offered(ABCMeta):
+    """Notebooks complete an object by its class's names, too."""
+
+    def __dir__(cls) -> list[str]:
+        return sorted({*super().__dir__()} - PLUMBING)
+
+
+class Tabled(ABC, metaclass=_Offered):
     """What shows itself in a notebook: what it says of itself as text, and its document as a table."""
 
+    def __dir__(self) -> list[str]:
+        """What completes in a notebook."""
+        return sorted({*super().__dir__()} - PLUMBING)
+
     @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready dictionary.
 
         Example:
@@ -97,7 +110,7 @@ class Result(Tabled):
         """The keys of its document; every field where `DOCUMENT` says none."""
         return _keys(cls.DOCUMENT or " ".join(field.name for field in fields(cast(Any, cls))))
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Document:
         """Values by their keys, arrays and results as they are."""
         found: dict[str, Any] = {}
         for (*outer, last), attribute, _ in self.document_keys():
@@ -107,7 +120,7 @@ class Result(Tabled):
             inside[last] = attrgetter(attribute)(self)
         return found
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready dictionary (keys as in the command line's `--json`).
 
         Example:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Array, Vector
+from flexopt.foundation.arrays import Array, ArrayLike, BaseLike, PostureLike, RangeLike, Vector
 from flexopt.foundation.boundary import of_machine, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
 from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, without_spikes
 from flexopt.identification.confidence import Confidence, confidence, is_open_in_words
 from flexopt.identification.fitting import INTEGRATION, Fit, fit
-from flexopt.identification.log import MeasuredLog, read_log
+from flexopt.identification.log import FrameLike, MeasuredLog, read_log
 from flexopt.identification.modes import described_modes
 from flexopt.identification.poles import Poles, find_poles
 from flexopt.identification.result import FittedColumn, Identification
@@ -63,14 +63,14 @@ def _imu(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> A
 @public(log=of_machine(read_log), unknown=of_machine(read_unknown), window=_window, imu=of_machine(_imu))
 def identify(
     machine: AnyMachine,
-    log: str | os.PathLike[str] | Mapping[str, Any] | Any,
+    log: str | os.PathLike[str] | Mapping[str, ArrayLike] | FrameLike,
     *,
-    posture: Any = None,
-    base: Any = None,
+    posture: PostureLike | None = None,
+    base: BaseLike | None = None,
     unknown: str | Sequence[str] = (SPRINGS, DAMPERS),
     gravity: bool = False,
-    window: Any = None,
-    imu: Any = None,
+    window: RangeLike | None = None,
+    imu: ArrayLike | None = None,
 ) -> Identification:
     """Parameters of a machine from a log of its free swing with the arm held: after a push, or a swing and stop.
 
@@ -123,10 +123,9 @@ def identify(
         >>> sorted(found.values)
         ['base.damping.rotation', 'base.stiffness.rotation']
     """
-    given: Any = log
     stand = np.zeros(len(machine.base_coordinates)) if base is None else np.asarray(base, dtype=float)
-    chosen = _windowed(given, window)
-    held, doubts = _held(machine, chosen, posture)
+    chosen = _windowed(cast(MeasuredLog, log), cast("tuple[float, float] | None", window))
+    held, doubts = _held(machine, chosen, cast("Vector | None", posture))
     shown = swinging(chosen)
     entries, reference = references(machine, _names(machine, unknown))
     shown, spiked = without_spikes(shown)

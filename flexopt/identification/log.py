@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -52,6 +52,19 @@ class MeasuredLog:
         chosen = list(range(len(self.channels))) if columns is None else columns
         channels = tuple(self.channels[k] for k in chosen)
         return MeasuredLog(self.time[rows], channels, self.values[rows][:, chosen], (*self.notes, *notes))
+
+
+class FrameLike(Protocol):
+    """A data frame of any library: columns by name."""
+
+    @property
+    def columns(self) -> Any:
+        """Their names."""
+        ...
+
+    def __getitem__(self, name: str, /) -> Any:
+        """One of them."""
+        ...
 
 
 def read_log(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> MeasuredLog | None:

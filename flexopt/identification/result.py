@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Array, Vector
+from flexopt.foundation.arrays import Array, Document, Vector
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
@@ -118,7 +117,7 @@ class Identification(Pictured, Result):
     time: Vector = field(repr=False)
     measured: Array = field(repr=False)
     fitted: Array = field(repr=False)
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @property
     def unidentified(self) -> tuple[str, ...]:

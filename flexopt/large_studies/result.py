@@ -13,7 +13,7 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ArrayLike, Document, Vector
 from flexopt.foundation.boundary import as_array, path, public, words
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
@@ -85,7 +85,7 @@ class StudyResult(Result):
     statuses: dict[str, int]
     points_per_second: float
     mended: tuple[int, ...]
-    provenance: dict[str, Any]
+    provenance: Document
     reader: StudyReader = field(repr=False)
 
     DOCUMENT = """
@@ -187,7 +187,7 @@ class StudyResult(Result):
         return reduced(reader, self._named("reduce", quantity), how, self._axes("reduce", over))
 
     @public(quantity=_quantity, shares=_shares)
-    def quantiles(self, quantity: str, shares: Any) -> xr.Dataset:
+    def quantiles(self, quantity: str, shares: ArrayLike) -> xr.Dataset:
         """Exact quantiles over all points, in four passes over the chunks; memory does not grow with their number.
 
         The quantile of share q of n numbers is the least of them that at least q n of them do not exceed. Points

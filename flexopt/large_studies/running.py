@@ -7,13 +7,13 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 from flexopt.errors import FlexoptWarning, StudyInterrupted, WriteError
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Progress
 from flexopt.foundation.boundary import public
 from flexopt.foundation.turns import available_cores, one_blas_thread
 from flexopt.foundation.writing import write_file
@@ -25,7 +25,6 @@ from flexopt.large_studies.result import StudyResult, result_of
 from flexopt.large_studies.status import WORDS
 from flexopt.model.study import Study
 
-Progress = Callable[[int, int], None]
 # How often the folder's summary is written, s; faults of chunks after which a study stops.
 TOLD, FAULTS_MAX = 2.0, 4
 

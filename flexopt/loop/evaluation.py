@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import FlexoptWarning
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
@@ -19,7 +19,7 @@ from flexopt.loop.lag import LaggedModes, lagged_modes
 from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop, under_control
+from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
 from flexopt.robustness.evaluation import evaluate_checked
 
@@ -133,12 +133,12 @@ def _told(value: float) -> str:
 @public()
 def outcome(
     machine: AnyMachine,
-    posture: Any,
+    posture: PostureLike,
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     control: Control | None = None,
     gravity: bool = False,
-    loop: Loop | Mapping[str, Any] | str | None = None,
+    loop: LoopLike | None = None,
 ) -> Outcome:
     """What the real controller allows and does in one posture: the `outcome` of `flexopt.evaluate`.
 
@@ -157,7 +157,7 @@ def outcome(
         >>> flexopt.outcome(machine, (0.0448, -2.0499), loop={"kp": 1e4, "kv": 1e3}).decay > 0
         True
     """
-    asked = cast(Any, machine.loop or Loop() if loop is None else loop)
+    asked = machine.loop or Loop() if loop is None else loop
     found = evaluate(machine, posture, base=base, control=control, gravity=gravity, loop=asked).outcome
     assert isinstance(found, Outcome)
     return found

@@ -7,7 +7,7 @@ matrices, samples and eigenvalues as those of one loop (`outcome`), in stacks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Economical
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.outcome import DEAD_TIME, LoopPoint
@@ -26,7 +26,6 @@ from flexopt.loop.small_motions import Parts, SmallMotions
 from flexopt.loop.spectrum import all_without_neutral, balance, neutral_directions
 from flexopt.model import AnyMachine
 
-Progress = Callable[[int, int], None]
 Stack = tuple[NDArray[np.int64], int]
 # Loops of one stack, enough that calls cost little beside arithmetic; loops whose matrices are held at a time.
 STACK, CHUNK = 256, 8192

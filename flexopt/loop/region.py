@@ -7,12 +7,12 @@ search with exact gradients, and where zero exclusion over boxes proves it, a gu
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import cast
 
 from flexopt.errors import InputError, raise_if_any
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
 from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
@@ -20,8 +20,8 @@ from flexopt.loop.certificate import BOXES, DECAY, RegionProof, certified_radius
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop
-from flexopt.model.uncertainty import GROUND, Uncertainty
+from flexopt.model.loop import Loop, LoopLike
+from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 
 # Largest factor that a radius is looked for up to, how exactly (of its logarithm), and points looked at in each box.
 LARGEST, EXACT, POINTS = 10.0, 1e-3, 64
@@ -93,13 +93,13 @@ class Region(Result):
 @public(points=whole(2, 1_000_000), boxes=whole(0, 1_000_000))
 def stable_region(
     machine: AnyMachine,
-    posture: Any,
+    posture: PostureLike,
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     control: Control | None = None,
     gravity: bool = False,
-    loop: Loop | Mapping[str, Any] | str | None = None,
-    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
+    loop: LoopLike | None = None,
+    ranges: RangesLike | None = None,
     points: int = POINTS,
     boxes: int = BOXES,
 ) -> Region:
@@ -130,11 +130,11 @@ def stable_region(
         (True, True)
     """
     known = cast("tuple[Uncertainty, ...]", ranges or machine.uncertainty or GROUND)
-    asked = cast("Loop | None", loop)
-    settings, where = settings_at(machine, posture, base, control, asked, gravity=gravity, call="stable_region")
+    asked, held, placed = cast("Loop | None", loop), cast(Vector, posture), cast("Vector | None", base)
+    settings, where = settings_at(machine, held, placed, control, asked, gravity=gravity, call="stable_region")
     box = UncertaintyBox(machine, known, settings.dead_time)
     raise_if_any(InputError, "stable_region", box.faults(settings.rate))
-    whole_box = UncertainLoop(settings, where, posture, gravity, box)
+    whole_box = UncertainLoop(settings, where, held, gravity, box)
     slowest, at, looked = _slowest(whole_box, points)
     proof = certify(whole_box, boxes=boxes) if slowest > DECAY and boxes else None
     growing = [leaf for leaf in proof.leaves if leaf.decays is False] if proof else []

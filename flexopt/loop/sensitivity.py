@@ -7,14 +7,13 @@ loop's decay.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
 from flexopt.errors import Fault, InputError, NoSolutionFound, raise_if_any
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Vector
 from flexopt.foundation.boundary import by, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
@@ -25,8 +24,8 @@ from flexopt.loop.evaluation import settings_at
 from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop
-from flexopt.model.uncertainty import GROUND, LATE, Uncertainty
+from flexopt.model.loop import Loop, LoopLike
+from flexopt.model.uncertainty import GROUND, LATE, RangesLike, Uncertainty
 from flexopt.robustness import build_measures
 from flexopt.robustness.batches import w_at
 
@@ -85,7 +84,7 @@ class Sensitivity(Pictured, Result):
     mean: Vector
     deviation: Vector
     samples: int
-    provenance: dict[str, Any]
+    provenance: Document
 
     DOCUMENT = """
     machine outputs names first first_interval total total_interval bound bound_error mean deviation samples most
@@ -136,13 +135,13 @@ class Sensitivity(Pictured, Result):
 @public(samples=_samples)
 def sensitivity(
     machine: AnyMachine,
-    posture: Any,
+    posture: PostureLike,
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     control: Control | None = None,
     gravity: bool = False,
-    loop: Loop | Mapping[str, Any] | str | None = None,
-    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
+    loop: LoopLike | None = None,
+    ranges: RangesLike | None = None,
     samples: int = SAMPLES,
     seed: int = 0,
 ) -> Sensitivity:
@@ -170,16 +169,17 @@ def sensitivity(
         (('w1', 'w2', 'w3'), ('stiffness',))
     """
     known = cast("tuple[Uncertainty, ...]", ranges or machine.uncertainty or GROUND)
-    asked = cast("Loop | None", loop)
-    settings, placed = settings_at(machine, posture, base, control, asked, gravity=gravity, call="sensitivity")
+    asked, held = cast("Loop | None", loop), cast(Vector, posture)
+    known_base = cast("Vector | None", base)
+    settings, placed = settings_at(machine, held, known_base, control, asked, gravity=gravity, call="sensitivity")
     box = UncertaintyBox(machine, known, settings.dead_time)
     if asked is not None:
         raise_if_any(InputError, "sensitivity", box.faults(settings.rate))
     elif any(each.of == (LATE,) for each in known):
         fault = Fault("ranges", "dead_time goes with a loop", LATE)
         raise_if_any(InputError, "sensitivity", [fault])
-    of = _Outputs(box, posture, placed, settings.control, gravity=gravity)
-    loops = None if asked is None else UncertainLoop(settings, placed, posture, gravity, box)
+    of = _Outputs(box, held, placed, settings.control, gravity=gravity)
+    loops = None if asked is None else UncertainLoop(settings, placed, held, gravity, box)
     a, b = _saltelli(len(known), samples, seed)
     mixed = [np.where(np.arange(len(known)) == k, b, a) for k in range(len(known))]
     members = np.concatenate([a, b, *mixed])

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.foundation.nearest import hint_or_list
+from flexopt.foundation.offered import PLUMBING
 from flexopt.foundation.plain import Unreadable, plain_table, shown
 from flexopt.foundation.quantities import Schema, entries
 
@@ -22,17 +23,30 @@ Table = Mapping[str, Any]
 PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("_"))
 
 
-class FileModel(BaseModel):
+class _Named(type(BaseModel)):
+    """Classes of tables complete like their objects: their keys, and what users call."""
+
+    def __dir__(cls) -> list[str]:
+        return _offered(cast(type[BaseModel], cls), super().__dir__())
+
+
+def _offered(kind: type[BaseModel], names: Iterable[str]) -> list[str]:
+    """Without what comes from Pydantic, and what flexopt's own classes ask of each other."""
+    ours = [base for base in kind.__mro__ if not issubclass(BaseModel, base)]
+    own = {name for base in ours for name in vars(base) if not name.startswith("model_")}
+    listed = {*names, *kind.model_fields}
+    return sorted(name for name in listed - PLUMBING if name in own or name not in PYDANTIC)
+
+
+class FileModel(BaseModel, metaclass=_Named):
     """Common to every table of a file: closed (no unknown key), frozen, strict."""
 
     # Built when first used: a process that reads a machine needs no schema of problems.
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
 
     def __dir__(self) -> list[str]:
-        """Without what comes from Pydantic: what completes in a notebook is the table's own."""
-        ours = [kind for kind in type(self).__mro__ if not issubclass(BaseModel, kind)]
-        own = {name for kind in ours for name in vars(kind) if not name.startswith("model_")}
-        return sorted(name for name in super().__dir__() if name in own or name not in PYDANTIC)
+        """What completes in a notebook: the table's own."""
+        return _offered(type(self), super().__dir__())
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
         """What is not at its default."""

@@ -12,6 +12,7 @@ from typing import Any, Literal, cast, get_args
 
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.boundary import public, words
 from flexopt.foundation.quantities import JsonSchema
 from flexopt.model.file_model import FileModel
@@ -35,7 +36,7 @@ _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 
 @public(kind=words(*MODELS))
-def schema(kind: FileKind) -> dict[str, Any]:
+def schema(kind: FileKind) -> Document:
     """The layout of a kind of file as JSON Schema (2020-12), by which editors complete and check its keys.
 
     A key's `description` says what it is, `x-unit` its unit, `minimum`, `exclusiveMinimum` and `maximum` its range,

@@ -9,6 +9,7 @@ import math
 from typing import Annotated, Any, Literal
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import JOINT_DAMPING, Quantity, numbers_in, pair
 from flexopt.model.file_model import BuiltByCall
@@ -99,6 +100,10 @@ class Loop(BuiltByCall):
                 sentence = f"must lie in {name}_range, [{allowed[0]:g}, {allowed[1]:g}]"
                 found.append(Fault(name, sentence, str(list(gains))))
         return found
+
+
+# What calls take as a loop; checked at the boundary.
+LoopLike = Loop | TableLike | str
 
 
 def gain_ranges(loop: Loop) -> dict[str, tuple[float, float]]:

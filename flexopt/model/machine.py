@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
     JOINT_VALUE,
@@ -135,7 +136,7 @@ class AnyMachine(BuiltByCall, Described):
         pairs = zip(self.joints, self.speeds, strict=True)
         return tuple(joint for joint, speed in pairs if joint not in driven and speed == float("inf"))
 
-    def beyond_stroke(self, joint: str, q: Any) -> str:
+    def beyond_stroke(self, joint: str, q: float) -> str:
         """The end of a sentence about a value that its joint cannot take, where that is its cylinder's doing.
 
         Example:
@@ -242,7 +243,7 @@ class AnyMachine(BuiltByCall, Described):
         absent = {name for name in ("loop", "uncertainty") if not getattr(self, name)} | {"visuals"}
         return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """The machine as a dictionary, keys at their defaults left out: what it was validated from takes it back.
 
         Example:

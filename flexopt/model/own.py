@@ -9,14 +9,22 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.boundary import by, check_text, number, public_class
 from flexopt.foundation.quantities import Checked, a_list, accepting, entries
 from flexopt.model.choices import check_objective
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+# What calls take as objective; checked at the boundary.
+ObjectiveLike: TypeAlias = "str | ca.Function | Sequence[str | ca.Function]"
 
 NAME_MAX = 60
 BOUND_MAX = 1e15
@@ -159,7 +167,7 @@ class Constraint:
         """What results call it."""
         return self.name or self.function.name
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Name, bounds (None where there is none), unit, and what the Function is told from others by.
 
         Example:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, TypedDict, cast
 from pydantic import Field
 
 from flexopt.errors import Fault
+from flexopt.foundation.arrays import BaseLike, BaseRangeLike, Document, PostureLike
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_base_range
@@ -37,7 +38,7 @@ from flexopt.model.constraints import Constraints
 from flexopt.model.file_model import BuiltByCall
 from flexopt.model.loop import Loop
 from flexopt.model.machine import OnMachine
-from flexopt.model.own import check_objectives
+from flexopt.model.own import ObjectiveLike, check_objectives
 from flexopt.model.targets import KINDS, SOME_COORDINATES, SOME_SHARES, PathMotion, Target, TargetKind, problem_faults
 from flexopt.model.uncertainty import Uncertainty
 
@@ -142,13 +143,13 @@ class SelectionOptions(BuiltByCall):
 class SharedKeywords(TypedDict, total=False):
     """Fields of `SelectionOptions` as keywords of a call, for type checkers: those of every kind of target."""
 
-    objective: Any
+    objective: ObjectiveLike
     weights: Sequence[float] | None
     control: Control
     gravity: bool
-    base: Any
-    posture: Any
-    base_range: Any
+    base: BaseLike | None
+    posture: PostureLike | None
+    base_range: BaseRangeLike | None
     singularity_margin_deg: float
     starts: int | None
     seed: int
@@ -199,7 +200,7 @@ class Problem(OnMachine):
         """As of a file."""
         return problem_faults(self.model_dump(by_alias=True, exclude_unset=True))
 
-    def select_arguments(self) -> dict[str, Any]:
+    def select_arguments(self) -> Document:
         """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target.
 
         Example:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
 from flexopt.errors import Fault, ModelError, raise_if_any
+from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.boundary import public
 from flexopt.foundation.coordinates import check_placement, check_task
 from flexopt.foundation.quantities import entries
@@ -112,7 +113,7 @@ def load_file(name_or_path: str | os.PathLike[str]) -> Machine | Tree | Problem 
 
 
 @public(error=ModelError)
-def machine_from_dict(data: Table, *, origin: str = "machine") -> Machine:
+def machine_from_dict(data: TableLike, *, origin: str = "machine") -> Machine:
     """Validate a dictionary in the layout of a machine file.
 
     Args:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal, TypedDict
+from typing import Annotated, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault
+from flexopt.foundation.arrays import ArrayLike, BaseLike, GainLike, PostureLike, TableLike, TargetLike
 from flexopt.foundation.boundary import array_of, public
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import (
@@ -130,7 +130,7 @@ class Path(BuiltByCall):
         return shape_faults(self, "")
 
     @public(times=array_of((), ("K",), unit="s"))
-    def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, times: ArrayLike) -> NDArray[np.float64]:
         """Points (len(times), size).
 
         Example:
@@ -228,17 +228,17 @@ class SimulationOptions(BuiltByCall):
 class LoopKeywords(TypedDict, total=False):
     """Fields of `SimulationOptions` as keywords of a call, for type checkers; None is left out."""
 
-    end_point: Any
+    end_point: TargetLike | None
     elbow: Elbow | None
-    base: Any
+    base: BaseLike | None
     control: Control | None
     feedback: Feedback | None
-    kp: Any
-    kv: Any
-    ki: Any
+    kp: GainLike | None
+    kv: GainLike | None
+    ki: GainLike | None
     integral_limit: float | None
     gain: float | None
-    offset: Any
+    offset: PostureLike | None
     duration: float | None
     rate: float | None
     hold: bool | None
@@ -246,10 +246,10 @@ class LoopKeywords(TypedDict, total=False):
     gravity: bool | None
     gravity_compensation: bool | None
     nullspace_damping: float | None
-    sensor: Sensor | Mapping[str, Any] | None
-    actuator: Actuator | Mapping[str, Any] | None
-    base_path: Path | Mapping[str, Any] | None
-    target_path: Path | Mapping[str, Any] | None
+    sensor: Sensor | TableLike | None
+    actuator: Actuator | TableLike | None
+    base_path: Path | TableLike | None
+    target_path: Path | TableLike | None
     seed: int | None
     baked: bool | None
 
@@ -269,7 +269,7 @@ class LinearKeywords(LoopKeywords, total=False):
 class OverrideKeywords(SimulationKeywords, total=False):
     """Those that take the place of a file's."""
 
-    posture: Any
+    posture: PostureLike | None
 
 
 def placement_of(options: SimulationOptions, machine: AnyMachine) -> Numbers:

@@ -6,8 +6,9 @@ Readers of robot files end here. Gravity acts along −z.
 from __future__ import annotations
 
 from flexopt.errors import Fault, ModelError, raise_if_any
+from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.boundary import public
-from flexopt.model.file_model import Table, read_table, validated
+from flexopt.model.file_model import read_table, validated
 from flexopt.model.kinematic_tree import (
     INERTIA_ENTRIES,
     EndPoint,
@@ -153,7 +154,7 @@ def _vector(entry: str, name: str, values: tuple[float, float, float]) -> list[E
 
 
 @public(error=ModelError)
-def tree_from_dict(data: Table, *, origin: str = "tree") -> Tree:
+def tree_from_dict(data: TableLike, *, origin: str = "tree") -> Tree:
     """Validate a dictionary in the layout of `Tree`; lists may stand for tuples.
 
     Args:

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict
 
 from flexopt.errors import Fault
+from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.nearest import hint_or_list
 from flexopt.foundation.quantities import Quantity, a_list, accepting, pair, several
 from flexopt.model.file_model import BuiltByCall
@@ -81,6 +82,10 @@ class Uncertainty(BuiltByCall):
             except ValueError as error:
                 faults.append(Fault("value", str(error) if self.value else "dead_time needs it, (lower, upper) in s"))
         return faults
+
+
+# What calls take as what is uncertain; checked at the boundary.
+RangesLike = TableLike | Sequence[Uncertainty | TableLike]
 
 
 def kind_of(name: Any) -> str:

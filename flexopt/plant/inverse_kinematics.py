@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from flexopt.algebra.feasible import feasible_steps, repeated, shortest_steps
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, TargetLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
@@ -44,9 +44,9 @@ def _branches(arguments: Arguments, given: Mapping[str, Any]) -> None:
 @public(together=_branches)
 def inverse_kinematics(
     machine: AnyMachine,
-    target: Any,
+    target: TargetLike,
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     gravity: bool = False,
     elbow: Elbow | None = None,
     seed: int = 0,
@@ -76,8 +76,8 @@ def inverse_kinematics(
         >>> [posture.round(3).tolist() for posture in flexopt.inverse_kinematics(machine, (0.0, 1.6))]
         [[0.993, -2.63], [-0.026, 2.63]]
     """
-    plant, point = build_plant(machine), target
-    placement = np.zeros(plant.n_base) if base is None else base
+    plant, point = build_plant(machine), cast(Vector, target)
+    placement = np.zeros(plant.n_base) if base is None else cast(Vector, base)
     if not plant.closed_form:
         return _by_iteration(plant, point, placement, gravity, seed)
     free = plant.n_actuated - 2

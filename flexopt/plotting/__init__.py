@@ -8,6 +8,7 @@ from flexopt.plotting.atlas import plot_atlas as plot_atlas
 from flexopt.plotting.bands import plot_verdict as plot_verdict
 from flexopt.plotting.base_trajectory import plot_base_trajectory as plot_base_trajectory
 from flexopt.plotting.ensemble import plot_ensemble as plot_ensemble
+from flexopt.plotting.explanation import plot_explanation as plot_explanation
 from flexopt.plotting.identification import plot_identification as plot_identification
 from flexopt.plotting.selection import plot_selection as plot_selection
 from flexopt.plotting.sensitivity import plot_sensitivity as plot_sensitivity

@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageColor
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import instance, number, path, public
+from flexopt.foundation.palette import PALETTES, Palette, Theme
 from flexopt.foundation.pictures import draws
 from flexopt.foundation.rendering import render
 from flexopt.foundation.writing import write_file
@@ -33,7 +34,8 @@ FRAMES_MAX = 250
 SHORTEST_FRAME = 4  # hundredths of a second, in which GIF counts: 25 frames a second
 FILM = (0.2, 600.0)  # s
 TRACE_POINTS = 4000
-COLORS, NEARLY_WHITE = 64, 248
+# What is so near to the ground's colour, of 255, is it.
+COLORS, NEAR = 64, 8
 TRANSPARENT = COLORS  # the palette's next entry
 
 
@@ -65,7 +67,12 @@ def _alive(trajectory: Trajectory) -> NDArray[np.int64]:
     together=_lasts,
 )
 def animate_trajectory(
-    trajectory: Trajectory, path: str | os.PathLike[str], *, speed: float = 1.0, magnify: float = 1.0
+    trajectory: Trajectory,
+    path: str | os.PathLike[str],
+    *,
+    speed: float = 1.0,
+    magnify: float = 1.0,
+    theme: Theme = "light",
 ) -> None:
     """Write a run as a film of at most 250 frames, 25 a second where that suffices; fewer a second in longer films.
 
@@ -77,6 +84,7 @@ def animate_trajectory(
         path: file to write, `.gif` or `.html` (one file with a slider, opens without a network).
         speed: of the film, relative to the machine.
         magnify: factor on the deflections of the passive coordinates.
+        theme: `"light"` or `"dark"` ground.
 
     Raises:
         InputError: arguments are not usable, all faults in one message.
@@ -84,14 +92,14 @@ def animate_trajectory(
     """
     alive = _alive(trajectory)
     film = _film(trajectory, alive, float(trajectory.time[alive[-1]]) / speed, speed, magnify)
-    with styled():
-        images = list(_frames(film))
+    with styled(theme) as inks:
+        images = list(_frames(film, inks))
     if Path(path).suffix.lower() == ".gif":
         buffer, (still, *others) = io.BytesIO(), images
         still.save(buffer, "GIF", save_all=True, append_images=others, duration=10 * film.delay, loop=0, optimize=True)
         write_file(path, buffer.getvalue())
     else:
-        write_file(path, _page(film, images))
+        write_file(path, _page(film, images, theme))
 
 
 def _film(t: Trajectory, alive: NDArray[np.int64], seconds: float, rate: float, factor: float) -> Film:
@@ -113,20 +121,23 @@ def _film(t: Trajectory, alive: NDArray[np.int64], seconds: float, rate: float, 
     return Film(t, t.time[rows], q, base, skeleton, anchor, t.target[rows], turn, frames, delay, caption)
 
 
-def _frames(film: Film) -> Iterator[Image.Image]:
-    """The frames, with one palette for all."""
+def _frames(film: Film, inks: Palette) -> Iterator[Image.Image]:
+    """The frames, with one palette for all, in which the ground is what it is."""
     stage = Stage(film) if film.skeleton.shape[2] == 2 else SpaceStage(film)
 
     def shot(k: int) -> Image.Image:
         return Image.fromarray(stage.shot(k))
 
     palette = shot(int(film.frames[-1])).quantize(COLORS, dither=Image.Dither.NONE)
-    palette.putpalette([255 if level > NEARLY_WHITE else level for level in palette.getpalette() or []])
+    levels = np.reshape(palette.getpalette() or [], (-1, 3))
+    ground = np.array(ImageColor.getrgb(inks.page))
+    levels[np.abs(levels - ground).max(axis=1) < NEAR] = ground
+    palette.putpalette(levels.ravel().tolist())
     for k in film.frames:
         yield shot(int(k)).quantize(palette=palette, dither=Image.Dither.NONE)
 
 
-def _page(film: Film, images: list[Image.Image]) -> str:
+def _page(film: Film, images: list[Image.Image], theme: Theme) -> str:
     """A page with a player: the first frame, and of each frame the pixels that differ from it."""
     first = np.asarray(images[0])
     overlays: list[str] = []
@@ -141,6 +152,8 @@ def _page(film: Film, images: list[Image.Image]) -> str:
         still=_data_url(images[0]),
         frames=overlays,
         delay=10 * film.delay,
+        theme=theme,
+        inks=PALETTES[theme],
     )
 
 

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.foundation.palette import colors
-from flexopt.plotting.sheet import Sheet, picture, styled
+from flexopt.plotting.sheet import Sheet, picture, themed
 from flexopt.plotting.units import labelled
 
 # Ratio of the largest to the least from which an axis is logarithmic.
@@ -63,11 +63,11 @@ class Bands:
     heading: str = "worst"
 
 
+@themed
 def plot_band(bands: Bands) -> Figure:
     """One measure."""
-    with styled():
-        figure = Figure(figsize=(WIDTH, _height(bands)), layout="constrained")
-        _draw(figure.add_subplot(), bands)
+    figure = Figure(figsize=(WIDTH, _height(bands)), layout="constrained")
+    _draw(figure.add_subplot(), bands)
     return figure
 
 

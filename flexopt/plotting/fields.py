@@ -182,5 +182,5 @@ def draw_arm(axes: Axes, arm: Values, name: str) -> None:
     axes.annotate(
         name, (float(arm[0, -1]), float(arm[1, -1])), xytext=(5, -11), textcoords="offset points", fontsize=9.5,
         fontweight="bold", color=inks.mark, zorder=6,
-        bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
+        bbox={"boxstyle": "round,pad=0.12", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.85},
     )  # fmt: skip

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.palette import LIGHT
+from flexopt.foundation.palette import colors
 from flexopt.plotting.machine import bars, draw_ground, reach
 from flexopt.plotting.panels import draw_panel
 from flexopt.plotting.shape import spring_line
@@ -77,20 +77,23 @@ class Stage:
         self.scene = self.figure.add_axes(SCENE)
         self._draw_scene(self.scene)
         bodies = film.skeleton.shape[1] - 1
-        faces = [LIGHT.undercarriage, LIGHT.base, *[LIGHT.present] * (bodies - 1)]
-        self.bodies = PolyCollection([], facecolors=faces, edgecolors="black", linewidths=0.6, zorder=3)
+        inks = colors()
+        faces = [inks.undercarriage, inks.base, *[inks.present] * (bodies - 1)]
+        self.bodies = PolyCollection([], facecolors=faces, edgecolors=inks.edge, linewidths=0.6, zorder=3)
         self.scene.add_collection(self.bodies, autolim=False)
-        (self.springs,) = self.scene.plot([], [], color=LIGHT.undercarriage, linewidth=1.0, zorder=2)
-        (self.joints,) = self.scene.plot([], [], "o", color="white", markeredgecolor="black", markersize=4, zorder=4)
-        (self.trace,) = self.scene.plot([], [], color=LIGHT.chosen, linewidth=0.8, zorder=5)
-        (self.target,) = self.scene.plot([], [], "+", color="black", markersize=11, markeredgewidth=1.3, zorder=6)
+        (self.springs,) = self.scene.plot([], [], color=inks.undercarriage, linewidth=1.0, zorder=2)
+        (self.joints,) = self.scene.plot(
+            [], [], "o", color=inks.page, markeredgecolor=inks.edge, markersize=4, zorder=4
+        )
+        (self.trace,) = self.scene.plot([], [], color=inks.chosen, linewidth=0.8, zorder=5)
+        (self.target,) = self.scene.plot([], [], "+", color=inks.target, markersize=11, markeredgewidth=1.3, zorder=6)
         self.clock = self.scene.text(0.03, 0.965, "", transform=self.scene.transAxes, fontsize=9, va="top")
         panels = [error_panel(t), *([deflection_panel({"deflection": t}, _widest(t))] if t.n_passive else [])]
         self.cursors: list[tuple[Axes, Any]] = []
         for k, panel in enumerate(panels):
             axes = self.figure.add_axes((0.605, 0.56 - 0.45 * k, 0.365, 0.32))
             draw_panel(axes, panel)
-            (cursor,) = axes.plot([], [], color="black", linewidth=1.0, zorder=5)
+            (cursor,) = axes.plot([], [], color=colors().text, linewidth=1.0, zorder=5)
             self.cursors.append((axes, cursor))
         self.cursors[-1][0].set_xlabel("time, s", fontsize=8)
         self.figure.text(0.5, 0.975, title(t), fontsize=9.5, ha="center", va="top")

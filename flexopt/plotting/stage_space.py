@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.palette import LIGHT
+from flexopt.foundation.palette import colors
 from flexopt.plant import build_plant
 from flexopt.plotting.machine import draw_ground
 from flexopt.plotting.panels import draw_panel
@@ -73,7 +73,7 @@ class SpaceStage:
         for place, panel in zip(PANELS, panels, strict=False):
             axes = self.figure.add_axes(place)
             draw_panel(axes, panel)
-            (cursor,) = axes.plot([], [], color="black", linewidth=1.0, zorder=5)
+            (cursor,) = axes.plot([], [], color=colors().text, linewidth=1.0, zorder=5)
             self.cursors.append((axes, cursor))
         self.cursors[-1][0].set_xlabel("time, s", fontsize=8)
         self.figure.text(0.5, 0.985, title(t), fontsize=9.5, ha="center", va="top")
@@ -88,16 +88,16 @@ class SpaceStage:
     def _scene(self, place: tuple[float, float, float, float], view: View, first: Shape) -> _Scene:
         axes = self.figure.add_axes(place)
         self._set_limits(axes, place, view, first)
-        color = to_rgb(LIGHT.present)
+        color = to_rgb(colors().present)
         capsules = PolyCollection(
             [], facecolors=[(*color, 0.12)], edgecolors=[(*color, 0.6)], linewidths=0.7, zorder=2.7
         )
-        bars = PolyCollection([], facecolors=[LIGHT.present], edgecolors="black", linewidths=0.6, zorder=3)
+        bars = PolyCollection([], facecolors=[colors().present], edgecolors=colors().edge, linewidths=0.6, zorder=3)
         for collection in (capsules, bars):
             axes.add_collection(collection, autolim=False)
-        (joints,) = axes.plot([], [], "o", color="white", markeredgecolor="black", markersize=3.5, zorder=4)
-        (trace,) = axes.plot([], [], color=LIGHT.chosen, linewidth=0.8, zorder=5)
-        (target,) = axes.plot([], [], "+", color="black", markersize=10, markeredgewidth=1.3, zorder=6)
+        (joints,) = axes.plot([], [], "o", color=colors().page, markeredgecolor=colors().edge, markersize=3.5, zorder=4)
+        (trace,) = axes.plot([], [], color=colors().chosen, linewidth=0.8, zorder=5)
+        (target,) = axes.plot([], [], "+", color=colors().target, markersize=10, markeredgewidth=1.3, zorder=6)
         return _Scene(axes, view, capsules, bars, joints, trace, target)
 
     def _set_limits(self, axes: Axes, place: tuple[float, float, float, float], view: View, first: Shape) -> None:

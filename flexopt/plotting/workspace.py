@@ -24,7 +24,7 @@ from flexopt.plotting.fields import (
     draw_signed,
     label_plane,
 )
-from flexopt.plotting.sheet import Sheet, picture, styled
+from flexopt.plotting.sheet import Sheet, picture, themed
 from flexopt.plotting.units import labelled, written
 
 # Up to where ratios of an axis are equal.
@@ -96,20 +96,20 @@ def plot_workspace(sheet: Sheet, chart: Any, *, marks: Mapping[str, tuple[float,
         sheet.title(textwrap.fill(f"{mathtext(dataset.attrs['title'], TITLE_MAX)}{gain}", int(15 * sheet.size[0])))
 
 
+@themed
 def plot_quantities(chart: Any, *, marks: Mapping[str, tuple[float, float]]) -> dict[str, Figure]:
     """Each panel of a map as a picture of its own, by its title without mathematics."""
     dataset = chart.dataset
     plane, found = dataset_plane(dataset), dict[str, Figure]()
     for panel in sum(_panels(dataset), list[Panel]()):
-        with styled():
-            figure = Figure(figsize=(5.2, 1.3 + 1.6 * _each(plane)), layout="constrained")
-            axes = figure.add_subplot()
-            _draw(axes, plane, panel, best=dataset.attrs["over"] == "base")
-            draw_marks(axes, _placed(plane, marks))
-            label_plane(axes, plane, panel[1])
-            handles, names = axes.get_legend_handles_labels()
-            if names:
-                figure.legend(handles, names, loc="outside lower right", ncols=3, frameon=False)
+        figure = Figure(figsize=(5.2, 1.3 + 1.6 * _each(plane)), layout="constrained")
+        axes = figure.add_subplot()
+        _draw(axes, plane, panel, best=dataset.attrs["over"] == "base")
+        draw_marks(axes, _placed(plane, marks))
+        label_plane(axes, plane, panel[1])
+        handles, names = axes.get_legend_handles_labels()
+        if names:
+            figure.legend(handles, names, loc="outside lower right", ncols=3, frameon=False)
         found[_plain(panel[1])] = figure
     return found
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import MatrixLike
 from flexopt.foundation.boundary import array_of, instance, public
 from flexopt.plant.singularity import singular_points
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
@@ -47,7 +48,7 @@ class BatchedW:
     sizes=lambda measures: {"n_b": measures.plant.n_base, "n": measures.plant.n_actuated},
 )
 def evaluate_w(
-    measures: Measures, bases: ArrayLike, postures: ArrayLike, *, threads: int = 1, gradient: bool = False
+    measures: Measures, bases: MatrixLike, postures: MatrixLike, *, threads: int = 1, gradient: bool = False
 ) -> BatchedW:
     """The w_i of `measures` at N points, with the machine's own parameters.
 
@@ -115,7 +116,7 @@ def unsound(
     return singular, unheld
 
 
-def _columns(given: ArrayLike, n_points: int) -> Array:
+def _columns(given: Array, n_points: int) -> Array:
     array = np.asarray(given, dtype=np.float64)
     array = array.reshape(-1, 1) if array.ndim < 2 else array
     return np.broadcast_to(array, (array.shape[0], n_points))

@@ -12,6 +12,7 @@ from typing import Any
 
 from flexopt.errors import Fault, FlexoptWarning, ModelError
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.boundary import TABLE, instance, path, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.results import Result
@@ -55,7 +56,7 @@ class Check(Result):
     faults: tuple[Fault, ...]
     findings: tuple[ImplausibleNumber, ...]
     warnings: tuple[str, ...]
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @property
     def status(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings as python_warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -12,14 +12,14 @@ import numpy as np
 
 from flexopt.coprime.margin import with_bound
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop, under_control
+from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
@@ -163,10 +163,10 @@ class Evaluation(Result):
     skeleton: Vector
     warnings: tuple[str, ...]
     cylinders: tuple[CylinderState, ...]
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
     outcome: Result | None = None
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Document:
         """Values by their keys; cylinders and outcome only where there are some."""
         there = {"cylinders": bool(self.cylinders), "outcome": self.outcome is not None}
         absent = {key for key, is_there in there.items() if not is_there}
@@ -227,14 +227,14 @@ def _listed(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> s
 @public()
 def evaluate(
     machine: AnyMachine,
-    posture: Any,
+    posture: PostureLike,
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     control: Control | None = None,
     gain: float = 5e5,
     damped: bool = False,
     gravity: bool = False,
-    loop: Loop | Mapping[str, Any] | str | None = None,
+    loop: LoopLike | None = None,
 ) -> Evaluation:
     """Frequencies, residues, measures w_i and their exact gradients at one posture.
 
@@ -274,10 +274,11 @@ def evaluate(
         0.2865
     """
     warn_implausible(machine)
-    placement = np.zeros(len(machine.base_coordinates)) if base is None else base
+    placement = np.zeros(len(machine.base_coordinates)) if base is None else cast(Vector, base)
     real = cast("Loop | None", machine.loop if loop is None else loop)
     chosen = control or (real and real.control) or "inverse"
-    found = evaluate_checked(machine, posture, placement, control=chosen, gain=gain, damped=damped, gravity=gravity)
+    where = cast(Vector, posture)
+    found = evaluate_checked(machine, where, placement, control=chosen, gain=gain, damped=damped, gravity=gravity)
     return found if real is None else _with_loop(machine, real, found, gravity=gravity)
 
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.control import Control
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
@@ -99,7 +98,7 @@ class BaseTrajectory(Pictured, Result):
     descents: tuple[Descent, ...]
     initial: Evaluation
     final: Evaluation
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @property
     def path(self) -> Path:

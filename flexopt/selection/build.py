@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, Unpack
+from typing import Any, NamedTuple, Unpack, cast
 
 import numpy as np
 
 from flexopt.errors import Fault, InputError, UnreachableTarget, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, public
 from flexopt.model import AnyMachine
 from flexopt.model.choices import EVERYTHING, assumes
@@ -74,7 +74,7 @@ def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
 @public("select", together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
 def build_selection(
     machine: AnyMachine,
-    target: Any,
+    target: TargetLike,
     *,
     constraints: AnyConstraints | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
@@ -100,7 +100,8 @@ def build_selection(
         >>> [variable.name for variable in problem.variables]
         ['base.x', 'boom', 'stick']
     """
-    return build_one(machine, target, constraints, SelectionOptions.model_construct(**keywords), target[None, :])
+    point = cast(Vector, target)
+    return build_one(machine, point, constraints, SelectionOptions.model_construct(**keywords), point[None, :])
 
 
 def build_one(

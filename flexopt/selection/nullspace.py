@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, BaseRangeLike, MatrixLike, PostureLike, Vector
 from flexopt.foundation.boundary import Check, by, number, of_machine, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
@@ -108,22 +108,22 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
 )
 def nullspace_trajectory(
     machine: AnyMachine,
-    posture: Any,
+    posture: PostureLike,
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     objective: str = "w1",
     weights: Sequence[float] | None = None,
     control: Control = "inverse",
     gain: float = 5e5,
     gravity: bool = False,
-    step_gain: Any = None,
+    step_gain: MatrixLike | None = None,
     metric: Sequence[float] | None = None,
     rate: float = 200.0,
     max_base_rate: float = 0.25,
     max_turn_rate: float = 0.25,
     max_joint_rate: float = 1.0,
     max_base_acceleration: float | None = None,
-    base_range: Any = None,
+    base_range: BaseRangeLike | None = None,
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
     min_gain: float | None = None,
     duration: float = 60.0,
@@ -176,17 +176,17 @@ def nullspace_trajectory(
         >>> climb.stop.value
         'the duration is over'
     """
-    placement = _placement(machine, base)
+    placement, held = _placement(machine, cast("Vector | None", base)), cast(Vector, posture)
     goal = read_objectives(Arguments("nullspace_trajectory", machine), machine, objective, weights)[0]
-    w = np.ones(placement.size + posture.size) if metric is None else np.asarray(metric)
-    lower, upper = _ends(machine, base_range)
+    w = np.ones(placement.size + held.size) if metric is None else np.asarray(metric)
+    lower, upper = _ends(machine, cast("Mapping[str, tuple[float, float]] | None", base_range))
     margin = math.radians(singularity_margin_deg)
 
     functions = quantities(machine, control, gravity, gain)
-    start = np.concatenate([placement, posture])
+    start = np.concatenate([placement, held])
     initial = functions.evaluated(start)
     size = float(np.dot(goal.alpha, initial.scale)) + goal.beta or 1.0
-    k_xi = _climbing_gain(functions, size, rate) if step_gain is None else step_gain
+    k_xi = _climbing_gain(functions, size, rate) if step_gain is None else cast(Vector, step_gain)
     least = GAIN_SHARE * size if min_gain is None else min_gain
     law = NullspaceLaw(
         functions=functions,
@@ -209,7 +209,7 @@ def nullspace_trajectory(
         points, cut = retime(law, points, max_base_acceleration, duration)
         stop = Stop.DURATION if cut else stop
 
-    options = {"base": placement.tolist(), "posture": posture.tolist(), "objective": goal.name}
+    options = {"base": placement.tolist(), "posture": held.tolist(), "objective": goal.name}
     options |= {"weights": goal.weights.tolist(), "control": control, "gain": gain, "gravity": gravity}
     options |= {"step_gain": k_xi.tolist(), "metric": w.tolist(), "rate": rate, "max_base_rate": max_base_rate}
     options |= {"max_turn_rate": max_turn_rate, "max_joint_rate": max_joint_rate}

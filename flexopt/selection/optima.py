@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent import CUT_SHORT
@@ -50,7 +50,6 @@ ONWARD = 12
 # IPOPT's word for a point from which only rounding is left to be stepped.
 NO_STEP = "Search_Direction_Becomes_Too_Small"
 
-Progress = Callable[[int, int], None]
 # A point, its proof, and IPOPT's iterations.
 Found = tuple[Vector, Proof, int]
 # The same with the solver's status; no proof where the point is no number.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import InputError
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import array_of, flag, instance, number, public
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
@@ -404,7 +404,7 @@ class SelectionProblem:
         """
         return packed_parameters((self,), alone(self.scale.size), np.ones(1), 0.0, self.shift)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Target, objective, variables with bounds, constraints.
 
         Example:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from flexopt.foundation.arrays import Progress
 from flexopt.foundation.boundary import public
 from flexopt.model import Problem
 from flexopt.selection.result import Selection
 from flexopt.selection.several import BasePlan, Stand, plan_base, select_stand
-from flexopt.selection.solve import Progress, select
+from flexopt.selection.solve import select
 
 
 @public()

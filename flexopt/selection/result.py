@@ -6,11 +6,10 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result, Tabled
@@ -109,7 +108,7 @@ class Candidate(Tabled):
     def _evaluation(self) -> Evaluation:
         return self.evaluate()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """The evaluation's dictionary with the candidate's own keys.
 
         Example:
@@ -196,7 +195,7 @@ class Selection(Pictured, Result):
     attempts: tuple[Attempt, ...]
     kept: tuple[Kept, ...]
     problem: SelectionProblem
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @property
     def converged(self) -> bool:
@@ -274,22 +273,24 @@ class Selection(Pictured, Result):
 
     def __repr__(self) -> str:
         best = self.best.evaluation
-        names = (*best.base_coordinates, *best.joints)
         problem = self.problem
         lines = [
             f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in problem.target)}) m, "
             f"Jacobian {best.control} control, objective {problem.name}: {self.status}",
-            "  rank "
-            + " ".join(f"{name:>9}" for name in names)
+            f"  rank {in_columns(best, head=True)}"
             + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size))
             + f"{'ε_max':>10}",
         ]
         equal = TIE_TOLERANCE * problem.first_scale if not problem.sought[0].has_kinks else 0.0
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
             e = candidate.evaluation
-            numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
+            numbers = in_columns(e)
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
-            alike = f"   and {len(candidate.continuum)} placements alike" if candidate.continuum else ""
+            alike = (
+                f"   and {len(candidate.continuum)} placement{'s' * (len(candidate.continuum) > 1)} alike"
+                if candidate.continuum
+                else ""
+            )
             wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
             lines.append(f"  {rank:4d} {numbers}{_measures(e, equal)}{active}{wide}{alike}")
         lines += [f"  {kept}" for kept in self.kept]
@@ -307,8 +308,15 @@ class Selection(Pictured, Result):
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
-            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + _measures(e, equal))
+            lines.append(f"   now {in_columns(e)}{_measures(e, equal)}")
         return "\n".join(lines)
+
+
+def in_columns(e: Evaluation, *, head: bool = False) -> str:
+    """Placement and posture in columns as wide as their names; or these names."""
+    names = (*e.base_coordinates, *e.joints)
+    shown = names if head else [f"{x:.4f}" for x in (*e.base, *e.posture)]
+    return " ".join(f"{text:>{max(9, len(name))}}" for name, text in zip(names, shown, strict=True))
 
 
 def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> float | None:

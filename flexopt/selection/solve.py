@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack, cast
@@ -12,7 +12,7 @@ import numpy as np
 
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, instance, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
@@ -20,10 +20,10 @@ from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.choices import OUTCOMES, of_loop
 from flexopt.model.constraints import AnyConstraints, Constraints, LeastOutcomes
-from flexopt.model.loop import Loop, under_control
+from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
-from flexopt.model.uncertainty import Uncertainty
+from flexopt.model.uncertainty import RangesLike
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
@@ -32,7 +32,7 @@ from flexopt.selection.check import prove
 from flexopt.selection.continua import grouped, nearest, same, travel
 from flexopt.selection.newton import settled
 from flexopt.selection.objective import Objective
-from flexopt.selection.optima import SAME_POINT, Progress, first_optima, later_optima, next_stage
+from flexopt.selection.optima import SAME_POINT, first_optima, later_optima, next_stage
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import single
 from flexopt.selection.result import TIE_TOLERANCE, Candidate, ConstraintValue, Kept, Selection
@@ -82,11 +82,11 @@ def without_loop(constraints: Any) -> Any:
 @public(together=loop_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)
 def select(
     machine: AnyMachine,
-    target: Any,
+    target: TargetLike,
     *,
     constraints: AnyConstraints | None = None,
-    loop: Loop | Mapping[str, Any] | str | None = None,
-    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
+    loop: LoopLike | None = None,
+    ranges: RangesLike | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
@@ -122,7 +122,7 @@ def select(
         >>> selection.best.evaluation.joints
         ('boom', 'stick')
     """
-    real, measure = cast("Loop | None", loop or machine.loop), keywords.get("objective")
+    real, measure = cast("Loop | None", loop or machine.loop), cast("str | None", keywords.get("objective"))
     least = least_of(constraints)
     if of_loop(measure) or least is not None:
         # Its room is built on this one.

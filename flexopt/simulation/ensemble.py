@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from flexopt.compiled import Batch, Recurrence
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, MatrixLike, PostureLike, Progress, Vector
 from flexopt.foundation.boundary import array_of, of_machine, path, public, words
 from flexopt.foundation.documents import json_ready, provenance, write_netcdf
 from flexopt.foundation.pictures import Pictured
@@ -48,7 +48,6 @@ BYTES_MAX = 4e9  # of samples kept
 
 VERDICTS: tuple[LoopVerdict, ...] = ("converges", "grows", "undecided")
 WORDS = {"converges": "converge", "grows": "grow", "undecided": "undecided"}
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +73,7 @@ class Ensemble(Pictured, Tabled):
     """
 
     dataset: xr.Dataset
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
     plan: Plan = field(repr=False)
     measures: tuple[Behaviour, ...] = field(repr=False)
     ends: Vector | None = field(repr=False)
@@ -114,7 +113,7 @@ class Ensemble(Pictured, Tabled):
         """Share of the members whose oscillation grows in the run."""
         return float(self.dataset["grows"].mean())
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready summary: shares, and 5th, 50th and 95th percentiles.
 
         Keys: `members`; `growing`, by the runs alone; `verdicts` (verdict -> share); `percentiles`; `provenance`.
@@ -207,9 +206,9 @@ def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
 @public(together=note_options, vary=of_machine(_vary), keep=words("measures", "trajectories"), keywords=SIMULATED)
 def simulate_ensemble(
     machine: AnyMachine,
-    posture: Any = None,
+    posture: PostureLike | None = None,
     *,
-    vary: Mapping[str, Any],
+    vary: Mapping[str, MatrixLike],
     keep: Keep = "measures",
     threads: int | None = None,
     progress: Progress | None = None,
@@ -243,7 +242,7 @@ def simulate_ensemble(
         3
     """
     checked = checked_options("simulate_ensemble", machine, {"posture": posture} | keywords)
-    varied = dict[str, Vector](vary)
+    varied = dict(cast(Mapping[str, Vector], vary))
     n = len(next(iter(varied.values())))
     names = [parameter.name for parameter in machine.parameters]
     zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)

@@ -12,7 +12,7 @@ from flexopt.errors import InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import anything, public
 from flexopt.model.boundary import holding_machine
-from flexopt.model.loop import Loop, rate_of
+from flexopt.model.loop import Loop, LoopLike, rate_of
 from flexopt.model.simulation import Experiment, OverrideKeywords
 from flexopt.plant import inverse_kinematics
 from flexopt.selection import nullspace_trajectory
@@ -47,7 +47,7 @@ def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
 def run_experiment(
     experiment: Experiment,
     *,
-    loop: Loop | Mapping[str, Any] | str | None = None,
+    loop: LoopLike | None = None,
     **overrides: Unpack[OverrideKeywords],
 ) -> Trajectory:
     """Run what a file describes.

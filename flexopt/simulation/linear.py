@@ -18,7 +18,7 @@ import numpy as np
 
 from flexopt.errors import InputError
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.closed import closed_loop
@@ -66,7 +66,7 @@ _LINEAR = Keywords(SimulationOptions, LinearKeywords, together=True)
 @public(together=_note, keywords=_LINEAR)
 def sampled_loop(
     machine: AnyMachine,
-    posture: Any = None,
+    posture: PostureLike | None = None,
     *,
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[LinearKeywords],
@@ -97,7 +97,7 @@ def sampled_loop(
 @public(together=_note, ratio=number("s", low=0.0, high=1e9), keywords=_LINEAR)
 def stability_border(
     machine: AnyMachine,
-    posture: Any = None,
+    posture: PostureLike | None = None,
     *,
     ratio: float | None = None,
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords

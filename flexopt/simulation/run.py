@@ -13,7 +13,7 @@ import numpy as np
 from flexopt.compiled import Batch, Recurrence, batch, recurrence
 from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import control_damping
 from flexopt.foundation.documents import provenance
@@ -22,7 +22,7 @@ from flexopt.loop.levers import feeble_levers
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.structure import LoopStructure
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
@@ -45,9 +45,9 @@ def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
 @public(together=_note, keywords=SIMULATED)
 def simulate(
     machine: AnyMachine,
-    posture: Any = None,
+    posture: PostureLike | None = None,
     *,
-    loop: Loop | Mapping[str, Any] | str | None = None,
+    loop: LoopLike | None = None,
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SimulationKeywords],
 ) -> Trajectory:

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import array_of, path, public
 from flexopt.foundation.documents import write_netcdf
+from flexopt.foundation.palette import Theme
 from flexopt.foundation.pictures import Pictured, drawn
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
@@ -120,7 +121,7 @@ class Trajectory(Pictured, Result):
     frequencies_hz: Vector
     self_motion_rate: float | None
     warnings: tuple[str, ...]
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
     model: AnyMachine = field(repr=False)
     loop: LoopSettings | None = None
 
@@ -254,19 +255,22 @@ class Trajectory(Pictured, Result):
         lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
         write_file(path, "\n".join(lines) + "\n")
 
-    def animate(self, path: str | os.PathLike[str], *, speed: float = 1.0, magnify: float = 1.0) -> None:
+    def animate(
+        self, path: str | os.PathLike[str], *, speed: float = 1.0, magnify: float = 1.0, theme: Theme = "light"
+    ) -> None:
         """Write a moving picture of the machine: `.gif` or `.html`, which open anywhere.
 
         Args:
             path: the file.
             speed: of the film, relative to the machine.
             magnify: factor on the base's deflections, which are small.
+            theme: `"light"` or `"dark"` ground.
 
         Example:
             >>> run = flexopt.simulate(machine, (0.9929, -2.6306), duration=0.2)
             >>> run.animate("run.gif", magnify=20.0)
         """
-        drawn(self, path, form="film", speed=speed, magnify=magnify)
+        drawn(self, path, form="film", speed=speed, magnify=magnify, theme=theme)
 
     def __repr__(self) -> str:
         def number(value: float | None, text: str) -> str:

@@ -83,7 +83,7 @@ def decide(
     if changed is not None and changed.holds and _spares(changed, stay, best):
         return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound))
     if best is not None:
-        reason = "the target is out of reach from the present placement"
+        reason = "from the present placement the arm does not reach the target within its limits"
         if stay is not None:
             reason = f"better on {100 * best.better_than(stay):.0f} % of the grounds; "
             reason += f"slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"

@@ -6,11 +6,11 @@ import importlib.util
 import platform
 import shutil
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 
 from flexopt.errors import FlexoptError
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.documents import package_version, provenance
 from flexopt.model import load, load_experiment, load_problem, shipped_names
 from flexopt.model.files import Kind, read_source
@@ -40,7 +40,7 @@ class InstallationReport:
         """Whether flexopt can do its work here."""
         return all(check.passed for check in self.checks if check.required)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready dictionary."""
         checks = [vars(check) for check in self.checks]
         return {"healthy": self.healthy, "checks": checks, "provenance": provenance()}

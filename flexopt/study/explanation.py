@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from flexopt.errors import FlexoptWarning
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
+from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
 from flexopt.loop.evaluation import Outcome
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop
+from flexopt.model.loop import LoopLike
 from flexopt.plant.reach import arm_length
 from flexopt.robustness import Evaluation, Measures, build_measures, evaluate
 from flexopt.robustness.plausibility import warn_implausible
@@ -72,9 +73,14 @@ class ModeMove(Result):
     effects: Vector
     room: float
 
+    @property
+    def why(self) -> str:
+        """Why there is nothing to move; empty where there is."""
+        return WHY.get(self.status, "")
+
 
 @dataclass(frozen=True)
-class Explanation(Result):
+class Explanation(Pictured, Result):
     """Why a posture is good or bad. m modes, ordered by frequency; r task rows. SI and radians.
 
     Attributes:
@@ -85,6 +91,9 @@ class Explanation(Result):
             w_i = −2 |a_i||b_i| sin²(angle/2) for two and more task rows. NaN where frequencies are shared.
         a, b: (r, m).
         moves: for each mode what to move and which way.
+        model: the machine.
+
+    Its picture shows for each mode a_i and b_i, each of length 1, at the end-point, and how far every coordinate goes.
 
     Example:
         >>> found = flexopt.explain(flexopt.load("excavator"), [0.9929, -2.6306])
@@ -107,6 +116,7 @@ class Explanation(Result):
     a: Vector
     b: Vector
     moves: tuple[ModeMove, ...]
+    model: AnyMachine = field(repr=False)
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -195,7 +205,7 @@ class Explanation(Result):
 
     def _move(self, i: int, move: ModeMove) -> str:
         if move.variable is None:
-            return f"Nothing to move for w{i + 1}: {WHY[move.status]}."
+            return f"Nothing to move for w{i + 1}: {move.why}."
         names = self.variables
         lead = names.index(move.variable)
         sign = "positive" if move.direction[lead] > 0 else "negative"
@@ -220,12 +230,12 @@ class Explanation(Result):
 @public()
 def explain(
     machine: AnyMachine,
-    posture: Any,
+    posture: PostureLike,
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     control: Control | None = None,
     gravity: bool = False,
-    loop: Loop | Mapping[str, Any] | str | None = None,
+    loop: LoopLike | None = None,
 ) -> Explanation:
     """Why a posture is good or bad: for each mode its size, angle, damping and lag, and what to move and which way.
 
@@ -259,7 +269,7 @@ def explain(
     angle = np.array([math.nan if i in shared else _angle(a[:, i], b[:, i]) for i in range(len(stand.w))])
     unit = residue_unit(stand.control, machine.joint_units)
     unit = "in mixed units" if unit == "mixed" else unit
-    return Explanation(stand, unit, angle, a, b, tuple(_moves(machine, measures, stand, shared)))
+    return Explanation(stand, unit, angle, a, b, tuple(_moves(machine, measures, stand, shared)), machine)
 
 
 def _angle(a: Vector, b: Vector) -> float:

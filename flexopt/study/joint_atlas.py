@@ -7,14 +7,15 @@ meet and those where they end, the edges of the workspace, singular postures.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, RangeLike
 from flexopt.foundation.boundary import anything, by, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.plain import shown
@@ -92,12 +93,12 @@ def atlas(
     *,
     control: Control = "inverse",
     gravity: bool = False,
-    joints: Any = None,
-    posture: Any = None,
-    base: Any = None,
-    x_range: Any = None,
-    y_range: Any = None,
-    cells: Any = CELLS,
+    joints: Sequence[str] | None = None,
+    posture: PostureLike | None = None,
+    base: BaseLike | None = None,
+    x_range: RangeLike | None = None,
+    y_range: RangeLike | None = None,
+    cells: PointsLike = CELLS,
     threads: int | None = None,
 ) -> Atlas:
     """All robust postures at a glance: the curves w_i = 0 over two joints, and where two of them meet.
@@ -140,5 +141,5 @@ def atlas(
     given = {"joints": joints, "posture": posture, "base": base, "x_range": x_range, "y_range": y_range}
     plane, rectangle = _read(Arguments("atlas", machine), machine, given)
     warn_implausible(machine)
-    count = available_cores() if threads is None else threads
-    return survey(Slice(machine, control, gravity, plane.varies, plane.posture, plane.base, count), rectangle, cells)
+    count, size = available_cores() if threads is None else threads, cast(tuple[int, int], cells)
+    return survey(Slice(machine, control, gravity, plane.varies, plane.posture, plane.base, count), rectangle, size)

@@ -15,18 +15,19 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, Progress, RangeLike, Vector
 from flexopt.foundation.boundary import by, of_machine, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import Quantity, pair
 from flexopt.loop.evaluation import settings_at
-from flexopt.loop.many import Progress, decays, expect_decays
+from flexopt.loop.many import decays, expect_decays
 from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model import AnyMachine
-from flexopt.model.loop import GAINS, LOOP_GAIN, Loop
+from flexopt.model.loop import GAINS, LOOP_GAIN, Loop, LoopLike
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 from flexopt.study.grid import Axis, Grid
 from flexopt.study.workspace import check_points
@@ -100,14 +101,14 @@ def _of_machine(arguments: Arguments, machine: AnyMachine, field: str, name: Any
 @public(vary=of_machine(_varied), points=by(check_points))
 def map_loop(
     machine: AnyMachine,
-    posture: Any,
-    vary: Mapping[str, Any],
+    posture: PostureLike,
+    vary: Mapping[str, RangeLike],
     *,
-    base: Any = None,
+    base: BaseLike | None = None,
     control: Control | None = None,
     gravity: bool = False,
-    loop: Loop | Mapping[str, Any] | str | None = None,
-    points: Any = None,
+    loop: LoopLike | None = None,
+    points: PointsLike | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> WorkspaceMap:
@@ -138,10 +139,11 @@ def map_loop(
         >>> found.dataset["decay"].dims
         ('dead_time', 'kp')
     """
-    size = POINTS if points is None else points
-    x, y = cast("list[Varied]", vary)
-    asked = cast("Loop | None", loop)
-    settings, placed = settings_at(machine, posture, base, control, asked, gravity=gravity, call="map_loop")
+    size = POINTS if points is None else cast(tuple[int, int], points)
+    x, y = cast(list[Varied], vary)
+    asked, held = cast("Loop | None", loop), cast(Vector, posture)
+    known_base = cast("Vector | None", base)
+    settings, placed = settings_at(machine, held, known_base, control, asked, gravity=gravity, call="map_loop")
     box = UncertaintyBox(machine, tuple(each.of for each in (x, y) if each.of), settings.dead_time)
     raise_if_any(InputError, "map_loop", _unfit(settings, box, (x, y)))
     columns, rows = x.axis(size[0]), y.axis(size[1])
@@ -152,14 +154,14 @@ def map_loop(
     varied = {"p": p, DEAD_TIME: late[None]}
     varied |= {each.name: np.tile(values, (getattr(settings, each.name).size, 1))
                for each, values in over.items() if not each.of}  # fmt: skip
-    varied |= {"base": np.tile(placed[:, None], count), "posture": np.tile(posture[:, None], count)}
+    varied |= {"base": np.tile(placed[:, None], count), "posture": np.tile(held[:, None], count)}
     result = decays(machine, settings, varied, gravity=gravity, threads=threads, progress=progress)
     shape = rows.values.size, columns.values.size
-    where = np.broadcast_to(posture[:, None, None], (posture.size, *shape))
+    where = np.broadcast_to(held[:, None, None], (held.size, *shape))
     grid = Grid(
         rows, columns, where, np.ones(shape, dtype=bool), np.broadcast_to(placed[:, None, None], (placed.size, *shape))
     )
-    options = {"control": settings.control, "gravity": gravity, "over": "loop", "posture": posture.tolist(),
+    options = {"control": settings.control, "gravity": gravity, "over": "loop", "posture": held.tolist(),
                "base": placed.tolist(), "vary": {each.name: [each.low, each.high] for each in (x, y)},
                "points": list(size), "loop": settings.to_dict()}  # fmt: skip
     dataset = loop_dataset(grid, result, machine)

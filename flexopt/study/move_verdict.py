@@ -14,7 +14,7 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
@@ -22,9 +22,9 @@ from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import Loop, gain_ranges, under_control
+from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
-from flexopt.model.uncertainty import GROUND, Uncertainty
+from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem, select, solve_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
@@ -68,11 +68,11 @@ _KEYWORDS = Keywords(SelectionOptions, SelectionKeywords, together=True)
 )
 def verdict(
     problem: Problem | SelectionProblem | Selection | AnyMachine,
-    target: Any = None,
+    target: TargetLike | None = None,
     *,
     constraints: AnyConstraints | None = None,
-    loop: Loop | Mapping[str, Any] | str | None = None,
-    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
+    loop: LoopLike | None = None,
+    ranges: RangesLike | None = None,
     members: int = MEMBERS,
     runs: int = RUNS,
     duration: float = DURATION,
@@ -161,7 +161,7 @@ def _selected(problem: Any, target: Any, constraints: Any, keywords: dict[str, A
     if isinstance(problem, AnyMachine):
         if target is None:
             raise_if_any(InputError, "verdict", [Fault("target", "is needed of a machine")])
-        found = select(problem, target, constraints=constraints, **keywords)
+        found = select(problem, cast(Vector, target), constraints=constraints, **keywords)
     else:
         brought = {"target": target, "constraints": constraints} | keywords
         sentence = "goes with a machine; the problem brings its own"

@@ -9,15 +9,19 @@ import base64
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from flexopt.foundation import writing
+from flexopt.foundation.palette import Theme
 from flexopt.foundation.writing import make_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from PIL import Image
 
     from flexopt.simulation import Trajectory
 
@@ -27,30 +31,60 @@ Table = tuple[Sequence[str], Sequence[Sequence[str]]] | None
 
 # Inches from which a picture scrolls where the page is narrow, in place of becoming too small to read.
 WIDE = 7.0
+# Colours of a picture in a page; none of its points is off by more than a few parts in 255.
+COLOURS = 256
+DOTS = 110  # per inch
 
 
 class Picture(NamedTuple):
-    """A figure in a page: PNG in Base64, its caption, and whether it is wide."""
+    """A figure in a page: PNG in Base64 on either ground, its caption, and whether it is wide."""
 
-    data: str
+    light: str
+    dark: str
     caption: str
     wide: bool
 
 
-def picture(figure: Figure, caption: str) -> Picture:
+def picture(draw: Callable[[Theme], Figure], caption: str) -> Picture:
     """A figure with its caption."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)  # pyright: ignore[reportUnknownMemberType]
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return Picture(data, caption, bool(figure.get_figwidth() > WIDE))
+    return pictures(lambda theme: {caption: draw(theme)})[caption]
 
 
-def run_figures(runs: Mapping[str, Trajectory]) -> dict[str, Figure]:
+def pictures(draw: Callable[[Theme], Mapping[str, Figure]]) -> dict[str, Picture]:
+    """Figures by name, which are their captions, too."""
+    light, dark = draw("light"), draw("dark")
+    return {
+        name: Picture(_png(figure), _png(dark[name]), name, figure.get_figwidth() > WIDE)
+        for name, figure in light.items()
+    }
+
+
+def _png(figure: Figure) -> str:
+    """As PNG in Base64, in so few colours that both grounds take less room than one does in all of them."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  (which only pages need)
+    from PIL import Image  # noqa: PLC0415
+
+    figure.set_dpi(DOTS)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    written = io.BytesIO()
+    few_colours(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])).save(written, "PNG", optimize=True)
+    return base64.b64encode(written.getvalue()).decode("ascii")
+
+
+def few_colours(full: Image.Image) -> Image.Image:
+    """A picture with a palette: of Pillow's ways to choose one that which keeps rare colours, those of thin lines."""
+    from PIL import Image  # noqa: PLC0415
+
+    return full.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+
+
+def run_figures(runs: Mapping[str, Trajectory], *, theme: Theme = "light") -> dict[str, Figure]:
     """Pictures of closed loops by name: `loops` of several side by side, and each as `run …`."""
     from flexopt.plotting import plot_trajectories  # noqa: PLC0415  (matplotlib is slow to import)
 
-    together = {"loops": plot_trajectories(runs)} if len(runs) > 1 else {}
-    return together | {f"run {name}": run.plot() for name, run in runs.items()}
+    together = {"loops": plot_trajectories(runs, theme=theme)} if len(runs) > 1 else {}
+    return together | {f"run {name}": run.plot(theme=theme) for name, run in runs.items()}
 
 
 def begun(text: str) -> str:

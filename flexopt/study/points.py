@@ -6,7 +6,6 @@ In: a machine, postures and placements as columns. Out: arrays with one column f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from flexopt.algebra import symmetric_eigen
 from flexopt.compiled import Economical
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.control import Control
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
@@ -25,7 +24,6 @@ from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.robustness.posture_margin import evaluate_margin
 
-Progress = Callable[[int, int], None]
 # Postures at a time, so that progress shows and memory stays small.
 CHUNK = 4096
 # What the batched Riccati equations may leave over, relative. Over the random machines of `benchmarks.margin_accuracy`

@@ -12,7 +12,7 @@ from flexopt.foundation.rendering import render
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection
 from flexopt.selection.several import BasePlan, Stand
-from flexopt.study.page import Picture, Table, begun, number, picture, run_figures
+from flexopt.study.page import Picture, Table, begun, number, picture, pictures, run_figures
 from flexopt.study.places import STAY
 from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some
 from flexopt.study.verdict_page import judged, target_of
@@ -41,7 +41,11 @@ def report_html(report: Report) -> str:
         provenance=report.provenance,
         report=report,
         judged=report.verdict and judged(report.verdict),
-        pictures={"selection": picture(report.selection.plot(), CAPTIONS["several" if several else "selection"])},
+        pictures={
+            "selection": picture(
+                lambda theme: report.selection.plot(theme=theme), CAPTIONS["several" if several else "selection"]
+            )
+        },
         sentence=_sentence(report),
         placed=placed,
         placed_note=note,
@@ -70,17 +74,18 @@ def _panels(report: Report) -> dict[str, Picture]:
 
     if report.map is None:
         return {}
-    figures = plot_quantities(report.map, marks=report.marks)
-    return {name: picture(figure, f"{begun(name)}.") for name, figure in figures.items()}
+    found = pictures(lambda theme: plot_quantities(report.map, marks=report.marks, theme=theme))
+    return {name: each._replace(caption=f"{begun(name)}.") for name, each in found.items()}
 
 
 def _runs(report: Report) -> dict[str, Picture]:
     """The runs beside each other, and each of them."""
+    runs = {name: loop.run for name, loop in report.loops.items()}
     return {
-        "side by side" if name == "loops" else name.removeprefix("run "): picture(
-            figure, CAPTIONS.get(name, f"Nonlinear {name}.")
+        "side by side" if name == "loops" else name.removeprefix("run "): each._replace(
+            caption=CAPTIONS.get(name, f"Nonlinear {name}.")
         )
-        for name, figure in run_figures({name: loop.run for name, loop in report.loops.items()}).items()
+        for name, each in pictures(lambda theme: run_figures(runs, theme=theme)).items()
     }
 
 

@@ -5,21 +5,22 @@ In: a problem, from a file or from `build_selection`. Out: a `Report`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Progress, TableLike
 from flexopt.foundation.boundary import public, table, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine, Problem
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.simulation import Experiment, SimulationOptions
 from flexopt.model.simulation_faults import brought_twice
-from flexopt.model.uncertainty import Uncertainty
+from flexopt.model.uncertainty import RangesLike
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem, solve_problem, solve_selection
 from flexopt.selection.several import BasePlan, Stand
@@ -30,7 +31,6 @@ from flexopt.study.asked import any_problem
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
 from flexopt.study.move_verdict import verdict
-from flexopt.study.points import Progress
 from flexopt.study.report_result import Report, ReportLoop
 from flexopt.study.surroundings import best_of, map_points, marks_in, problem_of, stands_of, surroundings
 from flexopt.study.verdict_result import Verdict
@@ -66,9 +66,9 @@ def report(
     problem: Problem | SelectionProblem,
     *,
     experiment: Experiment | None = None,
-    simulation: Mapping[str, Any] | None = None,
-    loop: Loop | Mapping[str, Any] | str | None = None,
-    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
+    simulation: TableLike | None = None,
+    loop: LoopLike | None = None,
+    ranges: RangesLike | None = None,
     points: int | None = None,
     progress: Progress | None = None,
 ) -> Report:

@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import instance, path, public
 from flexopt.foundation.documents import json_ready
+from flexopt.foundation.palette import Theme
 from flexopt.foundation.printing import printed
 from flexopt.foundation.results import Tabled
 from flexopt.foundation.writing import write_file
@@ -42,7 +43,7 @@ class ReportLoop(Tabled):
         """The linear loop, exact between the samples; None where there is none."""
         return self.run.linear
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Numbers: growth rates in 1/s, frequency in Hz."""
         linear = self.linear and {"growth_rate": self.linear.growth_rate, "frequency_hz": self.linear.frequency_hz}
         return {"run": self.run.to_dict(), "linear": linear}
@@ -82,12 +83,12 @@ class Report(Tabled):
     map: WorkspaceMap | None = field(repr=False)
     marks: dict[str, tuple[float, float]]
     loops: dict[str, ReportLoop] = field(repr=False)
-    simulation: dict[str, Any]
+    simulation: Document
     borders: tuple[BorderRow, ...]
     verdict: Verdict | None
     no_verdict: str
     notes: tuple[str, ...]
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @property
     def problem(self) -> SelectionProblem:
@@ -117,8 +118,12 @@ class Report(Tabled):
         shares: Vector = energy / energy.sum(axis=0)
         return shares
 
-    def figures(self) -> dict[str, Figure]:
+    @public()
+    def figures(self, *, theme: Theme = "light") -> dict[str, Figure]:
         """Pictures by name: `selection`, `map`, `loops` (several runs side by side), and each run as `run …`.
+
+        Args:
+            theme: `"light"` or `"dark"` ground.
 
         Example:
             >>> sorted(report.figures())[:3]
@@ -126,12 +131,12 @@ class Report(Tabled):
         """
         from flexopt.study.page import run_figures  # noqa: PLC0415
 
-        found = {"selection": self.selection.plot()}
+        found = {"selection": self.selection.plot(theme=theme)}
         if self.map is not None:
-            found["map"] = self.map.plot(marks=self.marks)
-        return found | run_figures({name: loop.run for name, loop in self.loops.items()})
+            found["map"] = self.map.plot(marks=self.marks, theme=theme)
+        return found | run_figures({name: loop.run for name, loop in self.loops.items()}, theme=theme)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready dictionary.
 
         Keys: `name`, `description`, `source`, `machine` (its `parameters` with units among the rest), `selection` (as

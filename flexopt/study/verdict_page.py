@@ -6,6 +6,7 @@ In: a `Verdict`. Out: figures, rows of tables, HTML. Every number is the verdict
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from flexopt.foundation.rendering import render
@@ -168,7 +169,8 @@ def _pictures(verdict: Verdict) -> list[Picture]:
     found = list[Picture]()
     for m, bands in zip(measures(verdict), bands_of(verdict), strict=True):
         worst = "; ".join(f"{row.name} {row.worst}" for row in bands.rows)
-        found.append(picture(plot_band(bands), f"{begun(m.label)}. Worst: {worst}."))
+        draw = partial(plot_band, bands)
+        found.append(picture(lambda theme, draw=draw: draw(theme=theme), f"{begun(m.label)}. Worst: {worst}."))
     return found
 
 

@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
@@ -114,7 +114,7 @@ class Verdict(Pictured, Result):
     uncertainty: tuple[Uncertainty, ...]
     members: int
     selection: Selection = field(repr=False)
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     DOCUMENT = """
     word sentence place reason measure gains rule places settings uncertainty=_uncertainty members proven provenance
@@ -133,7 +133,7 @@ class Verdict(Pictured, Result):
         return f"{self.word}{where}: {self.reason}"
 
     @property
-    def table(self) -> list[dict[str, Any]]:
+    def table(self) -> list[Document]:
         """See the class: name, drive (m), slowest decay (1/s), least allowed gain and delay margin (s), longest
         settling (s) and largest turn (rad) over the uncertainty, share of nonlinear runs that converge.
         """  # noqa: D205

@@ -6,14 +6,14 @@ In: a machine and a range of end-points or joint angles. Out: a `WorkspaceMap` w
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, Progress, RangeLike, TargetLike, Vector
 from flexopt.foundation.boundary import anything, by, flag, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
@@ -22,12 +22,12 @@ from flexopt.loop.many import Decays, decays, expect_decays
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, LoopLike
 from flexopt.plant import build_plant
 from flexopt.robustness import evaluate
 from flexopt.study.grid import Grid, Over
 from flexopt.study.planes import Plane, read_plane
-from flexopt.study.points import Progress, evaluate_points, expect_points
+from flexopt.study.points import evaluate_points, expect_points
 from flexopt.study.workspace_map import WorkspaceMap, workspace_dataset
 
 OVER: tuple[Over, ...] = ("end_point", "posture", "base")
@@ -72,19 +72,19 @@ def map_workspace(
     gain: float = 5e5,
     gravity: bool = False,
     over: Over = "end_point",
-    joints: Any = None,
-    rows: Any = None,
-    coordinates: Any = None,
-    posture: Any = None,
-    end_point: Any = None,
-    base: Any = None,
-    x_range: Any = None,
-    y_range: Any = None,
-    points: Any = None,
+    joints: Sequence[str] | None = None,
+    rows: Sequence[str] | None = None,
+    coordinates: Sequence[str] | None = None,
+    posture: PostureLike | None = None,
+    end_point: TargetLike | None = None,
+    base: BaseLike | None = None,
+    x_range: RangeLike | None = None,
+    y_range: RangeLike | None = None,
+    points: PointsLike | None = None,
     elbow: Elbow = "up",
     measures: bool = True,
     epsilon_max: bool = True,
-    loop: Loop | Mapping[str, Any] | str | None = None,
+    loop: LoopLike | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> WorkspaceMap:
@@ -133,7 +133,7 @@ def map_workspace(
         >>> chart.array("w").shape  # mode, y, x
         (3, 8, 8)
     """
-    size = _default_points(machine) if points is None else points
+    size = _default_points(machine) if points is None else cast(tuple[int, int], points)
     given = {"joints": joints, "rows": rows, "coordinates": coordinates, "posture": posture, "end_point": end_point}
     given |= {"base": base, "x_range": x_range, "y_range": y_range}
     plane = read_plane(Arguments("map_workspace", machine), machine, over, given)

@@ -14,7 +14,7 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, MaskLike, Vector
 from flexopt.foundation.boundary import array_of, by, check_text, path, public
 from flexopt.foundation.coordinates import check_point
 from flexopt.foundation.documents import json_ready, write_netcdf
@@ -84,9 +84,9 @@ class WorkspaceMap(Tabled):
     """
 
     machine: str
-    options: dict[str, Any]
+    options: Document
     dataset: xr.Dataset = field(repr=False)
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @public(name=by(check_text))
     def array(self, name: str) -> Vector:
@@ -113,7 +113,7 @@ class WorkspaceMap(Tabled):
         return rows, columns
 
     @public(sizes=_sizes, mask=array_of(("n_y", "n_x"), kinds="biuf"))
-    def fraction(self, mask: Any) -> float:
+    def fraction(self, mask: MaskLike) -> float:
         """Share of the mapped points (reachable and regular) where `mask` (n_y, n_x) holds.
 
         Example:
@@ -184,7 +184,7 @@ class WorkspaceMap(Tabled):
         """
         return drawn(self, path, ax=ax, size=size, theme=theme, marks=marks)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready summary: ranges, means and shares of the area, with provenance; the arrays go to netCDF.
 
         Example:

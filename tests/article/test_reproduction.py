@@ -195,7 +195,7 @@ def test_page_stands_alone(result, files):
     assert "http" not in page
     assert not re.search(r"<(link|script|iframe|object)\b|@import|url\(", page)
     sources = re.findall(r'src="([^"]{0,30})', page)
-    assert len(sources) == 9
+    assert len(sources) == 2 * 9
     assert all(source.startswith("data:image/png;base64,iVBOR") for source in sources)
     text = page.replace("&#x27;", "'").replace("&lt;", "<").replace("&gt;", ">")
     for f in (*result.contradictions, *result.claims):

@@ -120,6 +120,17 @@ def test_every_command_has_examples_and_every_example_is_understood(command: Com
                 assert command(*words[1:]).code == 0, line
 
 
+def test_python_runs_the_command_as_a_module() -> None:
+    asked = ["--version"], ["evaluate", "excavator", "--posture", "a,b", "--json"]
+    for arguments in asked:
+        script, module = (
+            subprocess.run([sys.executable, *way, *arguments], capture_output=True, text=True, check=False)
+            for way in (["-c", "from flexopt.cli import main; main()"], ["-m", "flexopt"])
+        )
+        assert (module.returncode, module.stdout, module.stderr) == (script.returncode, script.stdout, script.stderr)
+        assert module.stdout
+
+
 def test_options_that_examples_name_are_there() -> None:
     """The check above sees a mistake."""
     found = cli.get_command(click.Context(cli), "evaluate")

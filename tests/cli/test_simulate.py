@@ -53,6 +53,13 @@ def test_text_and_files(command: Command) -> None:
     assert len((command.folder / "r.csv").read_text().splitlines()) == 202
 
 
+def test_a_film_on_dark_ground(command: Command) -> None:
+    asked = (*POSTURE, "--duration", "1", "--theme", "dark")
+    assert command(*asked, "--animate", "r.html").code == 0
+    assert "color-scheme: dark; --page" in (command.folder / "r.html").read_text(encoding="utf-8")
+    assert "--theme" in command(*asked).stderr
+
+
 def test_divergence_is_an_answer_and_valid_json(command: Command) -> None:
     document = command.json(*POSTURE, "--kp", "1e12")
     assert document["verdict"] == "grows"

@@ -87,6 +87,10 @@ def sensitivity(name: str) -> Any:
     return flexopt.sensitivity(machine(name), posture(name), ranges=ranges, samples=64)
 
 
+def explanation(name: str) -> Any:
+    return flexopt.explain(machine(name), posture(name))
+
+
 def solved(name: str) -> Any:
     return flexopt.solve_problem(flexopt.load_problem(name))
 
@@ -113,5 +117,6 @@ SPECIMENS: dict[str, Callable[[], Any]] = {
     **{f"map base {name}": partial(workspace, name, "base") for name in SPATIAL},
     **{f"loop {name}": partial(loop, name) for name in MACHINES},
     **{f"verdict {name}": partial(verdict, name) for name in ("article", "pipe-laying")},
+    **{f"explanation {name}": partial(explanation, name) for name in MACHINES},
     **{f"sensitivity {name}": partial(sensitivity, name) for name in ("excavator", "truck-crane")},
 }

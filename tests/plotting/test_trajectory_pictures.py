@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 import flexopt
+from flexopt.foundation.palette import PALETTES
 from flexopt.plotting import animate_trajectory, plot_base_trajectory, plot_trajectories, plot_trajectory
 from flexopt.plotting.panels import BINS, thinned
 
@@ -273,6 +274,27 @@ def test_frames_show_the_machine(grows, tmp_path):
         assert np.arctan(-np.polyfit(inner, edge, 1)[0]) == pytest.approx(rotation[frame], abs=0.02)
     assert rotation.max() > 0.2
     assert rotation.min() < -0.2
+
+
+@pytest.mark.parametrize("theme", PALETTES)
+def test_films_have_a_theme(grows, theme, tmp_path):
+    grows.animate(tmp_path / "run.gif", speed=20.0, theme=theme)
+    grows.animate(tmp_path / "run.html", speed=20.0, theme=theme)
+    image = film(tmp_path / "run.gif")
+    image.seek(image.n_frames - 1)
+    colours = {f"#{r:02x}{g:02x}{b:02x}" for _, (r, g, b) in image.convert("RGB").getcolors(1 << 20)}
+    inks = PALETTES[theme]
+    assert "#{:02x}{:02x}{:02x}".format(*image.convert("RGB").getpixel((2, 2))) == inks.page
+    assert near(inks.present, colours)
+    assert near(inks.undercarriage, colours)
+    page = (tmp_path / "run.html").read_text(encoding="utf-8")
+    assert f"color-scheme: {theme}; --page: {inks.page};" in page
+
+
+def near(color, colours):
+    """Whether a colour is among those of a palette, to a few parts in 255."""
+    parts = np.array([[int(each[k : k + 2], 16) for k in (1, 3, 5)] for each in (color, *colours)])
+    return np.abs(parts[1:] - parts[0]).max(axis=1).min() <= 12
 
 
 def test_html(grows, tmp_path):

@@ -13,6 +13,7 @@ from PIL import Image
 import flexopt
 from flexopt.model.tree import tree_from_dict
 from flexopt.plotting.workspace import plot_quantities
+from flexopt.study import page
 from flexopt.study.problem_page import report_html
 from tests.cli.command import Command
 from tests.oracles.spatial import in_space
@@ -34,6 +35,10 @@ def article():
     )  # fmt: skip
     assert [done for done, _ in stages] == list(range(1, stages[0][1] + 1))
     return result
+
+
+def pixels(picture):
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(picture))).convert("L"))
 
 
 def text_of(page):
@@ -93,11 +98,14 @@ def test_marks_are_where_the_machine_is(article):
 
 
 def test_files(article, tmp_path):
-    page, data = article.write(tmp_path / "new" / "folder")
+    web, data = article.write(tmp_path / "new" / "folder")
     assert json.loads(data.read_text(encoding="utf-8")) == json.loads(json.dumps(article.to_dict()))
-    markup = page.read_text(encoding="utf-8")
+    markup = web.read_text(encoding="utf-8")
     assert "http" not in re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", markup).replace("https://", "")
-    pictures = re.findall(r'src="data:image/png;base64,([A-Za-z0-9+/=]+)"', markup)
+    pictures, dark = (
+        re.findall(rf'class="on-{ground}(?: own)?" src="data:image/png;base64,([A-Za-z0-9+/=]+)"', markup)
+        for ground in ("light", "dark")
+    )
     # The map's panels come one by one, beside the choice and the runs.
     drawn = list(article.figures())
     assert drawn == ["selection", "map", "loops", "run present", "run chosen"]
@@ -105,7 +113,11 @@ def test_files(article, tmp_path):
     assert len(pictures) == len(drawn) - 1 + len(quantities)
     assert len(quantities) == sum(bool(axes.get_title()) for axes in article.map.plot().axes)
     for picture in pictures:
-        assert np.asarray(Image.open(io.BytesIO(base64.b64decode(picture))).convert("L")).std() > 5
+        assert pixels(picture).std() > 5
+    for light, other in zip(pictures, dark, strict=True):
+        assert pixels(light).shape == pixels(other).shape
+        assert pixels(light)[1, 1] == 255
+        assert pixels(other)[1, 1] < 40
     words = text_of(markup)
     best = article.selection.best.evaluation
     for expected in ("The article's target", "766.6", "1.112e+06", f"{best.posture[0]:.5g}", "grows", "Kv/Kp = 0.02 s",
@@ -113,6 +125,20 @@ def test_files(article, tmp_path):
                      "Assumed (reach): the base moves by no more than 3.188 m along x"):  # fmt: skip
         assert expected in words, expected
     repr(article)
+
+
+def test_both_grounds_take_little_more_room_than_one_in_all_colours(article):
+    """And no point is off by more than anyone sees."""
+    figures = {theme: article.figures(theme=theme) for theme in ("light", "dark")}
+    embedded = page.pictures(lambda theme: figures[theme])
+    for name, figure in figures["light"].items():
+        whole = io.BytesIO()
+        figure.savefig(whole, format="png", dpi=page.DOTS)
+        # In Base64, as pages have them.
+        assert len(embedded[name].light) + len(embedded[name].dark) < 1.2 * 4 / 3 * len(whole.getvalue())
+        exact = Image.open(whole).convert("RGB")
+        off = np.asarray(page.few_colours(exact).convert("RGB"), dtype=int) - np.asarray(exact, dtype=int)
+        assert np.abs(off).max() <= 16
 
 
 def test_machine_in_space():

@@ -28,6 +28,9 @@ LOOP = {"kp": 1e4, "kv": 1e3}
 VOID = {"meta", "img", "input", "br", "link"}
 # Width of what is printed on a page of A4, in the CSS's pixels.
 PAPER = round((210 - 24) / 25.4 * 96)
+# The pictures that are shown, and their grounds.
+SHOWN = "[...document.images].filter((each) => each.checkVisibility())"
+GROUNDS = f"[...new Set({SHOWN}.map((each) => each.className.replace('on-', '').replace(' own', '')))]"
 
 
 class Parsed(HTMLParser):
@@ -197,6 +200,7 @@ def test_it_fits(path: Path, scheme: str, chromium: Browser) -> None:
             assert page.evaluate("document.documentElement.scrollWidth") <= width
             ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
             assert (ground == "rgb(255, 255, 255)") == (scheme == "light")
+            assert page.evaluate(GROUNDS) == [scheme]
 
 
 @pytest.mark.needs("chromium")
@@ -212,12 +216,23 @@ def test_on_paper_nothing_is_folded_or_cut(path: Path, chromium: Browser) -> Non
         # What is shown again is laid out with the next frame.
         shown = hidden.replace("checkVisibility()", "checkVisibility({ contentVisibilityAuto: true })")
         page.wait_for_function(f"{shown} === 0")
-        assert page.evaluate("[...document.images].every((each) => each.getBoundingClientRect().height > 20)")
+        assert page.evaluate(f"{SHOWN}.every((each) => each.getBoundingClientRect().height > 20)")
+        assert page.evaluate(f"{SHOWN}.length * 2 === document.images.length")
         cut = "[...document.querySelectorAll('.scroll')].map((e) => e.scrollWidth - e.clientWidth)"
         assert max(page.evaluate(cut)) <= 1
         assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert page.evaluate(GROUNDS) == ["light"]
         page.evaluate("window.dispatchEvent(new Event('afterprint'))")
         assert page.evaluate("document.querySelectorAll('details[open]').length") == 0
+
+
+@pytest.mark.needs("chromium")
+def test_paper_is_light_where_the_screen_is_dark(path: Path, chromium: Browser) -> None:
+    with page_of(chromium, path, color_scheme="dark") as page:
+        printed = pypdf.PdfReader(io.BytesIO(page.pdf(format="A4", print_background=True)))
+    corners = [each.image.convert("L").getpixel((1, 1)) for sheet in printed.pages for each in sheet.images]
+    assert len(corners) > 5
+    assert min(corners) > 250
 
 
 @pytest.mark.needs("chromium")

@@ -25,13 +25,14 @@ from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.source import VERSIONS, Version, body, source
 from flexopt.export.kernels import Unsupported
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Document, PostureLike
 from flexopt.foundation.boundary import path, public, words
 from flexopt.foundation.documents import json_ready, package_version, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.results import Tabled
 from flexopt.foundation.writing import write_files
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.simulation import Sensor, SimulationKeywords, SimulationOptions, placement_of
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.real_loop import note_loop, with_loop
@@ -79,9 +80,9 @@ class FmuReport(Tabled):
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     files: tuple[str, ...]
-    provenance: dict[str, Any]
+    provenance: Document
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready dictionary.
 
         Example:
@@ -132,9 +133,9 @@ def _loop_options(kind: Any, options: Mapping[str, Any]) -> dict[str, Any]:
 def export_fmu(
     machine: AnyMachine,
     path: str | Path,
-    posture: Any = None,
+    posture: PostureLike | None = None,
     *,
-    loop: Loop | Mapping[str, Any] | str | None = None,
+    loop: LoopLike | None = None,
     version: Version = "2.0",
     kind: Kind = "co-simulation",
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords

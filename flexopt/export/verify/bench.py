@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from flexopt.export.operations import Samples
 from flexopt.export.sources import Library
 from flexopt.export.verify.tools import ProgramOutput, run
+from flexopt.foundation.arrays import Document
 
 SAMPLE_SEED = 20
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes", "-Werror")
@@ -35,7 +35,7 @@ class Bench:
 
     folder: Path
     scratch: Path
-    manifest: dict[str, Any]
+    manifest: Document
     library: Library
     inputs: int
     fuzz_calls: int

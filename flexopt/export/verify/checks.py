@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from flexopt.export.verify.tools import StepFailed, ToolMissing
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.results import Result
 
 Target = Literal["host", "cortex-m4f", "cortex-m7"]
@@ -27,7 +28,7 @@ class Table:
         """The rows as a page shows them."""
         return [[_shown(value) for value in row] for row in self.rows]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready: rows as dictionaries."""
         return {"title": self.title, "rows": [dict(zip(self.header, row, strict=True)) for row in self.rows]}
 

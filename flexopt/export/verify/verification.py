@@ -8,10 +8,8 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from flexopt.errors import InputError
 from flexopt.export.bundle import (
@@ -30,6 +28,7 @@ from flexopt.export.verify.misra import check_misra
 from flexopt.export.verify.objects import check_objects
 from flexopt.export.verify.target import check_target
 from flexopt.export.verify.tools import PACKAGES, version
+from flexopt.foundation.arrays import Document, Progress
 from flexopt.foundation.boundary import public, whole, words
 from flexopt.foundation.documents import package_version
 from flexopt.foundation.rendering import render
@@ -40,8 +39,6 @@ INPUTS, FUZZ_CALLS = 1000, 10_000
 COUNT_MAX = 1_000_000
 # Position-independent code would put constants with pointers where only the linker writes.
 HOST_OBJECT_FLAGS = ("-std=c99", "-O2", "-fno-pic")
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -74,10 +71,10 @@ class Verification(Result):
     tools: dict[str, str]
     inputs: int
     fuzz_calls: int
-    manifest: dict[str, Any] = field(repr=False)
+    manifest: Document = field(repr=False)
 
     @property
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> Document:
         """Of the bundle."""
         return self.manifest["provenance"]
 

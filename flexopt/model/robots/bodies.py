@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.quantities import ANGLE_MAX
 from flexopt.model.robots.description import Joint, RobotLink
 from flexopt.model.robots.elements import Element
@@ -29,7 +30,7 @@ class Body:
     link: Element | None
     joint_element: Element | None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """In the layout of `TreeBody`."""
         body = self.inertial.without_rounding()
         t = body.tensor

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.documents import write_netcdf
 from flexopt.foundation.pictures import Pictured
@@ -188,7 +188,7 @@ class Atlas(Pictured, Result):
     w_largest: Vector
     robust_share: Vector
     unmapped: float
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @property
     def modes(self) -> int:

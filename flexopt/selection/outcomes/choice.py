@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from flexopt.errors import Fault, InputError, NoSolutionFound, raise_if_any
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.processes import in_parallel
 from flexopt.foundation.turns import available_cores
@@ -27,7 +27,7 @@ from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection.continua import travel
-from flexopt.selection.optima import SAME_POINT, Progress
+from flexopt.selection.optima import SAME_POINT
 from flexopt.selection.outcomes.borders import RADIUS_POINTS
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.climb import Climbed, climbed

@@ -9,11 +9,11 @@ import math
 from collections.abc import Mapping, Sequence
 
 from flexopt.errors import NoSolutionFound
+from flexopt.foundation.arrays import Progress
 from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness import Evaluation
-from flexopt.selection.optima import Progress
 from flexopt.selection.outcomes.choice import Bounds, measure_of, outcome_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.evaluation import with_outcome
@@ -23,7 +23,6 @@ from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.plant.inverse_kinematics import low_discrepancy
-from flexopt.selection.optima import Progress
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.choice import (
     CORNERED,

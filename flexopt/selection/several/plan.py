@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ArrayLike, BaseLike, Progress, TargetsLike, Vector
 from flexopt.foundation.boundary import Keywords, by, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import DURATION
@@ -36,7 +36,7 @@ from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program, values_of
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import BasePlan, FixedPlacement
-from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, places_at, verified
+from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, verified
 from flexopt.selection.several.standing import best_placements, one_placement
 from flexopt.selection.several.targets import build_problems, sample_bases
 from flexopt.selection.several.ways import coarse_ways, nodes_of
@@ -87,13 +87,13 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
 )
 def plan_base(
     machine: AnyMachine,
-    path: Any,
+    path: TargetsLike,
     *,
     times: Sequence[float] | None = None,
     duration: float | None = None,
-    max_base_rate: Any = None,
-    max_joint_rate: Any = None,
-    start: Any = None,
+    max_base_rate: ArrayLike | None = None,
+    max_joint_rate: ArrayLike | None = None,
+    start: BaseLike | None = None,
     constraints: AnyConstraints | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
@@ -131,13 +131,18 @@ def plan_base(
         ((2, 1), (2,))
     """
     warn_implausible(machine)
-    points, begin, count = path, start, workers or available_cores()
+    points, begin = cast(Vector, path), cast("Vector | None", start)
+    count = workers or available_cores()
     asked = SelectionOptions.model_construct(**keywords)
     seed = asked.seed
     even = np.linspace(0.0, SECONDS if duration is None else duration, len(points))
     due = even if times is None else np.array(times)
-    base_rates = np.resize(BASE_RATE if max_base_rate is None else max_base_rate, len(machine.base_coordinates))
-    joint_rates = np.resize(machine.speeds if max_joint_rate is None else max_joint_rate, len(machine.joints))
+    base_rates = np.resize(
+        BASE_RATE if max_base_rate is None else np.asarray(max_base_rate), len(machine.base_coordinates)
+    )
+    joint_rates = np.resize(
+        machine.speeds if max_joint_rate is None else np.asarray(max_joint_rate), len(machine.joints)
+    )
     alone = asked.model_copy(update={"starts": None})
     problems = build_problems("plan_base", machine, points, "path", alone, constraints)
     if begin is not None:

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import ConstraintValue
+from flexopt.selection.result import ConstraintValue, in_columns
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class TargetConfiguration(Tabled):
     def _units(self, outer: str) -> Iterator[tuple[str, str]]:
         return self.evaluation._units(outer)  # pyright: ignore[reportPrivateUsage]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """The evaluation's dictionary with the place's own keys."""
         constraints = {label: vars(value) for label, value in self.constraints.items()}
         own = {"target": self.target, "objective": self.objective, "constraints": constraints}
@@ -62,7 +62,7 @@ class ConfigurationSet(Tabled):
     kinks: dict[str, float]
     attempts: tuple[int, int]
     problems: tuple[SelectionProblem, ...] = field(repr=False)
-    provenance: dict[str, Any] = field(repr=False)
+    provenance: Document = field(repr=False)
 
     @property
     def converged(self) -> bool:
@@ -144,7 +144,7 @@ class Stand(Pictured, ConfigurationSet):
         """A sentence."""
         return self._found("placement for")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready dictionary.
 
         Example:
@@ -236,7 +236,7 @@ class BasePlan(Pictured, ConfigurationSet):
         """A sentence."""
         return self._found("way along")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready dictionary.
 
         Example:
@@ -264,11 +264,11 @@ SHOWN = 12
 
 def _table(places: tuple[TargetConfiguration, ...], worst: int, name: str) -> list[str]:
     e = places[0].evaluation
-    lines = ["  target " + " ".join(f"{name:>9}" for name in (*e.base_coordinates, *e.joints)) + f"{name:>13}"]
+    lines = [f"  target {in_columns(e, head=True)}{name:>13}"]
     shown = range(len(places)) if len(places) <= SHOWN else np.linspace(0, len(places) - 1, SHOWN).astype(int)
     for k in sorted({*(int(i) for i in shown), worst}):
-        numbers = " ".join(f"{x:9.4f}" for x in (*places[k].evaluation.base, *places[k].evaluation.posture))
-        lines.append(f"  {k + 1:6d} {numbers}{places[k].objective:13.4e}{'   the worst' if k == worst else ''}")
+        told = "   the worst" if k == worst else ""
+        lines += [f"  {k + 1:6d} {in_columns(places[k].evaluation)}{places[k].objective:13.4e}{told}"]
     return lines
 
 

@@ -12,12 +12,11 @@ from functools import partial
 import numpy as np
 
 from flexopt.errors import NoSolutionFound
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import infeasible, prove_program
 from flexopt.selection.optima import (
-    Progress,
     SolveOutcome,
     accepted,
     climbed_from,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Unpack, cast
 
 import numpy as np
 
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, TargetsLike, Vector
 from flexopt.foundation.boundary import Keywords, by, public, words
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
@@ -16,17 +16,17 @@ from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
 from flexopt.model.choices import COMBINES, of_loop
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import Loop, under_control
+from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
-from flexopt.model.uncertainty import Uncertainty
+from flexopt.model.uncertainty import RangesLike, Uncertainty
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.program import Program
 from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
-from flexopt.selection.several.solving import Progress, places_at
+from flexopt.selection.several.solving import places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement
 from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases
 from flexopt.selection.solve import least_of, loop_notes, without_loop
@@ -63,11 +63,11 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
 )
 def select_stand(
     machine: AnyMachine,
-    targets: Any,
+    targets: TargetsLike,
     *,
     constraints: AnyConstraints | None = None,
-    loop: Loop | Mapping[str, Any] | str | None = None,
-    ranges: Mapping[str, Any] | Sequence[Uncertainty | Mapping[str, Any]] | None = None,
+    loop: LoopLike | None = None,
+    ranges: RangesLike | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
@@ -98,7 +98,11 @@ def select_stand(
         (2, (1,))
     """
     warn_implausible(machine)
-    points, count, asked = targets, workers or available_cores(), SelectionOptions.model_construct(**keywords)
+    points, count, asked = (
+        cast(Vector, targets),
+        workers or available_cores(),
+        SelectionOptions.model_construct(**keywords),
+    )
     share = np.array(asked.shares or (1.0,) * len(points))
     share = share / share.sum()
     least, word = least_of(constraints), asked.objective

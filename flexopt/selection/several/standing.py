@@ -10,12 +10,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, Vector
 from flexopt.selection.coupling import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached, reached_from
-from flexopt.selection.several.solving import End, Progress, end_from, ends_from, not_below, verified
+from flexopt.selection.several.solving import End, end_from, ends_from, not_below, verified
 from flexopt.selection.several.targets import none_reaches_all
 
 # V stands in for where a target has no allowed posture in a sum.
