@@ -101,7 +101,7 @@ def verdict_command(as_json: bool, problem: str, out: str | None, html: str | No
 @LOOP
 @RANGES
 @value("--points", "N", "Points of the ranges that decays are computed of (64 by default).", whole)
-@value("--boxes", "N", "Parts of the ranges that a proof may look at (400 by default; 0: none).", whole)
+@value("--boxes", "N", "Parts of the ranges that a proof may look at (1,500 by default; 0: none).", whole)
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
 def region_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:

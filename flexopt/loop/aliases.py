@@ -18,7 +18,6 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.bernstein import chebyshev, lebesgue, to_chebyshev
 from flexopt.loop.members import Complex, Machines
-from flexopt.loop.small_motions import Parts
 from flexopt.loop.tangent import exponential
 
 if TYPE_CHECKING:
@@ -44,23 +43,24 @@ class Aliases:
 
     of: Characteristic
 
-    def both(self, s: Complex, law: Parts, dead_time: float) -> tuple[Complex, Complex]:
-        """Two of which 𝓔 z^l (len(s), 2r, r) of a member is the difference.
+    def both(self, s: Complex, thetas: Vector) -> tuple[Complex, Complex]:
+        """Two (N, len(s), 2r, r) of which 𝓔 z^l of members (N, k) is the difference.
 
         P and all its aliases, from one sample's matrices exactly, and h P.
         """
-        period = self.of.period
-        late = max(dead_time - self.of.whole * period, 0.0)
-        drive = law.drive @ law.spread
-        held, _ = exponential(law.flow, drive, period)
-        rest, first = exponential(law.flow, drive, period - late)
-        last = rest @ exponential(law.flow, drive, late)[1]
-        z, one = np.exp(s * period)[..., None, None], np.eye(len(law.flow))
-        sampled = law.measured @ np.linalg.solve(z * one - held, first + last / z)
-        pencil = s[..., None, None] * one - law.flow
-        here = law.measured @ np.linalg.solve(pencil, np.broadcast_to(drive, (len(s), *drive.shape)))
+        of, period = self.of, self.of.period
+        flows, drives = of.flows(thetas)
+        drives = drives @ of.law.spread
+        late = np.maximum(of.loop.box.numbers_at(thetas.T)[1] - of.whole * period, 0.0)
+        held, _ = exponential(flows, drives, period)
+        (rest, first), (_, last) = (_over(flows, drives, span) for span in (period - late, late))
+        z, one = np.exp(s * period)[:, None, None], np.eye(flows.shape[-1])
+        into = first[:, None] + (rest @ last)[:, None] / z
+        sampled = of.law.measured @ np.linalg.solve(z * one - held[:, None], into)
+        pencil = s[:, None, None] * one - flows[:, None]
+        here = of.law.measured @ np.linalg.solve(pencil, np.broadcast_to(drives[:, None], into.shape).astype(complex))
         whole = np.asarray(sampled, dtype=np.complex128)
-        return whole, hold(s, period, late)[..., None, None] * here
+        return whole, hold(s, period, late[:, None])[..., None, None] * here
 
     # Bounds from norms.
 
@@ -193,9 +193,9 @@ class Aliases:
             thetas.reshape(-1, thetas.shape[-1]),
         )
         s = 1j * of.nyquist * nodes[: TABLE // 2] - of.decay
-        both = np.array([self.both(s, of.parts(theta), float(of.loop.box.numbers_at(theta)[1])) for theta in flat])
-        lost = LOST * np.abs(both).max(axis=(0, 1, 2, 4))[:, None]
-        values = both[:, 0] - both[:, 1]
+        both = self.both(s, flat)
+        lost = LOST * np.max([np.abs(each).max(axis=(0, 1, 3)) for each in both], axis=0)[:, None]
+        values = both[0] - both[1]
         values = np.concatenate([values, values[:, ::-1].conj()], axis=1)
         found = np.einsum("kn,dnij->kdij", to_chebyshev(nodes), values)
         return found.reshape(TABLE, *thetas.shape[:-1], *found.shape[2:]).astype(np.complex128), lost
@@ -287,6 +287,11 @@ class Aliases:
         second = self.second(high)
         found = found + 2 * second + 3 * self._cut + 3 * self._smooth_cut(high)
         return np.asarray(found * math.exp(of.decay * of.period * of.whole))
+
+
+def _over(flows: Vector, drives: Vector, spans: Vector) -> tuple[Vector, Vector]:
+    """(e^{Ah}, Γ(h)) of members over a time each."""
+    return exponential(flows * spans[:, None, None], drives * spans[:, None, None], 1.0)
 
 
 def hold(s: Complex, period: float, late: float | Vector) -> Complex:

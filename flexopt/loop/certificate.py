@@ -27,9 +27,12 @@ DECAY = 1e-6
 # The first cell of frequency in units of the Nyquist frequency, and the ratio of one cell's end to the last's.
 FIRST, RATIO = 0.004, 1.12
 # How often cells of frequency are halved in a box before the box is, and how many boxes are looked at.
-HALVINGS, BOXES = 1, 400
-# With masses: how many times smaller a box is than the one that its function was made for, when that is made again.
-AGAIN = 8.0
+HALVINGS, BOXES = 1, 1500
+# A function is made again for a box so many times smaller than the one that it was made for, where remainders are what
+# leaves so many of its cells open, unless that costs more than so many times its share of the boxes that are left to
+# look at: in boxes, and in rows of its matrices for each.
+AGAIN, PAYS, WORTH = 4.0, 0.3, 1.0
+COSTS, ROWS = 12.0, 1500.0
 # Cells of a box that are halved at most.
 CELLS = 48
 # Boxes that no longer are divided: share of the whole's width, all of them together.
@@ -90,6 +93,11 @@ class _Box:
     of: Characteristic = field(compare=False)
     root: float = field(compare=False)
 
+    @property
+    def volume(self) -> float:
+        """Share of the whole box."""
+        return float(np.prod(self.high - self.low))
+
 
 @dataclass
 class Search:
@@ -98,7 +106,7 @@ class Search:
     Attributes:
         loop: the loop and its box.
         decay: ρ, 1/s.
-        most: boxes that are looked at.
+        most: boxes that are looked at, less where functions are made again, which cost as many as that takes.
         order: which boxes first, by their ends; the largest by default.
     """
 
@@ -108,16 +116,11 @@ class Search:
     order: Callable[[Vector, Vector], float] | None = None
 
     def __post_init__(self) -> None:
-        self.looked, self.cells = 0, 0
+        self.looked, self.cells, self.spent, self.open = 0, 0, 0.0, 1.0
         self.heap: list[_Box] = []
         k = len(self.loop.box.uncertainty)
         for low, high in self._roots(np.zeros(k), np.ones(k)):
             self._begin(low, high)
-
-    @cached_property
-    def whole(self) -> Characteristic:
-        """That of the whole box."""
-        return self._of(np.zeros(len(self.loop.box.uncertainty)), np.ones(len(self.loop.box.uncertainty)))
 
     def _of(self, low: Vector, high: Vector) -> Characteristic:
         return Characteristic(self.loop, self.loop.box.theta(low), self.loop.box.theta(high), self.decay)
@@ -150,7 +153,7 @@ class Search:
 
     def _push(self, low: Vector, high: Vector, left: Cells, of: Characteristic, root: float) -> None:
         order = -float(np.prod(high - low)) if self.order is None else self.order(low, high)
-        self.looked += 1
+        self.looked, self.spent = self.looked + 1, self.spent + 1
         heapq.heappush(self.heap, _Box(order, self.looked, low, high, left, of, root))
 
     def run(self) -> Iterator[tuple[Vector, Vector, bool]]:
@@ -164,22 +167,37 @@ class Search:
                 left = left.halves()
                 self.cells += len(left.low)
                 left = _failing(left)
-            if len(left.low) and box.of.masses and float(np.prod(box.high - box.low)) * AGAIN <= box.root:
+            if len(left.low) and self._pays(box, left):
                 box, left = self._again(box, left)
-            if not len(left.low):
-                yield box.low, box.high, True
-            elif self.looked >= self.most or not (axes := self._axes(box)):
-                yield box.low, box.high, False
-            else:
+            axes = self._axes(box) if len(left.low) and self.spent < self.most else []
+            if axes:
                 self._divide(box, left, axes)
+                continue
+            self.open -= box.volume
+            yield box.low, box.high, not len(left.low)
+
+    def _pays(self, box: _Box, left: Cells) -> bool:
+        """Whether a function of its own is worth its time."""
+        if box.volume * AGAIN > box.root:
+            return False
+        of_remainders = float(np.mean(replace(left, error=np.zeros_like(left.error)).exclude_zero))
+        share = box.volume / self.open if self.order is None else 1.0
+        # Cells that remainders leave open stay so in the parts of a box.
+        worth = WORTH * share * (self.most - self.spent) * of_remainders
+        return of_remainders >= PAYS and self._costs(box, left) * (1 - of_remainders) <= worth
+
+    @staticmethod
+    def _costs(box: _Box, left: Cells) -> float:
+        """Of a function of its own, in boxes."""
+        return COSTS + left.points.size * box.of.size / ROWS
 
     def _again(self, box: _Box, left: Cells) -> tuple[_Box, Cells]:
         """The cells that are left of a box from their own function: remainders are smaller over smaller boxes."""
-        around = box.of.around or box.of
-        of = replace(self._of(box.low, box.high), around=around)
+        self.spent += self._costs(box, left)
+        of = replace(self._of(box.low, box.high), around=box.of.around or box.of)
         cells = cells_of(of, left.low, left.high)
         self.cells += len(cells.low)
-        return replace(box, of=of, root=float(np.prod(box.high - box.low))), _failing(cells)
+        return replace(box, of=of, root=box.volume), _failing(cells)
 
     def _axes(self, box: _Box) -> list[int]:
         """Directions in which a box may be divided."""
@@ -189,17 +207,15 @@ class Search:
         """In the direction, of some, that leaves the fewest cells."""
         middle = (box.low + box.high) / 2
         a, at, b = (self.loop.box.theta(u) for u in (box.low, middle, box.high))
-        parts = [part for k in axes for part in left.split(k, float((at[k] - a[k]) / (b[k] - a[k])))]
-        self.cells += sum(len(part.low) for part in parts)
-        stay = np.split(~parts[0].joined(parts[1:]).exclude_zero, len(parts))
-        scores = [
-            (int(stay[2 * i].sum() + stay[2 * i + 1].sum()), -(box.high[k] - box.low[k])) for i, k in enumerate(axes)
-        ]
-        best = min(range(len(axes)), key=scores.__getitem__)
-        k, (lower, upper) = axes[best], (box.high.copy(), box.low.copy())
+        split = {k: float((at[k] - a[k]) / (b[k] - a[k])) for k in axes}
+        still_open = left.open_halves(split)
+        k = min(axes, key=lambda k: (still_open[k], box.low[k] - box.high[k]))
+        lower, upper = box.high.copy(), box.low.copy()
         lower[k] = upper[k] = middle[k]
-        for (low, high), i in (((box.low, lower), 2 * best), ((upper, box.high), 2 * best + 1)):
-            self._push(low, high, parts[i].chosen(stay[i]), box.of, box.root)
+        parts = left.split(k, split[k])
+        self.cells += sum(len(part.low) for part in parts)
+        for (low, high), part in zip(((box.low, lower), (upper, box.high)), parts, strict=True):
+            self._push(low, high, _failing(part), box.of, box.root)
 
     @cached_property
     def _fixed(self) -> list[bool]:

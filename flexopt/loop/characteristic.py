@@ -116,21 +116,24 @@ class Characteristic:
     def parts(self, theta: Vector) -> Parts:
         """The linear loop of a member."""
         if self.around is not None:
-            return self.around.between(theta)
+            flows, drives = self.around.flows(theta[None])
+            return replace(self.around.law, flow=flows[0], drive=drives[0])
         place = {"base": self.loop.base, "posture": self.loop.posture, "p": self.loop.box.numbers_at(theta)[0]}
         return self.motions.parts(self.motions.numbers(self.loop.settings.numbers | place))
 
-    def between(self, theta: Vector) -> Parts:
-        """The like, from what the machine is at the corners."""
+    def flows(self, thetas: Vector) -> tuple[Vector, Vector]:
+        """A and B (N, …) of members (N, k), from what the machine is at the corners."""
+        if self.around is not None:
+            return self.around.flows(thetas)
         to_q, law, n = self.motions.loop.to_q, self.law, len(self.motions.loop.to_q)
-        of, middle = self.machines(theta), self._matrices[1]
-        flow, drive = law.flow.copy(), law.drive.copy()
+        of, forces = self.machines(thetas), self._matrices[1].mass @ to_q
+        flows, drives = np.tile(law.flow, (len(thetas), 1, 1)), np.tile(law.drive, (len(thetas), 1, 1))
         inverse = np.linalg.inv(of.mass @ to_q)
-        forces = middle.mass @ to_q
-        flow[n : 2 * n, :n], flow[n : 2 * n, n : 2 * n] = -inverse @ of.stiffness @ to_q, -inverse @ of.damping @ to_q
-        flow[n : 2 * n, 2 * n :] = inverse @ forces @ law.flow[n : 2 * n, 2 * n :]
-        drive[n : 2 * n] = inverse @ forces @ law.drive[n : 2 * n]
-        return replace(law, flow=flow, drive=drive)
+        flows[:, n : 2 * n, :n] = -inverse @ of.stiffness @ to_q
+        flows[:, n : 2 * n, n : 2 * n] = -inverse @ of.damping @ to_q
+        flows[:, n : 2 * n, 2 * n :] = inverse @ forces @ law.flow[n : 2 * n, 2 * n :]
+        drives[:, n : 2 * n] = inverse @ forces @ law.drive[n : 2 * n]
+        return flows, drives
 
     @cached_property
     def law(self) -> Parts:
@@ -238,6 +241,16 @@ class Characteristic:
     def largest(self) -> list[tuple[Machines, Machines, Ports]]:
         """Bounds on the entries of all members, and how far they are from the middle, free and locked."""
         return [(corners.largest, corners.less(middle).largest, ports) for corners, middle, ports in self._seen]
+
+    def places(self, n: int) -> list[tuple[int, int]]:
+        """Where torques, forces and the law's states stand behind n coordinates."""
+        t, (r, _), k = len(self.servo[0]), self.law.force.shape, len(self.law.law)
+        return [(n, n + t), (n + t, n + t + r), (n + t + r, n + t + r + k)]
+
+    @cached_property
+    def size(self) -> int:
+        """Rows of the matrix."""
+        return self.places(len(self.motions.loop.to_q))[-1][1]
 
     # What it does not cover.
 

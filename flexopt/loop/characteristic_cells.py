@@ -13,7 +13,7 @@ aliases of other machines than the tabulated one make, and rounding.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,22 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.aliases import ELLIPSES, hold
+from flexopt.loop.aliases import hold
 from flexopt.loop.bernstein import lebesgue, nodes_of, splitting, to_bernstein
 from flexopt.loop.characteristic import Characteristic
+from flexopt.loop.characteristic_bounds import remainders
 from flexopt.loop.members import Complex, Machines, Ports
 
-# Degree in ω; passes of scaling before Hadamard's inequality.
+# Degree in ω.
 DEGREE = 8
-SCALINGS = 12
 # Share of the values that R may be; cells are halved, so often at most, where it is more for want of degrees in ω.
 FINE, FINER = 1e-5, 8
 # Rounding: so many unit roundoffs of the largest entry of its column in every entry of a determinant.
 ROUNDING = 64 * float(np.finfo(float).eps)
-# Of units, a mean that is rounding.
-CANCELLED = 1e-12
-# Multiples of the aliases' error that bounds are taken over.
-SOME, FARTHER = 10.0, (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
+# Of what else R is, a bound on rounding that needs none closer.
+FAINT = 0.05
+TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,33 +75,73 @@ class Cells:
         low, high = both([each.low for each in every]), both([each.high for each in every])
         return Cells(low, high, both([each.points for each in every]), both([each.error for each in every]))
 
+    def _ends(self, but: int | None = None) -> Complex:
+        """Control points that are values: at the ends of ω and of every θ, of one at all nodes."""
+        ends = [slice(None, None, max(n - 1, 1)) for n in self.points.shape[1:]]
+        if but is not None:
+            ends[1 + but] = slice(None)
+        return self.points[(slice(None), *ends)]
+
+    def open_halves(self, splits: Mapping[int, float]) -> dict[int, int]:
+        """By θ_axis: split there, in how many cells of both parts of the box values at the ends leave zero open."""
+        parts = list[Complex]()
+        for axis, at in splits.items():
+            lines, degree = self._ends(axis), self.points.shape[2 + axis] - 1
+            middle = np.tensordot(lines, splitting(degree, at)[0][-1], axes=(2 + axis, 0))
+            parts += [np.stack([middle, lines.take(end, axis=2 + axis)], axis=1) for end in (0, -1)]
+        ends = np.concatenate([part.reshape(len(part), -1) for part in parts])
+        parted = _parted(ends, np.tile(self.error, len(parts))).reshape(len(splits), -1)
+        return dict(zip(splits, np.sum(~parted, axis=1).tolist(), strict=True))
+
     @property
     def exclude_zero(self) -> NDArray[np.bool_]:
         """Whether no value is zero (K,): some line has all control points on one side of it, R away at least."""
-        points = self.points.reshape(len(self.points), -1)
-        # Of most cells the line across the mean is one.
-        mean = points.sum(axis=1)
-        mean = mean / np.maximum(np.abs(mean), np.finfo(float).tiny)
-        ahead = points.real * mean.real[:, None] + points.imag * mean.imag[:, None]
-        found: NDArray[np.bool_] = ahead.min(axis=1, initial=np.inf) > self.error
-        left = np.flatnonzero(~found)
-        found[left] = _span(points[left], self.error[left]) < math.pi
+        # Where no line parts the corners from zero none does all points.
+        found = _parted(self._ends().reshape(len(self.points), -1), self.error)
+        left = np.flatnonzero(found)
+        found[left] = _parted(self.points[left].reshape(len(left), math.prod(self.points.shape[1:])), self.error[left])
         return found
 
 
-def _span(points: Complex, error: Vector) -> Vector:
-    """Of the angles of all values, rad (K,): infinite where control points (K, …) are within their error (K,)."""
-    sizes = np.abs(points)
-    least = sizes.min(axis=1, initial=np.inf) > error
-    with np.errstate(divide="ignore", invalid="ignore"):
-        units = points / sizes
-        mean = units.sum(axis=1).conj()[:, None]
-        turned = np.angle(units * mean)
-        wide = np.arcsin(np.minimum(error[:, None] / sizes, 1.0))
-        found = (turned + wide).max(axis=1) - (turned - wide).min(axis=1)
-    # Where units cancel the mean has no angle, and they lie on no side of a line.
-    least &= np.abs(mean[:, 0]) > CANCELLED * points.shape[1]
-    return np.where(least & np.isfinite(found), found, np.inf)
+def _parted(points: Complex, error: Vector) -> NDArray[np.bool_]:
+    """Whether some line through zero has all points (K, …) on one side, their error (K,) away at least."""
+    # Of most cells the line across the mean is one.
+    ahead, mean = _ahead(points, points.sum(axis=1))
+    found: NDArray[np.bool_] = ahead.min(axis=1, initial=np.inf) > error
+    left = np.flatnonzero(~found)
+    if len(left):
+        found[left] = (
+            _ahead(points[left], _between(points[left], mean[left], error[left]))[0].min(axis=1, initial=np.inf)
+            > error[left]
+        )
+    return found
+
+
+def _ahead(points: Complex, direction: Complex) -> tuple[Vector, Complex]:
+    """How far points (K, …) are in a direction (K,), and that with the length of one."""
+    direction = direction / np.maximum(np.abs(direction), TINY)
+    return points.real * direction.real[:, None] + points.imag * direction.imag[:, None], direction
+
+
+def _between(points: Complex, mean: Complex, error: Vector) -> Complex:
+    """The direction (K,) halfway between the outermost of discs about points (K, …), on either side of a direction."""
+    turned = points * mean.conj()[:, None]
+    # Sine and cosine of half the angle that a disc fills.
+    sine = np.minimum(error[:, None] / np.maximum(np.abs(points), TINY), 1.0)
+    cosine, rows = np.sqrt(1.0 - sine * sine), np.arange(len(points))
+    sides = turned * (cosine + 1j * sine), turned * (cosine - 1j * sine)
+    ends = (
+        sides[0][rows, np.argmax(_pseudo_angle(sides[0]), axis=1)],
+        sides[1][rows, np.argmin(_pseudo_angle(sides[1]), axis=1)],
+    )
+    found: Complex = mean * sum(end / np.maximum(np.abs(end), TINY) for end in ends)
+    return found
+
+
+def _pseudo_angle(points: Complex) -> Vector:
+    """What increases with the angle, from -2 to 2."""
+    part = points.imag / np.maximum(np.abs(points.real) + np.abs(points.imag), TINY)
+    return np.where(points.real < 0, np.copysign(2.0, points.imag) - part, part)
 
 
 def cells_of(of: Characteristic, low: Vector, high: Vector) -> Cells:
@@ -126,22 +165,23 @@ def _cells_of(of: Characteristic, low: Vector, high: Vector) -> tuple[Cells, Vec
     at = nodes_of(DEGREE, chebyshev=True)
     omega = low[:, None] + (high - low)[:, None] * at
     error = of.aliases.error(low, high)
-    points, sensitivity, rounding = _values(of, omega, error)
-    amplified = constant = 1.0
-    for axis, nodes in [(1, at), *((2 + i, of.nodes(i)) for i in range(len(of.low)))]:
-        matrix = to_bernstein(nodes)
+    cut, rest = remainders(of, DEGREE, low, high, error)
+    axes = [(1, at), *((2 + i, of.nodes(i)) for i in range(len(of.low)))]
+    matrices = {axis: to_bernstein(nodes) for axis, nodes in axes}
+    amplified = math.prod(float(np.abs(matrix).sum(axis=1).max()) for matrix in matrices.values())
+    constant = math.prod(lebesgue(nodes) for _, nodes in axes)
+    points, sensitivity, rounding = _values(of, omega, error, FAINT * (cut + rest) / amplified)
+    for axis, matrix in matrices.items():
         points = _along(points, matrix, axis)
-        amplified *= float(np.abs(matrix).sum(axis=1).max())
-        constant *= lebesgue(nodes)
-    cut, rest = _remainders(of, low, high, error)
     return Cells(low, high, points, cut + rest + sensitivity * constant + rounding * amplified), cut
 
 
-def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, Vector, Vector]:
+def _values(of: Characteristic, omega: Vector, error: Vector, faint: Vector) -> tuple[Complex, Vector, Vector]:
     """Q (K, DEGREE + 1, nodes in each θ …), and the most that two errors move it there to the first order, (K,) each.
 
     These are an error (K, 2r, r) of the aliases, and rounding: a determinant by elimination is that of a matrix whose
-    entries differ by some units of the largest in their column, or of its terms; ∂p/∂N_ij = p · [N⁻¹]_ji.
+    entries differ by some units of the largest in their column, or of its terms; ∂p/∂N_ij = p · [N⁻¹]_ji. Below
+    `faint` (K,) it is a bound that is not sharp.
     """
     s = np.asarray(1j * omega.ravel() - of.decay, dtype=np.complex128)
     smooth, own = list(of.smooth), [i for i in range(len(of.low)) if i not in of.smooth]
@@ -149,39 +189,52 @@ def _values(of: Characteristic, omega: Vector, error: Vector) -> tuple[Complex, 
     thetas = grid.reshape(-1, len(of.dead_times), len(of.low))
     aliases = of.aliases.at(omega.ravel())
     weights = np.repeat(error.transpose(0, 2, 1), omega.shape[1], axis=0)
-    found, moved, rounded = list[Complex](), np.zeros(len(s)), list[Vector]()
-    for k, (members, ports) in enumerate(of.seen(thetas)):
+    found, pencils, sizes = list[Complex](), list[Complex](), list[Vector]()
+    for members, ports in of.seen(thetas):
         each = [members.mass, members.damping, members.stiffness]
         machines = Machines(*(x[:1] for x in each)) if all(np.all(x == x[:1]) for x in each) else members
         pencil = _pencil(of, machines, ports, s, aliases)
         sign, size = np.linalg.slogdet(pencil)
-        value = sign * np.exp(size)
-        found.append(value)
-        inverse = np.linalg.inv(pencil)
-        size = np.abs(pencil).max(axis=-2)
-        # Near resonance what an entry is made of is more than what is left.
-        made = Machines(*(np.abs(x) for x in (machines.mass, machines.damping, machines.stiffness)))
-        n, terms = len(ports.force), made.pencil(np.abs(s)).real.max(axis=-2)
-        size[..., :n] = np.maximum(size[..., :n], terms)
-        rounded.append((np.abs(inverse).sum(axis=-1) * size).sum(axis=-1))
-        if k == 0:
-            # ∂p/∂𝓔_ij = p · [Y N⁻¹ W]_ji, W the columns through which aliases enter.
-            into, rows = _entrance(of), slice(*_places(of, len(ports.force))[1])
-            solved = np.abs(inverse[..., rows, :] @ into)
-            moved = np.abs(value) * (solved * weights[:, None, None]).sum(axis=(-2, -1))
-    both = found[0] * found[1].conj()
-    worst = [
-        each.reshape(*omega.shape, -1).max(axis=(1, 2))
-        for each in (moved * np.abs(found[1]), ROUNDING * np.abs(both) * (rounded[0] + rounded[1]))
-    ]
+        found.append(sign * np.exp(size))
+        pencils.append(pencil)
+        sizes.append(_sizes(machines, pencil, s))
+    # ∂p/∂𝓔_ij = p · [Y N⁻¹ W]_ji, W the columns through which aliases enter.
+    n = len(of.motions.loop.to_q)
+    solved = np.linalg.solve(pencils[0], _entrance(of).astype(complex))[..., slice(*of.places(n)[1]), :]
+    moved = np.abs(found[0]) * (np.abs(solved) * weights[:, None, None]).sum(axis=(-2, -1))
+
+    both, cells = found[0] * found[1].conj(), (*omega.shape, -1)
+    sensitivity = (moved * np.abs(found[1])).reshape(cells).max(axis=(1, 2))
+    lost = [_lost(pencils[k], sizes[k]) * np.abs(found[1 - k]) for k in (0, 1)]
+    rounding = ROUNDING * (lost[0] + lost[1]).reshape(cells).max(axis=(1, 2))
+    # A bound on cofactors where it is enough, themselves where it is not.
+    more = rounding > faint + FAINT * sensitivity
+    for k in (0, 1) if more.any() else ():
+        which = np.repeat(more, omega.shape[1])
+        inverse = np.abs(np.linalg.inv(pencils[k][which])).sum(axis=-1)
+        lost[k][which] = (inverse * sizes[k][which]).sum(axis=-1) * np.abs(both[which])
+    rounding = ROUNDING * (lost[0] + lost[1]).reshape(cells).max(axis=(1, 2))
     both = both.reshape(*omega.shape, *grid.shape[:-1])
-    return np.moveaxis(both, range(2, both.ndim), [2 + i for i in (*own, *smooth)]), worst[0], worst[1]
+    return np.moveaxis(both, range(2, both.ndim), [2 + i for i in (*own, *smooth)]), sensitivity, rounding
 
 
-def _places(of: Characteristic, n: int) -> list[tuple[int, int]]:
-    """Where torques, forces and the law's states stand behind n coordinates."""
-    t, (r, _), k = len(of.servo[0]), of.law.force.shape, len(of.law.law)
-    return [(n, n + t), (n + t, n + t + r), (n + t + r, n + t + r + k)]
+def _sizes(machines: Machines, pencil: Complex, s: Complex) -> Vector:
+    """Of columns (…, n): the largest entry, or what it is made of where near resonance that is more."""
+    found = np.abs(pencil).max(axis=-2)
+    at, n = np.abs(s).reshape(-1, *(1,) * (machines.mass.ndim - 1)), machines.mass.shape[-1]
+    mass, damping, stiffness = (np.abs(x).max(axis=-2) for x in (machines.mass, machines.damping, machines.stiffness))
+    found[..., :n] = np.maximum(found[..., :n], at * at * mass + at * damping + stiffness)
+    return found
+
+
+def _lost(pencil: Complex, sizes: Vector) -> Vector:
+    """A bound on Σ_ij sizes_j |cofactor_ij| (…,): a cofactor is at most the product of the other columns' lengths."""
+    squares: Vector = pencil.real**2 + pencil.imag**2
+    rows: Vector = np.sqrt(squares.sum(axis=-1).reshape(-1, squares.shape[-1]).max(axis=0))
+    columns: Vector = np.sqrt(rows**-2.0 @ squares)
+    of_rows = float(np.prod(rows) * np.linalg.norm(1 / rows))
+    found: Vector = of_rows * np.prod(columns, axis=-1) * (sizes / columns).sum(axis=-1)
+    return found
 
 
 def _entrance(of: Characteristic) -> Vector:
@@ -194,7 +247,7 @@ def _entrance(of: Characteristic) -> Vector:
 def _pencil(of: Characteristic, machines: Machines, ports: Ports, s: Complex, aliases: Complex) -> Complex:
     """The matrix (len(s), members, dead times, …) of `characteristic`."""
     n, law, (servo, into) = machines.mass.shape[-1], of.law, of.servo
-    (_, (torque, force), (_, size)), k = _places(of, n), len(law.law)
+    (_, (torque, force), (_, size)), k = of.places(n), len(law.law)
     late = hold(s[:, None], of.period, of.dead_times)[:, None, :, None, None]
     at = s[:, None, None, None, None]
     measured = ports.position + at * ports.rate
@@ -214,94 +267,6 @@ def _pencil(of: Characteristic, machines: Machines, ports: Ports, s: Complex, al
         found[..., rows, force:] = -matrix[:, :k]
     found[..., torque:, torque:] += np.diag(np.repeat([1.0, 0.0], [force - torque, size - force]))
     found[..., force:, force:] += np.exp(at * of.period) * np.eye(size - force)
-    return found
-
-
-# Bounds.
-
-
-def _remainders(of: Characteristic, low: Vector, high: Vector, error: Vector) -> tuple[Vector, Vector]:
-    """Of R (K,): what interpolation in ω makes, and what that in masses and dead time and second orders do.
-
-    Multiples of the aliases' error are let in everywhere: Cauchy's bounds in it are those of the terms of higher order,
-    and of what interpolation makes of the first one.
-    """
-    middle, half = (low + high) / 2, (high - low) / 2
-    cut, still = np.full(len(low), np.inf), np.zeros(len(low))
-    for size in ELLIPSES:
-        wide, tall = half * (size + 1 / size) / 2, half * (size - 1 / size) / 2
-        bound = _largest(of, middle + wide, tall, of.aliases.near(wide, tall) + SOME * error)
-        cut = np.fmin(cut, (1 + 1 / SOME) * 4 * bound * size**-DEGREE / (size - 1))
-    aliases = of.aliases.near(still, still)
-    bounds = [_largest(of, high, still, aliases + farther * error) for farther in FARTHER]
-    second = np.min([b / (f * (f - 1)) for b, f in zip(bounds, FARTHER, strict=True)], axis=0)
-    smooth = np.zeros(len(low))
-    for axis in of.smooth:
-        smooth = smooth + _smooth_remainder(of, axis, high, error)
-    others = lebesgue(nodes_of(DEGREE, chebyshev=True)) * math.prod(lebesgue(of.nodes(i)) for i in of.smooth)
-    return cut, second + others * smooth
-
-
-def _smooth_remainder(of: Characteristic, axis: int, high: Vector, error: Vector) -> Vector:
-    """What the interpolation in a smooth θ leaves (K,)."""
-    size, still, found = of.decay + high, np.zeros(len(high)), np.full(len(high), np.inf)
-    half = (of.high[axis] - of.low[axis]) / 2
-    for ellipse in ELLIPSES:
-        wide, tall = (ellipse + 1 / ellipse) / 2, (ellipse - 1 / ellipse) / 2
-        near = of.aliases.near(still, still, axis, ellipse) + SOME * error
-        if axis == of.late:
-            turned = np.exp(of.decay * half * (1 + wide) + size * half * tall)
-            bound = _largest(of, high, still, near, turned=turned)
-        else:
-            bound = _largest(of, high, still, near, stretch=wide)
-        found = np.fmin(found, (1 + 1 / SOME) * 4 * bound * ellipse ** -of.degrees[axis] / (ellipse - 1))
-    return found
-
-
-def _largest(
-    of: Characteristic, reach: Vector, tall: Vector, aliases: Vector, turned: Vector | float = 1.0, stretch: float = 0.0
-) -> Vector:
-    """A bound on q (K,) where |ω| ≤ reach, |Im ω| ≤ tall and aliases (K, 2r, r) are no larger than these.
-
-    Where h is `turned`, and masses are complex, `stretch` times as far from the middle as those of the box.
-    """
-    law, (servo, into), k = of.law, of.servo, len(of.law.law)
-    size, real = of.decay + reach, of.decay + tall
-    z, at = np.exp(real * of.period), size[:, None, None]
-    late = np.asarray(z * np.exp(real * of.dead_times.max()) * turned)[:, None, None]
-    found, neutral, unbraked = np.ones(len(reach)), of.neutral[0].shape[1], of.neutral[1]
-    for most, apart, ports in of.largest:
-        n = len(most.mass)
-        (_, (torque, force), (_, whole)) = _places(of, n)
-        bound = np.zeros((len(reach), whole, whole))
-        bound[:, :n, :n] = at * at * (most.mass + stretch * apart.mass) + at * most.damping + most.stiffness
-        bound[:, :n, :neutral] = at * (most.mass + stretch * apart.mass)[:, :neutral] + most.damping[:, :neutral]
-        bound[:, :n, :unbraked] = (most.mass + stretch * apart.mass)[:, :unbraked]
-        bound[:, :n, n:torque] = np.abs(ports.servo)
-        bound[:, :n, torque:force] = late * np.abs(ports.force)
-        bound[:, n:torque, n:torque] = at * np.eye(torque - n) + np.abs(servo)
-        bound[:, n:torque, torque:force] = late * np.abs(into)
-        measured = np.abs(ports.position) + at * np.abs(ports.rate)
-        for rows, matrix in ((slice(torque, force), law.force), (slice(force, whole), law.law)):
-            seen = np.abs(matrix[:, k:])
-            bound[:, rows, :n] = seen @ measured
-            bound[:, rows, torque:force] = seen @ aliases
-            bound[:, rows, force:] = np.abs(matrix[:, :k])
-        bound[:, torque:force, torque:force] += np.eye(force - torque)
-        bound[:, force:, force:] += z[:, None, None] * np.eye(whole - force)
-        found = found * _hadamard(bound)
-    return found
-
-
-def _hadamard(bound: Vector) -> Vector:
-    """A bound on determinants (K,) from one on the entries (K, n, n): the product of rows, columns scaled before."""
-    scale = np.ones(bound.shape[:2])
-    for _ in range(SCALINGS):
-        scaled = bound / scale[:, None, :]
-        scaled = scaled / np.linalg.norm(scaled, axis=2, keepdims=True)
-        scale = scale * np.maximum(np.linalg.norm(scaled, axis=1), 1e-100)
-    rows = np.linalg.norm(bound / scale[:, None, :], axis=2)
-    found: Vector = np.exp(np.log(rows).sum(axis=1) + np.log(scale).sum(axis=1)) * (1 + 1e-9)
     return found
 
 

@@ -65,10 +65,12 @@ class ClosedLoop:
         """Layout of e."""
         return Layout(signal_sizes(self.structure))
 
-    @property
+    @cached_property
     def to_q(self) -> NDArray[np.float64]:
         """A (n_q, n_q) of q = A u + constant."""
-        return self.shape.to_q.full()
+        found = self.shape.to_q.full()
+        found.setflags(write=False)
+        return found
 
     @cached_property
     def directions(self) -> int:

@@ -111,7 +111,7 @@ def stable_region(
             is none one factor ½ to 2 of all springs.
         points: how many are looked at in each box, corners first, besides the searches from the slowest of them.
         boxes: about how many parts of the ranges the proof may look at, and of each of the boxes, four at most, that
-            a guaranteed radius is looked for in; 0: none. With masses each costs twenty times as much.
+            a guaranteed radius is looked for in; 0: none.
 
     The proof excludes zeros of the characteristic function of the exact sampled loop from e^{(jω − ρ)T}, ρ = 1e-6/s, by
     the control points of Bernstein polynomials in ω and all that is uncertain, with bounds on what interpolation and

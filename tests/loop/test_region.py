@@ -195,7 +195,7 @@ def test_stiffness_enters_each_once() -> None:
 )
 def test_nothing_proven_is_wrong(ranges: list[dict[str, Any]], loop: dict[str, float]) -> None:
     found = uncertain(ranges, **loop)
-    proof = certify(found, boxes=40)
+    proof = certify(found, boxes=200)
     assert sum(leaf.volume for leaf in proof.leaves) == pytest.approx(1.0)
     assert proof.share(None) < 1.0
     assert wrong(found, proof) == 0
