@@ -95,7 +95,7 @@ def _sentence(report: Report) -> str:
     how = f"Jacobian {problem.control} control{weight}:"
     several = report.selection
     if not isinstance(several, Selection):
-        what = f"{len(several.places)} targets of the end-point. Objective {problem.name}"
+        what = f"{len(several.places)} targets of the end-point. Objective {several.objective}"
         return f"{what}, {how} {several.status}. {_gained(several)}"
     return f"Target of the end-point: {target_of(problem)}. Objective {several.objective}, {how} {several.status}."
 
@@ -103,7 +103,8 @@ def _sentence(report: Report) -> str:
 def _gained(several: Stand | BasePlan) -> str:
     """What the base's way or its one placement is worth."""
     if isinstance(several, Stand):
-        return f"Worth {number(several.worth)}; {len(several.alternatives)} other local optima."
+        unit = f" {several.unit}" if several.unit else ""
+        return f"Worth {number(several.worth)}{unit}; {len(several.alternatives)} other local optima."
     still = "no single placement reaches them all"
     if several.still is not None:
         still = f"{number(several.standing)} where the base stands still"
@@ -126,11 +127,12 @@ def _listed(report: Report) -> list[_Listed]:
     """The present configuration and the candidates, or the configuration at each target."""
     selection = report.selection
     if not isinstance(selection, Selection):
+        name, unit = ("V", "") if selection.unit is None else (selection.objective, f" {selection.unit}".rstrip())
         return [
             _Listed(
                 f"target {k + 1}",
                 place.evaluation,
-                f"V {number(place.objective, 4)}" + (", the worst" * (k == selection.worst)),
+                f"{name} {number(place.objective, 4)}{unit}" + (", the worst" * (k == selection.worst)),
             )
             for k, place in some(selection, SHOWN)
         ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from scipy.optimize import differential_evolution
 
 import flexopt
 from flexopt.selection.several.outcome_stand import OutcomeStand
+from flexopt.study import problem_page
+from flexopt.study.page import number
 
 EXCAVATOR = flexopt.load("excavator")
 TARGETS = [(0.0, 1.6), (0.3, 1.3)]
@@ -53,6 +56,11 @@ def test_no_placement_of_a_scan_is_better(name: str) -> None:
         np.testing.assert_array_equal(place.evaluation.base, found.base)
     assert f"objective {name}" in repr(found)
     assert found.to_dict()["measure"] == name
+    # What a report says of it.
+    report: Any = SimpleNamespace(problem=found.problems[0], selection=found)
+    assert f"Objective {name}, Jacobian inverse control" in problem_page._sentence(report)
+    told_there = [each.remark.removesuffix(", the worst") for each in problem_page._listed(report)]
+    assert told_there == [f"{name} {number(value, 4)} {found.unit}" for value in found.V]
 
 
 def test_gains_are_chosen_with_the_placement() -> None:
