@@ -49,7 +49,7 @@ class Peak(NamedTuple):
     signal: int
 
 
-class Local(NamedTuple):
+class Instant(NamedTuple):
     """What a signal is at a time, with its derivatives: `rate` by the time, 1/s, and by what a sample is made of."""
 
     size: float
@@ -162,7 +162,7 @@ class StandardMove:
         s = moved @ x
         return s, rows @ s, rows @ (p.flow @ s + p.drive @ (command @ x))
 
-    def local(self, time: float, row: int, signal: int = 0) -> Local:
+    def local(self, time: float, row: int, signal: int = 0) -> Instant:
         """A signal at a time, and its derivatives: back through all samples."""
         p, (k, span) = self.sample.parts, self._split(time)
         rows, n = self._rows(signal), len(self.sample.parts.flow)
@@ -184,7 +184,7 @@ class StandardMove:
             measured[: len(way)] = np.outer(way, s)
         own = Parts(flow, drive, np.outer(pushed, x[:n]), np.outer(pushed, old), np.zeros_like(p.force),
                     np.zeros_like(p.law), measured)  # fmt: skip
-        return Local(size, float(way @ rate), slopes + Slopes(own, 0.0))
+        return Instant(size, float(way @ rate), slopes + Slopes(own, 0.0))
 
     def _by_start(self, row: int, by: Vector) -> Slopes:
         """From a derivative by x_0 of the move along a task row that by the parts; by the dead time there is none."""
