@@ -24,7 +24,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.aliases import hold
 from flexopt.loop.bernstein import lebesgue, nodes_of, splitting, to_bernstein
 from flexopt.loop.characteristic import Characteristic
-from flexopt.loop.characteristic_bounds import remainders
+from flexopt.loop.characteristic_bounds import TINY, remainders
 from flexopt.loop.members import Complex, Machines, Ports
 
 # Degree in ω.
@@ -35,7 +35,6 @@ FINE, FINER = 1e-5, 8
 ROUNDING = 64 * float(np.finfo(float).eps)
 # Of what else R is, a bound on rounding that needs none closer.
 FAINT = 0.05
-TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
