@@ -40,6 +40,7 @@ html_theme = "furo"
 html_title = "flexopt"
 html_static_path = ["_static"]
 html_css_files = ["flexopt.css"]
+smartquotes = False  # which would make other words of `--option` and "text"
 html_copy_source = False
 html_show_sphinx = False
 

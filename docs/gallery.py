@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,14 +144,11 @@ def page() -> str:
         file = exhibit.name + exhibit.suffix
         parts.append(f"## {exhibit.title}\n\n{exhibit.sentence}")
         parts.append(f"```python\n{exhibit.code.replace('FILE', file)}\n```")
-        if exhibit.form == "film":
-            parts.append(f"![{exhibit.title}]({FOLDER}/{file})")
-        else:
-            shown = ((f"{exhibit.name}.png", "light"), (f"{exhibit.name}-dark.png", "dark"))
-            parts += [
-                f"```{{image}} {FOLDER}/{image}\n:alt: {exhibit.title}\n:class: only-{theme}\n```"
-                for image, theme in shown
-            ]
+        shown = zip(files_of(exhibit, Path(FOLDER)), ("light", "dark"), strict=True)
+        parts += [
+            f"```{{image}} {image.as_posix()}\n:alt: {exhibit.title}\n:class: only-{theme}\n```"
+            for image, theme in shown
+        ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -170,18 +166,16 @@ def write_pictures(folder: Path) -> None:
 
 def files_of(exhibit: Exhibit, place: Path) -> list[Path]:
     """Its files in a folder, the light one first."""
-    light = place / f"{exhibit.name}{exhibit.suffix}"
-    return [light] if exhibit.form == "film" else [light, place / f"{exhibit.name}-dark.png"]
+    return [place / f"{exhibit.name}{theme}{exhibit.suffix}" for theme in ("", "-dark")]
 
 
 def draw(exhibit: Exhibit, place: Path) -> Any:
     """Run its lines, and draw the result once more on dark ground; the result."""
-    light, *dark = files_of(exhibit, place)
+    light, dark = files_of(exhibit, place)
     names: dict[str, Any] = {}
-    code = re.sub(r'"FILE"', repr(str(light)), exhibit.code)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", flexopt.FlexoptWarning)
-        exec(f"import numpy as np\nimport flexopt\n{code}", names)
-        for file in dark:
-            names["result"].plot(file, theme="dark")
+        exec("import numpy as np\nimport flexopt\n" + exhibit.code.replace('"FILE"', repr(str(light))), names)
+        drawn = exhibit.code.splitlines()[-1].removesuffix(")")
+        exec(drawn.replace('"FILE"', repr(str(dark))) + ', theme="dark")', names)
     return names["result"]

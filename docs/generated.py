@@ -14,6 +14,7 @@ import flexopt
 from docs import gallery
 from docs.public import TOPICS, TYPES, names, words
 from flexopt.cli import cli
+from flexopt.cli.examples import EXAMPLES
 from flexopt.foundation.offered import PLUMBING
 from flexopt.model.file_schema import MODELS
 
@@ -132,7 +133,7 @@ def keys(kind: Any) -> str:
             default = "required" if required else _default(given.get("default"))
             cells = (f"`{key}`", _type(given), _unit(given), _range(given), default, _cell(given["description"]))
             rows.append(f"| {' | '.join(cells)} |")
-        parts.append("\n".join(rows))
+        parts.append("\n".join(["```{container} keys", *rows, "```"]))
     return "\n\n".join(parts) + "\n"
 
 
@@ -189,20 +190,35 @@ def errors() -> str:
 
 
 def commands() -> str:
-    """Every command as its `--help` has it."""
+    """Every command as its `--help` has it, in lists that fit any screen."""
     parts = [
         "# The command line",
         "Every command takes `--json`, which prints one JSON document on standard output and nothing else there; "
         "progress and warnings go to standard error. Exit codes: 0 success; 2 bad input, singular postures and "
         "unreachable targets among it; 3 a solve that did not converge or a check that failed.",
     ]
-    whole = click.Context(cli, info_name="flexopt", max_content_width=100, help_option_names=["-h", "--help"])
-    for name in cli.list_commands(whole):
-        command = cli.get_command(whole, name)
+    whole = click.Context(cli, info_name="flexopt", help_option_names=["-h", "--help"])
+    return "\n\n".join([*parts, *_commands(cli, whole)]) + "\n"
+
+
+def _commands(group: Any, within: click.Context) -> list[str]:
+    """Those of a group, with theirs."""
+    parts: list[str] = []
+    for name in group.list_commands(within):
+        command = group.get_command(within, name)
         assert command is not None
-        told = command.get_help(click.Context(command, info_name=name, parent=whole))
-        parts.append(f"## flexopt {name}\n\n```text\n{told}\n```")
-    return "\n\n".join(parts) + "\n"
+        context = click.Context(command, info_name=name, parent=within)
+        usage = " ".join([context.command_path, *command.collect_usage_pieces(context)])
+        said, _, _ = inspect.cleandoc(command.help or "").partition("\f")
+        parts += [f"## {context.command_path}", f"```text\n{usage}\n```"]
+        parts += [_cell(paragraph) for paragraph in said.split("\n\n")]
+        records = [parameter.get_help_record(context) for parameter in command.get_params(context)]
+        parts += [f"`{option}`\n: {_cell(text)}" for option, text in filter(None, records) if text]
+        if isinstance(command, click.Group):
+            parts += _commands(command, context)
+        shown = EXAMPLES.get(name) if within.parent is None else None
+        parts += ["```sh\n" + "\n".join(shown) + "\n```"] if shown else []
+    return parts
 
 
 FlexoptKinds = (flexopt.FlexoptError, flexopt.FlexoptWarning)

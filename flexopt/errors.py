@@ -286,12 +286,19 @@ class WriteError(InputError, OSError):
 class FlexoptWarning(UserWarning):
     """A result is right but needs care: repeated frequencies, a feature that is missing.
 
+    Attributes:
+        remarks: every sentence, where the message is a summary of several; else the message alone.
+
     Example:
         >>> import warnings
         >>> with warnings.catch_warnings():
         ...     warnings.simplefilter("error", flexopt.FlexoptWarning)  # to stop at what needs care
         ...     machine = flexopt.load("excavator")
     """
+
+    def __init__(self, message: str, remarks: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.remarks = remarks or (message,)
 
 
 class CompilerNotFound(FlexoptWarning):

@@ -63,3 +63,35 @@ def page_of(browser: Browser, path: Path, **context: Any) -> Iterator[Page]:
     yield page
     place.close()
     assert wrong == []
+
+
+# Of each table that is shown: how far it and its box reach, px, whether its box scrolls, and whether there is more of it.
+_TABLES = """[...document.querySelectorAll("table")].filter((each) => each.checkVisibility()).map((each) => {
+  const box = each.closest(".scroll"), right = (one) => one.getBoundingClientRect().right;
+  return { table: right(each), box: box && right(box), scrolls: box && getComputedStyle(box).overflowX === "auto",
+    more: box && box.scrollWidth > box.clientWidth };
+})"""
+
+
+def wide_tables(page: Page, width: int) -> int:
+    """How many tables scroll inside their boxes; none of them, and nothing else, makes the page wider than `width`."""
+    assert page.evaluate("document.documentElement.scrollWidth") <= page.evaluate(
+        "document.documentElement.clientWidth"
+    )
+    found = page.evaluate(_TABLES)
+    assert found
+    for each in found:
+        if each["box"] is None:
+            assert each["table"] <= width + 1
+        else:
+            assert each["box"] <= width + 1
+            assert each["scrolls"] or not each["more"]
+    return sum(bool(each["more"]) for each in found)
+
+
+def on_paper(page: Page, width: int) -> None:
+    """No table is cut off at the side of a sheet that is `width` px wide."""
+    page.emulate_media(media="print")
+    found = page.evaluate(_TABLES)
+    assert found
+    assert max(each["table"] for each in found) <= width + 1

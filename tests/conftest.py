@@ -1,7 +1,8 @@
-"""One BLAS thread for each process of tests, which files are left out where an oracle cannot be installed; a browser."""
+"""One BLAS thread and few rounds of the garbage collector for each process of tests, which files are left out where an oracle cannot be installed; a browser."""
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import sys
@@ -17,6 +18,9 @@ __all__ = ["chromium", "pytest_ignore_collect", "pytest_runtest_setup"]
 # are processors, that wait for each other.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+# Graphs make hundreds of thousands of objects without cycles; looking for some among them takes an eighth of all time.
+gc.set_threshold(200_000, 20, 100)
 
 ROOT = Path(__file__).resolve().parents[1]
 # Oracles without wheels, by platform: the same as the markers in pyproject.toml.

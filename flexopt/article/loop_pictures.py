@@ -16,11 +16,12 @@ from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from flexopt.foundation.palette import Theme, colors
+from flexopt.foundation.pictures import Size
 from flexopt.plotting.fields import signed_colors
 from flexopt.plotting.panels import Panel, draw_panel
 from flexopt.plotting.scene import Actor, draw_scene, legend_above
 from flexopt.plotting.shape import chain, views
-from flexopt.plotting.sheet import themed
+from flexopt.plotting.sheet import sized
 from flexopt.plotting.trajectory import plot_trajectories
 from flexopt.plotting.units import labelled
 from flexopt.robustness.residues import residue_unit
@@ -32,12 +33,12 @@ from flexopt.study.gains import GainMap
 RATE_LINEAR, RATE_SHOWN = 0.01, 10.0
 
 
-def plot_figure9(runs: Mapping[str, Trajectory], *, theme: Theme = "light") -> Figure:
+def plot_figure9(runs: Mapping[str, Trajectory], *, theme: Theme = "light", size: Size = "screen") -> Figure:
     """End-point error and base oscillation at each posture."""
-    return plot_trajectories(runs, theme=theme)
+    return plot_trajectories(runs, theme=theme, size=size)
 
 
-@themed
+@sized
 def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     """The base's way with and without a stop: the machine at its ends, base position, its rate and V over time."""
     figure = Figure(figsize=(9.6, 4.9), layout="constrained")
@@ -75,12 +76,12 @@ def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     return figure
 
 
-def plot_figures11and12(runs: Mapping[str, Trajectory], *, theme: Theme = "light") -> Figure:
+def plot_figures11and12(runs: Mapping[str, Trajectory], *, theme: Theme = "light", size: Size = "screen") -> Figure:
     """End-point error (Fig. 11) on the left, base oscillation (Fig. 12) on the right."""
-    return plot_trajectories(runs, theme=theme)
+    return plot_trajectories(runs, theme=theme, size=size)
 
 
-@themed
+@sized
 def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: float, ratios: Sequence[float]) -> Figure:
     """Growth rate of the sampled linear loop over Kp and Kv for each posture, with verdicts of nonlinear runs.
 

@@ -18,7 +18,7 @@ from flexopt.article.curves import Curve
 from flexopt.article.gaps import GapSweep
 from flexopt.foundation.palette import colors
 from flexopt.plotting.fields import LOWEST_SHOWN, Values, draw_arm, draw_field, draw_regions, label_plane
-from flexopt.plotting.sheet import themed
+from flexopt.plotting.sheet import sized
 from flexopt.plotting.units import labelled, written
 from flexopt.plotting.workspace import dataset_plane
 from flexopt.robustness.residues import residue_unit
@@ -26,7 +26,7 @@ from flexopt.robustness.residues import residue_unit
 Arms = Mapping[str, Values]
 
 
-@themed
+@sized
 def plot_figure5(inverse: Any, arms: Arms) -> Figure:
     """In-phase regions of modes 1 to 3, and the first two together (their intersection)."""
     plane, in_phase = dataset_plane(inverse), _array(inverse, "in_phase")
@@ -43,7 +43,7 @@ def plot_figure5(inverse: Any, arms: Arms) -> Figure:
     return figure
 
 
-@themed
+@sized
 def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
     """ε_max over the workspace."""
     figure = Figure(figsize=(11.0, 4.9), layout="constrained")
@@ -57,7 +57,7 @@ def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
     return figure
 
 
-@themed
+@sized
 def plot_figure7(transpose: Any, inverse: Any) -> Figure:
     """w_i over the workspace: a row for each control, a column for each mode."""
     figure = Figure(figsize=(13.0, 7.6), layout="constrained")
@@ -74,7 +74,7 @@ def plot_figure7(transpose: Any, inverse: Any) -> Figure:
     return figure
 
 
-@themed
+@sized
 def plot_figure8(transpose: Curve, inverse: Curve, marks: Mapping[str, float]) -> Figure:
     """ε_max and w_1 along one height, with the end-points `marks` (name -> x, m) as thin lines."""
     inks = colors()
@@ -114,7 +114,7 @@ def _along(axes: Axes, curve: Curve, values: Values, color: str, label: str, sty
     axes.set_ylim(low - 0.12 * (high - low), high + 0.08 * (high - low))
 
 
-@themed
+@sized
 def plot_gaps(sweep: GapSweep) -> Figure:
     """ν-gap between rigid and full plant, and ε_max, as the damping grows; robust postures and others."""
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
@@ -133,7 +133,7 @@ def plot_gaps(sweep: GapSweep) -> Figure:
         axes.set_xlabel("factor of the machine's damping, –")
         axes.set_ylabel(f"{label}, –")
         axes.grid(alpha=0.25)
-    figure.axes[0].legend(fontsize=8.5, title="grey: further optima of $w_1$", title_fontsize=8)
+    figure.axes[0].legend(title="grey: further optima of $w_1$")
     figure.suptitle("Rigid plant kr R0/s² against the full one (dotted: sin π/8)")
     return figure
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -26,12 +26,15 @@ from flexopt.article.tables import (
     reproduce_table2,
     workspace_posture,
 )
+from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, Progress, Vector
 from flexopt.foundation.control import CONTROLS, Control
 from flexopt.foundation.documents import provenance
-from flexopt.foundation.palette import Theme
+from flexopt.foundation.palette import THEMES, Theme
+from flexopt.foundation.pictures import Size, check_size
 from flexopt.foundation.results import Result
 from flexopt.foundation.turns import in_turn
+from flexopt.foundation.writing import make_folder
 from flexopt.model import AnyMachine
 from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant
@@ -44,6 +47,8 @@ from flexopt.study.workspace_map import WorkspaceMap
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FigureForm = Literal["pdf", "svg", "png"]
+FORMS = get_args(FigureForm)
 PRINTED_FREQUENCIES = (3.0872, 13.1392, 22.4394)
 RANDOM_POSTURES = 20_000
 GRID_STEP = 0.05
@@ -108,8 +113,8 @@ class Reproduction(Result):
     arms: dict[str, Vector] = field(repr=False)
     provenance: Document = field(repr=False)
 
-    def figures(self, *, theme: Theme = "light") -> dict[str, Figure]:
-        """The article's figures by name, on light or dark ground."""
+    def figures(self, *, theme: Theme = "light", size: Size = "screen") -> dict[str, Figure]:
+        """The article's figures by name, on light or dark ground, of a size as in `plot` of results."""
         from flexopt.article import loop_pictures as draw_loops  # noqa: PLC0415
         from flexopt.article import pictures as draw  # noqa: PLC0415  (matplotlib is slow to import)
 
@@ -117,16 +122,17 @@ class Reproduction(Result):
         marks = {"A": PRINTED_WORKSPACE["A"][0], "B, printed point": PRINTED_WORKSPACE["B"][0]}
         marks["B, point of its measures"] = WORKSPACE_B_OF_MEASURES[0]
         curves = self.curves["transpose", "up"], self.curves["inverse", "up"]
+        look: dict[str, Any] = {"theme": theme, "size": size}
         return {
-            "figure5": draw.plot_figure5(inverse, self.arms, theme=theme),
-            "figure6": draw.plot_figure6(transpose, inverse, self.arms, theme=theme),
-            "figure7": draw.plot_figure7(transpose, inverse, theme=theme),
-            "figure8": draw.plot_figure8(*curves, marks, theme=theme),
-            "figure9": draw_loops.plot_figure9(self.loops.figure9, theme=theme),
-            "figure10": draw_loops.plot_figure10(self.loops.stopped, self.loops.climb, theme=theme),
-            "figures11and12": draw_loops.plot_figures11and12(self.loops.adjustment, theme=theme),
-            "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS, theme=theme),
-            "gaps": draw.plot_gaps(self.gaps, theme=theme),
+            "figure5": draw.plot_figure5(inverse, self.arms, **look),
+            "figure6": draw.plot_figure6(transpose, inverse, self.arms, **look),
+            "figure7": draw.plot_figure7(transpose, inverse, **look),
+            "figure8": draw.plot_figure8(*curves, marks, **look),
+            "figure9": draw_loops.plot_figure9(self.loops.figure9, **look),
+            "figure10": draw_loops.plot_figure10(self.loops.stopped, self.loops.climb, **look),
+            "figures11and12": draw_loops.plot_figures11and12(self.loops.adjustment, **look),
+            "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS, **look),
+            "gaps": draw.plot_gaps(self.gaps, **look),
         }
 
     def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:
@@ -138,6 +144,34 @@ class Reproduction(Result):
         from flexopt.article.page import write_report  # noqa: PLC0415  (imports what only reports need)
 
         return write_report(self, Path(folder))
+
+    def write_figures(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        form: FigureForm = "pdf",
+        theme: Theme = "light",
+        size: Size = "screen",
+    ) -> tuple[Path, ...]:
+        """Write every figure as a file of its own, `figure5.pdf` and so on, into a folder, made if missing.
+
+        Raises:
+            InputError: form, theme or size is none of these.
+            WriteError: a file cannot be written.
+        """
+        from flexopt.plotting.sheet import DOTS, write  # noqa: PLC0415
+
+        arguments = Arguments("write_figures")
+        arguments.choice("form", form, FORMS)
+        arguments.choice("theme", theme, THEMES)
+        size = arguments.checked("size", size, check_size, size)
+        arguments.done()
+        drawn = self.figures(theme=theme, size=size)
+        make_folder(folder)
+        figures = {Path(folder) / f"{name}.{form}": figure for name, figure in drawn.items()}
+        for file, figure in figures.items():
+            write(figure, file, dpi=DOTS.get(size, DOTS["paper"]))
+        return tuple(figures)
 
     def __repr__(self) -> str:
         lines = [repr(self.table), "", f"Mean frequencies, Hz: printed {_row(self.frequencies.printed)}"]

@@ -6,13 +6,13 @@ Source: ASME Letters in Dynamic Systems and Control 1(2), 021001.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.results import Result
+from flexopt.foundation.roots import root
 from flexopt.foundation.turns import in_turn
 from flexopt.model import AnyMachine, load
 from flexopt.model.choices import Elbow
@@ -153,7 +153,7 @@ def workspace_posture(machine: AnyMachine, point: tuple[float, float], elbow: El
 
 def infer_gain(machine: AnyMachine, posture: Vector, reading: str) -> InferredGain:
     """The gains with which `posture` has the ε_max printed for posture A: ε_max first falls with kr, then rises."""
-    from scipy.optimize import brentq, minimize_scalar  # noqa: PLC0415  (slow to import)
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (slow to import)
 
     def epsilon(exponent: float) -> float:
         return epsilon_at(machine, posture, 10.0**exponent)
@@ -162,8 +162,7 @@ def infer_gain(machine: AnyMachine, posture: Vector, reading: str) -> InferredGa
     lowest = float(minimize_scalar(epsilon, bounds=GAIN_DECADES, method="bounded").x)  # pyright: ignore
 
     def gain(wanted: float, between: tuple[float, float]) -> float:
-        root: Any = brentq(lambda k: epsilon(k) - wanted, *between, xtol=1e-12, rtol=1e-13)
-        return 10.0 ** float(root)
+        return 10.0 ** root(lambda k: epsilon(k) - wanted, *between, xtol=1e-12, rtol=1e-13)
 
     printed = PRINTED_EPSILON["A"]
     ends = sorted(gain(printed + side * EPSILON_RESOLUTION, (low, lowest)) for side in (-1, 1))

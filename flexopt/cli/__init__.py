@@ -97,7 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Entry point of the `flexopt` command."""
     # Graphs are many small objects that live as long as the command: a search for garbage in them finds none.
     gc.set_threshold(100_000)
-    given = sys.argv[1:] if arguments is None else arguments
+    given = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=TERMINAL)  # Greek letters on a console that has none

@@ -18,6 +18,7 @@ from flexopt.cli.common import (
     GAIN,
     GRAVITY,
     JSON,
+    WEIGHTS,
     check_output,
     check_picture,
     given,
@@ -103,7 +104,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     "What to maximise (w1 by default), or of settling and swing to make small; of the loop (--loop): "
     f"{', '.join(OUTCOMES)}; several in order: w1,decay.",
 )
-@value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
+@WEIGHTS
 @value("--slack", "SHARE", "What an objective may give up for the next in order (1e-5 by default).", number)
 @value("--singularity-margin-deg", "DEG", "Distance from singular postures (10 by default).", number)
 @value(
@@ -175,7 +176,8 @@ def select_command(
 
         if identified is not None:
             say(f"{identified!r}\n")
-        say(_selection_text(result) if isinstance(result, Selection) else repr(result))
+        judged_too = judgement is not None
+        say(_selection_text(result, judged=judged_too) if isinstance(result, Selection) else repr(result))
         if certificate is not None:
             say(f"\n{certificate['status']}")
         if judgement is not None:
@@ -287,13 +289,16 @@ def _solver(settings: dict[str, Any]) -> Callable[..., Selection | Stand | BaseP
     return select_stand if "targets" in settings else plan_base if "path" in settings else select
 
 
-def _selection_text(result: Selection) -> str:
+def _selection_text(result: Selection, *, judged: bool) -> str:
+    """The result in words; where a verdict follows, which may be to stay, the best is that of the objective alone."""
     best, problem = result.best.evaluation, result.problem
     placed = zip(best.base_coordinates, best.base, best.base_units, strict=True)
-    base = ", ".join(f"{name} = {x:.4f} {unit}" for name, x, unit in placed)
+    base = ", ".join(f"{name} = {x:z.4f} {unit}" for name, x, unit in placed)
     held = zip(best.joints, best.posture, best.joint_units, strict=True)
-    angles = ", ".join(f"{name} {a:.4f} {unit}" for name, a, unit in held)
+    angles = ", ".join(f"{name} {a:z.4f} {unit}" for name, a, unit in held)
     stand = f"Stand at {base} and hold" if base else "Hold"
+    if judged:
+        stand = f"Best by {problem.name}, whether it pays is told below: {stand[0].lower()}{stand[1:]}"
     lines = [repr(result), "", f"{stand} {angles}.", repr(best)]
     if result.initial is not None and result.measure is None:
         first = problem.sought[0]

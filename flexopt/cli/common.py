@@ -45,14 +45,30 @@ def value(name: str, metavar: str, text: str, read: Callable[[str], Any] = str, 
 
 def of_picture(text: str) -> Decorator:
     """`--plot` with what it draws, and how large and on which ground: `plotted` writes it."""
+    return lambda command: value("--plot", "FILE.png", text)(of_sheet("--plot")(command))
+
+
+def of_sheet(draws: str) -> Decorator:
+    """How large, and on which ground, what another option draws is."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        sizes = f"With --plot: how large, {', '.join(SIZES)} or W,H in inches (screen by default)."
-        command = value("--theme", "light|dark", "With --plot: on which ground (light by default).")(command)
-        command = value("--size", "|".join((*SIZES, "W,H")), sizes, _size)(command)
-        return value("--plot", "FILE.png", text)(command)
+        sizes = f"With {draws}: how large, {', '.join(SIZES)} or W,H in inches (screen by default)."
+        command = value("--theme", "light|dark", f"With {draws}: on which ground (light by default).")(command)
+        return value("--size", "|".join((*SIZES, "W,H")), sizes, _size)(command)
 
     return decorate
+
+
+def check_sheet(
+    arguments: Arguments, options: dict[str, Any], draws: str, *, given: bool, film: bool = False
+) -> dict[str, Any]:
+    """Takes the options of `of_sheet` out of all, notes what cannot be drawn, gives what was asked for."""
+    asked = {name: wanted for name in ("size", "theme") if (wanted := options.pop(name)) is not None}
+    for name, wanted in asked.items():
+        TABLE[name](arguments, f"--{name}", wanted)
+        if not given and not (film and name == "theme"):
+            arguments.note(f"--{name}", f"goes with {draws}", typed(wanted))
+    return asked
 
 
 def _size(text: str) -> Any:
@@ -65,13 +81,10 @@ def check_picture(options: dict[str, Any], *, film: bool = False) -> Callable[[A
 
     A `film`, too, is on the ground of --theme.
     """
-    plot, size, theme = (options.pop(name) for name in ("plot", "size", "theme"))
+    plot = options.pop("plot")
     check_output("--plot", plot, PICTURES)
-    arguments, asked = Arguments("--plot"), given({"size": size, "theme": theme})
-    for name, wanted in asked.items():
-        TABLE[name](arguments, f"--{name}", wanted)
-        if plot is None and not (film and name == "theme"):
-            arguments.note(f"--{name}", "goes with --plot", typed(wanted))
+    arguments = Arguments("--plot")
+    asked = check_sheet(arguments, options, "--plot", given=plot is not None, film=film)
     arguments.done()
 
     def draw(result: Any) -> None:
@@ -110,7 +123,9 @@ def option_names(options: dict[str, Any]) -> Generator[None]:
             field = f"--{word.replace('_', '-')}{re.sub(r'^[.]', ' ', rest)}" if given else fault.field
             renamed.append(Fault(field, fault.sentence, fault.value))
         if type(error) is InputError:
-            raise_if_any(InputError, error.heading, renamed)
+            # A command that calls another's function, as verdict calls select, goes by its own name.
+            command = click.get_current_context().command_path.partition(" ")[2]
+            raise_if_any(InputError, command if error.heading.isidentifier() else error.heading, renamed)
         raise
 
 
@@ -128,7 +143,10 @@ def warnings_to_stderr(as_json: bool) -> Generator[None]:
             yield
     finally:
         for warning in caught:
-            sentence = str(warning.message)
+            message = warning.message
+            sentence = str(message)
+            if VOICE.verbose and isinstance(message, FlexoptWarning):
+                sentence = "; ".join(message.remarks)
             if not issubclass(warning.category, FlexoptWarning):
                 warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
             elif (as_json or issubclass(warning.category, ImplausibleMachine)) and sentence not in told:
@@ -272,6 +290,7 @@ CONTROL = option(
     help="Jacobian inverse (default), transpose, or damped inverse with LAMBDA > 0 in the unit of Jv's entries.",
 )  # fmt: skip
 GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
+WEIGHTS = value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
 GAIN = value("--gain", "KR", "Servo gain of the margin ε_max (5e5 by default).", number)
 BASE = value("--base", "X[,Y,YAW]", "Placement of the base, m and rad: in a choice, where it stands now.", placement)
 END_POINT = value("--end-point", "X,Y[,Z]", "Target of the end-point, inertial frame, m.", numbers)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+import textwrap
+
+from flexopt.cli.terminal import WIDTH_MIN
+
 # What each is worth, briefly: lines of a terminal of 80 columns.
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "": ("flexopt evaluate excavator --posture 0.9929,-2.6306", "flexopt verdict article --loop kp=1e4 --loop kv=1e3"),
@@ -46,7 +51,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flexopt report article --loop default --out report",
         "flexopt report excavator --end-point 0,1.6 --base 0 --pdf report.pdf",
     ),
-    "reproduce": ("flexopt reproduce --out report",),
+    "reproduce": ("flexopt reproduce --out report", "flexopt reproduce --out report --figures pdf"),
     "schema": ("flexopt schema machine --out machine.json", "flexopt schema problem --json"),
     "select": ("flexopt select excavator --end-point 0,1.6 --base 0", "flexopt select article --plot choice.png"),
     "sensitivity": (
@@ -71,5 +76,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 
 
 def epilog(command: str) -> str:
-    """The examples of a command; the first letter keeps click from filling their lines."""
-    return "\n".join(["\b", "Examples:", *(f"  {line}" for line in EXAMPLES[command])])
+    """The examples of a command, as wide as the terminal is; the first letter keeps click from filling their lines."""
+    width = max(WIDTH_MIN, shutil.get_terminal_size().columns) - 8
+    wrapper = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    folded = (" \\\n      ".join(wrapper.wrap(line)) for line in EXAMPLES[command])
+    return "\n".join(["\b", "Examples:", *(f"  {line}" for line in folded)])

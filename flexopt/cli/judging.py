@@ -11,6 +11,7 @@ from flexopt.cli.common import (
     CONTROL,
     ELBOW,
     JSON,
+    WEIGHTS,
     check_output,
     check_picture,
     given,
@@ -19,6 +20,7 @@ from flexopt.cli.common import (
     numbers,
     of_picture,
     option_names,
+    progress_bar,
     read,
     table,
     typed,
@@ -66,6 +68,7 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
 @ELBOW
 @CONTROL
 @value("--objective", "w1|w2|…|V|epsilon_max", "Of a machine: by what places are chosen (w1 by default).")
+@WEIGHTS
 @LOOP
 @RANGES
 @value("--members", "N", "Points of the uncertainty that decays are computed of (64 by default).", whole)
@@ -85,11 +88,11 @@ def verdict_command(as_json: bool, problem: str, out: str | None, html: str | No
     check_output("--out", out, (".json",))
     draw = check_picture(options)
     check_output("--html", html, (".html",))
-    with option_names(options), warnings_to_stderr(as_json):
+    with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
         asked, own = asked_problem("verdict", problem, options)
         settings = given(options, "members", "runs", "duration")
         ranges = table("--ranges", options["ranges"])
-        result = verdict(asked, loop=real_loop(own, options["loop"]), ranges=ranges, **settings)
+        result = verdict(asked, loop=real_loop(own, options["loop"]), ranges=ranges, progress=progress, **settings)
     if html is not None:
         write_output("--html", html, lambda: result.to_html(html))
     hand_out(result, out, draw, as_json=as_json)
@@ -113,11 +116,11 @@ def region_command(as_json: bool, machine: str, out: str | None, **options: Any)
 
     check_output("--out", out, (".json",))
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json):
+    with option_names(options), warnings_to_stderr(as_json), progress_bar("parts") as progress:
         posture = asked_posture("region", loaded, options)
         settings = given(options, "base", "control", "gravity", "points", "boxes")
         loop, ranges = real_loop(loaded.loop, options["loop"]), table("--ranges", options["ranges"])
-        result = stable_region(loaded, posture, loop=loop, ranges=ranges, **settings)
+        result = stable_region(loaded, posture, loop=loop, ranges=ranges, progress=progress, **settings)
     hand_out(result, out, None, as_json=as_json)
 
 
@@ -126,7 +129,8 @@ def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, L
     from flexopt.selection import build_selection  # noqa: PLC0415  (`evaluate` does not need it)
 
     loaded: AnyMachine | Problem = read(load_any, name)
-    own = tuple(word for word in ("end_point", "posture", "base", "elbow", "control", "objective") if word in options)
+    words = ("end_point", "posture", "base", "elbow", "control", "objective", "weights")
+    own = tuple(word for word in words if word in options)
     if isinstance(loaded, Problem):
         sentence = "goes with a machine; the problem file brings its own"
         faults = [Fault(f"--{word.replace('_', '-')}", sentence, typed(v)) for word, v in given(options, *own).items()]

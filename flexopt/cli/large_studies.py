@@ -166,11 +166,15 @@ def _interruptible() -> Generator[Callable[[], None]]:
     """
     asked, own = False, os.getpid()
 
-    def end(_number: int, frame: FrameType | None) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
         nonlocal asked
         asked = True
-        # All that a forked process does is inside the fork.
-        while frame is not None and os.getpid() == own:
+        if os.getpid() != own:
+            # A forked process, before it says what signals are to it: who forked it was told, too, and ends it.
+            if number == signal.SIGTERM:
+                os._exit(128 + number)
+            return
+        while frame is not None:
             if frame.f_code.co_filename == popen_fork.__file__:
                 return
             frame = frame.f_back

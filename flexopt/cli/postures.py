@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from flexopt.cli.common import BASE, CONTROL, ELBOW, END_POINT, GRAVITY, numbers, typed, value
+import numpy as np
+
+from flexopt.cli.common import BASE, CONTROL, ELBOW, END_POINT, GRAVITY, numbers, say, value
+from flexopt.cli.terminal import VOICE
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant, inverse_kinematics
+from flexopt.robustness import build_measures, evaluate_w
 
 POSTURE = value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
 
@@ -30,10 +36,7 @@ def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> An
         faults.append(Fault("--posture, --end-point", "give one of the two"))
     if posture is not None and options["elbow"] is not None:
         faults.append(Fault("--elbow", "goes with --end-point only", options["elbow"]))
-    joints, closed_form = machine.joints, build_plant(machine).closed_form
-    if end_point is not None and len(joints) > len(machine.task_rows):
-        sentence = f"does not name one posture of {len(joints)} actuated joints; use select, or --posture"
-        faults.append(Fault("--end-point", sentence, typed(end_point)))
+    closed_form = build_plant(machine).closed_form
     if options["elbow"] is not None and not closed_form:
         faults.append(Fault("--elbow", "names a branch of planar arms only", options["elbow"]))
     raise_if_any(InputError, call, faults)
@@ -44,6 +47,20 @@ def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> An
     point = arguments.point(end_point, "end-point", machine)
     if base is not None:
         arguments.base(machine, base)
-    arguments.control(options["control"] or "inverse")
+    control: Control = arguments.control(options["control"] or "inverse")
     arguments.done()
-    return inverse_kinematics(machine, point, base=base, gravity=options["gravity"], elbow=elbow)[0]
+    postures = inverse_kinematics(machine, point, base=base, gravity=options["gravity"], elbow=elbow)
+    return _best(machine, postures, base, control, options) if len(machine.joints) > len(point) else postures[0]
+
+
+def _best(
+    machine: AnyMachine, postures: list[Vector], base: Any, control: Control, options: Mapping[str, Any]
+) -> Vector:
+    """Of a redundant arm's sampled postures the one with the greatest w_1, which is said; the first where none has."""
+    measures = build_measures(machine, control, options["gravity"])
+    placement = np.zeros(len(machine.base_coordinates)) if base is None else np.atleast_1d(base)
+    first = evaluate_w(measures, placement, np.array(postures).T).w[0]
+    if not VOICE.quiet:
+        told = f"of {len(postures)} postures found that reach it the one with the greatest w1 is taken"
+        say(f"flexopt: --end-point: {told}; --posture names another, `flexopt select` seeks the best", err=True)
+    return postures[int(np.argmax(np.where(np.isnan(first), -np.inf, first)))]

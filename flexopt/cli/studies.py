@@ -15,14 +15,17 @@ from flexopt.cli.common import (
     GAIN,
     GRAVITY,
     JSON,
+    WEIGHTS,
     check_folder,
     check_output,
     check_picture,
+    check_sheet,
     given,
     hand_out,
     names,
     numbers,
     of_picture,
+    of_sheet,
     option,
     option_names,
     placement,
@@ -41,6 +44,7 @@ from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, RANGES, asked_problem, real_loop
 from flexopt.cli.simulation import loop_options
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
 from flexopt.model import load, load_experiment
 from flexopt.model.choices import ELBOWS
 
@@ -118,19 +122,30 @@ def _of_loop(options: dict[str, Any], vary: tuple[str, ...]) -> dict[str, Any]:
 
 @click.command("reproduce", short_help="The article computed again and checked.")
 @value("--out", "DIR", "Folder of report.html and report.json (flexopt-reproduce by default).")
+@value("--figures", "pdf|svg|png", "Each figure as a file of its own in that folder, too.")
+@of_sheet("--figures")
 @JSON
-def reproduce_command(as_json: bool, out: str | None) -> None:
+def reproduce_command(as_json: bool, out: str | None, figures: str | None, **options: Any) -> None:
     """The article computed again: Table 2, Figs. 5 to 12, mean frequencies, its claims and contradictions.
 
-    Writes one HTML report and one JSON file into a folder, which is made if it is missing.
+    Writes one HTML report and one JSON file into a folder, which is made if it is missing; with --figures each figure
+    as a file of its own, too.
     """
     from flexopt.article import reproduce  # noqa: PLC0415  (only this command needs it)
+    from flexopt.article.reproduction import FORMS  # noqa: PLC0415
+
+    arguments = Arguments("reproduce")
+    form = arguments.choice("--figures", figures or "pdf", FORMS)
+    look = check_sheet(arguments, options, "--figures", given=figures is not None)
+    arguments.done()
 
     folder = out or REPORT_FOLDER
     check_folder("--out", folder)
     with warnings_to_stderr(as_json), progress_bar("stages") as progress:
         result = reproduce(progress=progress)
     write_output("--out", folder, lambda: result.write(folder))
+    if figures is not None:
+        write_output("--out", folder, lambda: result.write_figures(folder, form=form, **look))
     if as_json:
         print_json(result.to_dict())
     else:
@@ -144,6 +159,7 @@ def reproduce_command(as_json: bool, out: str | None) -> None:
 @BASE
 @CONTROL
 @value("--objective", "w1|w2|…|V|epsilon_max", "Of a machine: what to maximise (w1 by default).")
+@WEIGHTS
 @value("--experiment", "NAME", "Experiment (name or file) that gives the closed loops' gains and start.")
 @loop_options("", *LOOPS)
 @LOOP

@@ -1,13 +1,15 @@
 """Straight-line functions of generated code in which multiplications and the additions after them are one operation.
 
 In: the text of one function as CasADi writes it for an SX graph, a statement a line. Out: the same with `fma`, `fms`
-(x y − z) and `fnma` (z − x y) where they can be, each result in a variable of its own. What compilers fuse depends on
-how many lanes they work with; chosen here, kernels of any width, by any compiler, give the same bits.
+(x y − z) and `fnma` (z − x y) where they can be, and `shared_quotient` where several numbers are divided by one, each
+result in a variable of its own. What compilers fuse depends on how many lanes they work with; chosen here, kernels of
+any width, by any compiler, give the same bits.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,9 +20,13 @@ RESULT = re.compile(r"  if \(res\[\d+\]!=0\) res\[\d+\]\[\d+\]=[^;]*;$")
 
 _NUMBER = r"-?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _OPERAND = rf"(a\d+|{_NUMBER})"
-_ON_VECTORS = re.compile(rf"\({_OPERAND}[-+*/]{_OPERAND}\)|fn?m[as]\({_OPERAND},{_OPERAND},{_OPERAND}\)|\(-a\d+\)")
+_ON_VECTORS = re.compile(
+    rf"\({_OPERAND}[-+*/]{_OPERAND}\)|shared_quotient\({_OPERAND},{_OPERAND}\)"
+    rf"|fn?m[as]\({_OPERAND},{_OPERAND},{_OPERAND}\)|\(-a\d+\)"
+)
 _CONSTANT = re.compile(rf"(?<![\w.]){_NUMBER}(?![\w.])")
 _PRODUCT = re.compile(rf"\({_OPERAND}\*{_OPERAND}\)|casadi_sq\((a\d+)\)")
+_QUOTIENT = re.compile(rf"\({_OPERAND}/(a\d+)\)")
 _SUM = re.compile(rf"\({_OPERAND}([+-]){_OPERAND}\)")
 
 
@@ -93,7 +99,16 @@ def fused(function: Straight) -> Straight:
         elif summed.get(left, False) and left in products and right != left:
             x, y = products[left]
             texts[k] = f"fma({x},{y},{right})" if sign == "+" else f"fms({x},{y},{right})"
-    return _without_dead(Straight(function.head, function.targets, texts))
+    return _without_dead(Straight(function.head, function.targets, _shared(texts)))
+
+
+def _shared(texts: Sequence[str]) -> list[str]:
+    """Divisions by what others divide by, too, as such: a division takes a processor several products' time."""
+    divisors = Counter(match[2] for match in map(_QUOTIENT.fullmatch, set(texts)) if match)
+    return [
+        f"shared_quotient({match[1]},{match[2]})" if match and divisors[match[2]] > 1 else text
+        for text, match in zip(texts, map(_QUOTIENT.fullmatch, texts), strict=True)
+    ]
 
 
 def _products(function: Straight) -> dict[str, tuple[str, str]]:

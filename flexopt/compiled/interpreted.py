@@ -53,7 +53,7 @@ class _Chunk:
         at = slice(begin, begin + self._size)
         for x, values in zip(self._x, inputs, strict=True):
             x[:] = values[:, at].T if values.shape[1] != 1 else values.T
-        failed = not _succeeds(self._buffer, self._evaluate)
+        failed = not succeeds(self._buffer, self._evaluate)
         if failed and self._points is not None:
             for k in range(at.start, at.stop):
                 self._points(inputs, outputs, k, k + 1)
@@ -103,12 +103,12 @@ class _Run:
     def __call__(self, x0: Array, e: Array, c: Array, x: Array, monitor: Array) -> bool:
         for buffer, values in zip(self._in, (x0, e, c), strict=True):
             buffer[:] = values
-        succeeded = _succeeds(self._buffer, self._evaluate)
+        succeeded = succeeds(self._buffer, self._evaluate)
         x[:], monitor[:] = self._out
         return succeeded
 
 
-def _succeeds(buffer: ca.FunctionBuffer, evaluate: Callable[[], None]) -> bool:
+def succeeds(buffer: ca.FunctionBuffer, evaluate: Callable[[], None]) -> bool:
     """Evaluate; a failing Function returns a status, or raises where it is called by another."""
     try:
         evaluate()

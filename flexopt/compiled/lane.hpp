@@ -79,6 +79,9 @@ INLINE lane sq(lane x) { return x * x; }
 #if __has_builtin(__builtin_elementwise_sqrt)
 #define HAS_ELEMENTWISE
 #endif
+#if __has_builtin(__builtin_elementwise_fma)  // of clang, which from version 22 on has no other
+#define HAS_ELEMENTWISE_FMA
+#endif
 #endif
 INLINE lane sqrt(lane x) {
 #if defined(HAS_ELEMENTWISE)
@@ -102,6 +105,8 @@ INLINE lane sqrt(lane x) {
 #if defined(__ARM_FEATURE_FMA) && defined(__ARM_NEON) && LANES == 2
 #include <arm_neon.h>
 INLINE vec fma(vec x, vec y, vec z) { return (vec)vfmaq_f64((float64x2_t)z, (float64x2_t)x, (float64x2_t)y); }
+#elif defined(__FMA__) && defined(HAS_ELEMENTWISE_FMA)
+INLINE vec fma(vec x, vec y, vec z) { return __builtin_elementwise_fma(x, y, z); }
 #elif defined(__FMA__) && LANES == 8
 INLINE vec fma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfmaddpd512_mask(x, y, z, -1, 4); }
 #elif defined(__FMA__) && LANES == 4
@@ -118,6 +123,25 @@ INLINE vec fnma(vec x, vec y, vec z) { return (vec)__builtin_ia32_vfnmaddpd512_m
 INLINE vec fms(vec x, vec y, vec z) { return fma(x, y, -z); }
 INLINE vec fnma(vec x, vec y, vec z) { return fma(-x, y, z); }
 #endif
+
+// x / y where others are divided by the same y: its reciprocal, rounded to nearest, serves all of them, and a step of
+// Newton's then leaves the nearest number, as a division does (Markstein). What leaves the range of doubles on the way
+// ends as NaN, and is divided; so is what ends as zero, for its sign.
+INLINE vec shared_quotient(vec x, vec y) {
+#if !defined(__FMA__) && !defined(__ARM_FEATURE_FMA)
+  return x / y;
+#else
+  const vec inverse = splat(1) / y, near = x * inverse;
+  const vec result = fma(fnma(y, near, x), inverse, near);
+#if defined(__AVX512F__) && LANES == 8 && !defined(__clang__)
+  const bool all_there = __builtin_ia32_cmppd512_mask(result, splat(0), 12, -1, 4) == 0xff;  // not equal, none a NaN
+#else
+  const bool all_there = !any(~(absolute(result) > splat(0)));
+#endif
+  if (__builtin_expect(!all_there, 0)) return x / y;
+  return result;
+#endif
+}
 
 // Below 2^52 the sum with 2^52 has no fraction bits left; above, every double is whole already.
 INLINE vec whole(vec x) {

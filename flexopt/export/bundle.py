@@ -279,7 +279,11 @@ def build_library(machine: AnyMachine, parts: Sequence[str], *, real: Real, pref
 
 def render_bundle(machine: AnyMachine, parts: Sequence[str], **options: Any) -> tuple[dict[str, str], dict[str, Any]]:
     """Path -> text of every file, manifest.json among them, and the manifest; options as of `build_library`."""
-    library = build_library(machine, parts, **options)
+    return render_library(build_library(machine, parts, **options), options)
+
+
+def render_library(library: Library, options: dict[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
+    """The same of a library that was built with these options."""
     bundle_hash = hashlib.sha256(library.kernel_digest_text().encode()).hexdigest()
     texts = library.files(bundle_hash) | project_files(library, bundle_hash)
     manifest = _manifest(library, bundle_hash, texts, {"parts": list(library.parts)} | options)

@@ -73,7 +73,7 @@ def settling_start(at: Context, operations: Mapping[str, Operation]) -> Start | 
     postures = at.joint_angles.draw(np.random.default_rng(SEED), 128)
     sines = plant.singularity_sine_squared.call([base, ca.DM(postures.T), p])[0].full().ravel()
     regular = postures[sines > np.median(sines)].round(4)
-    worst = [float(np.min(at.measures.w.call([base, ca.DM(row), p])[0].full())) for row in regular]
+    worst = at.measures.w.call([base, ca.DM(regular.T), p])[0].full().min(axis=0)
     for posture in regular[np.argsort(worst)[::-1][:POSTURES]]:
         rest = plant.rest.call([base, ca.DM(posture), p])[0]
         mass: Array = plant.mass.call([rest, base, p])[0].full()

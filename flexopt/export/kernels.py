@@ -9,7 +9,7 @@ belong to.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -55,6 +55,7 @@ _PARAMETERS = {
     "iw": "casadi_int *iw",
     "w": "casadi_real *w",
 }
+_CALL = re.compile(r"\b(casadi_f\d+)\(([^,()]+), ([^,()]+), ([^,()]+), ([^,()]+), 0\)")
 
 
 # Where the first word stands in a line, the pattern is replaced: tests spelled out.
@@ -198,15 +199,22 @@ def _tidied(
     if is_root:
         # The wrappers take every result.
         text = re.sub(r"if \(res\[\d+\](?:!=0)?\) ", "", text)
-    for callee, parameters in taken.items():
-        passed = {"arg": r"\1", "res": r"\2", "iw": r"\3", "w": r"\4"}
-        called = ", ".join(passed[p] for p in parameters)
-        text = re.sub(rf"\b{callee}\(([^,()]+), ([^,()]+), ([^,()]+), ([^,()]+), 0\)", rf"{callee}({called})", text)
+    if taken:
+        text = _CALL.sub(lambda call: _called(call, taken), text)
     head, _, body = text.partition("{\n")
     body = _declared(body)
     used = tuple(p for p in _PARAMETERS if re.search(rf"\b{p}\b", body))
     assert head.startswith("static int ")
     return f"static int {name}({', '.join(_PARAMETERS[p] for p in used) or 'void'}) {{\n{body}", used
+
+
+def _called(call: re.Match[str], taken: Mapping[str, tuple[str, ...]]) -> str:
+    """A call with the parameters that its callee has left."""
+    callee, *passed = call.groups()
+    if callee not in taken:
+        return call[0]
+    given = dict(zip(_PARAMETERS, passed, strict=True))
+    return f"{callee}({', '.join(given[p] for p in taken[callee])})"
 
 
 def _declared(body: str) -> str:

@@ -208,7 +208,7 @@ class Operation:
     def acceptance(self, parameters: Parameters) -> float:
         """Share of random inputs, inside the machine's limits, with its own parameters, that the guards let through."""
         own, rng = replace(parameters, spread=(0.0,) * len(parameters.spread)), np.random.default_rng(ACCEPTANCE_SEED)
-        return float(np.mean(self.reference(self.random_rows(own, rng, ACCEPTANCE_COUNT)).accepted))
+        return float(np.mean(self.accepts(self.random_rows(own, rng, ACCEPTANCE_COUNT))))
 
     def draw(self, parameters: Parameters, count: int, seed: int, *, displaced: bool = True) -> Samples:
         """Random inputs that no guard refuses, and what the kernel makes of them in CasADi's virtual machine.
@@ -228,7 +228,7 @@ class Operation:
             if sum(len(part) for part in kept) >= count:
                 break
             rows = self.random_rows(parameters, rng, count, displaced=displaced)
-            kept.append(rows[self.reference(rows).accepted])
+            kept.append(rows[self.accepts(rows)])
         rows = np.vstack(kept)[:count]
         if len(rows) < count:
             guards = "; ".join(f"{guard.name}: {guard.text}" for guard in self.guards)
@@ -243,22 +243,33 @@ class Operation:
         if not len(rows):
             empty = np.zeros((0, self.n_out))
             return Samples(rows, empty, empty, np.zeros(0, bool), np.zeros(0, bool))
-        parts = self.split(rows)
-        measured = [(field, part) for field, part in zip(self.inputs, parts, strict=False) if field.design is not None]
+        measured = [(f, part) for f, part in zip(self.inputs, self.split(rows), strict=False) if f.design is not None]
         beyond = np.zeros(len(rows), bool)
         for field, part in measured:
             beyond |= ~field.within(part, design=True)
-        arguments = [ca.DM(field.unwound(part).T) for field, part in zip(self.inputs, parts, strict=False)]
-        arguments += [ca.DM(part.T) for part in parts[len(self.inputs) :]]
-        results = _mapped(self.kernel, arguments, len(rows))
-        sizes = _mapped(self.scales, arguments, len(rows))
-        n = len(self.outputs)
+        outputs, accepted = self._computed(rows)
+        sizes = _mapped(self.scales, self._arguments(rows), len(rows))
         scales = [np.broadcast_to(s, (len(rows), f.length)) for s, f in zip(sizes, self.outputs, strict=True)]
+        return Samples(rows, outputs, np.hstack(scales), accepted, beyond)
+
+    def accepts(self, rows: Array) -> NDArray[np.bool_]:
+        """Whether every guard lets the results of each row through."""
+        return self._computed(rows)[1]
+
+    def _computed(self, rows: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The kernel's outputs at each row, and whether they may be used."""
+        n, results = len(self.outputs), _mapped(self.kernel, self._arguments(rows), len(rows))
         outputs = np.hstack(results[:n])
         accepted = np.asarray(np.isfinite(outputs).all(axis=1))
         for guard, value in zip(self.guards, results[n:], strict=True):
             accepted = accepted & guard.passes(value[:, 0])
-        return Samples(rows, outputs, np.hstack(scales), accepted, beyond)
+        return outputs, accepted
+
+    def _arguments(self, rows: Array) -> list[ca.DM]:
+        """Rows as the kernel takes them: one column each, free angles reduced."""
+        parts = self.split(rows)
+        arguments = [ca.DM(field.unwound(part).T) for field, part in zip(self.inputs, parts, strict=False)]
+        return arguments + [ca.DM(part.T) for part in parts[len(self.inputs) :]]
 
     def split(self, rows: Array) -> list[Array]:
         """Columns of each input, and of the parameters where they are inputs."""
@@ -271,7 +282,7 @@ class Operation:
             field.within(part, design=True, room=room if field.design is not None else 0.0)
             for field, part in zip(self.inputs, self.split(rows), strict=False)
         ]
-        return self.reference(rows).accepted & np.all(inside, axis=0)
+        return self.accepts(rows) & np.all(inside, axis=0)
 
 
 @dataclass(frozen=True)

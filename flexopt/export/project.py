@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -48,7 +47,7 @@ class _Project:
             "examples/main.c": self._example(),
             "Makefile": self._render("Makefile", sources=sources),
             "CMakeLists.txt": self._render("CMakeLists.txt", sources=sources),
-            "README.md": self._readme(first),
+            "README.md": self._readme(),
             "misra_deviations.json": self._render("misra_deviations.json"),
         }
         if "controller" in self.library.operations:
@@ -127,11 +126,15 @@ class _Project:
         inertia = float(np.trace(mass[plant.n_passive :, plant.n_passive :])) / plant.n_actuated
         return posture, float(f"{inertia:.4g}")
 
-    def _readme(self, first: dict[str, Any]) -> str:
+    def _readme(self) -> str:
         library = self.library
+        # What most come for is the torque, by the loop that was given where there is one.
+        named = {o.name: o for o in library.all_operations}
+        shown = named.get("loop_step") or named.get("torque_inverse") or library.all_operations[0]
         return self._render(
             "README.md",
-            **first,
+            o=shown,
+            values=self._accepted(shown),
             bundle_hash=self.bundle_hash,
             control=library.context.control,
             groups=library.operations,

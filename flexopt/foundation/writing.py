@@ -75,6 +75,18 @@ def write_files(contents: Mapping[Any, Content], *, private: bool = False, durab
                 _swap(fresh, final, file, keep=not private)
 
 
+def check_place(path: AnyPath) -> None:
+    """Whether a file can stand there, asked before what takes long to make is made.
+
+    Raises:
+        WriteError: it cannot.
+    """
+    final = Path(os.path.realpath(path))
+    with _told(path, 0):
+        _check(final)
+        final.parent.stat()
+
+
 def write_parts(path: AnyPath, parts: Iterable[bytes]) -> None:
     """Write one file whose content comes in parts, of which one is in memory at a time; else as `write_file`.
 

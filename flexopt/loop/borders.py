@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.foundation.roots import root
+
 # Relative width to which a narrow interval between two gains is looked for, and exponents to which a border is found.
 NARROW, BORDER = 1e-3, 1e-10
 
@@ -28,13 +30,11 @@ def stable_intervals(
         low, high, points: exponents searched, and how many of them at first.
         known: growth at these, where it is known.
     """
-    from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
-
     exponents = np.linspace(low, high, points).tolist()
     grid = _with_narrow(growth, exponents, [growth(x) for x in exponents] if known is None else known)
     stable = np.array([value < 0 for _, value in grid])
     edges = np.flatnonzero(stable[1:] != stable[:-1])
-    roots = [float(brentq(growth, grid[i][0], grid[i + 1][0], xtol=BORDER)) for i in edges.tolist()]
+    roots = [root(growth, grid[i][0], grid[i + 1][0], xtol=BORDER) for i in edges.tolist()]
     ends = ([low] if stable[0] else []) + roots + ([high] if stable[-1] else [])
     return tuple(zip(ends[::2], ends[1::2], strict=True))
 

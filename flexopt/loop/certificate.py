@@ -39,6 +39,9 @@ CELLS = 48
 SMALLEST = 2.0**-8
 
 
+Spent = Callable[[float], None]
+
+
 @dataclass(frozen=True)
 class Leaf:
     """A box of u in [0, 1]^k (`UncertaintyBox`), and what is known of the loop in it.
@@ -108,12 +111,14 @@ class Search:
         decay: ρ, 1/s.
         most: boxes that are looked at, less where functions are made again, which cost as many as that takes.
         order: which boxes first, by their ends; the largest by default.
+        told: called with how much of `most` is spent, as boxes are looked at.
     """
 
     loop: UncertainLoop
     decay: float = DECAY
     most: int = BOXES
     order: Callable[[Vector, Vector], float] | None = None
+    told: Spent | None = None
 
     def __post_init__(self) -> None:
         self.looked, self.cells, self.spent, self.open = 0, 0, 0.0, 1.0
@@ -161,6 +166,8 @@ class Search:
         while self.heap:
             box = heapq.heappop(self.heap)
             left = box.cells
+            if self.told is not None:
+                self.told(min(self.spent, self.most))
             for _ in range(HALVINGS):
                 if not 0 < len(left.low) <= CELLS:
                     break
@@ -180,7 +187,7 @@ class Search:
         """Whether a function of its own is worth its time."""
         if box.volume * AGAIN > box.root:
             return False
-        of_remainders = float(np.mean(replace(left, error=np.zeros_like(left.error)).exclude_zero))
+        of_remainders = left.open_by_remainders(PAYS)
         share = box.volume / self.open if self.order is None else 1.0
         # Cells that remainders leave open stay so in the parts of a box.
         worth = WORTH * share * (self.most - self.spent) * of_remainders
@@ -229,10 +236,10 @@ def _failing(cells: Cells) -> Cells:
     return cells.chosen(~cells.exclude_zero) if len(cells.low) else cells
 
 
-def certify(loop: UncertainLoop, *, decay: float = DECAY, boxes: int = BOXES) -> RegionProof:
-    """What is proven of a loop over its box."""
+def certify(loop: UncertainLoop, *, decay: float = DECAY, boxes: int = BOXES, told: Spent | None = None) -> RegionProof:
+    """What is proven of a loop over its box; `told` as of `Search`."""
     try:
-        search = Search(loop, decay, boxes)
+        search = Search(loop, decay, boxes, told=told)
         ends = list(search.run())
         excluded = [(low + high) / 2 for low, high, each in ends if each]
         decays = iter(loop.decays(np.array(excluded)).tolist() if excluded else ())
@@ -248,7 +255,9 @@ def _word(found: float, decay: float) -> bool | None:
     return None if math.isnan(found) else found > decay
 
 
-def certified_radius(loop: UncertainLoop, size: float, *, decay: float = DECAY, boxes: int = BOXES) -> float:
+def certified_radius(
+    loop: UncertainLoop, size: float, *, decay: float = DECAY, boxes: int = BOXES, told: Spent | None = None
+) -> float:
     """The largest s found, up to e^size, so that the loop is proven to decay with every factor within [1/s, s].
 
     The box of the loop is that of e^size. Boxes are looked at from the nominal machine outwards, until one is not
@@ -260,7 +269,7 @@ def certified_radius(loop: UncertainLoop, size: float, *, decay: float = DECAY, 
 
     try:
         # One after another: the first that does not decay ends it.
-        for low, high, excluded in Search(loop, decay, boxes, away).run():
+        for low, high, excluded in Search(loop, decay, boxes, away, told).run():
             if not excluded or not loop.decays((low + high)[None] / 2)[0] > decay:
                 return math.exp(2 * size * away(low, high))
     except NotCovered:

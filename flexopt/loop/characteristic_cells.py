@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -91,6 +91,14 @@ class Cells:
         ends = np.concatenate([part.reshape(len(part), -1) for part in parts])
         parted = _parted(ends, np.tile(self.error, len(parts))).reshape(len(splits), -1)
         return dict(zip(splits, np.sum(~parted, axis=1).tolist(), strict=True))
+
+    def open_by_remainders(self, least: float) -> float:
+        """Share of the cells that would leave zero out without remainders; 0 where it is less than `least`."""
+        nothing = np.zeros_like(self.error)
+        # Corners alone cost little, and leave zero out in every cell where all control points do.
+        if np.mean(_parted(self._ends().reshape(len(self.points), -1), nothing)) < least:
+            return 0.0
+        return float(np.mean(replace(self, error=nothing).exclude_zero))
 
     @property
     def exclude_zero(self) -> NDArray[np.bool_]:

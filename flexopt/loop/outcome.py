@@ -18,6 +18,7 @@ import numpy as np
 from flexopt.coprime import StateSpace
 from flexopt.coprime.norms import hinf_peak
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.roots import root
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.disturbance import Disturbed
@@ -260,7 +261,6 @@ class LoopPoint:
         Looked for up to a dead time of 100 samples. Where it may be the frequency response says, to the error of a dead
         time that is taken as a pure one; where it is exactly, the eigenvalues.
         """
-        from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
 
         def growth(more: float) -> float:
             return self.spectrum_of(self.sample.later(self.dead_time + more).matrix).growth_rate
@@ -270,7 +270,7 @@ class LoopPoint:
         before = 0.0
         for more in _between([0.0, *late, most], self.period / CLOSE) if late else []:
             if growth(more) >= 0:
-                found = float(brentq(growth, before, more, xtol=1e-13 * self.period, rtol=1e-14))
+                found = root(growth, before, more, xtol=1e-13 * self.period, rtol=1e-14)
                 slopes = LoopPoint(self.motions, self.numbers, self.dead_time + found).rate().slopes
                 # The dead time at the border stays, whatever the present one is.
                 by = None if slopes is None else slopes * (-1 / slopes.dead_time)
@@ -284,8 +284,6 @@ class LoopPoint:
 
         Where an eigenvalue λ of L(e^{jθ}) has modulus 1, λ e^{−jθΔ} = −1 after Δ samples.
         """
-        from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
-
         sample = self.sample
         balanced, scale = balance(sample.matrix)
         opened, into, force = sample.open / scale[:, None] * scale, sample.into / scale[:, None], sample.force * scale
@@ -310,7 +308,7 @@ class LoopPoint:
             def size(angle: float, row: int = row) -> float:
                 return float(np.log(np.abs(eigenvalues(np.array([angle]))[0, row])))
 
-            angle = float(brentq(size, angles[k], angles[k + 1]))
+            angle = root(size, angles[k], angles[k + 1])
             phase = float(np.angle(eigenvalues(np.array([angle]))[0, row]))
             found.append((phase + math.pi) % math.tau / angle * self.period)
         return sorted(found)

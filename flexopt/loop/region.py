@@ -9,15 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import cast
 
 from flexopt.errors import InputError, raise_if_any
-from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
+from flexopt.foundation.arrays import BaseLike, PostureLike, Progress, Vector
 from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
+from flexopt.foundation.stages import Stages
 from flexopt.loop.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
@@ -49,6 +52,7 @@ class Region(Result):
             has values at its nominal one; NaN where no range is a factor, 1 where the nominal loop grows.
         radius_guaranteed: the largest s, at most `radius`, up to which that is proven; 1 where nothing is.
         radius_critical: the factors at which it grows first, just outside; empty where it never does.
+        settings: the loop's numbers, and where those come from that were not given.
 
     Example:
         >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
@@ -69,10 +73,11 @@ class Region(Result):
     radius: float
     radius_guaranteed: float
     radius_critical: Mapping[str, float]
+    settings: LoopSettings
 
     DOCUMENT = """
     stable guaranteed rests_on certified boxes points decay[1/s] critical frequency_hz[Hz] radius radius_guaranteed
-    radius_critical
+    radius_critical settings
     """
 
     def __repr__(self) -> str:
@@ -86,8 +91,11 @@ class Region(Result):
             ends = (
                 f"grows just outside {self.radius:.4g}, at {first}" if first else f"none grows up to {self.radius:.4g}"
             )
-            lines.append(f"  radius: guaranteed up to a factor of {self.radius_guaranteed:.4g}; {ends}")
-        return "\n".join(lines)
+            proven = self.radius_guaranteed
+            bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
+            lines.append(f"  radius, of the factors alone, all else as in the file: {bound}; {ends}")
+        loop = repr(self.settings).splitlines()[0]
+        return "\n".join([*lines, f"  loop: {loop}", *self.settings.proposed])
 
 
 @public(points=whole(2, 1_000_000), boxes=whole(0, 1_000_000))
@@ -102,6 +110,7 @@ def stable_region(
     ranges: RangesLike | None = None,
     points: int = POINTS,
     boxes: int = BOXES,
+    progress: Progress | None = None,
 ) -> Region:
     """Whether a loop stays stable over what is uncertain, the least stable point, and the radius of stability.
 
@@ -112,6 +121,7 @@ def stable_region(
         points: how many are looked at in each box, corners first, besides the searches from the slowest of them.
         boxes: about how many parts of the ranges the proof may look at, and of each of the boxes, four at most, that
             a guaranteed radius is looked for in; 0: none.
+        progress: called with how many of these parts are done, and of all that may be looked at.
 
     The proof excludes zeros of the characteristic function of the exact sampled loop from e^{(jω − ρ)T}, ρ = 1e-6/s, by
     the control points of Bernstein polynomials in ω and all that is uncertain, with bounds on what interpolation and
@@ -135,14 +145,18 @@ def stable_region(
     box = UncertaintyBox(machine, known, settings.dead_time)
     raise_if_any(InputError, "stable_region", box.faults(settings.rate))
     whole_box = UncertainLoop(settings, where, held, gravity, box)
+    stages = Stages(progress, (1 + TRIES) * boxes)
     slowest, at, looked = _slowest(whole_box, points)
-    proof = certify(whole_box, boxes=boxes) if slowest > DECAY and boxes else None
+    proof = certify(whole_box, boxes=boxes, told=stages.reach) if slowest > DECAY and boxes else None
     growing = [leaf for leaf in proof.leaves if leaf.decays is False] if proof else []
     for leaf in growing:
         here = (leaf.low + leaf.high) / 2
         decay = -whole_box.outcome(here).loop.growth_rate
         slowest, at = min((slowest, at), (decay, here), key=lambda each: each[0])
     radius, first, more = _radius(whole_box, points)
+    stages.reach(boxes)
+    radius_guaranteed = _radius_guaranteed(whole_box, radius, boxes, stages)
+    stages.reach(stages.total)
     guaranteed = proof is not None and proof.share(None) == 0 and not growing
     return Region(
         stable=_word(slowest, proof, guaranteed=guaranteed),
@@ -155,8 +169,9 @@ def stable_region(
         critical=box.told(at),
         frequency_hz=whole_box.outcome(at).loop.frequency_hz,
         radius=radius,
-        radius_guaranteed=_radius_guaranteed(whole_box, radius, boxes),
+        radius_guaranteed=radius_guaranteed,
         radius_critical=first,
+        settings=settings,
     )
 
 
@@ -179,18 +194,24 @@ def _rests_on(proof: RegionProof | None, looked: int, slowest: float, *, guarant
     return f"sampled at {looked} points, none grows; {how} prove {proof.share(True):.1%} of the ranges"
 
 
-def _radius_guaranteed(loop: UncertainLoop, radius: float, boxes: int) -> float:
+def _radius_guaranteed(loop: UncertainLoop, radius: float, boxes: int, stages: Stages) -> float:
     """The largest proven radius up to that which was found; 1 where nothing is."""
     if math.isnan(radius) or radius <= 1 or not boxes:
         return radius if math.isnan(radius) else 1.0
     size, best = math.log(radius), 1.0
-    for _ in range(TRIES):
+    for k in range(TRIES):
         # Over smaller boxes less is left open.
         if math.exp(size) <= best:
             break
-        best = max(best, certified_radius(_scaled(loop, size), size, boxes=boxes))
+        begun = (1 + k) * boxes
+        told = partial(_ahead, stages, begun)
+        best = max(best, certified_radius(_scaled(loop, size), size, boxes=boxes, told=told))
         size /= 2
     return best
+
+
+def _ahead(stages: Stages, begun: int, spent: float) -> None:
+    stages.reach(begun + spent)
 
 
 def _scaled(loop: UncertainLoop, size: float) -> UncertainLoop:

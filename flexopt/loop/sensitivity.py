@@ -112,6 +112,11 @@ class Sensitivity(Pictured, Result):
             most or ("undecided" if varies else "nothing") for most, varies in zip(self.most, known, strict=True)
         )
 
+    def _most(self, s: int, k: int) -> str:
+        """The bound in words; one of all that varies, or more, says nothing."""
+        bound, error = self.bound[s, k], 2 * self.bound_error[s, k]
+        return "no bound below 1" if bound + error >= 1 else f"at most {bound:.3g} ± {error:.2g}"
+
     def __repr__(self) -> str:
         lines = [f"{self.machine}: what matters, over {', '.join(self.names)} ({self.samples} base samples)"]
         width = max(map(len, self.names))
@@ -125,7 +130,7 @@ class Sensitivity(Pictured, Result):
                 lines.append(
                     f"    {name:{width}}  alone {self.first[s, k]:6.3f} [{one[0]:6.3f}, {one[1]:6.3f}]  "
                     f"in all {self.total[s, k]:6.3f} [{all_[0]:6.3f}, {all_[1]:6.3f}]  "
-                    f"at most {self.bound[s, k]:.3g} ± {2 * self.bound_error[s, k]:.2g}"
+                    f"{self._most(s, k)}"
                 )
             why = {"undecided": ": the intervals overlap", "nothing": ", it does not vary"}.get(self.said[s], "")
             lines.append(f"    matters most: {self.said[s]}{why}")

@@ -99,6 +99,12 @@ class LoopSettings(Result):
         numbers = motions.numbers(self.numbers | {"base": base, "posture": posture, "p": p})
         return LoopPoint(motions, numbers, self.dead_time if dead_time is None else dead_time)
 
+    @property
+    def proposed(self) -> list[str]:
+        """A line on what nobody gave; none where all was given."""
+        names = ", ".join(self.sources)
+        return [f"  not given of the loop, so proposed from the machine: {names}"] if names else []
+
     def __repr__(self) -> str:
         units = ("1/s", "", "1/s²") if self.drive == "velocity" else ("",) * 3
         gains = [f"{name} {_numbers(getattr(self, name.lower()))}{unit and ' ' + unit}"
@@ -136,7 +142,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     if loop.drive is None:
         sources["drive"] = _why_drive(loop, drive)
     if loop.rate is None:
-        sources["rate"] = "that of hydraulic excavators" if drive == "velocity" else "the article's"
+        sources["rate"] = f"{rate:g} Hz, as {'hydraulic excavators have' if drive == 'velocity' else 'in the article'}"
     gain = loop.servo_gain
     if drive == "velocity" and gain is None:
         gain = servo_gain_of_efforts(machine, stand.posture)

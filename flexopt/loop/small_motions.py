@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.algebra import solve_spd
+from flexopt.compiled import ArrayCall
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control, control_damping, control_method
 from flexopt.loop.closed import ClosedLoop, closed_loop
@@ -78,12 +79,12 @@ class SmallMotions:
     damped: bool = False
     served: bool = False
 
-    @property
+    @cached_property
     def plant(self) -> Plant:
         """The machine's."""
         return build_plant(self.machine)
 
-    @property
+    @cached_property
     def structure(self) -> LoopStructure:
         """Of a loop with one measurement on its way, so that it can be told from what joints measure at once."""
         return LoopStructure(
@@ -98,7 +99,7 @@ class SmallMotions:
             nullspace_damped=self.damped,
         )
 
-    @property
+    @cached_property
     def loop(self) -> ClosedLoop:
         """Its graphs."""
         return closed_loop(self.structure)
@@ -200,22 +201,34 @@ class SmallMotions:
         symbols, names = given | {"by_into": by}, [f"V_{name}" for name in CONFIGURATION]
         return ca.Function("disturbance_slopes", list(symbols.values()), slopes, list(symbols), names, {"cse": True})
 
+    @cached_property
+    def _to_hold(self) -> ArrayCall:
+        return ArrayCall(self.hold)
+
+    @cached_property
+    def _to_parts(self) -> ArrayCall:
+        return ArrayCall(self.matrices)
+
+    @cached_property
+    def _to_slopes(self) -> ArrayCall:
+        return ArrayCall(self.slopes)
+
     def numbers(self, given: Mapping[str, Vector]) -> dict[str, Vector]:
         """All inputs as arrays, what is left out 0, and what is held."""
         numbers = {name: np.zeros(symbol.shape[0]) for name, symbol in self.symbols.items()}
         numbers |= {name: np.asarray(value, dtype=np.float64).ravel() for name, value in given.items()}
-        held = self.hold.call([numbers["base"], numbers["posture"], numbers["p"]])[0]
-        return numbers | {"held": held.full().ravel()}
+        held = self._to_hold(numbers["base"], numbers["posture"], numbers["p"])[0]
+        return numbers | {"held": held.ravel()}
 
     def parts(self, numbers: Mapping[str, Vector]) -> Parts:
         """The matrices at `numbers`."""
-        return Parts(*(matrix.full() for matrix in self.matrices.call([numbers[name] for name in self.symbols])))
+        return Parts(*self._to_parts(*(numbers[name] for name in self.symbols)))
 
     def gradient(self, numbers: Mapping[str, Vector], by: Parts) -> dict[str, Vector]:
         """The derivative by each of `INPUTS`, from that by the matrices."""
         pulls = [getattr(by, name) for name in PARTS]
-        found = self.slopes.call([*(numbers[name] for name in self.symbols), *pulls])
-        return {name: slope.full().ravel() for name, slope in zip(INPUTS, found, strict=True)}
+        found = self._to_slopes(*(numbers[name] for name in self.symbols), *pulls)
+        return {name: slope.ravel() for name, slope in zip(INPUTS, found, strict=True)}
 
 
 @lru_cache(maxsize=64)

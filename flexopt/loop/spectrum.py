@@ -171,11 +171,12 @@ def spectrum(
 
 def balance(matrix: Vector) -> tuple[Vector, Vector]:
     """D⁻¹ Φ D and the diagonal of D."""
-    from scipy.linalg import matrix_balance  # noqa: PLC0415  (loads slowly)
+    # Its wrapper `matrix_balance` takes as long as the eigenvalues themselves.
+    from scipy.linalg.lapack import dgebal  # noqa: PLC0415  (loads slowly)
 
     if not np.all(np.isfinite(matrix)):
         raise InputError("the linear loop grows beyond the largest number within one sample; give lower gains")
-    balanced, (scale, _) = matrix_balance(matrix, permute=False, separate=True)
+    balanced, _, _, scale, _ = dgebal(matrix, scale=1, permute=0)
     return np.asarray(balanced, dtype=np.float64), np.asarray(scale, dtype=np.float64)
 
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.roots import root
 from flexopt.loop.assembly import OneSample, Slopes, through_exponential
 from flexopt.loop.small_motions import Parts, SmallMotions
 from flexopt.loop.tangent import exponential
@@ -217,7 +219,8 @@ class StandardMove:
         fastest = float(np.abs(np.linalg.eigvals(p.flow).imag).max(initial=0.0))
         looks = min(LOOKS, max(1, math.ceil(fastest * self._period / PHASE)))
         signals = [self._rows(signal) for signal in (0, *self.of_base)]
-        rows, edges = np.vstack(signals), np.cumsum([0, *(len(each) for each in signals)])[:-1]
+        ends = np.cumsum([len(each) for each in signals]).tolist()
+        rows, parts = np.vstack(signals), [slice(low, high) for low, high in pairwise([0, *ends])]
         shown = list[Vector]()
         for j in range(looks):
             _, moved, command = self._between(j * self._period / looks)
@@ -229,9 +232,12 @@ class StandardMove:
             states = np.stack([_powers(self.sample.matrix, first[:, row], block) for row in range(count)], axis=1)
             seen = (np.vstack(shown) @ states.reshape(len(states), -1)).reshape(looks, 2, many, count, block)
             value, rate = seen[:, 0], seen[:, 1]
-            pairs = [np.add.reduceat(product, edges, axis=1) for product in (value**2, 2 * value * rate)]
             # (2, signals, rows, places).
-            found.append(np.stack([each.transpose(1, 2, 3, 0).reshape(len(edges), count, -1) for each in pairs]))
+            pairs = np.stack([
+                np.stack([product[:, part].sum(axis=1) for part in parts]).transpose(0, 2, 3, 1)
+                for product in (value**2, 2 * value * rate)
+            ])  # fmt: skip
+            found.append(pairs.reshape(2, len(parts), count, -1))
             begun += block
             first = whole @ first
             if not np.any(found[-1][0, 0] > SETTLED**2):
@@ -244,8 +250,6 @@ class StandardMove:
 
         Or where its rate falls through 0. Told as that time, s, and as what it is after the sample.
         """
-        from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
-
         (k, look), looks = divmod(place, self._tracks[row].looks), self._tracks[row].looks
         x: Vector = np.linalg.matrix_power(self.sample.matrix, k) @ self.start[:, row]
 
@@ -259,7 +263,7 @@ class StandardMove:
         elif not height(high) < 0:
             span = high
         else:
-            span = float(brentq(height, low, high, xtol=1e-15 * self._period, rtol=1e-15))
+            span = root(height, low, high, xtol=1e-15 * self._period, rtol=1e-15)
         return k * self._period + span, span
 
     def _begin(self, row: int, place: int) -> float:

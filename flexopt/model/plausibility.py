@@ -137,11 +137,14 @@ def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) ->
                 f"is {part.length / others:.0f} times as long as the other bodies",
                 f"probably in mm: {part.length / 1000:g} m",
             )
-        if part.com > FAR * max(part.length, part.size, 0.02 * reach):
+        # A body that carries nothing, or has the end-point in its joint, has no length to compare with.
+        known = max(part.length, part.size)
+        if 0 < FAR * (max(known, 0.02 * reach) if known else reach) < part.com:
+            compared = f"{part.com / known:.0f} lengths" if known else f"{part.com / reach:.0f} times the arm's reach"
             yield ImplausibleNumber(
                 f"{part.where}.com",
                 f"{part.com:g} m",
-                f"the centre of mass lies {part.com / max(part.length, 1e-3):.0f} lengths away from the joint",
+                f"the centre of mass lies {compared} away from the joint",
                 f"probably in mm: {part.com / 1000:g} m",
             )
     if reach > REACH_MAX:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, TypedDict, cast
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypedDict, cast
 
 from pydantic import Field
 
@@ -47,6 +47,15 @@ TARGET_ARGUMENTS = {"end_point": "target", "end_points": "targets", "path": "pat
 # Coordinates that some machine may be placed by.
 PLACEMENTS = ("x", "y", "yaw")
 
+
+if TYPE_CHECKING:
+    # What those who write options may give; that is checked, and made plain, when they are made.
+    _Objective: TypeAlias = ObjectiveLike
+    _Base: TypeAlias = BaseLike
+    _Posture: TypeAlias = PostureLike
+    _BaseRange: TypeAlias = BaseRangeLike
+else:
+    _Objective = _Base = _Posture = _BaseRange = Any
 
 _RANGES = {name: a_list(COORDINATE["rad" if name == "yaw" else "m"].accepts or {}, 2, 2) for name in PLACEMENTS}
 
@@ -111,14 +120,14 @@ class SelectionOptions(BuiltByCall):
         -1.240e-05
     """
 
-    objective: Annotated[Any, check_objectives] = "w1"
+    objective: Annotated[_Objective, check_objectives] = "w1"
     weights: Annotated[tuple[float, ...], check_weights] | None = None
     control: Annotated[Control, check_control] = "inverse"
     gravity: bool = False
     gain: Annotated[float, GAIN] = 5e5
-    base: Annotated[Any, SOME_COORDINATES] | None = None
-    posture: Annotated[Any, SOME_COORDINATES] | None = None
-    base_range: Annotated[Any, _check_any_range] | None = None
+    base: Annotated[_Base, SOME_COORDINATES] | None = None
+    posture: Annotated[_Posture, SOME_COORDINATES] | None = None
+    base_range: Annotated[_BaseRange, _check_any_range] | None = None
     elbow: Elbow = "up"
     singularity_margin_deg: Annotated[float, MARGIN_DEG] = SINGULARITY_MARGIN_DEG
     starts: Annotated[int, STARTS] | None = None

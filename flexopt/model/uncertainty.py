@@ -27,6 +27,18 @@ WORDS = (SPRINGS, DAMPERS, LATE)
 UNCERTAIN_MAX, NAME_MAX = 8, 200
 
 
+_FACTORS = pair(FACTOR, allow_equal=True)
+
+
+@accepting(_FACTORS.accepts or {})
+def _check_factor(value: Any) -> tuple[float, float]:
+    """A pair of factors."""
+    try:
+        return _FACTORS(value)
+    except ValueError as error:
+        raise ValueError(f"{error}; numbers in their own unit, 0 among them, are a value") from None
+
+
 @accepting({"anyOf": [{"type": "string", "minLength": 1}, a_list({"type": "string", "minLength": 1}, 1)]})
 def _check_names(value: Any) -> tuple[str, ...]:
     """One name or several."""
@@ -61,7 +73,7 @@ class Uncertainty(BuiltByCall):
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["factor"]}, {"required": ["value"]}]})
 
     of: Annotated[tuple[str, ...], _check_names]
-    factor: Annotated[tuple[float, float], pair(FACTOR, allow_equal=True)] | None = None
+    factor: Annotated[tuple[float, float], _check_factor] | None = None
     value: Annotated[tuple[float, float], pair(VALUE, allow_equal=True)] | None = None
 
     @property

@@ -93,7 +93,8 @@ def inverse_kinematics(
         reached = list(_into_limits(machine, np.array(settled).T).T)
     found = [posture for posture in reached if inside_limits(machine, posture[:, None])[0]]
     if not found:
-        why = "every posture that reaches it breaks a joint limit" if reached else ""
+        bent = "" if elbow is None else f" with the elbow {elbow}"
+        why = f"every posture{bent} that reaches it breaks a joint limit" if reached else ""
         raise unreachable(plant, point, placement, why)
     return _distinct(found)
 

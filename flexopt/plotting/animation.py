@@ -24,7 +24,7 @@ from flexopt.foundation.boundary import instance, number, path, public
 from flexopt.foundation.palette import PALETTES, Palette, Theme
 from flexopt.foundation.pictures import draws
 from flexopt.foundation.rendering import render
-from flexopt.foundation.writing import write_file
+from flexopt.foundation.writing import check_place, write_file
 from flexopt.plotting.sheet import styled
 from flexopt.plotting.stage import Film, Stage
 from flexopt.plotting.stage_space import SpaceStage
@@ -90,6 +90,7 @@ def animate_trajectory(
         InputError: arguments are not usable, all faults in one message.
         WriteError: the file cannot be written.
     """
+    check_place(path)
     alive = _alive(trajectory)
     film = _film(trajectory, alive, float(trajectory.time[alive[-1]]) / speed, speed, magnify)
     with styled(theme) as inks:

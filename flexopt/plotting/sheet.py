@@ -32,6 +32,8 @@ from flexopt.foundation.writing import write_file
 LETTERS, SMALLEST, LARGEST = 9.5, 6.0, 14.0
 # Width of a page of two columns and its greatest height, and of a slide, in; dots per inch of files.
 PAGE, SLIDE = (7.16, 9.4), (10.0, 5.625)
+# How much higher than in proportion the sheet of a page is where maps stand in rows.
+ROOM = 1.12
 DOTS: dict[Any, float] = {"paper": 300.0, "slide": 192.0}
 DOTS_OTHERWISE = 150.0
 
@@ -131,11 +133,32 @@ def themed(draw: Callable[..., T]) -> Callable[..., T]:
     """A function that draws figures of its own, with one more keyword: `theme`, the ground that it draws them on."""
 
     @wraps(draw)
-    def drawn(*arguments: Any, theme: Theme = "light", **options: Any) -> T:
-        with styled(theme):
+    def drawn(*arguments: Any, theme: Theme = "light", letters: float = LETTERS, **options: Any) -> T:
+        with styled(theme, letters):
             return draw(*arguments, **options)
 
     return drawn
+
+
+def sized(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """As `themed`, of one figure, with one more keyword: `size`, of the sheet that it is drawn on."""
+    drawn = themed(draw)
+
+    @wraps(draw)
+    def fitting(*arguments: Any, size: Size = "screen", **options: Any) -> Figure:
+        figure = drawn(*arguments, **options)
+        width, height = figure.get_size_inches()
+        asked = float(width), float(height)
+        inches = _inches(size, asked)
+        if size == "paper":
+            # Maps in rows keep their proportions; letters that do not shrink as much need some more height.
+            inches = inches[0], min(inches[1], ROOM * asked[1] * inches[0] / asked[0])
+        if inches != asked:
+            figure = drawn(*arguments, letters=_letters(inches, asked), **options)
+            figure.set_size_inches(inches)
+        return figure
+
+    return fitting
 
 
 def write(figure: Figure, path: str | os.PathLike[str] | None, *, dpi: float = 200) -> None:

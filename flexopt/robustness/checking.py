@@ -127,7 +127,8 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | Study | str | os.
 
 
 def _sentences(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:
-    return tuple(str(warning.message) for warning in caught if issubclass(warning.category, FlexoptWarning))
+    messages = [warning.message for warning in caught]
+    return tuple(remark for message in messages if isinstance(message, FlexoptWarning) for remark in message.remarks)
 
 
 def _checked_robot(name: str) -> Check:
@@ -144,9 +145,20 @@ def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple
     found = [*implausibilities(machine)]
     if isinstance(loaded, Problem):
         found += _targets(loaded)
+        sentences += _volumes(loaded)
     elif isinstance(loaded, Experiment):
         found += _offsets(loaded)
     return Check(loaded.name, kind, machine.name, (), tuple(found), sentences, provenance(machine))
+
+
+def _volumes(problem: Problem) -> tuple[str, ...]:
+    """What of a problem a selection will refuse, as the machine has no volumes."""
+    machine = problem.loaded_machine
+    asked = [name for name in ("clearance", "self_clearance") if getattr(problem.constraints, name, None) is not None]
+    if machine.capsules or not asked:
+        return ()
+    names = " and ".join(f"constraints.{name}" for name in asked)
+    return (f"{names}: {machine.name} has no [[capsules]], without which a selection refuses this",)
 
 
 def _targets(problem: Problem) -> Iterator[ImplausibleNumber]:

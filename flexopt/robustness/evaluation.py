@@ -188,9 +188,9 @@ class Evaluation(Result):
         }
 
     def __repr__(self) -> str:
-        angles = _listed(self.joints, self.posture, self.joint_units)
-        placed = _listed(self.base_coordinates, self.base, self.base_units) or "fixed"
-        point = ", ".join(f"{x:.4f}" for x in self.end_point)
+        angles = in_words(self.joints, self.posture, self.joint_units)
+        placed = in_words(self.base_coordinates, self.base, self.base_units) or "fixed"
+        point = ", ".join(f"{x:z.4f}" for x in self.end_point)
         lines = [
             f"{self.machine}, Jacobian {self.control} control: base {placed}; {angles}; end-point ({point}) m",
             "  mode   frequency    damping             w      w/|a||b|   in phase",
@@ -215,12 +215,12 @@ class Evaluation(Result):
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
-def _listed(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> str:
+def in_words(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> str:
     """Names and values, each unit after the last of those that share it."""
     parts: list[str] = []
     for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True)):
         shared = k + 1 < len(units) and units[k + 1] == unit
-        parts.append(f"{name} {value:.4f}" + ("" if shared else f" {unit}"))
+        parts.append(f"{name} {value:z.4f}" + ("" if shared else f" {unit}"))
     return ", ".join(parts)
 
 

@@ -27,14 +27,18 @@ from flexopt.plant import Plant
 from flexopt.plant.reach import outer_reach
 from flexopt.selection.constraints.ground import above_ground, kept_above
 
+# What is in nobody's way.
+ALWAYS = ("limits", "clearance")
+
 
 @dataclass(frozen=True)
 class Assumption:
-    """One of `flexopt.model.choices.ASSUMPTIONS` that was made.
+    """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or `clearance`, of bodies that have no volume.
 
     Attributes:
         name: the word that switches it;  sentence: what was assumed.
-        value: its number, in `unit`: the ground's height, m; how many joints keep limits; how far to drive, m.
+        value: its number, in `unit`: the ground's height, m; how many joints keep limits; how far to drive, m; how many
+            bodies.
     """
 
     name: str
@@ -57,7 +61,7 @@ class Assumed(NamedTuple):
 
 def in_the_way(named: tuple[Assumption, ...]) -> str:
     """What a message on a choice that was not found ends with: what may be in the way and nobody asked for."""
-    listed = "; ".join(str(assumption) for assumption in named if assumption.name != "limits")
+    listed = "; ".join(str(assumption) for assumption in named if assumption.name not in ALWAYS)
     return f"; {listed}: `assume` leaves it out" if listed else ""
 
 
@@ -102,6 +106,12 @@ def assumed(
             f"{'where it stands' if given else 'zeros'}: as far as the arm reaches, or the target lies"
         )
         named.append(Assumption("reach", sentence, drive, "m"))
+    if constraints.clearance is not None and constraints.clearance.bodies is None:
+        filled = {capsule.body for capsule in machine.capsules}
+        bare = [body.name for body in machine.kinematic_tree.bodies if not body.massless and body.name not in filled]
+        if bare and filled:
+            sentence = f"kept clear is what has [[capsules]] alone, so nothing of {', '.join(bare)}"
+            named.append(Assumption("clearance", sentence, float(len(bare)), "bodies"))
     return Assumed(ground if above else None, limits, drive, tuple(named))
 
 

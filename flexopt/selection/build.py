@@ -116,8 +116,9 @@ def build_one(
     assert read is not None  # the machine is one
     objectives, own, kept, limits, travel_now = read
     names, units = machine.base_coordinates, machine.base_units
-    present = asked.base
-    ranges: Ranges = asked.base_range or {}
+    # Checked, and so plain.
+    present, posture = cast("Vector | None", asked.base), cast("Vector | None", asked.posture)
+    ranges = cast(Ranges, asked.base_range or {})
     margin = math.radians(asked.singularity_margin_deg)
 
     functions = quantities(machine, asked.control, asked.gravity, asked.gain)
@@ -169,7 +170,7 @@ def build_one(
         region=_region(machine, arm_length(plant), sampled, limits),
         # A machine that stands where it stands is there now.
         present_base=present if names else np.zeros(0),
-        present_posture=asked.posture,
+        present_posture=posture,
         elbow=asked.elbow,
         singularity_margin=margin,
         starts=asked.starts,

@@ -233,7 +233,7 @@ def _weighted(arguments: Arguments, machine: AnyMachine, weights: Sequence[float
     stand_in = Objective("V", (1.0,) * m, 0.0)
     if weights is None:
         if not arguments.faulty("weights"):
-            arguments.faults.append(Fault("weights", f"objective V needs {m} of them, one for each mode"))
+            arguments.faults.append(Fault("weights", f"is needed with objective V: {m} numbers, one for each mode"))
         return stand_in
     if len(weights) not in (m, m + 1):
         sentence = f"{machine.name} has {m} modes, so {m} weights are needed, or {m + 1} with the last for ε_max"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,6 +21,8 @@ from flexopt.selection.exchanged import at_edge
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 
 SHOWN = 12
+# Names longer than this are folded in the heads of tables.
+NAME_WIDTH = 10
 # Optima whose V differs by less, as a share of the scale, are of one value.
 SAME_VALUE = 1e-6
 # Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
@@ -277,9 +280,7 @@ class Selection(Pictured, Result):
         lines = [
             f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in problem.target)}) m, "
             f"Jacobian {best.control} control, objective {problem.name}: {self.status}",
-            f"  rank {in_columns(best, head=True)}"
-            + "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size))
-            + f"{'ε_max':>10}",
+            *column_heads("  rank", best, "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size)) + f"{'ε_max':>10}"),
         ]
         equal = TIE_TOLERANCE * problem.first_scale if not problem.sought[0].has_kinks else 0.0
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
@@ -293,6 +294,11 @@ class Selection(Pictured, Result):
             )
             wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
             lines.append(f"  {rank:4d} {numbers}{_measures(e, equal)}{active}{wide}{alike}")
+        if len(self.candidates) > SHOWN:
+            lines.append(f"   ... {len(self.candidates) - SHOWN} more")
+        if self.initial is not None:
+            e = self.initial
+            lines.append(f"   now {in_columns(e)}{_measures(e, equal)}")
         lines += [f"  {kept}" for kept in self.kept]
         if self.best.unsurpassed and not self.kept:
             lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
@@ -304,19 +310,39 @@ class Selection(Pictured, Result):
             )
         lines += [f"  {sentence}" for sentence in (*self.edges, self.decided_by, self.nothing_to_gain) if sentence]
         lines += [f"  {assumption}" for assumption in problem.assumed]
-        if len(self.candidates) > SHOWN:
-            lines.append(f"   ... {len(self.candidates) - SHOWN} more")
-        if self.initial is not None:
-            e = self.initial
-            lines.append(f"   now {in_columns(e)}{_measures(e, equal)}")
         return "\n".join(lines)
 
 
-def in_columns(e: Evaluation, *, head: bool = False) -> str:
-    """Placement and posture in columns as wide as their names; or these names."""
-    names = (*e.base_coordinates, *e.joints)
-    shown = names if head else [f"{x:.4f}" for x in (*e.base, *e.posture)]
-    return " ".join(f"{text:>{max(9, len(name))}}" for name, text in zip(names, shown, strict=True))
+def in_columns(e: Evaluation) -> str:
+    """Placement and posture in columns as wide as their names."""
+    values, names = (*e.base, *e.posture), _folded_names(e)
+    return " ".join(f"{x:>z{max(map(len, name))}.4f}" for x, name in zip(values, names, strict=True))
+
+
+def column_heads(before: str, e: Evaluation, after: str) -> list[str]:
+    """Lines with the names of these columns; what stands before and after them is in the last one."""
+    names = _folded_names(e)
+    depth = max(map(len, names), default=1)
+    lines = list[str]()
+    for k in range(depth):
+        row = " ".join(name[k - depth + len(name)] if k >= depth - len(name) else " " * len(name[0]) for name in names)
+        last = k == depth - 1
+        lines.append(f"{before if last else ' ' * len(before)} {row}{after if last else ''}".rstrip())
+    return lines
+
+
+def _folded_names(e: Evaluation) -> list[list[str]]:
+    """Each name in parts as wide as its column, cut behind underscores where it is long."""
+    folded = list[list[str]]()
+    for name in (*e.base_coordinates, *e.joints):
+        parts = [""]
+        for piece in re.findall(r"[^_]*_+|[^_]+", name):
+            if parts[-1] and len(parts[-1] + piece) > NAME_WIDTH:
+                parts.append("")
+            parts[-1] += piece
+        width = max(9, *map(len, parts))
+        folded.append([part.rjust(width) for part in parts])
+    return folded
 
 
 def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> float | None:

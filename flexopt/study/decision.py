@@ -93,15 +93,17 @@ def decide(
             ((place.better_than(stay), place) for place in others), key=lambda x: x[0], default=(0.0, stay)
         )
         if share <= 1 - MOST:
-            reason = "no place found is better" + (f" on more than {100 * share:.0f} % of the grounds" if share else "")
+            where = f"more than {100 * share:.0f} % of the grounds" if share else "any ground"
+            reason = f"no place found decays {100 * FASTER:.0f} % faster on {where}"
             return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
     if sound:
         first = max(sound, key=lambda place: place.slowest)
         share = 0.0 if stay is None else first.better_than(stay)
-        reason = (
-            f"{first.name} is stable on every ground, but better than the present place on {100 * share:.0f} % only"
-        )
+        grows = "" if stay is None or stay.holds else ", and the present place is not"
+        reason = f"{first.name} is stable on every ground{grows}, but better than it on {100 * share:.0f} % only"
+        if not grows:
+            reason = reason.replace("than it", "than the present place")
         return Decision("cannot tell", first.name, reason)
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]

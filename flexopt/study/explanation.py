@@ -143,12 +143,12 @@ class Explanation(Pictured, Result):
     def __repr__(self) -> str:
         of = self.evaluation
         named = zip(self.variables, (*of.base, *of.posture), self.variable_units, strict=True)
-        point = ", ".join(f"{x:.4f}" for x in of.end_point)
+        point = ", ".join(f"{x:z.4f}" for x in of.end_point)
         head = f"  mode   frequency    damping        |a||b|    angle             w   [{self.w_unit}]"
         told = "" if self.outcome is None else f"{'κ':>12} {'reserve':>8} {'1st order':>13}"
         lines = [
             f"{of.machine}, Jacobian {of.control} control: "
-            + ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in named)
+            + ", ".join(f"{name} {value:z.4f} {unit}" for name, value, unit in named)
             + f"; end-point ({point}) m",
             f"{head} {told}".rstrip(),
         ]

@@ -14,10 +14,11 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import TargetLike, Vector
+from flexopt.foundation.arrays import Progress, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
+from flexopt.foundation.stages import Stages
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
@@ -41,6 +42,8 @@ MEMBERS, RUNS, TOLD = 64, 16, 3
 LOOKED = 12
 # Members at whose corners gains, margins and moves are looked at: up to 2³ of them.
 CORNERED = 3
+# Choosing places, decays there, runs, and gains.
+STAGES = 4
 # Length of a nonlinear run, s.
 DURATION = 20.0
 
@@ -76,6 +79,7 @@ def verdict(
     members: int = MEMBERS,
     runs: int = RUNS,
     duration: float = DURATION,
+    progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SelectionKeywords],
 ) -> Verdict:
@@ -95,6 +99,7 @@ def verdict(
         members: how many points of the uncertainty decays are computed of.
         runs: how many of them are run nonlinearly in each place, too; 0 for none.
         duration: of a run, s.
+        progress: called with the number of stages done and of all: places, decays, runs, gains.
 
     Raises:
         InputError: arguments are not usable; the problem has several targets, or no present placement.
@@ -108,10 +113,12 @@ def verdict(
         >>> answer.word
         'move'
     """
+    stages = Stages(progress, STAGES)
     selection = _selected(problem, target, constraints, {k: v for k, v in keywords.items() if v is not None})
     solved = selection.problem
     machine = solved.machine
     asked, uncertain = _real(problem, selection, loop, ranges)
+    stages.next()
     stands = _stands(selection)
     first = next(iter(stands.values()))
     settings = loop_settings(machine, asked, first, gravity=solved.gravity)
@@ -126,9 +133,11 @@ def verdict(
     told = [name for name in (STAY, *others) if name in stands]
     slowest = {name: loops[name].slowest(points, decays[name]) for name in told}
     drives = {name: _drive(selection, stand) for name, stand in stands.items()}
+    stages.next()
     shown = dict[str, Runs]()
     for name in told if runs else []:
         shown[name] = nonlinear_runs(loops[name], points[:runs], decays[name][:runs], duration)
+    stages.next()
     known = {name: Place(name, decays[name], slowest[name][0], drives[name][0]) for name in told}
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
     unconfirmed = [name for name, each in shown.items() if each.confirming < MOST]
@@ -137,6 +146,7 @@ def verdict(
     if changed is not None and runs:
         confirmed = nonlinear_runs(changed[1], points[:runs], changed[0].decays[:runs], duration).confirming >= MOST
         changed = changed if confirmed else None
+    stages.next()
     decision = decide(stay, rest, changed and changed[0], unconfirmed, tried=tried)
     places = tuple(
         _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told

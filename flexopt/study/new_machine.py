@@ -34,7 +34,7 @@ DIGITS = 6
 # Of springs that make 1 rad/s of each direction alone, Hz.
 FREQUENCY_MAX = 1e4
 # A value, with the number signs inside its texts, and the comment behind it; the column where that begins.
-BEHIND = re.compile(r'((?:[^#"]|"(?:[^"\\]|\\.)*")*\S)\s+# (.*)')
+BEHIND = re.compile(r'((?:[^#"]|"(?:[^"\\]|\\.)*")+?)\s+# (.*)')
 COMMENTS = 32
 UPRIGHT = "1.5707963"
 PLANAR_UNITS = {"x": ("N/m", "N s/m"), "y": ("N/m", "N s/m"), "rotation": ("N m/rad", "N m s/rad")}

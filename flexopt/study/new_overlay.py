@@ -26,6 +26,8 @@ from flexopt.study.new_machine import Ground, NewMachine, Springs, aligned, numb
 # What of the end-point can be controlled: the first of these that the joints can move.
 ROWS = (("x", "y", "z"), ("x", "z"), ("x", "y"), ("y", "z"), ("x",), ("y",), ("z",))
 JOINTS_SHOWN = 80
+# Folders to climb from which on a path is written from the root.
+FAR_UP = 3
 WORDS = {"hinge": "turns, rad", "slide": "slides, m", "free": "is free"}
 
 
@@ -72,7 +74,7 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
     links = {link.name: link for link in robot.links}
     if end is not None and end not in links:
         raise InputError(f"new: --tip = {end!r}: is no link of {path.name}{hint(end, links, '')}")
-    at = end or max(links, key=lambda name: (len(_driven(_way(links, name))), len(_way(links, name))))
+    at = end or _wrist(links, max(links, key=lambda name: (len(_driven(_way(links, name))), len(_way(links, name)))))
     way = _way(links, at)
     ground = [link for link in robot.links if link.parent is None]
     free = next((k for k, link in enumerate(way) if any(joint.kind == "free" for joint in link.joints)), None)
@@ -100,6 +102,18 @@ def _way(links: dict[str, RobotLink], name: str) -> list[RobotLink]:
     while (parent := found[-1].parent) is not None:
         found.append(links[parent])
     return found[::-1]
+
+
+def _wrist(links: dict[str, RobotLink], name: str) -> str:
+    """The link before a gripper's fingers: the last joint to a finger is one that a joint elsewhere follows."""
+    way = _way(links, name)
+    elsewhere = [joint for link in links.values() if link not in way for joint in link.joints]
+    followed = {joint.mimic.joint for joint in elsewhere if joint.mimic is not None}
+    joints = _driven(way)
+    if len(joints) < 2 or joints[-1] not in followed:
+        return name
+    finger = next(link for link in way if any(joint.name == joints[-1] for joint in link.joints))
+    return finger.parent if finger.parent and _driven(_way(links, finger.parent)) else name
 
 
 def _driven(way: Sequence[RobotLink]) -> list[str]:
@@ -175,13 +189,14 @@ class _Text:
             "title": one_line(self.name),
             "name": quoted(self.name),
             "robot": quoted(relative),
-            "robot_comment": one_line(relative),
+            "robot_comment": one_line(chain.path.name),
             "root": chain.root and quoted(chain.root),
             "gravity": "9.81" if blocked is not None and blocked.faults else "",
             "ignore": _listed(chain.ignore) if chain.ignore else "",
             "joints": [*shown, *([f"and {more} more"] if more > 0 else [])],
             "actuated": _listed(chain.actuated),
             "locked": f"{{ {', '.join(f'{quoted(name)} = {x!r}' for name, x in locked.items())} }}" if locked else "",
+            "root_told": self._root(),
             "stiffness": by_direction(springs.stiffness),
             "damping": by_direction(springs.damping),
             "stiffness_note": springs.notes[0],
@@ -192,6 +207,13 @@ class _Text:
             "first": quoted(chain.actuated[0]),
         }
         return aligned(render("study/templates/robot_machine.toml", **values))
+
+    def _root(self) -> str:
+        """Name and mass of the link that stands on the springs, where the file tells them."""
+        links = {link.name: link for link in self.chain.robot.links}
+        root = links.get(self.chain.root or _way(links, self.chain.end)[0].name)
+        mass = root.inertial.mass if root is not None and root.inertial is not None else 0.0
+        return one_line(f", {root.name}, {mass:.4g} kg") if root is not None and mass > 0 else ""
 
     @staticmethod
     def _told(joint: Joint, link: RobotLink) -> str:
@@ -221,11 +243,12 @@ class _Text:
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """From the folder to the file; on another drive from its root."""
+    """From the folder to the file, so that both can move together; from the root where they lie far apart."""
     try:
-        return Path(os.path.relpath(path, folder)).as_posix()
+        relative = Path(os.path.relpath(path, folder))
     except ValueError:
         return path.as_posix()
+    return (path if relative.parts[:FAR_UP] == ("..",) * FAR_UP else relative).as_posix()
 
 
 def _listed(words: Sequence[str]) -> str:

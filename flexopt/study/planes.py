@@ -161,7 +161,8 @@ def _read_varying(arguments: Arguments, machine: AnyMachine, plane: Plane, given
     }[plane.over]
     if len(names) < 2:
         listed = f" ({', '.join(names)})" if names else ""
-        _note(arguments, "over", f"needs two {what}, not {len(names)}{listed}", plane.over)
+        instead = "; flexopt.select looks through all places of the base" if plane.over == "base" else ""
+        _note(arguments, "over", f"needs two {what}, not {len(names)}{listed}{instead}", plane.over)
         return
 
     def check(value: Any) -> Pair:

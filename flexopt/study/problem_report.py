@@ -16,6 +16,7 @@ from flexopt.foundation.arrays import Progress, TableLike
 from flexopt.foundation.boundary import public, table, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
+from flexopt.foundation.stages import Stages
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.simulation import Experiment, SimulationOptions
@@ -102,7 +103,7 @@ def report(
     machine = problem.loaded_machine if isinstance(problem, Problem) else problem.machine
     given = _simulation(machine, experiment, simulation)
     size = map_points(machine) if points is None else points
-    stages = _Stages(progress)
+    stages = Stages(progress, STAGES)
     selection = solve_problem(problem) if isinstance(problem, Problem) else solve_selection(problem)
     solved, notes = problem_of(selection), list[str]()
     given |= {"control": solved.control, "gravity": solved.gravity}
@@ -169,18 +170,6 @@ def _judged(selection: Selection | Stand | BasePlan, known: Loop | None, ground:
         return verdict(selection, loop=known, ranges=ground), ""
     except FlexoptError as error:
         return None, f"It could not be judged: {error}"
-
-
-class _Stages:
-    """Tells how many stages are done."""
-
-    def __init__(self, progress: Progress | None) -> None:
-        self.progress, self.done = progress, 0
-
-    def next(self) -> None:
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, STAGES)
 
 
 def _attempt(notes: list[str], what: str, compute: Callable[[], T]) -> T | None:

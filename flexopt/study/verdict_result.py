@@ -14,6 +14,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.uncertainty import Uncertainty
+from flexopt.robustness.evaluation import in_words
 from flexopt.selection import Selection
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word
@@ -192,6 +193,14 @@ class Verdict(Pictured, Result):
 
         write_file(path, verdict_html(self))
 
+    def _where(self, place: PlaceVerdict) -> str:
+        machine = self.selection.problem.machine
+        placed = in_words(machine.base_coordinates, place.base, machine.base_units) or "base fixed"
+        taken = place.name == STAY and self.selection.problem.present_posture is None
+        held = in_words(machine.joints, place.posture, machine.joint_units)
+        why = " (a posture that reaches the target: how the arm is held was not given)" if taken else ""
+        return f"{placed}; {held}{why}"
+
     @property
     def _drifts(self) -> bool:
         machine = self.selection.problem.machine
@@ -204,11 +213,16 @@ class Verdict(Pictured, Result):
     def __repr__(self) -> str:
         lines = [
             f"{self.selection.problem.machine.name}: {repr(self.settings).splitlines()[0]}",
+            *self.settings.proposed,
             f"  {self.over}",
+            "  decay with the file's numbers, then the worst of everything:",
             f"  {'place':12} {'drive':>8} {'decay, slowest':>20} {'allowed Kp':>12} {'delay margin':>13} "
             f"{'settling':>10} {'turn':>11}   nonlinear runs",
         ]
         lines += [_row(place) for place in self.places]
+        if any(place.decay.least <= 0 for place in self.places):
+            lines.append("  –: there is none, for on some ground it grows")
+        lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         if any(place.runs and place.runs.undecided for place in self.places) and self._drifts:
             lines.append("  the arm's self-motion is not damped in these runs; loop.nullspace_damping brakes it")
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")

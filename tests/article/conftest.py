@@ -11,7 +11,9 @@ import pytest
 
 import flexopt.article
 from flexopt.article import Reproduction
+from flexopt.article import page as article_page
 from flexopt.cli import main
+from flexopt.study import page
 
 
 class Run(NamedTuple):
@@ -21,6 +23,7 @@ class Run(NamedTuple):
     stages: list[tuple[int, int]]
     stdout: str
     folder: Path
+    pictures: dict[str, page.Picture]
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +31,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """On maps of 101 × 101 points, of which the defaults have 400 × 400."""
     results, stages, text = list[Reproduction](), list[tuple[int, int]](), io.StringIO()
     folder, compute = tmp_path_factory.mktemp("report") / "new" / "folder", flexopt.article.reproduce
+    drawn, draw = dict[str, page.Picture](), page.pictures
 
     def coarse(*, progress) -> Reproduction:
         def both(done: int, total: int) -> None:
@@ -37,10 +41,15 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         results.append(compute(points=(101, 101), progress=both))
         return results[-1]
 
+    def recorded(*arguments) -> dict[str, page.Picture]:
+        drawn.update(draw(*arguments))
+        return drawn
+
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(text), redirect_stderr(io.StringIO()):
         patch.setattr(flexopt.article, "reproduce", coarse)
+        patch.setattr(article_page, "pictures", recorded)
         main(["reproduce", "--json", "--out", str(folder)])
-    return Run(results[0], stages, text.getvalue(), folder)
+    return Run(results[0], stages, text.getvalue(), folder, drawn)
 
 
 @pytest.fixture(scope="session")

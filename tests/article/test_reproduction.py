@@ -7,10 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from PIL import Image
 
 import flexopt
-from flexopt.article import gaps
+from flexopt.article import gaps, pictures
+from flexopt.article import page as article_page
 from flexopt.article.gaps import RIGID_MARGIN
+from flexopt.foundation.palette import PALETTES
+from flexopt.study import page
 from tests.cli.command import strict_json
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
@@ -36,6 +41,18 @@ def test_margins_of_table_2(result):
     # The second gain that suits posture A does not suit B.
     assert inferred.other > 2e6
     assert abs(inferred.other_epsilon_b - 0.3826) > 1e-3
+
+
+def test_figures_as_files_of_a_slides_size(result, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        type(result), "figures", lambda _, **look: asked.append(look) or {"figure5": Figure(figsize=(10.0, 5.625))}
+    )
+    (written,) = result.write_figures(tmp_path / "new", form="png", theme="dark", size="slide")
+    assert asked == [{"theme": "dark", "size": "slide"}]
+    assert written == tmp_path / "new" / "figure5.png"
+    with Image.open(written) as image:
+        assert image.size == (1920, 1080)
 
 
 def test_mean_frequencies(result):
@@ -209,7 +226,11 @@ def test_page_stands_alone(result, files):
         assert number in text
 
 
-def test_folder_is_kept(result, files, tmp_path):
+def test_folder_is_kept(run, result, files, tmp_path, monkeypatch):
+    """And what is written once more is the same; of its pictures the last is drawn again."""
+    again = page.picture(lambda theme: pictures.plot_gaps(result.gaps, theme=theme), "gaps")
+    assert again[:3] == run.pictures["gaps"][:3]
+    monkeypatch.setattr(article_page, "pictures", lambda draw: run.pictures)
     (tmp_path / "mine.txt").write_text("mine")
     (tmp_path / "report.json").write_text("old")
     result.write(tmp_path)
@@ -217,6 +238,16 @@ def test_folder_is_kept(result, files, tmp_path):
     assert (tmp_path / "report.json").read_bytes() == files[1].read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt", "report.html", "report.json"]
     assert (tmp_path / "report.html").read_bytes() == files[0].read_bytes()
+
+
+def test_figures_as_files(result, tmp_path):
+    with pytest.raises(flexopt.InputError, match=r"(?s)form = 'gif'.*theme = 'grey'.*size = 'poster'"):
+        result.write_figures(tmp_path, form="gif", theme="grey", size="poster")
+    files = result.write_figures(tmp_path / "new", form="svg", theme="dark", size="slide")
+    assert sorted((tmp_path / "new").iterdir()) == sorted(files)
+    assert {file.stem for file in files} == {"gains", "gaps", "figures11and12", *(f"figure{k}" for k in range(5, 11))}
+    for file in files:
+        assert PALETTES["dark"].page.lower() in file.read_text(encoding="utf-8").lower()
 
 
 def test_text(result):

@@ -100,9 +100,13 @@ def state_space() -> flexopt.StateSpace:
 
 @cache
 def report() -> flexopt.Report:
+    """Of a base with one passive coordinate: a page is a picture for each mode and more."""
+    data = excavator().to_dict()
+    data["base"] = {name: value for name, value in data["base"].items() if name != "damping"}
+    data["base"]["stiffness"] = {"rotation": data["base"]["stiffness"]["rotation"]}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return flexopt.report(problem(), points=3, simulation=LOOP)
+        return flexopt.report(problem().with_machine(flexopt.machine_from_dict(data)), points=3, simulation=LOOP)
 
 
 @cache
@@ -375,6 +379,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         ranges={"stiffness": [0.5, 2.0]},
         points=2,
         boxes=1,
+        progress=print,
     ),
     "tree_from_dict": lambda: {"data": tree().to_dict(), "origin": "here"},
     "verdict": lambda: {
@@ -385,6 +390,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "gain": 5e5,
         "elbow": "up",
         "slack": 1e-6,
+        "progress": print,
         "loop": {"kp": 1e4, "kv": 1e3},
         "ranges": {"stiffness": [0.5, 2.0]},
         "members": 2,

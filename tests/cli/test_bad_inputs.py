@@ -311,15 +311,6 @@ TARGET_ROWS = [
         "joint limit",
         command="select machine.toml --end-point 0,1.6",
     ),
-    machine(
-        "end-point-with-three-joints",
-        THIRD_LINK,
-        "--end-point = 0,1.6",
-        "3 actuated joints",
-        "select",
-        "--posture",
-        command="evaluate machine.toml --end-point 0,1.6",
-    ),
 ]
 
 OPTION_ROWS = [
@@ -374,7 +365,7 @@ OPTION_ROWS = [
     call("weights-with-w1", f"{SELECT} --weights 1,0,0", "weights = [1.0, 0.0, 0.0]", "objective V", "w1"),
     call("objective-w7", f"{SELECT} --objective w7", "objective = 'w7'", "3 modes", "w1 to w3", "V"),
     call("objective-option-unknown", f"{SELECT} --objective best", "objective = 'best'", "w1, w2", "V"),
-    call("objective-v-alone", f"{SELECT} --objective V", "weights", "objective V needs 3"),
+    call("objective-v-alone", f"{SELECT} --objective V", "--weights", "is needed with objective V: 3 numbers"),
     call("weights-text", f"{SELECT} --objective V --weights 1,b,0", "weights", "'b'", "number, not text"),
     call("weights-five", f"{SELECT} --objective V --weights 1,1,1,1,1", "weights", "3 modes", "3 weights"),
     call("weights-nan", f"{SELECT} --objective V --weights nan,1,1", "weights", "nan", "finite"),

@@ -35,7 +35,7 @@ def test_options_on_top_of_a_file(command: Command) -> None:
     assert command(*words).document["outcome"]["settings"]["rate"] == 100.0
     mixed = command(*words, "--loop", "rate=200").document["outcome"]["settings"]
     assert (mixed["rate"], mixed["kp"]) == (200.0, [1e4] * len(machine.task_rows))
-    assert "the article's" in command(*words[:-1], "--loop", "default").stdout
+    assert "as in the article" in command(*words[:-1], "--loop", "default").stdout
 
 
 def test_what_is_no_option(command: Command) -> None:

@@ -110,6 +110,16 @@ def test_a_robot_file_becomes_a_machine(command: Command, robot: Path | str) -> 
     assert ("base" in data) == (path.name not in {"mobile-manipulator.xml", "arm.xml"})
 
 
+def test_a_grippers_finger_is_no_end_point(command: Command) -> None:
+    """Of `arm.urdf` a finger has the most joints before it; what the springs carry stands above them."""
+    command.write("arm.urdf", URDF)
+    followed(command, "own.toml", "--from", "arm.urdf")
+    text = Path("own.toml").read_text(encoding="utf-8")
+    assert tomllib.loads(text)["actuated"] == ["slew", "boom", "extend"]
+    assert tomllib.loads(text)["end_point"]["link"] not in {"left", "right"}
+    assert "The springs carry the root link, chassis, 900 kg." in text
+
+
 def test_joints_and_end_point_of_a_robot_can_be_chosen(command: Command) -> None:
     command.write("arm.urdf", URDF)
     followed(command, "own.toml", "--from", "arm.urdf", "--tip", "tool", "--actuated", "slew,boom,extend", "--gives", "z,pitch",

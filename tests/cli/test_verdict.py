@@ -16,10 +16,26 @@ def test_the_command_says_what_python_says(command: Command) -> None:
     document = command("verdict", "article", *words, "--runs", "2", "--json").document
     assert document["word"] == found.word
     assert document["places"] == found.to_dict()["places"]
-    assert found.reason in command("verdict", "article", *words, "--runs", "2").stdout
+    shown = command("verdict", "article", *words, "--runs", "2").stdout
+    assert found.reason in shown
+    for place in found.places:
+        assert f"  {place.name}: x {place.base[0]:.4f} m; boom {place.posture[0]:.4f}, stick" in shown
+    assert shown.count("how the arm is held was not given") == 1
     selected = command("select", "article", *words)
     assert f"verdict: {found.word.upper()}" in selected.stdout
     assert "verdict" not in command("select", "article", "--json").document
+
+
+def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(command: Command) -> None:
+    asked = ("excavator", "--end-point", "0,1.6", "--base", "0", "--objective", "V", "--weights", "1,0.5,0.5")
+    words = ("--loop", "kp=1e4", "--members", "2", "--runs", "0")
+    shown = command("verdict", *asked, *words).stdout
+    assert "not given of the loop, so proposed from the machine: drive, rate, kv, dead_time" in shown
+    problem = flexopt.build_selection(
+        flexopt.load("excavator"), (0.0, 1.6), base=0.0, objective="V", weights=(1.0, 0.5, 0.5)
+    )
+    found = flexopt.verdict(problem, loop={"kp": 1e4}, members=2, runs=0)
+    assert shown.strip() == repr(found)
 
 
 def test_regions_are_those_of_python(command: Command) -> None:
@@ -41,7 +57,8 @@ def test_the_command_refuses(command: Command) -> None:
         (("verdict", "stations"), "one target"),
         (("verdict", "article", "--ranges", "mass=1,2"), "ranges[0].of"),
         (("region", "excavator"), "--posture, --end-point"),
-        (("region", "slewing-excavator", "--end-point", "5,0,1"), "does not name one posture"),
+        (("region", "slewing-excavator", "--end-point", "5,0,30"), "cannot reach"),
+        (("verdict", "truck-crane", "--end-point", "5,0,3", "--base", "0"), "verdict: --base = 0.0: must be 3 numbers"),
         (("region", "excavator", "--posture", "0,-1", "--ranges", "mass=1,2"), "ranges[0].of"),
         (("region", "excavator", "--posture", "0,-1", "--boxes", "-1"), "--boxes"),
         (("select", "stations", "--loop", "default"), "single target"),
@@ -52,6 +69,8 @@ def test_the_command_refuses(command: Command) -> None:
         (("verdict", "article", "--ranges", "boom.length=1,2"), "moves the end-point"),
         (("verdict", "article", "--ranges", "dead_time=0,2"), "100 samples"),
         (("verdict", "article", "--loop", "kp_range=0,0"), "must end above 0"),
+        (("verdict", "article", "--weights", "1,1,1"), "brings its own"),
+        (("verdict", "excavator", "--end-point", "0,1.6", "--base", "0", "--objective", "V"), "--weights: is needed"),
     ):
         refused = command(*words)
         assert refused.code == 2

@@ -70,6 +70,21 @@ def test_binary_operations() -> None:
     check_agreement(function, [a[None], b[None]], rtol=2e-15)
 
 
+def test_quotients_by_one_divisor_are_rounded_to_nearest() -> None:
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    function = ca.Function("quotients", [x, y], [x[0] / y, x[1] / y], ["x", "y"], ["first", "second"])
+    rng = np.random.default_rng(8)
+    scattered = rng.normal(size=(3, 200_000)) * 2.0 ** rng.integers(-300, 300, (3, 200_000))
+    # Divisors whose reciprocal is hardest to round: significands of ones, and next to powers of two.
+    scattered[2, :2000] = np.nextafter(2.0 ** rng.integers(-300, 300, 2000), rng.choice([0, np.inf], 2000))
+    points = np.hstack([scattered, np.array(np.meshgrid(*[SPECIAL] * 3)).reshape(3, -1)])
+    with np.errstate(all="ignore"):
+        expected = points[:2] / points[2]
+    for result, exact in zip(batch(function)(points[:2], points[2:]), expected, strict=True):
+        np.testing.assert_array_equal(result[0], exact)
+        np.testing.assert_array_equal(np.signbit(result[0]) | np.isnan(exact), np.signbit(exact) | np.isnan(exact))
+
+
 @pytest.mark.parametrize("name", ["sin", "cos"])
 def test_sine_and_cosine_to_two_units_in_the_last_place(name: str) -> None:
     x = ca.SX.sym("x")

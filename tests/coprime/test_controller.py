@@ -64,7 +64,7 @@ def test_unstable_ill_posed_and_signs():
     assert ncf_margin(2.0, 2.0) == pytest.approx(1.0, rel=1e-14)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=15)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_margin_is_the_least_over_a_dense_grid(seed, n, dt):
     """b ≤ ‖[K; I](I + PK)⁻¹[I P]‖⁻¹ at every frequency of a grid, and close to the least of them."""
@@ -102,7 +102,7 @@ def test_controllers_in_closed_form():
     assert pytest.approx(np.array([[3.0], [1.0]]), rel=1e-14) == optimal_controller([], [], [], [[3.0, 1.0]]).D
 
 
-@settings(derandomize=True, deadline=None, max_examples=80)
+@settings(derandomize=True, deadline=None, max_examples=30)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_optimal_controller_attains_and_is_smaller_than_the_plant(seed, n, dt):
     plant = random_plant(seed, n, dt)
@@ -116,7 +116,7 @@ def test_optimal_controller_attains_and_is_smaller_than_the_plant(seed, n, dt):
     assert hinf_norm(T) == pytest.approx(1 / float(result), rel=ATTAINS)
 
 
-@settings(derandomize=True, deadline=None, max_examples=80)
+@settings(derandomize=True, deadline=None, max_examples=30)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_no_controller_beats_the_optimum(seed, n, dt):
     plant = random_plant(seed, n, dt)
@@ -125,7 +125,7 @@ def test_no_controller_beats_the_optimum(seed, n, dt):
         assert ncf_margin(plant, lqg(plant, seed + k)) <= float(result) * (1 + 1e-9)
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=12)
 @given(seeds, orders)
 def test_neighbours_of_the_optimal_controller_are_no_better(seed, n):
     plant = random_plant(seed, n)
@@ -135,7 +135,7 @@ def test_neighbours_of_the_optimal_controller_are_no_better(seed, n):
         assert ncf_margin(plant, near(K, seed + k, 1e-3)) <= float(result) * (1 + 1e-9)
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=12)
 @given(seeds, orders)
 def test_sampled_twins_have_the_same_margin(seed, n):
     plant = random_plant(seed, n)

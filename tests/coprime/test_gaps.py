@@ -89,7 +89,7 @@ def test_gap_against_finite_sections(seed):
     assert mine == pytest.approx(theirs, abs=2e-4 if mine - nu_gap(one, two) < 1e-3 else 1e-8)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_order_symmetry_and_zero(seed, n, dt):
     one, two = pair(seed, n, dt)
@@ -105,7 +105,7 @@ def test_order_symmetry_and_zero(seed, n, dt):
     assert nu_gap(one, one) < 1e-9
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders)
 def test_triangle_inequality(seed, n):
     one, two = pair(seed, n)
@@ -114,7 +114,7 @@ def test_triangle_inequality(seed, n):
     assert nu_gap(one, three) <= nu_gap(one, two) + nu_gap(two, three) + 1e-9
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders)
 def test_robust_stabilization(seed, n):
     """arcsin b(P2, K) ≥ arcsin b(P1, K) − arcsin δ_ν(P1, P2), and gap ≤ δ_ν/ε_max (Vinnicombe)."""
@@ -128,7 +128,7 @@ def test_robust_stabilization(seed, n):
     assert gap(one, two) <= nu / here + 1e-8
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_chordal_distance_against_a_grid(seed, n, dt):
     one, two = pair(seed, n, dt)
@@ -141,8 +141,7 @@ def test_chordal_distance_against_a_grid(seed, n, dt):
         assert nu == pytest.approx(on_grid, abs=2e-2)  # peaks between grid points
 
 
-@pytest.mark.parametrize("shift", [1e-5, 1e-4, 1e-3])
-@pytest.mark.parametrize("gain", [1.0, 1e-2, 1e-4])
+@pytest.mark.parametrize(("shift", "gain"), [(1e-5, 1.0), (1e-5, 1e-4), (1e-4, 1e-2), (1e-3, 1.0), (1e-3, 1e-4)])
 def test_sharp_resonances_are_not_missed(shift, gain):
     """Two modes at 138 rad/s with ζ = 2e-4, frequencies apart by `shift`: the peak is narrower than any coarse grid."""
 
@@ -151,14 +150,14 @@ def test_sharp_resonances_are_not_missed(shift, gain):
         return StateSpace(A, np.array([[0.0], [1.0]]), np.array([[gain * w, 0.0]]), np.zeros((1, 1)))
 
     one, two = mode(138.0), mode(138.0 * (1 + shift))
-    omega = 138.0 * np.concatenate([1 + np.linspace(-5e-3, 5e-3, 40001), np.linspace(0, 3, 20001)])
+    omega = 138.0 * np.concatenate([1 + np.linspace(-5e-4, 1.5e-3, 8001), np.linspace(0, 3, 2001)])
     nu, peak = nu_gap(one, two), float(np.max(chordal(one, two, omega)))
     assert nu >= peak - 1e-10
     if nu < 1:
         assert nu == pytest.approx(peak, rel=1e-6)  # the grid's own resolution
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, st.integers(1, 5))
 def test_winding_number_against_a_phase_count(seed, n):
     """δ_ν < 1 exactly where (zeros − poles of det(I + P2*P1) in Re s > 0) + η(P1) − η(P2) = 0 (Vinnicombe 1993).
@@ -179,7 +178,7 @@ def test_winding_number_against_a_phase_count(seed, n):
     assert (nu_gap(one, two) < 1) == (turns + unstable[0] - unstable[1] == 0)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=15)
 @given(seeds, orders)
 def test_sampled_twins_are_as_far_apart(seed, n):
     one, two = pair(seed, n)

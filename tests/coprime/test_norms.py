@@ -49,7 +49,7 @@ def test_unstable_is_infinite(system):
     assert hinf_norm(system) == math.inf
 
 
-@settings(derandomize=True, deadline=None, max_examples=80)
+@settings(derandomize=True, deadline=None, max_examples=30)
 @given(seeds, orders)
 def test_continuous_against_slicot_and_grid(seed, n):
     plant = stable_plant(seed, n)
@@ -62,7 +62,7 @@ def test_continuous_against_slicot_and_grid(seed, n):
         assert np.linalg.norm(responses(plant, np.array([where]))[0], 2) == pytest.approx(norm, rel=1e-10)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders)
 def test_sampled_against_slicot(seed, n):
     plant = stable_plant(seed, n, dt=0.02)
@@ -70,7 +70,7 @@ def test_sampled_against_slicot(seed, n):
     assert hinf_norm(plant) == pytest.approx(theirs, rel=1e-9)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=15)
 @given(seeds, orders)
 def test_units_coordinates_and_sampled_twin(seed, n):
     plant = stable_plant(seed, n)

@@ -6,13 +6,14 @@ import inspect
 import re
 from pathlib import Path
 
+import click.testing
 import pytest
 
 import flexopt
 from docs import generated
 from docs.public import TOPICS, names
 from flexopt import errors
-from flexopt.cli import _COMMANDS
+from flexopt.cli import _COMMANDS, cli
 from flexopt.model.file_schema import MODELS
 
 
@@ -61,9 +62,18 @@ def test_every_error_says_what_to_do() -> None:
 
 
 def test_every_command_has_its_help() -> None:
-    page = generated.commands()
-    assert re.findall(r"^## flexopt (\w+)$", page, re.MULTILINE) == sorted(_COMMANDS)
-    assert page.count("Usage: flexopt ") == len(_COMMANDS)
+    sections = dict(
+        re.findall(r"^## flexopt ([\w ]+)\n(.*?)(?=^## |\Z)", generated.commands(), re.MULTILINE | re.DOTALL)
+    )
+    assert sorted(name for name in sections if " " not in name) == sorted(_COMMANDS)
+    assert "study run" in sections
+    for name, text in sections.items():
+        said = click.testing.CliRunner().invoke(cli, [*name.split(), "--help"], prog_name="flexopt").output
+        usage = re.findall(rf"flexopt {name}.*", said)[0]
+        assert usage.strip() in text
+        options = re.findall(r"^  (?:-\w, )?(--[\w-]+)", said, re.MULTILINE)
+        assert options
+        assert [option for option in options if not re.search(rf"^`.*{option}\b", text, re.MULTILINE)] == []
 
 
 def test_pages_are_written_once(tmp_path: Path) -> None:

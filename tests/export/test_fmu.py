@@ -111,16 +111,13 @@ def report(folder: Path, request: pytest.FixtureRequest) -> FmuReport:
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_finds_no_problem(tmp_path: Path, version: str, kind: str) -> None:
-    plain = export(tmp_path, version=version, kind=kind, duration=0.1)
-    assert validate_fmu(str(plain.path)) == []
-    options = {k: v for k, v in EVERYTHING.items() if kind == "co-simulation" or k != "sensor"}
-    rich = export(tmp_path, name="rich", version=version, kind=kind, duration=0.1, **options)
-    assert validate_fmu(str(rich.path)) == []
+    """With a passive joint in the arm and a placement that is a parameter; other loops where they are compared."""
     wrist = export(tmp_path, WRIST, name="wrist", version=version, kind=kind, duration=0.1, posture=[0.2, -1.4])
     assert validate_fmu(str(wrist.path)) == []
 
 
 def test_ten_seconds_are_those_of_simulate(report: FmuReport) -> None:
+    assert validate_fmu(str(report.path)) == []
     expected = shown(flexopt.simulate(EXCAVATOR, POSTURE))
     result = run(report, stop_time=10.0)
     assert len(result) == 2001
@@ -148,6 +145,7 @@ def test_other_loops_are_those_of_simulate(tmp_path: Path, case: str, version: s
 @pytest.mark.parametrize("version", VERSIONS)
 def test_model_exchange_agrees_as_far_as_cvode_is_accurate(tmp_path: Path, version: str) -> None:
     made = export(tmp_path, version=version, kind="model-exchange", duration=10.0)
+    assert validate_fmu(str(made.path)) == []
     expected = shown(flexopt.simulate(EXCAVATOR, POSTURE, hold=False, integrator="dop853"))
     errors = []
     for tolerance in (1e-9, 1e-12):
@@ -162,6 +160,7 @@ def test_model_exchange_with_states_of_actuators_and_law(tmp_path: Path) -> None
     options = {k: v for k, v in EVERYTHING.items() if k != "sensor"}
     options["actuator"] = {"bandwidth_hz": 15.0}
     made = export(tmp_path, kind="model-exchange", duration=3.0, **options)
+    assert validate_fmu(str(made.path)) == []
     expected = shown(flexopt.simulate(EXCAVATOR, POSTURE, hold=False, integrator="dop853", duration=3.0, **options))
     result = run(made, stop_time=3.0, solver="CVode", relative_tolerance=1e-12)
     assert worst(result, expected, [n for n in made.outputs if n.startswith(("q.", "end_point"))]) < 1e-10
@@ -444,17 +443,16 @@ def test_an_unknown_unit_is_no_unit() -> None:
         unit_of("furlong/s")
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.needs("gcc", "clang")
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_sources_compile_without_a_warning(tmp_path: Path, version: str, kind: str, compiler: str) -> None:
-    if shutil.which(compiler) is None:
-        pytest.skip(f"no {compiler}")
+def test_the_sources_compile_without_a_warning(tmp_path: Path, version: str, kind: str) -> None:
     made = export(tmp_path, version=version, kind=kind, duration=0.1)
     text = sources(made, tmp_path)
-    command = [compiler, *WARNINGS, "-O1", "-c", str(text), "-o", str(tmp_path / "fmu.o")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[:3000]
+    for compiler in ("clang", "gcc"):
+        command = [compiler, *WARNINGS, "-O1", "-c", str(text), "-o", str(tmp_path / "fmu.o")]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr[:3000]
     # No state outside the instances: nothing that is written, initialised or not.
     sizes = subprocess.run(["size", "-A", str(tmp_path / "fmu.o")], capture_output=True, text=True, check=True).stdout
     written = {
@@ -645,7 +643,7 @@ def test_the_report_is_ready_for_json(report: FmuReport) -> None:
     assert "$" not in page
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(seeds, st.booleans())
 def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
     rng = np.random.default_rng(seed)

@@ -72,6 +72,7 @@ def test_what_a_bundle_says_of_its_loop(tmp_path: Path) -> None:
     assert f"{found.decay:.4g}/s" in text
     assert f"{1e3 * found.delay_margin:.4g} ms more" in text.replace("\n", " ")
     assert "decays at" in repr(report)
+    assert "excavator_loop_step(&in, &parameters, &out" in text
     again = library_of(report.manifest)
     names = [operation.name for operation in again.all_operations]
     assert names == ["torque_transpose", "torque_inverse", "loop_step"]

@@ -39,8 +39,10 @@ def rigid_jacobian(machine: flexopt.Machine, posture: np.ndarray) -> np.ndarray:
     return np.array([-away[:, 1], away[:, 0]])
 
 
-@pytest.mark.parametrize("make", [excavator, redundant])
-@pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.25"])
+# Each bundle has the transposed and the inverse law; what `control` changes are the measures, by way of one matrix.
+@pytest.mark.parametrize(
+    ("make", "control"), [(redundant, "inverse"), (redundant, "damped:0.25"), (excavator, "transpose")]
+)
 def test_c_agrees_with_formulas_and_with_evaluate(make, control: str, tmp_path: Path) -> None:
     machine = make()
     library = BundleLibrary(

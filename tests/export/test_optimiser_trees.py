@@ -15,7 +15,7 @@ import flexopt
 from benchmarks.optimiser import Pair, draw_pairs, value_of
 from flexopt.errors import InputError, UnreachableTarget
 from flexopt.export import PARTS, ExportReport, export_c, verify_bundle
-from flexopt.export.bundle import library_of, read_manifest
+from flexopt.export.bundle import library_of, machine_of, read_manifest
 from flexopt.export.context import build_context
 from flexopt.export.optimiser_part import OptimiserPart, draw_target, optimiser
 from flexopt.export.verify import optimiser as verify
@@ -86,7 +86,7 @@ def excavator(slewing, tmp_path_factory) -> Library:
 
 @pytest.fixture(scope="module")
 def some(slewing) -> list[Case]:
-    return cases(slewing, 4, seed=1)
+    return cases(slewing, 3, seed=1)
 
 
 def assert_back_at_the_optimum(lib: Library, problems: list[Case]) -> None:
@@ -138,14 +138,14 @@ def test_orientation_rows_and_a_placement_that_turns_only(tmp_path):
     rows = ("x", "y", "z", "yaw")
     machine = tree_from_dict(random_tree(17, rows=rows, counts=(2, 5)) | {"placement": ["yaw"]})
     assert machine.task_rows == rows
-    assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 3, seed=3))
+    assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 2, seed=3))
 
 
 def test_six_rows_of_the_task_on_the_margin(tmp_path):
     """sin² is a product of six terms then: its rounding must not keep a climb off the margin."""
     rows = ("x", "y", "z", "roll", "pitch", "yaw")
     machine = tree_from_dict(random_tree(17, rows=rows, counts=(2, 7)) | {"placement": []})
-    assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 3, seed=3))
+    assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 2, seed=3))
 
 
 def test_a_planar_machine_as_a_tree_has_the_same_optima(tmp_path):
@@ -337,7 +337,7 @@ def part_of(machine: Any) -> OptimiserPart:
 def test_a_vectors_z_is_compared_only_where_it_is_the_only_one(slewing):
     """Turning a machine and its arm about the target changes no w_i; without a placement nothing can turn."""
     part = part_of(slewing)
-    vectors = part.vectors(2, 2)
+    vectors = part.vectors(1, 2)
     assert not any(vector.unique for vector in vectors)
     for vector in vectors:
         z, turn = vector.z, 0.7
@@ -350,7 +350,7 @@ def test_a_vectors_z_is_compared_only_where_it_is_the_only_one(slewing):
         np.testing.assert_allclose(r_after.full().ravel(), r_before.full().ravel(), rtol=0, atol=1e-12)
         np.testing.assert_allclose(after.full(), before.full(), rtol=1e-9, atol=1e-9 * vector.scale)
     fixed = part_of(tree_from_dict(random_tree(3, counts=(2, 4)) | {"placement": []}))
-    assert all(vector.unique for vector in fixed.vectors(3, 2))
+    assert all(vector.unique for vector in fixed.vectors(2, 2))
 
 
 def bench_of(report: ExportReport, scratch: Path, inputs: int, fuzz_calls: int) -> Bench:
@@ -359,9 +359,15 @@ def bench_of(report: ExportReport, scratch: Path, inputs: int, fuzz_calls: int) 
     return Bench(report.folder, scratch, manifest, library_of(manifest), inputs, fuzz_calls)
 
 
-def test_a_bundle_without_a_placement(tmp_path):
+@pytest.fixture(scope="module")
+def bound(tmp_path_factory) -> ExportReport:
+    """A bundle of a machine without a placement."""
     machine = tree_from_dict(random_tree(4, counts=(2, 4)) | {"placement": []})
-    report = export_c(machine, tmp_path / "b", parts=["optimiser"])
+    return export_c(machine, tmp_path_factory.mktemp("bound") / "b", parts=["optimiser"])
+
+
+def test_a_bundle_without_a_placement(bound, tmp_path):
+    report, machine = bound, machine_of(bound.manifest)
     entry = report.manifest["parts"]["optimiser"]
     assert entry["variables"] == list(machine.joints)
     assert entry["units"] == list(machine.joint_units) == ["m", "rad", "rad", "rad"]
@@ -385,15 +391,15 @@ def test_a_bundle_without_a_placement(tmp_path):
 
 
 @TARGET
-def test_a_bundle_on_an_emulated_processor(slewing, tmp_path):
-    folder = export_c(slewing, tmp_path / "b", parts=["optimiser"]).folder
-    result = verify_bundle(folder, target="cortex-m7", inputs=4)
+def test_a_bundle_on_an_emulated_processor(bound):
+    """The same problems as on this computer; `python -m benchmarks.optimiser` counts shipped machines' instructions."""
+    result = verify_bundle(bound.folder, target="cortex-m7", inputs=6)
     assert result.passed and result.complete, repr(result)  # noqa: PT018
     tables = {
         table.title: dict(table.rows) for check in result.checks for table in check.tables if len(table.header) == 2
     }
     solved = tables["Posture optimiser"]
-    assert solved["the same V as IPOPT's best, or a better one"] == solved["problems"] == 4
+    assert solved["the same V as IPOPT's best, or a better one"] == solved["problems"] == 6
     assert 100_000 < solved["instructions, most"] <= verify.INSTRUCTIONS
 
 

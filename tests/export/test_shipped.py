@@ -38,9 +38,9 @@ def test_self_test_and_example_end_well(name: str, real, tmp_path: Path) -> None
 
 
 @MAKE
-@pytest.mark.parametrize("real", ["double", "float"])
-def test_a_target_out_of_reach_is_refused_at_once(real, tmp_path: Path) -> None:
-    folder = export_c(flexopt.load("mobile-manipulator"), tmp_path / "b", real=real, parts=["optimiser"]).folder
+def test_a_target_out_of_reach_is_refused_at_once(tmp_path: Path) -> None:
+    """In single precision; in double the self-tests of other machines' optimisers say the same."""
+    folder = export_c(flexopt.load("mobile-manipulator"), tmp_path / "b", real="float", parts=["optimiser"]).folder
     done = subprocess.run(
         ["make", "-s", "-C", str(folder), "CFLAGS=-O0", "test"], capture_output=True, text=True, check=False
     )

@@ -18,6 +18,7 @@ from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import VerificationCheck
 from flexopt.export.verify.misra import in_pieces
 from tests.export.programs import GCC, HOST, TARGET
+from tests.oracles.cylinders import digger
 
 
 def exported(folder: Path, **options) -> Path:
@@ -30,6 +31,10 @@ def turning_only() -> flexopt.Machine:
     for key in ("stiffness", "damping"):
         data["base"][key] = {"rotation": data["base"][key]["rotation"]}
     return flexopt.machine_from_dict(data)
+
+
+def with_cylinders() -> flexopt.Machine:
+    return flexopt.machine_from_dict(digger())
 
 
 def named(checks: tuple[VerificationCheck, ...], name: str) -> VerificationCheck:
@@ -46,14 +51,15 @@ INPUTS, CALLS = 200, 2_000
 
 @HOST
 @pytest.mark.parametrize(
-    ("real", "parts", "functions", "outputs"),
+    ("real", "make", "parts", "functions", "outputs"),
     [
-        ("double", [part for part in PARTS if part not in ("levers", "loop")], 7, 15),
-        ("float", ["kinematics", "controller"], 3, 5),
+        ("double", turning_only, [part for part in PARTS if part not in ("levers", "loop")], 7, 15),
+        ("float", with_cylinders, ["kinematics", "controller", "levers"], 5, 8),
     ],
+    ids=["double", "float"],
 )
-def test_everything_holds_on_the_host(real: str, parts, functions: int, outputs: int, tmp_path: Path) -> None:
-    folder = export_c(turning_only(), tmp_path / "b", real=real, parts=parts).folder
+def test_everything_holds_on_the_host(real: str, make, parts, functions: int, outputs: int, tmp_path: Path) -> None:
+    folder = export_c(make(), tmp_path / "b", real=real, parts=parts).folder
     result = verify_bundle(folder, target="host", inputs=INPUTS, fuzz_calls=CALLS)
     assert result.passed and result.complete, repr(result)  # noqa: PT018
     for compiler in ("gcc", "clang"):
@@ -79,9 +85,13 @@ def test_everything_holds_on_the_host(real: str, parts, functions: int, outputs:
 
 
 @TARGET
-@pytest.mark.parametrize(("real", "target"), [("float", "cortex-m4f"), ("double", "cortex-m7")])
-def test_everything_holds_on_emulated_processors(real: str, target, tmp_path: Path) -> None:
-    folder = exported(tmp_path / "b", real=real)
+@pytest.mark.parametrize(
+    ("real", "make", "target"),
+    [("float", lambda: flexopt.load("excavator"), "cortex-m4f"), ("double", turning_only, "cortex-m7")],
+    ids=["float on M4F", "double on M7"],
+)
+def test_everything_holds_on_emulated_processors(real: str, make, target, tmp_path: Path) -> None:
+    folder = export_c(make(), tmp_path / "b", real=real).folder
     result = verify_bundle(folder, target=target, inputs=100)
     assert result.passed and result.complete, repr(result)  # noqa: PT018
     check = named(result.checks, "equal to Python")

@@ -92,7 +92,7 @@ def test_any_text_on_a_terminal(text: str, encoding: str) -> None:
     assert ascii_text(text).isascii()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(anything)
 def test_any_text_in_a_picture(text: str) -> None:
     """The text drawn is the text given, whatever stands beside it."""

@@ -104,8 +104,11 @@ def test_none_of_several_files_is_swapped_before_all_are_written(
 
 def test_what_is_no_place_for_a_file_is_said_in_a_sentence(tmp_path: Path) -> None:
     for path, reason in ((tmp_path, "directory"), (tmp_path / "none" / "file", "there is no folder")):
-        with pytest.raises(WriteError, match=rf"cannot be written \(.*{reason}"):
-            write_file(path, b"")
+        for write in (lambda path: write_file(path, b""), writing.check_place):
+            with pytest.raises(WriteError, match=rf"cannot be written \(.*{reason}"):
+                write(path)
+    writing.check_place(tmp_path / "file")
+    assert not (tmp_path / "file").exists()
 
 
 @pytest.mark.parametrize("exchange", [True, False])
@@ -160,7 +163,7 @@ def test_writers_at_once_all_succeed(tmp_path: Path) -> None:
 
 KILLED = """
 import sys
-from flexopt.writing import replace_folder, write_file
+from flexopt.foundation.writing import replace_folder, write_file
 print("ready", flush=True)
 while True:
     for text in "ab":
@@ -170,17 +173,20 @@ while True:
 
 
 def test_killed_at_any_moment(tmp_path: Path) -> None:
+    written = 0
     for k in range(6):
         with subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE) as process:
             assert process.stdout is not None
-            process.stdout.readline()
+            assert process.stdout.readline() == b"ready\n"
             time.sleep(0.03 + 0.007 * k)
             process.kill()
         if (tmp_path / "file").exists():
+            written += 1
             assert (tmp_path / "file").read_bytes() in (b"a" * 300_000, b"b" * 300_000)
         if (tmp_path / "folder").exists():
             parts = {(tmp_path / "folder" / name).read_bytes() for name in "pqr"}
             assert parts in ({b"a" * 1000}, {b"b" * 1000}), "all files of one time"
+    assert written
     for path in tmp_path.glob(".flexopt-*"):
         os.utime(path, (0, 0))
     write_file(tmp_path / "last", b"")
@@ -304,10 +310,10 @@ os.chdir(sys.argv[1])
 import flexopt
 from flexopt.plotting import animate_trajectory
 machine = flexopt.load("excavator")
-run = flexopt.simulate(machine, (1.0, -1.4), duration=1.0)
-group = flexopt.simulate_ensemble(machine, (1.0, -1.4), vary={"kp": [1e5, 2e5]}, duration=0.5)
-plane = flexopt.map_workspace(machine, points=(4, 4))
-choice = flexopt.select(machine, (0.0, 1.6))
+run = flexopt.simulate(machine, (1.0, -1.4), duration=0.2)
+group = flexopt.simulate_ensemble(machine, (1.0, -1.4), vary={"kp": [1e5, 2e5]}, duration=0.1)
+plane = flexopt.map_workspace(machine, points=(3, 3), over="posture", epsilon_max=False)
+choice = flexopt.select(machine, (0.0, 1.6), starts=1, workers=1)
 opened = []
 def watch(event, arguments):
     if event == "open" and isinstance(arguments[0], str):

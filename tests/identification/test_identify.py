@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +28,15 @@ def check(found: flexopt.Identification, swung: Swung, names: Iterable[str] | No
         assert abs(np.log(abs(true)) - 0.5 * (low + high)) < times * 0.5 * (high - low), name
 
 
-def test_a_machine_in_the_plane() -> None:
+@cache
+def identified() -> flexopt.Identification:
+    """From the plain log of the machine in the plane."""
     swung = planar()
-    found = flexopt.identify(swung.machine, swung.log(*PLANAR), posture=swung.posture)
+    return flexopt.identify(swung.machine, swung.log(*PLANAR), posture=swung.posture)
+
+
+def test_a_machine_in_the_plane() -> None:
+    swung, found = planar(), identified()
     check(found, swung)
     assert found.status == "identified"
     assert found.converged
@@ -173,7 +180,7 @@ def test_residuals_that_are_not_white_widen_the_intervals() -> None:
     """Slow noise, strongest where the slowest mode is."""
     swung, name = planar(), "base.stiffness.rotation"
     log, clean, rng = swung.log(*PLANAR), swung.log(*PLANAR, noise=0.0), np.random.default_rng(3)
-    white = flexopt.identify(swung.machine, log, posture=swung.posture)
+    white = identified()
     for column in PLANAR:
         slow = np.convolve(rng.standard_normal(swung.time.size + 9), np.ones(10), "valid")
         log[column] = clean[column] + 0.01 * np.ptp(clean[column]) * slow / slow.std()

@@ -149,7 +149,7 @@ def test_an_evaluation_tells_it():
     assert loop["allowance_isotropic"][0] is None  # no gain that is the same in all directions excites the mode
     assert loop["settings"]["sources"] == {
         "drive": "gains without a drive are those of torques",
-        "rate": "the article's",
+        "rate": "200 Hz, as in the article",
     }
     parameters, m = len(flexopt.build_plant(EXCAVATOR).parameter_names), len(found.w)
     for name in MEASURES:

@@ -154,9 +154,12 @@ def test_derivatives_beside_differences(name: str) -> None:
             if not np.abs(terms).sum() > 1e-9 * abs(found.value):
                 continue
             values = np.vectorize(partial(value_along, point, measure, by, along))
-            each = [derivative(values, 0.0, initial_step=h, step_factor=2.0, order=8) for h in (4e-3, 5e-4, 6e-5)]
+            size, each = float(np.abs(terms).sum()), list[Any]()
+            for h in (5e-4, 6e-5, 4e-3):
+                each.append(derivative(values, 0.0, initial_step=h, step_factor=2.0, order=8))
+                if each[-1].error < 1e-10 * size:
+                    break
             truth = min(each, key=lambda found: float(found.error))
-            size = float(np.abs(terms).sum())
             assert truth.error < 2e-5 * size
             assert abs(float(terms.sum() - truth.df)) <= 1e-7 * size + 3 * float(truth.error), (by, measure)
             compared += 1

@@ -393,7 +393,7 @@ def test_every_body_of_a_robot_file_gets_its_capsules(tmp_path: Path) -> None:
 
 
 UNREAD: dict[str, tuple[str, str]] = {
-    "mesh": ('<geometry><mesh filename="a.stl"/></geometry>', "link 'stick': collision geometry is a <mesh>, which is not read"),
+    "mesh": ('<geometry><mesh filename="a.stl"/></geometry>', "link 'stick': collision geometry is a <mesh>, which is not read: write [[capsules]]"),
     "nothing": ("<geometry/>", "has no shape"),
     "no size": ('<geometry><box size="1 1"/></geometry>', "<box> has a size or an origin that needs 3 numbers"),
     "flat": ('<geometry><cylinder radius="1" length="0"/></geometry>', "<cylinder> has a size or an origin that is not positive"),

@@ -59,6 +59,7 @@ def test_one_parameter_is_uncertain_once_but_for_factors() -> None:
         ({"of": ("dead_time", "stiffness"), "factor": (1, 2)}, "stands alone"),
         ({"of": "dead_time", "value": (0, 11)}, "between 0 and 10 s"),
         ({"of": "stiffness", "factor": (2, 1)}, "reversed"),
+        ({"of": "payload.mass", "factor": (0, 2)}, "0 among them, are a value"),
     ],
 )
 def test_what_does_not_fit_together(given: dict[str, Any], sentence: str) -> None:

@@ -5,6 +5,7 @@ Nothing of flexopt enters: Table 1's numbers, all five coordinates, LAPACK's eig
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -56,16 +57,24 @@ def products(boom: Any, stick: Any, control: str) -> tuple[Any, Any]:
     return cross, np.sum(a * b, axis=-2) * sign
 
 
+LINE = -np.pi + 2 * np.pi * (np.arange(401) + 0.37) / 400
+
+
+@cache
+def _grid(control: str) -> Any:
+    """Cross products of all modes over the grid."""
+    return products(*np.meshgrid(LINE, LINE, indexing="ij"), control)[0]
+
+
 def brute_force(control: str, i: int, j: int) -> Any:
     """All postures with w_i = w_j = 0: cells of a 400 × 400 grid where both cross products change sign, then a solver."""
-    line = -np.pi + 2 * np.pi * (np.arange(401) + 0.37) / 400
-    cross = products(*np.meshgrid(line, line, indexing="ij"), control)[0][..., [i, j]]
+    cross = _grid(control)[..., [i, j]]
     positive = cross > 0
     corners = [positive[:-1, :-1], positive[1:, :-1], positive[:-1, 1:], positive[1:, 1:]]
     changes = np.all(np.any(corners, axis=0) & ~np.all(corners, axis=0), axis=-1)
     found: list[Any] = []
     for row, column in np.argwhere(changes):
-        start = np.array([line[row], line[column]]) + np.pi / 400
+        start = np.array([LINE[row], LINE[column]]) + np.pi / 400
         scale = np.abs(cross[row : row + 2, column : column + 2]).max(axis=(0, 1))
 
         def both(z: Any, scale: Any = scale) -> Any:

@@ -43,7 +43,7 @@ def test_what_is_compared():
     assert len(MJCF_PATHS) >= 9
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", PLANAR)
 def test_shipped_planar_machine(name, seed):
     machine = SHIPPED[name]
@@ -68,7 +68,7 @@ def test_shipped_planar_machine(name, seed):
     close(ours["g"], peer.gravity(q), of_weight)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", SPATIAL)
 def test_shipped_spatial_machine(name, seed):
     assert_both_agree(SHIPPED[name], seed)
@@ -78,8 +78,7 @@ def test_shipped_spatial_machine(name, seed):
 @pytest.mark.parametrize("name", PUBLIC)
 def test_public_robot(name):
     tree = public_tree(name)
-    for seed in range(2):
-        assert_both_agree(tree, seed, with_mujoco=name not in NOT_IN_MUJOCO)
+    assert_both_agree(tree, 0, with_mujoco=name not in NOT_IN_MUJOCO)
 
 
 def public_tree(name):

@@ -55,7 +55,7 @@ def wrapped(angle):
     return (np.asarray(angle) + math.pi) % TURN - math.pi
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=12)
 @given(drawn=machines(), seed=seeds)
 def test_every_branch_reaches_the_target(drawn, seed):
     _, machine = drawn
@@ -70,7 +70,7 @@ def test_every_branch_reaches_the_target(drawn, seed):
         assert all(np.abs(one - other).max() > 1e-7 for other in postures[:i])
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=12)
 @given(drawn=machines(TWO), seed=seeds)
 def test_two_links_give_their_two_branches_up_first(drawn, seed):
     _, machine = drawn
@@ -91,7 +91,7 @@ def test_straight_arm_is_one_posture():
     assert len(inverse_kinematics(machine, tip)) == 1
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=12)
 @given(drawn=machines(TWO), seed=seeds)
 def test_limits_are_kept_and_whole_turns_are_used(drawn, seed):
     _, machine = drawn
@@ -142,7 +142,7 @@ def check_limits(machine, target, free, limits):
 @pytest.mark.parametrize("structure", [Structure(3, ("x",), ()), Structure(4, ("y",), ()), Structure(5, ("x",), (2,))])
 def test_redundant_arm_gets_many_postures_and_repeats_them(structure):
     rng = np.random.default_rng(11)
-    for _ in range(3):
+    for _ in range(2):
         machine = machine_from_dict(draw_machine(NumpySource(rng), structure))
         target = target_inside(rng, machine, 0.0, 0.4, 0.6)
         first = inverse_kinematics(machine, target, seed=5)
@@ -153,7 +153,7 @@ def test_redundant_arm_gets_many_postures_and_repeats_them(structure):
         assert not any(np.array_equal(a, b) for a in first for b in other)
 
 
-@settings(derandomize=True, deadline=None, max_examples=15)
+@settings(derandomize=True, deadline=None, max_examples=6)
 @given(drawn=machines(frequency=(4.0, 10.0)), seed=seeds)
 def test_under_gravity_the_deflected_end_point_is_on_the_target(drawn, seed):
     data, machine = drawn
@@ -190,7 +190,7 @@ def test_limits_hold_under_gravity_too():
         assert np.abs(found[0] - loaded).max() < 1e-9
 
 
-@settings(derandomize=True, deadline=None, max_examples=15)
+@settings(derandomize=True, deadline=None, max_examples=6)
 @given(drawn=machines({"n_max": 3}), seed=seeds)
 def test_miss_is_the_distance_to_the_nearest_point_that_can_be_reached(drawn, seed):
     _, machine = drawn
@@ -234,7 +234,7 @@ def check_intervals(machine, rng, just):
                 inverse_kinematics(machine, target, base=outside)
 
 
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, deadline=None, max_examples=8)
 @given(drawn=machines(TWO), seed=seeds)
 def test_base_intervals_of_two_joints(drawn, seed):
     check_intervals(drawn[1], np.random.default_rng(seed), 1e-7)
@@ -245,14 +245,14 @@ def test_base_intervals_of_two_joints(drawn, seed):
 )
 def test_base_intervals_of_more_joints(structure):
     rng = np.random.default_rng(7)
-    for _ in range(5):
+    for _ in range(2):
         check_intervals(machine_from_dict(draw_machine(NumpySource(rng), structure)), rng, 1e-3)
 
 
 @pytest.mark.parametrize("n", [3, 4, 5])
 def test_target_of_a_known_posture_is_never_called_unreachable(n):
     rng = np.random.default_rng(n)
-    for _ in range(40):
+    for _ in range(12):
         machine = machine_from_dict(draw_machine(NumpySource(rng), Structure(n, ("x",), ())))
         target = arm_at_rest(machine, random_posture(rng, machine))[1]
         assert inverse_kinematics(machine, target)
@@ -266,7 +266,7 @@ def test_target_that_is_too_high_has_no_base_interval():
     assert inner < outer < caught.value.miss + outer
 
 
-@settings(derandomize=True, deadline=None, max_examples=15)
+@settings(derandomize=True, deadline=None, max_examples=6)
 @given(drawn=machines({"n_min": 3}), seed=seeds)
 def test_passive_arm_joints_stay_at_rest_in_the_chain(drawn, seed):
     data, machine = drawn

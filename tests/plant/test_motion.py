@@ -158,12 +158,12 @@ def check_everything(case: Case) -> None:
 
 
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_builder_agrees_with_the_plant(structure, seed):
     check_everything(case_of(structure, seed))
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=12)
 @given(drawn=machines(), seed=seeds)
 def test_every_builder_of_any_machine(drawn, seed):
     check_everything(Case(*drawn, np.random.default_rng(seed)))
@@ -172,14 +172,13 @@ def test_every_builder_of_any_machine(drawn, seed):
 def test_the_excavator():
     machine = load("excavator")
     rng = np.random.default_rng(0)
-    for _ in range(20):
+    for _ in range(5):
         check_everything(Case({}, machine, rng))
 
 
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
-@pytest.mark.parametrize("seed", range(3))
-def test_acceleration_agrees_with_mujoco(structure, seed):
-    case = case_of(structure, 100 + seed)
+def test_acceleration_agrees_with_mujoco(structure):
+    case = case_of(structure, 100)
     # MuJoCo's anchors stand still.
     case.base_rate = 0.0
     chain = mujoco_chain(case.data, case.base)

@@ -1,8 +1,11 @@
 """Pictures of maps and of the article show the numbers of the results: their artists carry them."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 import flexopt
 from flexopt.article import curve, sweep_gaps
@@ -74,6 +77,23 @@ def test_figure_5_draws_the_intersection_and_both_postures(maps):
             assert line.get_color() == LIGHT.mark
         low, high = axes.images[0].get_clim()
         assert (low, high) == (0.0, 1.0)
+
+
+def test_the_article_s_figures_fit_a_page_and_a_slide(maps):
+    transpose, inverse = maps["transpose"].dataset, maps["inverse"].dataset
+    own = article.plot_figure7(transpose, inverse)
+    page = article.plot_figure7(transpose, inverse, size="paper")
+    width, height = page.get_size_inches()
+    assert width == pytest.approx(7.16)
+    assert 1 <= height / width / (own.get_size_inches()[1] / own.get_size_inches()[0]) < 1.2
+    assert tuple(article.plot_figure7(transpose, inverse, size="slide").get_size_inches()) == (10.0, 5.625)
+    letters = [min(text.get_fontsize() for text in figure.findobj(Text)) for figure in (page, own)]
+    assert letters[0] < letters[1]
+    # Nothing is cut: with its own letters the titles of this page would run into each other.
+    page.draw_without_rendering()
+    titles = [axes.title.get_window_extent() for axes in page.axes if axes.get_title()]
+    assert len(titles) == 6
+    assert all(not one.overlaps(other) for one, other in combinations(titles, 2))
 
 
 def test_figures_6_and_7_in_the_article_s_order(maps):

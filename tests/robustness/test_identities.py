@@ -25,7 +25,7 @@ from tests.oracles.machines import (
 pytestmark = pytest.mark.filterwarnings("ignore:ε_max:flexopt.errors.FlexoptWarning")
 RELATIVE = 1e-10
 CONTROLS = pytest.mark.parametrize("control", ["inverse", "transpose"])
-examples = settings(derandomize=True, deadline=None, max_examples=40)
+examples = settings(derandomize=True, deadline=None, max_examples=15)
 
 
 class Solved:
@@ -158,7 +158,7 @@ def test_measure_is_never_positive_and_keeps_its_digits_near_zero(control, drawn
 
 
 @CONTROLS
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=12)
 @given(drawn=machines(), seed=seeds, base=st.floats(-100, 100))
 def test_placement_changes_nothing_but_the_end_point(control, drawn, seed, base):
     _, machine = drawn
@@ -187,7 +187,7 @@ def isotropic(draw):
 
 
 @CONTROLS
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=15)
 @given(data=isotropic(), seed=seeds, turn=st.floats(-3, 3))
 def test_turning_an_isotropic_machine_changes_no_measure(control, data, seed, turn):
     turned = data | {"base": data["base"] | {"rest_angle": data["base"]["rest_angle"] + turn}}
@@ -202,7 +202,7 @@ def test_turning_an_isotropic_machine_changes_no_measure(control, data, seed, tu
 # Of machines at the edge of what has a gradient; that is not what is tested here.
 @pytest.mark.filterwarnings("ignore:the gradient of ε_max")
 @CONTROLS
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, deadline=None, max_examples=10)
 @given(drawn=machines(), seed=seeds)
 def test_evaluate_reports_the_same_numbers(control, drawn, seed):
     _, machine = drawn

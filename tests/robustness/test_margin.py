@@ -58,7 +58,7 @@ def test_random_postures_of_the_excavator_against_scipy(excavator, control):
     margin = build_margin(excavator, control)
     p = margin.plant.parameter_values
     rng = np.random.default_rng(1)
-    for _ in range(60):
+    for _ in range(25):
         posture = [rng.uniform(-3, 3), rng.choice([-1, 1]) * rng.uniform(0.2, 2.9)]
         gain = 10 ** rng.uniform(3, 7)
         epsilon, rest, residual = (x.full().ravel() for x in margin.values.call([0, posture, p, gain]))
@@ -192,9 +192,9 @@ def gradient_errors(control, count):
 
 @pytest.mark.parametrize("control", CONTROLS)
 def test_gradient_by_posture_over_random_machines(control):
-    """More than 100 machines and postures for each controller."""
-    found = list(gradient_errors(control, 135))
-    assert len(found) >= 100
+    """Some 40 machines and postures for each controller; `python -m benchmarks.margin_accuracy` tries 200."""
+    found = list(gradient_errors(control, 54))
+    assert len(found) >= 40
     assert max(error for error, _ in found) <= 1e-7
 
 

@@ -389,3 +389,29 @@ def test_mutating_does_not_touch_the_original() -> None:
     before = copy.deepcopy(data)
     _in_space(data)
     assert data == before
+
+
+def test_an_end_point_in_its_bodys_joint_leaves_the_body_without_a_length() -> None:
+    """As of a telescope whose tool's place is not told yet: its centre of mass, 3 m out, is no slip; 3000 m is one."""
+    data = flexopt.load("truck-crane").to_dict()
+    last = next(body for body in data["bodies"] if body["name"] == data["end_point"]["body"])
+    data["end_point"]["position"] = [0.0, 0.0, 0.0]
+    last["com"] = [2.0, 0.0, 0.0]
+    found = [finding.field for finding in flexopt.check(tree_from_dict(data)).findings]
+    assert not any(field.endswith(".com") for field in found)
+    last["com"] = [2000.0, 0.0, 0.0]
+    found = [finding.field for finding in flexopt.check(tree_from_dict(data)).findings]
+    assert any(field.endswith(".com") for field in found)
+
+
+def test_a_clearance_of_a_machine_without_volumes_is_told(tmp_path: Path) -> None:
+    text = (
+        'name = "job"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n'
+        "[constraints.clearance]\ndistance = 0.1\nground = 0.0\n"
+    )
+    (tmp_path / "job.toml").write_text(text, encoding="utf-8")
+    assert "constraints.clearance: excavator has no [[capsules]]" in repr(flexopt.check(tmp_path / "job.toml"))
+    with pytest.raises(flexopt.InputError, match="needs the volumes of bodies"):
+        flexopt.solve_problem(flexopt.load_problem(tmp_path / "job.toml"))
+    (tmp_path / "job.toml").write_text(text.replace("excavator", "boom-stick-bucket"), encoding="utf-8")
+    assert "capsules" not in repr(flexopt.check(tmp_path / "job.toml"))

@@ -135,6 +135,26 @@ def test_an_excavator_of_others_keeps_its_boom_out_of_the_ground():
     assert [each.name for each in free.problem.assumed] == ["limits"]
 
 
+def test_bodies_without_a_volume_are_named_where_a_clearance_is_asked_for():
+    """A massless one is none, and those that are chosen by name are chosen."""
+    tank = {"name": "tank", "kind": "sphere", "center": [3.5, 4.5, 1.5], "radius": 1.5}
+    machine = flexopt.load("mobile-manipulator")
+    named = of(
+        machine, [(1.0, 0.0, 1.0)], constraints=Constraints(clearance={"distance": 0.1, "obstacles": [tank]})
+    ).named
+    (bare,) = (each for each in named if each.name == "clearance")
+    assert (bare.value, bare.unit) == (2.0, "bodies")
+    assert bare.sentence.endswith("so nothing of shoulder, wrist 1")
+    chosen = Constraints(clearance={"distance": 0.1, "obstacles": [tank], "bodies": ["forearm"]})
+    whole = flexopt.load("slewing-excavator")
+    everywhere = Constraints(clearance={"distance": 0.1, "obstacles": [tank]})
+    for found in (
+        of(machine, [(1.0, 0.0, 1.0)], constraints=chosen),
+        of(whole, [(7.0, 1.0, 1.0)], constraints=everywhere),
+    ):
+        assert "clearance" not in [each.name for each in found.named]
+
+
 def test_how_far_to_drive():
     machine = flexopt.load("slewing-excavator")
     problem = flexopt.build_selection(machine, (7.0, 1.0, 1.0), base=(1.0, 2.0, 0.3), starts=1)

@@ -25,7 +25,7 @@ KNOWN = {
 def chosen(name: str) -> flexopt.Selection:
     weights, angles, _ = KNOWN[name]
     given: dict[str, Any] = {"constraints": {"tool_angle": list(angles)}, "weights": list(weights)}
-    return flexopt.select(MACHINE, TARGET, objective="V", control="transpose", starts=8, workers=1, **given)
+    return flexopt.select(MACHINE, TARGET, objective="V", control="transpose", starts=4, workers=1, **given)
 
 
 @pytest.mark.parametrize("name", KNOWN)

@@ -307,7 +307,7 @@ def test_the_document(machine, unlimited):
 
 
 @QUIET
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(
     made=machines(structure={"n_min": 2, "n_max": 4}),
     seed=seeds,
@@ -346,7 +346,7 @@ def test_the_step_is_that_of_an_svd_projector(made, seed, control, weighted):
 
 
 @QUIET
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=6, deadline=None, derandomize=True)
 @given(
     made=machines(structure={"n_min": 3, "n_max": 4, "passive_joints": False}),
     seed=seeds,

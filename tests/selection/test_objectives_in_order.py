@@ -138,4 +138,5 @@ def test_a_minimum_along_what_is_kept_is_refused() -> None:
         if "kept w1" in found.active and set(found.violations) == {"second-order optimality"}:
             refused += 1
             assert found.curvature > 1e-3
+            break
     assert refused >= 1

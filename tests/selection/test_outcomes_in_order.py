@@ -10,42 +10,32 @@ import pytest
 
 import flexopt
 from flexopt.selection.outcomes.result import OutcomeSelection
+from tests.selection.loops import EXCAVATOR, TARGET, posture_at, told, worth
 
-EXCAVATOR, TARGET = flexopt.load("excavator"), (0.0, 1.6)
 LOOP = {"kp": 1e4, "kv": 1e3, "dead_time": 0.0031}
-
-
-def measure(name: str, x: float, posture: np.ndarray) -> float:
-    """By the public definitions."""
-    if name.startswith("w"):
-        return float(flexopt.evaluate(EXCAVATOR, posture, base=x).w[int(name[1:]) - 1])
-    if name == "epsilon_max":
-        return flexopt.evaluate(EXCAVATOR, posture, base=x).epsilon_max or 0.0
-    found = getattr(flexopt.outcome(EXCAVATOR, posture, base=x, loop=LOOP), name)
-    return float(np.min(found)) if not np.all(np.isnan(found)) else -math.inf
 
 
 @pytest.mark.parametrize("objective", ["w1,decay", "decay,w1", "decay,allowance", "decay,epsilon_max"])
 def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective: str) -> None:
     first, second = objective.split(",")
-    found = flexopt.select(EXCAVATOR, TARGET, objective=objective, loop=LOOP, slack=0.2, workers=1)
+    found = flexopt.select(EXCAVATOR, TARGET, objective=objective, loop=LOOP, slack=0.2, starts=8, workers=1)
     assert isinstance(found, OutcomeSelection)
     (kept,), e = found.kept, found.best.evaluation
     assert kept.objective == first
+    here = float(e.base[0]), tuple(e.posture.tolist())
     # The climbs keep their bounds to a millionth.
     room = 1e-5 * abs(kept.best - kept.at_least)
-    assert measure(first, e.base[0], e.posture) >= kept.at_least - room
-    assert found.best.objective == pytest.approx(measure(second, e.base[0], e.posture), rel=1e-6, abs=1e-12)
+    assert told(first, *here, LOOP) >= kept.at_least - room
+    assert found.best.objective == pytest.approx(told(second, *here, LOOP), rel=1e-6, abs=1e-12)
     best_first = best = -math.inf
-    for x, elbow in itertools.product(np.linspace(-3.3, 3.3, 81), ("up", "down")):
-        try:
-            posture = flexopt.inverse_kinematics(EXCAVATOR, TARGET, base=x, elbow=elbow)[0]
-        except flexopt.UnreachableTarget:
+    for x, elbow in itertools.product(np.linspace(-3.3, 3.3, 61).tolist(), ("up", "down")):
+        posture = posture_at(x, elbow)
+        if posture is None:
             continue
-        value = measure(first, x, posture)
+        value = worth(first, x, posture, LOOP)
         best_first = max(best_first, value)
         if value >= kept.at_least:
-            best = max(best, measure(second, x, posture))
+            best = max(best, worth(second, x, posture, LOOP))
     assert kept.best >= best_first - 1e-12
     assert best > -math.inf
     assert found.best.objective >= best - 1e-6 * abs(best)
@@ -78,11 +68,11 @@ def test_what_does_not_go_together() -> None:
 
 def test_robust_margins_beside_what_a_loop_must_do() -> None:
     """Of a small part of the redundancy: ε_max first, a weighted sum with it, and ε_max where the decay is bounded."""
-    options = {"loop": LOOP, "base_range": (-2.1, -1.4), "starts": 4, "workers": 1}
-    scanned = [(x, flexopt.inverse_kinematics(EXCAVATOR, TARGET, base=x)[0]) for x in np.linspace(-2.1, -1.4, 57)]
-    margin = np.array([measure("epsilon_max", *point) for point in scanned])
-    decay = np.array([measure("decay", *point) for point in scanned])
-    w1 = np.array([measure("w1", *point) for point in scanned])
+    options = {"loop": LOOP, "base_range": (-2.1, -1.4), "starts": 2, "workers": 1}
+    places = [(x, posture_at(x, "up")) for x in np.linspace(-2.1, -1.4, 29).tolist()]
+    margin, decay, w1 = (
+        np.array([worth(name, *place, LOOP) for place in places]) for name in ("epsilon_max", "decay", "w1")
+    )
 
     first = flexopt.select(EXCAVATOR, TARGET, objective="epsilon_max,decay", slack=1e-3, **options)
     kept = first.kept[0]

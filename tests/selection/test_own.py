@@ -51,9 +51,9 @@ def not_seen_through(machine: Any, alpha: Any, size: float) -> ca.Function:
 def test_an_increasing_function_of_a_measure_is_best_where_the_measure_is(machine: Any, target: Any) -> None:
     m = flexopt.build_plant(machine).n_passive
     alpha = np.linspace(1.0, 0.3, m)
-    theirs = flexopt.select(machine, target, objective="V", weights=alpha.tolist(), starts=8)
+    theirs = flexopt.select(machine, target, objective="V", weights=alpha.tolist(), starts=4)
     size = theirs.problem.objective_scale
-    ours = flexopt.select(machine, target, objective=not_seen_through(machine, alpha, size), starts=8)
+    ours = flexopt.select(machine, target, objective=not_seen_through(machine, alpha, size), starts=4)
     assert ours.problem.objective.own is not None
     value = size * math.tan(ours.best.objective / size)
     assert value == pytest.approx(theirs.best.objective, abs=1e-8 * size)
@@ -63,8 +63,8 @@ def test_an_increasing_function_of_a_measure_is_best_where_the_measure_is(machin
 def test_a_measure_given_as_a_function_is_that_measure(machine: Any, target: Any) -> None:
     """What is known of w_1 holds: that 0 is the most there is, and the surface that has it."""
     w1 = ca.MX.sym("w1")
-    ours = flexopt.select(machine, target, objective=function("mine", w1, w1=w1), starts=16)
-    theirs = flexopt.select(machine, target, objective="w1", starts=16)
+    ours = flexopt.select(machine, target, objective=function("mine", w1, w1=w1), starts=6)
+    theirs = flexopt.select(machine, target, objective="w1", starts=6)
     assert ours.best.unsurpassed
     assert ours.problem.name == "mine"
     np.testing.assert_array_equal(ours.best.z, theirs.best.z)
@@ -107,7 +107,7 @@ def kind_and_own(kind: str) -> tuple[dict[str, Any], flexopt.Constraint]:
 @pytest.mark.parametrize("kind", ["joint_margin", "manipulability", "holding"])
 def test_an_own_constraint_that_is_a_kind_leaves_the_same_optimum(kind: str) -> None:
     theirs, ours = kind_and_own(kind)
-    options: dict[str, Any] = {"objective": "V", "weights": [1.0] * 3, "starts": 16}
+    options: dict[str, Any] = {"objective": "V", "weights": [1.0] * 3, "starts": 8}
     without = flexopt.select(ARM, BELOW, **options)
     built_in = flexopt.select(ARM, BELOW, constraints=theirs, **options)
     own = flexopt.select(ARM, BELOW, constraints=[ours], **options)
@@ -175,7 +175,7 @@ def scanned(machine: Any, target: np.ndarray, value: Any, margin: float) -> floa
 
 
 @pytest.mark.filterwarnings("ignore:ε_max:flexopt.errors.FlexoptWarning")
-@pytest.mark.parametrize("seed", [None, 0, 1])
+@pytest.mark.parametrize("seed", [None, 1])
 def test_a_scan_finds_nothing_better(seed: int | None) -> None:
     machine, target, rng = EXCAVATOR, np.array(TARGET), np.random.default_rng(100 if seed is None else seed)
     if seed is not None:
@@ -197,7 +197,7 @@ def test_a_method_without_slopes_finds_nothing_better(name: str, number: int) ->
     """With constraints of both kinds; `python -m benchmarks.own` tries more."""
     machine, target, options, value, most = asked(name, number)
     selection = flexopt.select(machine, target, **options)
-    other, _ = OtherOwn(selection.problem, number, value, most).best(100, 20, 60)
+    other, _ = OtherOwn(selection.problem, number, value, most).best(60, 12, 40)
     assert other <= selection.best.objective + 1e-4 * selection.problem.objective_scale
     z, n_b = selection.best.z, len(machine.base_coordinates)
     assert np.linalg.norm(gravity_of(machine, z)) <= most * (1 + 1e-7)

@@ -131,18 +131,18 @@ def test_an_objective_that_is_not_a_number_raises(selection):
 
 
 def test_the_same_seed_gives_the_same_bytes(three_links):
-    first, second = (flexopt.select(three_links, TARGET, starts=6, seed=3).to_dict() for _ in range(2))
+    first, second = (flexopt.select(three_links, TARGET, starts=3, seed=3).to_dict() for _ in range(2))
     assert repr(first) == repr(second)
 
 
 def test_a_redundant_arm_is_solved_and_flagged(three_links):
-    selection = flexopt.select(three_links, TARGET, starts=12)
+    selection = flexopt.select(three_links, TARGET, starts=5)
     assert selection.best.objective > -1e-12
     for candidate in selection.candidates:
         assert candidate.evaluation.self_motion_unstabilised
         np.testing.assert_allclose(candidate.evaluation.end_point, TARGET, atol=1e-8)
         assert abs(candidate.evaluation.posture[2]) <= 2.5 + 1e-9
-    assert len(selection.attempts) == 12
+    assert len(selection.attempts) == 5
 
 
 def test_a_fixed_base_leaves_the_branches(machine):
@@ -212,7 +212,7 @@ def test_unreachable_target_of_three_joints(three_links):
         flexopt.select(three_links, TARGET, base_range=(50.0, 51.0))
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 @given(x=st.floats(-3.0, 3.0), y=st.floats(-1.5, 3.2), control=st.sampled_from(["inverse", "transpose"]))
 def test_any_reachable_target_gives_verified_candidates_or_one_clear_error(x, y, control):
     machine = flexopt.load("excavator")

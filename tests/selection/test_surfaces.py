@@ -51,7 +51,7 @@ def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slope
     assert np.all(Parallel.at(f, slopes, (0, 1)).values(f)[chart.equations :].reshape(-1, 2).min(axis=1) < 0)
 
 
-@pytest.mark.parametrize("case", list(cases(12))[::2][:3] + list(cases(16))[7::8], ids=lambda case: case[0])
+@pytest.mark.parametrize("case", [*list(cases(6))[2::2], list(cases(8))[7]], ids=lambda case: case[0])
 def test_dimensions_are_those_of_a_walk(case) -> None:
     """By least squares of SciPy's with its own differences; V = 0 at each of these."""
     _, _, told, walked, why = examined(case)
@@ -62,7 +62,7 @@ def test_dimensions_are_those_of_a_walk(case) -> None:
 @functools.cache
 def slewing(seed: int) -> flexopt.Selection:
     """w_1 of the slewing excavator, a surface of dimension 2."""
-    return flexopt.select(flexopt.load("slewing-excavator"), (6, 2, 1), objective="w1", seed=seed, starts=12, workers=1)
+    return flexopt.select(flexopt.load("slewing-excavator"), (6, 2, 1), objective="w1", seed=seed, starts=8, workers=1)
 
 
 def test_chance_does_not_decide_what_is_recommended() -> None:
@@ -81,7 +81,7 @@ def test_nor_where_the_surface_has_an_edge() -> None:
     """Optima of the truck crane stand where a_1 = 0, in its plane of symmetry."""
     machine, target, options = chosen("truck-crane", 1)
     found = [
-        flexopt.select(machine, target, objective="w1", control=options["control"], seed=seed, starts=8, workers=1)
+        flexopt.select(machine, target, objective="w1", control=options["control"], seed=seed, starts=4, workers=1)
         for seed in (0, 2)
     ]
     assert all("kink of w1: a1 = 0" in each.best.kinks and each.best.dimension == 2 for each in found)
@@ -103,14 +103,14 @@ def test_no_point_of_the_surface_nearby_has_better_other_modes() -> None:
         return np.append(out[2].full().ravel() - problem.target, np.cross(a, b) / np.linalg.norm(a) / np.linalg.norm(b))
 
     tried = 0
-    for _ in range(30):
+    for _ in range(15):
         z = least_squares(residual, best.z + 0.03 * rng.normal(size=best.z.size), xtol=1e-15, ftol=1e-15, gtol=1e-15).x
         if np.abs(residual(z)).max() > 1e-9 or np.any(z < problem.lower) or np.any(z > problem.upper):
             continue
         tried += 1
         w = problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel()
         assert w[1:].min() <= best.w[1:].min() + 1e-9 * problem.objective_scale
-    assert tried >= 8
+    assert tried >= 4
 
 
 def test_extents_hold_the_representatives() -> None:
@@ -160,7 +160,7 @@ def test_nothing_to_gain_is_said_where_the_machine_stands_well() -> None:
         objective="w1",
         base=best[:3],
         posture=best[3:],
-        starts=8,
+        starts=4,
         workers=1,
     )
     assert again.nothing_to_gain.startswith("nothing to gain")
@@ -182,7 +182,7 @@ def test_a_planar_arm_of_more_joints_has_curves_of_optima() -> None:
     base, posture = np.zeros(1), np.array([0.9, -1.1, 0.8])
     target = plant.end_point(plant.rest(base, posture, plant.parameter_values), base, plant.parameter_values)
     found = [
-        flexopt.select(machine, target.full().ravel(), objective="w1", seed=seed, starts=12, workers=1)
+        flexopt.select(machine, target.full().ravel(), objective="w1", seed=seed, starts=6, workers=1)
         for seed in (0, 1)
     ]
     assert all(each.best.dimension == 1 for each in found)

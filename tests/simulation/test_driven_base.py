@@ -50,8 +50,7 @@ def path(way=WAY, base=BASE, times=TIMES):
     return {"times": times, "points": base + way}
 
 
-@pytest.mark.parametrize("gravity", [False, True])
-@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize(("seed", "gravity"), [(3, False), (4, True), (5, True)])
 def test_a_base_that_turns_against_driven_joints(seed, gravity):
     data = tracks(seed=seed)
     options = {"posture": ARM, "base": BASE, "duration": 0.7, "rate": 50.0, "gravity": gravity, **GAINS}
@@ -90,7 +89,7 @@ def test_other_integrators_agree(integrator):
     assert np.abs(exact.v).max() > 0.1
 
 
-@pytest.mark.parametrize("names", [("x", "yaw"), ("y", "yaw"), ("yaw", "x"), ("yaw",)])
+@pytest.mark.parametrize("names", [("x", "yaw"), ("yaw", "y"), ("yaw",)])
 def test_a_placement_that_names_less(names):
     """Driving what is named is driving all three with the others held, and they count from 0."""
     columns = [("x", "y", "yaw").index(name) for name in names]
@@ -167,7 +166,7 @@ def test_a_planned_way_that_turns_is_simulated():
     machine = flexopt.load("truck-crane")
     bounds = {"x": (-4.0, 3.0), "y": (-4.0, 4.0), "yaw": (-1.5, 1.5)}
     plan = flexopt.plan_base(
-        machine, [[5.0, -2.0, 2.0], [6.0, 0.0, 2.0], [5.0, 2.0, 2.0]], duration=6.0, weights=[1.0] * 6, objective="V",
+        machine, [[5.0, -2.0, 2.0], [5.0, 2.0, 2.0]], duration=6.0, weights=[1.0] * 6, objective="V",
         base_range=bounds, starts=1, workers=1,
     )  # fmt: skip
     assert np.ptp(plan.base[:, 2]) > 0.1

@@ -28,8 +28,15 @@ def random_case(structure: Structure, seed: int):
     return machine, regular_posture(rng, machine, condition=8.0), {"kp": 3.0 * mass, "kv": mass}
 
 
-@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
-@pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.3"])
+@pytest.mark.parametrize(
+    ("structure", "control"),
+    [
+        (structure, control)
+        for k, structure in enumerate(STRUCTURES)
+        for control in ("inverse", ("transpose", "damped:0.3")[k % 2])
+    ],
+    ids=str,
+)
 def test_any_dead_time(structure, control):
     """Whole samples and parts of them; the oracle delays the command, the loop the measurement."""
     machine, posture, gains = random_case(structure, STRUCTURES.index(structure))

@@ -138,9 +138,15 @@ def test_parts_act_as_their_names_say():
 
 
 @pytest.mark.parametrize(
-    "structure", [Structure(3, ("x", "rotation"), (1,)), Structure(4, ("y",), (0,)), Structure(3, (), (0,))], ids=str
+    ("structure", "control"),
+    [
+        (Structure(3, ("x", "rotation"), (1,)), "inverse"),
+        (Structure(3, ("x", "rotation"), (1,)), "transpose"),
+        (Structure(4, ("y",), (0,)), "inverse"),
+        (Structure(3, (), (0,)), "transpose"),
+    ],
+    ids=str,
 )
-@pytest.mark.parametrize("control", ["inverse", "transpose"])
 def test_parts_of_random_machines(structure, control):
     """Servo, delay, compensation, torque limit and self-motion damper on machines with passive hinges in the arm."""
     case: Case = stable_case(7, structure, control, samples=150, gravity=True)

@@ -91,17 +91,15 @@ def test_the_robust_law_in_space():
     same(run(scenario(EXCAVATOR, **options)), run(scenario(space, **options)), tolerance=1e-7)
 
 
-@pytest.mark.parametrize("control", ["inverse", "transpose"])
-def test_a_redundant_planar_arm_with_flexible_joints_sent_through_space(control):
-    case = stable_case(1, Structure(5, ("x", "y", "rotation"), (1, 3)), control, samples=300, gravity=True)
+def test_a_redundant_planar_arm_with_flexible_joints_sent_through_space():
+    case = stable_case(1, Structure(5, ("x", "y", "rotation"), (1, 3)), "inverse", samples=300, gravity=True)
     space = tree_from_dict(in_space(case.machine.model_dump(by_alias=True)))
     plane, spatial = (run(scenario(machine, **case.options)) for machine in (case.machine, space))
     # In space both flexible joints and the base's rotation are passive hinges; the first of the joints is actuated.
     same(plane, spatial)
 
 
-@pytest.mark.parametrize("seed", [2, 4, 9])
-@pytest.mark.parametrize("method", ["dop853", "gauss"])
+@pytest.mark.parametrize(("method", "seed"), [("dop853", 2), ("dop853", 4), ("gauss", 4), ("gauss", 9)])
 def test_undamped_trees_keep_their_energy(method, seed):
     """Slides and hinges, the arm falling freely: energy of weight and springs included."""
     data = random_tree(seed, counts=(3, 3))
@@ -124,8 +122,17 @@ def test_undamped_trees_keep_their_energy(method, seed):
     assert np.abs(trajectory.energy - trajectory.energy[0]).max() < 1e-9 * max(kinetic)
 
 
-@pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.3"])
-@pytest.mark.parametrize("rows", [("x", "y", "z"), ("x", "y", "z", "yaw"), ("z",)], ids="-".join)
+@pytest.mark.parametrize(
+    ("rows", "control"),
+    [
+        (("x", "y", "z"), "inverse"),
+        (("x", "y", "z"), "transpose"),
+        (("x", "y", "z", "yaw"), "damped:0.3"),
+        (("x", "y", "z", "yaw"), "inverse"),
+        (("z",), "inverse"),
+        (("z",), "damped:0.3"),
+    ],
+)
 def test_multipliers_are_those_of_the_held_linear_plant(rows, control):
     data = grounded(4, 3) | {}
     data["end_point"] |= {"rows": rows}

@@ -98,16 +98,15 @@ def test_on_curves_the_measure_is_zero(control: str) -> None:
 
 
 def test_a_finer_grid_finds_the_same() -> None:
-    """The default cells are small enough for the shipped machines in the plane; half as many would be, too."""
+    """Half as many cells as the default has find all that the default finds, on the shipped machines in the plane."""
     digger = flexopt.load("boom-stick-bucket")
     cases: list[tuple[Any, dict[str, Any]]] = [
-        (excavator(), {"control": "inverse"}),
         (excavator(), {"control": "damped:0.5", "gravity": True}),
         (digger, {"posture": [-0.5]}),
         (digger, {"joints": ["stick", "bucket"], "posture": [-1.5], "control": "transpose", "gravity": True}),
     ]
     for machine, options in cases:
-        coarse, fine = (flexopt.atlas(machine, cells=(n, n), **options) for n in (64, 256))
+        coarse, fine = (flexopt.atlas(machine, cells=(n, n), **options) for n in (64, 128))
         check_alike(coarse, fine)
         for one, other in ((coarse.doubly_robust, fine.doubly_robust), (coarse.vanishing, fine.vanishing)):
             assert len(one) == len(other)
@@ -138,11 +137,11 @@ def test_random_machines(seed: int) -> None:
     machine = flexopt.machine_from_dict(draw_machine(NumpySource(rng), Structure(*structure[seed])))
     control = ("inverse", "transpose", "damped:0.3")[seed % 3]
     others = rng.uniform(-1.0, 1.0, len(machine.joints) - 2)
-    atlas = flexopt.atlas(machine, control=control, posture=others.tolist() or None, cells=(96, 96))
+    atlas = flexopt.atlas(machine, control=control, posture=others.tolist() or None, cells=(64, 64))
     measures = flexopt.build_measures(machine, control)
     count = 0
     for axis in range(2):
-        for value in rng.uniform(-3.0, 3.0, 12):
+        for value in rng.uniform(-3.0, 3.0, 8):
             along = np.linspace(-np.pi, np.pi, 2001)
             plane = np.full((2, 2001), value)
             plane[axis] = along
@@ -222,7 +221,7 @@ def test_points_of_machines_in_space(name: str, joints: list[str], others: list[
     """With three task rows a ∥ b in postures by themselves: those that a scan and SciPy find, and no others."""
     machine = flexopt.load(name)
     span = {"x_range": (0.4, 2.8), "y_range": (-0.25, 1.0)}
-    atlas = flexopt.atlas(machine, joints=joints, posture=others, cells=(64, 64), **span)
+    atlas = flexopt.atlas(machine, joints=joints, posture=others, cells=(48, 48), **span)
     for point in atlas.isolated:
         e = flexopt.evaluate(machine, point.posture)
         assert abs(e.w[point.modes[0] - 1]) <= 1e-20 * e.scale[point.modes[0] - 1]

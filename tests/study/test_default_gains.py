@@ -106,11 +106,11 @@ def test_a_report_says_which_gains_it_chose(monkeypatch: pytest.MonkeyPatch) -> 
     heavy["base"]["stiffness"] = {name: 9 * value for name, value in heavy["base"]["stiffness"].items()}
     found = []
     for machine in (EXCAVATOR, machine_from_dict(heavy)):
-        problem = flexopt.build_selection(machine, (0.0, 1.6), base=0.0, starts=4)
-        made = flexopt.report(problem, simulation={"duration": 1.0}, points=5)
+        problem = flexopt.build_selection(machine, (0.0, 1.6), base=0.0, starts=2)
+        made = flexopt.report(problem, simulation={"duration": 1.0}, points=3)
         best = made.selection.best.evaluation
         assert {name: made.simulation[name] for name in ("kp", "kv")} == default_gains(machine, best, 200.0)
         found.append(made.simulation["kp"])
     assert found[1] == pytest.approx(9 * found[0], rel=1e-2)
-    own = flexopt.report(problem, simulation={"duration": 1.0, "kv": 1e3}, points=5)
+    own = flexopt.report(problem, simulation={"duration": 1.0, "kv": 1e3}, points=3)
     assert "kp" not in own.simulation

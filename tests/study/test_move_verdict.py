@@ -49,7 +49,10 @@ def test_values_are_those_of_evaluate() -> None:
 def test_the_decision_is_the_same_for_the_selection_and_its_problem() -> None:
     selection = flexopt.solve_problem(flexopt.load_problem("article"))
     assert isinstance(selection, flexopt.Selection)
-    one, other = flexopt.verdict(selection, loop=ARTICLE, runs=0), judged("article", loop=ARTICLE, runs=0)
+    told = list[tuple[int, int]]()
+    one = flexopt.verdict(selection, loop=ARTICLE, runs=0, progress=lambda *stage: told.append(stage))
+    other = judged("article", loop=ARTICLE, runs=0)
+    assert told == [(k, 4) for k in (1, 2, 3, 4)]
     assert (one.word, one.place, one.reason) == (other.word, other.place, other.reason)
 
 

@@ -14,3 +14,12 @@ const {{ prefix }}_{{ o.name }}_in in = { {%- for f, part in values %}{% if not 
 {% endfor -%} };
 {{ prefix }}_{{ o.name }}_out out;
 {%- endmacro %}
+{# The same for people: members by name, with what they are. #}
+{% macro named(o, values) %}
+const {{ prefix }}_{{ o.name }}_in in = {
+{% for f, part in values %}
+  .{{ f.name }} = {% if f.dimensions %}{ {%- endif %}{% for x in part %}{{ number(x) }}{% if not loop.last %}, {% endif %}{% endfor %}{% if f.dimensions -%} }{% endif %}, /* {% if f.unit %}{{ f.unit | c_text }}; {% endif %}{{ f.text | c_text }} */
+{% endfor %}
+};
+{{ prefix }}_{{ o.name }}_out out;
+{%- endmacro %}

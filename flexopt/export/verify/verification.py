@@ -17,9 +17,8 @@ from flexopt.export.bundle import (
     VERIFICATION,
     changed_files,
     library_of,
-    machine_of,
     read_manifest,
-    render_bundle,
+    render_library,
 )
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import TARGETS, Finding, Target, VerificationCheck, attempt
@@ -199,8 +198,8 @@ def _files(bench: Bench) -> Finding:
     changed = [
         f"{name} was changed after the export, or is missing" for name in changed_files(bench.folder, bench.manifest)
     ]
-    options = dict(bench.manifest["options"])
-    texts, _ = render_bundle(machine_of(bench.manifest), options.pop("parts"), **options)
+    options = {name: value for name, value in bench.manifest["options"].items() if name != "parts"}
+    texts, _ = render_library(bench.library, options)
     here = {name: package_version(name) for name in ("flexopt", "casadi")}
     there = {name: bench.manifest["provenance"][name] for name in here}
     sentence = f"{len(bench.manifest['files'])} files unchanged"

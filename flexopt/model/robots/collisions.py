@@ -49,7 +49,10 @@ def _urdf_solid(link: Element, collision: Element, origin: Callable[[Faults, Ele
     holder = collision.first("geometry")
     shape = holder.children[0] if holder is not None and holder.children else None
     if shape is None or shape.tag not in (*URDF_SHAPES, "box"):
-        return Solid(collision, why="has no shape" if shape is None else f"is a <{shape.tag}>, which is not read")
+        return Solid(
+            collision,
+            why="has no shape" if shape is None else f"is a <{shape.tag}>, which is not read: write [[capsules]]",
+        )
     if shape.tag == "box":
         size = faults.numbers(shape, "size", 3, (0.0, 0.0, 0.0), link) / 2
     else:

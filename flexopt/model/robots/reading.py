@@ -90,7 +90,6 @@ from flexopt.model.robots.overlay import Overlay
 from flexopt.model.robots.urdf import read_urdf
 from flexopt.model.tree import Tree, tree_from_dict
 
-WARNINGS_SHOWN = 5
 # Moving and locked; `BODIES_MAX` bounds those that move.
 JOINTS_MAX = 1000
 # In place of [[capsules]]: those round the robot file's collision geometry.
@@ -154,7 +153,7 @@ def _read(data: Table, folder: Path, origin: str) -> Tree:
     if isinstance(name, str) and name:
         try:
             ignored = cast(tuple[Any, ...], words) if isinstance(words := frozen.get("ignore"), tuple) else ()
-            robot, found = read_description(folder / name, name, strict=UNKNOWN not in ignored)
+            robot, found = read_description(folder / name, Path(name).name, strict=UNKNOWN not in ignored)
             faults += found
             faults += _many(robot)
         except ModelError as error:
@@ -199,9 +198,9 @@ def read_description(path: Path, name: str, *, strict: bool = True) -> tuple[Des
     raise ModelError(f"{root.place}: its root element is <{root.tag}>, not <robot> (URDF) or <mujoco> (MJCF){hint}")
 
 
-def _warn(origin: str, sentences: tuple[str, ...]) -> None:
-    if not sentences:
+def _warn(origin: str, remarks: tuple[str, ...]) -> None:
+    if not remarks:
         return
-    more = len(sentences) - WARNINGS_SHOWN
-    listed = [*sentences[:WARNINGS_SHOWN], *([f"and {more} more"] if more > 0 else [])]
-    warnings.warn(f"{origin}: " + "; ".join(listed), FlexoptWarning, stacklevel=4)
+    first, more = remarks[0], len(remarks) - 1
+    told = f"{origin}: {first}" + (f"; and {more} more (`flexopt check` tells all)" if more else "")
+    warnings.warn(FlexoptWarning(told, remarks), stacklevel=4)

@@ -38,13 +38,14 @@ MEETING, NEARLY_SINGULAR = 1e-3, 1e4
 PARTS, ROUNDS = 8, 3
 # How often a step is halved in which it changes sign before Newton's method takes over.
 HALVINGS = 24
-# Evaluations of the fields for each node, with those that curves take.
-PER_NODE = 4
+# Evaluations of the fields for each node, by the task's rows: those that curves take, or points, in every cell.
+PER_NODE, PER_NODE_IN_SPACE = 8, 32
 
 
 def survey(over: Slice, rectangle: Rectangle, cells: tuple[int, int]) -> Atlas:
     """The atlas of a slice."""
-    over.expect(PER_NODE * math.prod(cells))
+    per_node = PER_NODE if len(over.machine.task_rows) < 3 else PER_NODE_IN_SPACE
+    over.expect(per_node * math.prod(cells))
     over = replace(over, left_out=_everywhere(over, rectangle))
     curves, nodes = zero_curves(over, rectangle, cells, over.modes + 1)
     return _Survey(over, rectangle, cells, nodes, curves).atlas()

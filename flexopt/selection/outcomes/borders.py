@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.roots import root
 from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint
 from flexopt.loop.region import LARGEST, stability_radius
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
@@ -55,15 +56,13 @@ class Line:
 
     def border(self, level: float) -> float:
         """The first level, this one at most, at which the loop grows."""
-        from scipy.optimize import brentq  # noqa: PLC0415  (loads slowly)
-
         levels, rates = self._looked(level)
         grows = np.flatnonzero(rates < 0)
         if not grows.size:
             return level
         if grows[0] == 0:
             return self.start
-        return float(brentq(self.rate, *levels[grows[0] - 1 : grows[0] + 1].tolist(), xtol=1e-13, rtol=1e-14))
+        return root(self.rate, *levels[grows[0] - 1 : grows[0] + 1].tolist(), xtol=1e-13, rtol=1e-14)
 
     def nearest(self, level: float) -> list[float]:
         """Levels before this one where the rate is least among its neighbours, the lowest of them."""

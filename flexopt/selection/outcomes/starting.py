@@ -113,6 +113,9 @@ def _some_steps(
 ) -> tuple[list[Vector], list[float], float]:
     """Where the measure's stages lead, the values there, and how far apart points then count as two."""
     distance = APART
+    for part, _ in program.parts(ys[0]):
+        # Made before processes part, each of which would make it for itself.
+        _ = part.loop.settings.motions(part.problem.machine, gravity=part.problem.gravity).slopes
     for most, steps in program.measure.stages:
         chosen = [ys[k] for k in _apart(program, ys, values, min(most, program.problem.starts or most), distance)]
         done = in_parallel(partial(_ahead, program, chosen, steps), len(chosen), workers, at_once=len(chosen) > 1)

@@ -15,7 +15,7 @@ from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import ConstraintValue, in_columns
+from flexopt.selection.result import ConstraintValue, column_heads, in_columns
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ SHOWN = 12
 
 def _table(places: tuple[TargetConfiguration, ...], worst: int, name: str) -> list[str]:
     e = places[0].evaluation
-    lines = [f"  target {in_columns(e, head=True)}{name:>13}"]
+    lines = column_heads("  target", e, f"{name:>13}")
     shown = range(len(places)) if len(places) <= SHOWN else np.linspace(0, len(places) - 1, SHOWN).astype(int)
     for k in sorted({*(int(i) for i in shown), worst}):
         told = "   the worst" if k == worst else ""

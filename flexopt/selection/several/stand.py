@@ -105,7 +105,7 @@ def select_stand(
     )
     share = np.array(asked.shares or (1.0,) * len(points))
     share = share / share.sum()
-    least, word = least_of(constraints), asked.objective
+    least, word = least_of(constraints), cast(str, asked.objective)
     by_loop = of_loop(word) or least is not None
     if by_loop:
         modes = not of_loop(word)

@@ -23,7 +23,7 @@ def no_better_nearby(program: Program, x: np.ndarray, seed: int) -> int:
     """Random points about x on the targets, by steps that know no V: none is better. How many there were."""
     other, worth, compared = Together(program, seed), program.worth(x), 0
     for size in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5):
-        there = other.beside(np.repeat(x[:, None], 150, axis=1), size)
+        there = other.beside(np.repeat(x[:, None], 60, axis=1), size)
         values = other.values(there)
         near = np.isfinite(values) & (np.abs((there - x[:, None]) / program.scale[:, None]).max(axis=0) <= 4 * size)
         compared += int(near.sum())
@@ -38,7 +38,7 @@ def packed(program: Program, places: tuple[TargetConfiguration, ...]) -> np.ndar
 @pytest.fixture(scope="module")
 def stand() -> tuple[flexopt.Stand, Program, np.ndarray]:
     machine, targets, options = asked(MACHINE, 1, 2)
-    found = flexopt.select_stand(machine, targets, starts=64, workers=1, **options)
+    found = flexopt.select_stand(machine, targets, starts=16, workers=1, **options)
     program = program_of(found.problems, moving=False)
     return found, program, packed(program, found.places)
 
@@ -51,7 +51,7 @@ def test_a_stand_on_kinks(stand: tuple[flexopt.Stand, Program, np.ndarray]) -> N
     assert found.to_dict()["kinks"] == found.kinks
     assert prove_program(program, x).kinks == pytest.approx(found.kinks, abs=1e-6)
     assert no_better_nearby(program, x, 1) >= 10
-    value, _ = Together(program, 1).best(150, 32, 100)
+    value, _ = Together(program, 1).best(80, 16, 50)
     assert value <= found.worth + 1e-4 * program.size
 
 

@@ -1,0 +1,43 @@
+"""A configuration on the command line: what is taken where an end-point leaves the posture open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import flexopt
+from tests.cli.command import Command
+
+TARGET = (5.0, 0.0, 1.0)
+
+
+def test_a_redundant_arm_is_held_in_the_sampled_posture_with_the_greatest_first_measure(command: Command) -> None:
+    machine = flexopt.load("slewing-excavator")
+    asked = ("slewing-excavator", "--end-point", ",".join(map(str, TARGET)))
+    found = command("evaluate", *asked, "--json")
+    postures = flexopt.inverse_kinematics(machine, TARGET)
+    measures = [flexopt.evaluate(machine, posture).w[0] for posture in postures[::8]]
+    assert np.allclose(found.document["end_point"], TARGET, atol=1e-9)
+    assert found.document["w"][0] >= max(measures) - 1e-15
+    assert np.ptp(measures) > 1e-7
+    assert f"of {len(postures)} postures" in found.stderr
+    assert "--posture" in found.stderr
+    assert command("--quiet", "evaluate", *asked).stderr == ""
+    chosen = command("explain", *asked, "--json").document
+    assert np.allclose(chosen["posture"], found.document["posture"], atol=1e-12)
+
+
+def test_a_refusal_names_the_elbow_that_was_asked_for(command: Command) -> None:
+    """The other one reaches the same end-point within the limits."""
+    text = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")
+    command.write("bent.toml", text.replace('name = "stick"', 'name = "stick"\nlimits = [-3.0, 0.0]'))
+    asked = ("evaluate", "bent.toml", "--end-point", "0,1.6", "--elbow")
+    assert command(*asked, "up").code == 0
+    refused = command(*asked, "down")
+    assert refused.code == 2
+    assert "every posture with the elbow down that reaches it breaks a joint limit" in refused.stderr
+
+
+def test_without_words_the_command_shows_what_it_can(command: Command) -> None:
+    assert command().stdout == command("--help").stdout
