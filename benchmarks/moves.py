@@ -1,6 +1,6 @@
 """Verdicts against ensembles: `python -m benchmarks.moves [--problems N] [--members N]`.
 
-The shipped problems of one target and random ones (a target that the machine reaches from where it stands, the loop
+The shipped problems and random ones (a target that the machine reaches from where it stands, the loop
 that follows from the machine, springs and dampers known to a factor of two, dead times of up to 20 ms). Each verdict,
 from its usual few points of what is uncertain, is judged on many others: how many of them decay a tenth faster where it
 says to move, and what nonlinear runs of all of them show there.
@@ -19,12 +19,12 @@ import numpy as np
 
 import flexopt
 from flexopt.errors import FlexoptError
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
-from flexopt.study.confirmation import nonlinear_runs
+from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.study.decision import MOST, faster
+from flexopt.study.place_loops import PlaceLoops
 from flexopt.study.verdict_result import STAY, PlaceVerdict
 
-SHIPPED = ("pipe-laying", "article", "article-transpose")
+SHIPPED = ("pipe-laying", "stations", "trench", "article", "article-transpose")
 MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator", "truck-crane", "mobile-manipulator")
 GROUND = {"stiffness": (0.5, 2.0), "damping": (0.5, 2.0), "dead_time": (0.0, 0.02)}
 SEED, DURATION = 7, 20.0
@@ -54,25 +54,25 @@ def problems(count: int) -> Iterator[tuple[str, Any]]:
 
 def judged(verdict: flexopt.Verdict, members: int) -> str:
     """What other members say of a verdict; a sentence that begins with "contradicted" where they do."""
-    box = UncertaintyBox(verdict.selection.problem.machine, verdict.uncertainty, verdict.settings.dead_time)
-    points, gravity = box.members(members, SEED), verdict.selection.problem.gravity
+    first = verdict.problems[0]
+    box = UncertaintyBox(first.machine, verdict.uncertainty, verdict.settings.dead_time)
+    points = box.members(members, SEED)
     places = {place.name: place for place in verdict.places}
 
-    def loop(place: PlaceVerdict) -> UncertainLoop:
-        return UncertainLoop(verdict.settings, place.base, place.posture, gravity, box)
+    def loops(place: PlaceVerdict) -> PlaceLoops:
+        return PlaceLoops.at(verdict.settings, place.stands, box, gravity=first.gravity)
 
     told = places.get(verdict.place)
     if verdict.word == "cannot tell" or told is None:
         return ""
-    there = loop(told)
     gains = {name: np.array(values) for name, values in verdict.gains.items()}
-    there = replace(there, settings=replace(there.settings, **gains))
-    decays = there.decays(points)
-    runs = nonlinear_runs(there, points, decays, DURATION)
+    there = loops(told).with_settings(replace(verdict.settings, **gains))
+    each = there.decays(points)
+    decays, runs = each.min(axis=0), there.runs(points, each, DURATION)
     sentence = f"{100 * np.mean(decays > 0):.1f} % stable, {100 * runs.confirming:.1f} % confirmed by runs"
     wrong = bool(np.any(decays <= 0)) or runs.growing > 1 - MOST
     if verdict.word == "move" and STAY in places:
-        share = float(np.mean(faster(decays, loop(places[STAY]).decays(points))))
+        share = float(np.mean(faster(decays, loops(places[STAY]).decays(points).min(axis=0))))
         sentence = f"better on {100 * share:.1f} %, {sentence}"
         wrong = wrong or share < MOST
     return f"contradicted: {sentence}" if wrong else sentence

@@ -223,9 +223,6 @@ def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], 
     if "path" in settings and by_loop:
         name = "objective" if of_loop(settings.get("objective")) else "constraints.outcome"
         faults.append(Fault(name, "of the loop goes with targets, not with a path", settings.get("objective")))
-    elif "target" not in settings and not by_loop:
-        sentence = "goes with a single target: of several there is no verdict"
-        faults += [Fault(f"--{name}", sentence) for name, given_ones in judged.items() if given_ones]
     elif any(judged.values()) and not by_loop and settings.get("base") is None and settings["machine"].base_coordinates:
         faults.append(Fault("--base", "is needed for a verdict: where the machine stands now"))
     raise_if_any(InputError, "select", faults)
@@ -243,12 +240,10 @@ def _judgement(
     result: Selection | Stand | BasePlan, own: dict[str, Any], loop: tuple[str, ...], ranges: tuple[str, ...]
 ) -> Verdict | None:
     """The verdict on a selection, where a controller is known and a present placement; asked for, or of the files."""
-    from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
     from flexopt.study import verdict  # noqa: PLC0415  (`evaluate` does not need it)
+    from flexopt.study.place_loops import problems_of  # noqa: PLC0415  (`evaluate` does not need it)
 
-    if not isinstance(result, Selection):
-        return None
-    if not (loop or ranges or own["loop"]) or result.problem.present_base is None:
+    if not (loop or ranges or own["loop"]) or problems_of(result)[0].present_base is None:
         return None
     ground = table("--ranges", ranges) or own["uncertainty"]
     return verdict(result, loop=real_loop(own["loop"], loop) or own["loop"], ranges=ground)

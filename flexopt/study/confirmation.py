@@ -5,7 +5,7 @@ In: a loop in a configuration, members. Out: an ensemble's verdicts, settling ti
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ from flexopt.simulation.ensemble import Ensemble
 from flexopt.simulation.real_loop import SHORTER, braked_by, run_options, whole_samples
 
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
+# What runs may show; of several the first that one of them shows.
+WORST_FIRST = ("grows", "undecided", "converges")
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,18 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
             for row, word, end, peak in ends:
                 verdicts[row], nearer[row] = word, bool(end <= peak / 2)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), duration=duration)
+
+
+def of_all(each: Sequence[Runs]) -> Runs:
+    """The worst of runs of the same members at several targets: one that grows at any target grows."""
+    if len(each) == 1:
+        return each[0]
+    words = list(zip(*(runs.verdicts for runs in each), strict=True))
+    verdicts = tuple(next(word for word in WORST_FIRST if word in some) for some in words)
+    settling, turn = (np.array([getattr(runs, name) for runs in each]).max(axis=0) for name in ("settling", "turn"))
+    decay = np.array([runs.decay for runs in each]).min(axis=0)
+    nearer = tuple(map(all, zip(*(runs.nearer for runs in each), strict=True)))
+    return Runs(verdicts, settling, turn, decay, nearer, each[0].duration)
 
 
 def _ensembles(

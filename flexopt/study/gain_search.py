@@ -1,6 +1,6 @@
-"""The best gains of a loop in one configuration: those with which its slowest member decays fastest.
+"""The best gains of a loop in one place: those with which its slowest member decays fastest.
 
-In: a loop in a configuration, members, ranges of its gains. Out: the loop with other gains.
+In: a loop in a place, members, ranges of its gains. Out: the loop with other gains.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.loop import Loop, gain_ranges, logarithms
+from flexopt.study.place_loops import PlaceLoops
 
 # Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
 # are tried where no range is given.
 GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
 
 
-def best_gains(loop: UncertainLoop, asked: Loop, members: Vector) -> UncertainLoop:
+def best_gains(loop: PlaceLoops, asked: Loop, members: Vector) -> PlaceLoops:
     """The loop with the best gains within `asked`'s ranges; with none, all gains times one factor, 0.01 to 10.
 
-    The criterion is the decay of the slowest of the members (n, k); they should be few.
+    The criterion is the decay of the slowest of the members (n, k) at the worst target; they should be few.
     """
     from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
@@ -34,8 +34,8 @@ def best_gains(loop: UncertainLoop, asked: Loop, members: Vector) -> UncertainLo
     axes = [np.linspace(*logarithms(ends), GRID) for ends in ranges.values()]
     axes = axes or [np.linspace(math.log(LEAST), math.log(MOST), 2 * GRID)]
 
-    def with_gains(x: Any) -> UncertainLoop:
-        return replace(loop, settings=_scaled(loop.settings, dict(zip(ranges, x, strict=True)) if ranges else x[0]))
+    def with_gains(x: Any) -> PlaceLoops:
+        return loop.with_settings(_scaled(loop.settings, dict(zip(ranges, x, strict=True)) if ranges else x[0]))
 
     def growth(x: Any) -> float:
         return -float(with_gains(x).decays(members).min())

@@ -1,13 +1,13 @@
-"""Does it pay to move, with my controller, on ground I do not know? The present configuration beside those chosen.
+"""Does it pay to move, with my controller, on ground I do not know? The present place beside those chosen.
 
-In: a configuration problem or its selection, a loop, what is uncertain. Out: a `Verdict`: for each configuration
-what the loop does over the uncertainty, nonlinear runs, the drive that it costs, and a word by a stated rule.
+In: a configuration problem, of one target or several, or its answer, a loop, what is uncertain. Out: a `Verdict`: for
+each place what the loop does over the uncertainty, nonlinear runs, the drive that it costs; a word by a stated rule.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Unpack, cast
 
 import numpy as np
@@ -20,26 +20,34 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.stages import Stages
 from flexopt.loop.settings import loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
+from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
-from flexopt.robustness import Evaluation
-from flexopt.selection import Selection, SelectionProblem, select, solve_selection
+from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.study.asked import one_target
-from flexopt.study.confirmation import Runs, nonlinear_runs
+from flexopt.selection.several import BasePlan, Stand
+from flexopt.selection.several.outcome_stand import OutcomeStand
+from flexopt.study.asked import any_problem
+from flexopt.study.confirmation import Runs
 from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, faster
 from flexopt.study.gain_search import best_gains
+from flexopt.study.place_loops import (
+    Chosen,
+    Configurations,
+    PlaceLoops,
+    Slowest,
+    configurations_of,
+    drive_to,
+    problems_of,
+)
 from flexopt.study.places import MOVE, STAY
 from flexopt.study.verdict_result import Band, PlaceVerdict, Verdict
 
 # Members that decays are computed of, nonlinear runs, and places besides the present one that are told.
 MEMBERS, RUNS, TOLD = 64, 16, 3
-# Candidates of which these are the best.
-LOOKED = 12
 # Members at whose corners gains, margins and moves are looked at: up to 2³ of them.
 CORNERED = 3
 # Choosing places, decays there, runs, and gains.
@@ -52,10 +60,10 @@ def _judged(arguments: Arguments, field: str, value: Any) -> Any:
     """A problem as for a report, its answer, or a machine."""
     if isinstance(value, AnyMachine):
         arguments.of = value
-    elif isinstance(value, Selection):
-        arguments.of = value.problem.machine
+    elif isinstance(value, Selection | Stand | BasePlan):
+        arguments.of = problems_of(value)[0].machine
     else:
-        return one_target(arguments, field, value)
+        return any_problem(arguments, field, value)
     return value
 
 
@@ -70,7 +78,7 @@ _KEYWORDS = Keywords(SelectionOptions, SelectionKeywords, together=True)
     keywords=_KEYWORDS,
 )
 def verdict(
-    problem: Problem | SelectionProblem | Selection | AnyMachine,
+    problem: Problem | SelectionProblem | Chosen | AnyMachine,
     target: TargetLike | None = None,
     *,
     constraints: AnyConstraints | None = None,
@@ -83,11 +91,14 @@ def verdict(
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SelectionKeywords],
 ) -> Verdict:
-    """Whether it pays to move: the present configuration beside the best of a selection, over what is uncertain.
+    """Whether it pays to move: the present place beside the best that were found, over what is uncertain.
+
+    Of several targets every number is that of the worst one. Along a path each target's configuration is judged as if
+    the machine stood in it: candidate 1 is the way, candidate 2 the best placement that stands still.
 
     Args:
         problem: from `flexopt.load_problem` or `flexopt.build_selection`, with the present placement as `base`; an
-            answer of `flexopt.select`; or a machine, with a target.
+            answer of `flexopt.select`, `select_stand` or `plan_base`; or a machine, with a target.
         target, constraints, options, keywords: of a machine, as in `flexopt.build_selection`.
         loop: the real controller, as of `flexopt.evaluate`; by default the problem's or machine's `[loop]`, or where
             there is none what follows from the machine. It is the same in every place; what it leaves out follows from
@@ -102,7 +113,7 @@ def verdict(
         progress: called with the number of stages done and of all: places, decays, runs, gains.
 
     Raises:
-        InputError: arguments are not usable; the problem has several targets, or no present placement.
+        InputError: arguments are not usable; the problem has no present placement.
         UnreachableTarget, NoSolutionFound: as `flexopt.select`.
 
     Example:
@@ -114,38 +125,43 @@ def verdict(
         'move'
     """
     stages = Stages(progress, STAGES)
-    selection = _selected(problem, target, constraints, {k: v for k, v in keywords.items() if v is not None})
-    solved = selection.problem
-    machine = solved.machine
-    asked, uncertain = _real(problem, selection, loop, ranges)
+    chosen = _chosen(problem, target, constraints, {k: v for k, v in keywords.items() if v is not None})
+    solved = problems_of(chosen)[0]
+    machine, now = solved.machine, solved.present_base
+    if now is None:
+        fault = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
+        raise_if_any(InputError, "verdict", [fault])
+    asked, uncertain = _real(problem, chosen, loop, ranges)
     stages.next()
-    stands = _stands(selection)
-    first = next(iter(stands.values()))
+    stands = configurations_of(chosen)
+    first = next(iter(stands.values()))[0]
     settings = loop_settings(machine, asked, first, gravity=solved.gravity)
     box = UncertaintyBox(machine, uncertain, settings.dead_time)
     raise_if_any(InputError, "verdict", box.faults(settings.rate))
     points = box.members(members, solved.seed)
     loops = {
-        name: UncertainLoop(settings, stand.base, stand.posture, solved.gravity, box) for name, stand in stands.items()
+        name: PlaceLoops.at(settings, [(e.base, e.posture) for e in stand], box, gravity=solved.gravity)
+        for name, stand in stands.items()
     }
-    decays = {name: each.decays(points) for name, each in loops.items()}
+    each = {name: place.decays(points) for name, place in loops.items()}
+    decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = sorted((name for name in stands if name != STAY), key=lambda name: -float(decays[name].min()))[:TOLD]
     told = [name for name in (STAY, *others) if name in stands]
-    slowest = {name: loops[name].slowest(points, decays[name]) for name in told}
-    drives = {name: _drive(selection, stand) for name, stand in stands.items()}
+    slowest = {name: loops[name].slowest(points, each[name]) for name in told}
+    drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}
     stages.next()
     shown = dict[str, Runs]()
     for name in told if runs else []:
-        shown[name] = nonlinear_runs(loops[name], points[:runs], decays[name][:runs], duration)
+        shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
     stages.next()
-    known = {name: Place(name, decays[name], slowest[name][0], drives[name][0]) for name in told}
+    known = {name: Place(name, decays[name], slowest[name].decay, drives[name][0]) for name in told}
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
-    unconfirmed = [name for name, each in shown.items() if each.confirming < MOST]
+    unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
     tried = _tries(asked, known, unconfirmed)
     changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
     if changed is not None and runs:
-        confirmed = nonlinear_runs(changed[1], points[:runs], changed[0].decays[:runs], duration).confirming >= MOST
-        changed = changed if confirmed else None
+        of_few = changed[1].runs(points[:runs], changed[1].decays(points[:runs]), duration)
+        changed = changed if of_few.confirming >= MOST else None
     stages.next()
     decision = decide(stay, rest, changed and changed[0], unconfirmed, tried=tried)
     places = tuple(
@@ -161,58 +177,40 @@ def verdict(
         settings=settings,
         uncertainty=uncertain,
         members=len(points),
-        selection=selection,
+        selection=chosen,
         provenance=provenance(machine, members=members, runs=runs, duration=duration),
     )
 
 
-def _selected(problem: Any, target: Any, constraints: Any, keywords: dict[str, Any]) -> Selection:
+def _chosen(problem: Any, target: Any, constraints: Any, keywords: dict[str, Any]) -> Chosen:
     """The problem's answer, or that of a machine with a target."""
     if isinstance(problem, AnyMachine):
         if target is None:
             raise_if_any(InputError, "verdict", [Fault("target", "is needed of a machine")])
-        found = select(problem, cast(Vector, target), constraints=constraints, **keywords)
-    else:
-        brought = {"target": target, "constraints": constraints} | keywords
-        sentence = "goes with a machine; the problem brings its own"
-        faults = [Fault(name, sentence, shown(given)) for name, given in brought.items() if given is not None]
-        raise_if_any(InputError, "verdict", faults)
-        if isinstance(problem, Selection):
-            found = problem
-        elif isinstance(problem, SelectionProblem):
-            found = solve_selection(problem)
-        else:
-            found = select(**problem.select_arguments())
-    if found.problem.present_base is None:
-        fault = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
-        raise_if_any(InputError, "verdict", [fault])
-    return found
+        return select(problem, cast(Vector, target), constraints=constraints, **keywords)
+    brought = {"target": target, "constraints": constraints} | keywords
+    sentence = "goes with a machine; the problem brings its own"
+    faults = [Fault(name, sentence, shown(given)) for name, given in brought.items() if given is not None]
+    raise_if_any(InputError, "verdict", faults)
+    if isinstance(problem, SelectionProblem):
+        return solve_selection(problem)
+    return solve_problem(problem) if isinstance(problem, Problem) else cast(Chosen, problem)
 
 
-def _real(problem: Any, selection: Selection, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...]]:
+def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...]]:
     """The loop with the problem's control, and what is uncertain; both from where they are first given."""
-    machine, control = selection.problem.machine, selection.problem.control
+    first = problems_of(chosen)[0]
+    machine, control = first.machine, first.control
     own = cast("Loop | None", loop or getattr(problem, "loop", None) or machine.loop) or Loop()
     own = under_control(own, machine, control, "verdict")
     # Gains that were chosen with the best configuration are those that the machine would have.
-    gains = dict(selection.gains[0]) if isinstance(selection, OutcomeSelection) else dict[str, float]()
+    gains = dict[str, float]()
+    if isinstance(chosen, OutcomeSelection):
+        gains = dict(chosen.gains[0])
+    elif isinstance(chosen, OutcomeStand):
+        gains = chosen.gains
     own = own.model_copy(update={name: (gain,) for name, gain in gains.items()})
     return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
-
-
-def _stands(selection: Selection) -> dict[str, Evaluation]:
-    """Configurations by name, the present one first where it reaches the target."""
-    found = {} if selection.initial is None else {STAY: selection.initial}
-    return found | {f"candidate {k}": each.evaluation for k, each in enumerate(selection.candidates[:LOOKED], start=1)}
-
-
-def _drive(selection: Selection, stand: Evaluation) -> tuple[float, float]:
-    """From the present placement, m and rad."""
-    now = selection.problem.present_base
-    assert now is not None
-    away = dict(zip(stand.base_coordinates, (stand.base - now).tolist(), strict=True))
-    turn = abs(math.remainder(away.pop("yaw", 0.0), math.tau))
-    return math.hypot(*away.values()), turn
 
 
 def _tries(asked: Loop, known: Mapping[str, Place], unconfirmed: Sequence[str]) -> bool:
@@ -225,20 +223,20 @@ def _tries(asked: Loop, known: Mapping[str, Place], unconfirmed: Sequence[str]) 
 def _changed(
     asked: Loop,
     known: Mapping[str, Place],
-    loops: Mapping[str, UncertainLoop],
-    slowest: Mapping[str, tuple[float, Vector]],
+    loops: Mapping[str, PlaceLoops],
+    slowest: Mapping[str, Slowest],
     points: Vector,
-) -> tuple[tuple[Place, UncertainLoop] | None, dict[str, list[float]]]:
+) -> tuple[tuple[Place, PlaceLoops] | None, dict[str, list[float]]]:
     """The place that is best with other gains, its loop, and the gains; the present one where it is nearly as good.
 
     Gains are those of `[loop]`'s ranges; without ranges, all gains times a factor.
     """
-    found = list[tuple[Place, UncertainLoop]]()
+    found = list[tuple[Place, PlaceLoops]]()
     for name, place in known.items():
-        few = np.concatenate([loops[name].box.corners(CORNERED), slowest[name][1][None]])
+        few = np.concatenate([loops[name].box.corners(CORNERED), slowest[name].member[None]])
         best = best_gains(loops[name], asked, few)
         decays = best.decays(points)
-        found.append((Place(name, decays, best.slowest(points, decays)[0], place.drive), best))
+        found.append((Place(name, decays.min(axis=0), best.slowest(points, decays).decay, place.drive), best))
     most = max(place.slowest for place, _ in found)
     near = [each for each in found if each[0].slowest >= most - FASTER * abs(most)]
     place, loop = min(near, key=lambda each: each[0].drive)
@@ -248,42 +246,52 @@ def _changed(
 
 def _place(
     name: str,
-    stand: Evaluation,
-    loop: UncertainLoop,
+    stands: Configurations,
+    place: PlaceLoops,
     decays: Mapping[str, Vector],
-    slowest: tuple[float, Vector],
+    slowest: Slowest,
     drive: tuple[float, float],
     runs: Runs | None,
 ) -> PlaceVerdict:
-    few = [None, *loop.box.corners(CORNERED), slowest[1]]
-    outcomes = [loop.outcome(u) for u in few]
-    own = decays[name]
-    nominal = outcomes[0].decay().value
-    stay = decays.get(STAY)
+    few = [None, *place.box.corners(CORNERED), slowest.member]
+    outcomes = [[loop.outcome(u) for u in few] for loop in place.loops]
+    own, stay = decays[name], decays.get(STAY)
+    nominal = min(each[0].decay().value for each in outcomes)
+
+    def band(measure: str, worst: Callable[..., Vector], factor: float = 1.0) -> Band:
+        values = factor * np.array([[getattr(outcome, measure)().value for outcome in each] for each in outcomes])
+        return _band(worst(values, axis=0))
+
     return PlaceVerdict(
         name=name,
-        base=stand.base,
-        posture=stand.posture,
-        w=stand.w,
+        base=_rows([each.base for each in stands]),
+        posture=_rows([each.posture for each in stands]),
+        w=_rows([each.w for each in stands]),
         drive=drive[0],
         turn=drive[1],
-        decay=Band(nominal, slowest[0], float(own.max())),
+        decay=Band(nominal, slowest.decay, float(own.max())),
         stable_share=float(np.mean(own > 0)),
-        slowest_at=loop.box.told(slowest[1]),
-        slowest_hz=outcomes[-1].loop.frequency_hz,
+        slowest_at=place.box.told(slowest.member),
+        slowest_hz=outcomes[slowest.target][-1].loop.frequency_hz,
+        slowest_target=slowest.target,
         better=math.nan if stay is None else float(np.mean(faster(own, stay))),
-        allowed_gain=_band([outcome.allowed_gain().value for outcome in outcomes]),
-        delay_margin=_band([outcome.delay_margin().value for outcome in outcomes]),
-        settling=_band([outcome.settling().value for outcome in outcomes]),
-        swing=_band([MOVE * outcome.swing().value for outcome in outcomes]),
-        swing_unit="rad" if outcomes[0].motions.loop.shape.base_hinges else "m",
+        allowed_gain=band("allowed_gain", np.min),
+        delay_margin=band("delay_margin", np.min),
+        settling=band("settling", np.max),
+        swing=band("swing", np.max, MOVE),
+        swing_unit="rad" if outcomes[0][0].motions.loop.shape.base_hinges else "m",
         runs=runs,
     )
 
 
-def _band(values: Sequence[float]) -> Band:
+def _rows(each: Sequence[Vector]) -> Vector:
+    """Of one target the numbers themselves, of several a row for each."""
+    return each[0] if len(each) == 1 else np.array(each)
+
+
+def _band(values: Vector) -> Band:
     """NaN at an end where one of them is none: of a loop that grows there is no margin, and no settling."""
-    return Band(values[0], float(np.min(values)), float(np.max(values)))
+    return Band(float(values[0]), float(values.min()), float(values.max()))
 
 
 def _measure(

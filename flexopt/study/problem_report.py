@@ -32,6 +32,7 @@ from flexopt.study.asked import any_problem
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
 from flexopt.study.move_verdict import verdict
+from flexopt.study.place_loops import problems_of
 from flexopt.study.report_result import Report, ReportLoop
 from flexopt.study.surroundings import best_of, map_points, marks_in, problem_of, stands_of, surroundings
 from flexopt.study.verdict_result import Verdict
@@ -151,12 +152,7 @@ def report(
 
 def _judged(selection: Selection | Stand | BasePlan, known: Loop | None, ground: Any) -> tuple[Verdict | None, str]:
     """Whether it pays to move, or why that cannot be said and what to give."""
-    if not isinstance(selection, Selection):
-        return None, (
-            f"Whether it pays to move is judged at one target, and this problem has {len(selection.places)}: give "
-            "one of them as target.end_point, and as base where the machine stands now."
-        )
-    if selection.problem.present_base is None:
+    if problems_of(selection)[0].present_base is None:
         return None, (
             "Whether it pays to move depends on where the machine stands now: give that as base, in the problem's "
             "[selection] or by --base."

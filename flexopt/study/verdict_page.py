@@ -9,6 +9,8 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from flexopt.foundation.rendering import render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
@@ -94,8 +96,9 @@ def judged(verdict: Verdict) -> dict[str, Any]:
 
 def verdict_html(verdict: Verdict) -> str:
     """The page of a verdict alone."""
-    problem = verdict.selection.problem
-    title = f"Verdict: {problem.machine.name}, end-point at {target_of(problem)}"
+    problems = verdict.problems
+    where = target_of(problems[0]) if len(problems) == 1 else f"{len(problems)} targets"
+    title = f"Verdict: {problems[0].machine.name}, end-point at {where}"
     return render(
         "study/templates/verdict.html", title=title, provenance=verdict.provenance, judged=judged(verdict), missing=""
     )
@@ -123,20 +126,28 @@ def _stand(verdict: Verdict) -> list[tuple[str, BoxNumber, str]]:
     place = next((place for place in verdict.places if place.name == verdict.place != STAY), None)
     if place is None:
         return []
-    return [
-        (name, BoxNumber(number(x), x), unit) for (name, unit), x in zip(_names(verdict), _values(place), strict=True)
-    ]
+    found, stands, names = list[tuple[str, BoxNumber, str]](), _stands(place), _names(verdict)
+    same = bool(np.all(place.base == place.stands[0][0]))
+    for k, (at, values) in enumerate(stands):
+        for i, ((name, unit), x) in enumerate(zip(names, values, strict=True)):
+            placed = i < place.base.shape[-1]
+            # A placement for all targets is said once.
+            if not (placed and same and k):
+                found.append((f"{name}, {at}" if at and not (placed and same) else name, BoxNumber(number(x), x), unit))
+    return found
 
 
 def _names(verdict: Verdict) -> list[tuple[str, str]]:
     """Coordinates of the base and joints, with their units."""
-    stand = verdict.selection.best.evaluation
-    joints = zip(stand.joints, stand.joint_units, strict=True)
-    return [*zip(stand.base_coordinates, stand.base_units, strict=True), *joints]
+    machine = verdict.problems[0].machine
+    joints = zip(machine.joints, machine.joint_units, strict=True)
+    return [*zip(machine.base_coordinates, machine.base_units, strict=True), *joints]
 
 
-def _values(place: PlaceVerdict) -> list[float]:
-    return [*place.base.tolist(), *place.posture.tolist()]
+def _stands(place: PlaceVerdict) -> list[tuple[str, list[float]]]:
+    """Which target, of several, and the numbers of `_names` there."""
+    stands = [[*base.tolist(), *posture.tolist()] for base, posture in place.stands]
+    return [("" if len(stands) == 1 else f"target {k}", each) for k, each in enumerate(stands, start=1)]
 
 
 def _numbers(verdict: Verdict) -> list[tuple[str, list[BoxNumber]]]:
@@ -192,4 +203,8 @@ def _places(verdict: Verdict) -> Table:
 def _where(verdict: Verdict) -> Table:
     """Placement and posture of each."""
     header = ["place", *(f"{name}, {unit}" for name, unit in _names(verdict))]
-    return header, [[place.name, *map(number, _values(place))] for place in verdict.places]
+    return header, [
+        [f"{place.name}{f', {at}' if at else ''}", *map(number, values)]
+        for place in verdict.places
+        for at, values in _stands(place)
+    ]

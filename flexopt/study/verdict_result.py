@@ -7,6 +7,8 @@ import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.pictures import Pictured
@@ -15,13 +17,14 @@ from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness.evaluation import in_words
-from flexopt.selection import Selection
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word
+from flexopt.study.place_loops import Chosen, problems_of
 from flexopt.study.places import STAY, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
+    from flexopt.selection import SelectionProblem
 
 
 @dataclass(frozen=True)
@@ -35,15 +38,16 @@ class Band(Result):
 
 @dataclass(frozen=True)
 class PlaceVerdict(Result):
-    """What the loop does in one configuration.
+    """What the loop does in one place; of several targets every number is that of the worst.
 
     Attributes:
         name: `"stay"`, or `"candidate 1"` and so on, by rank of the selection.
-        base, posture: of the machine, m or rad;  w: measures w_i there.
-        drive, turn: from the present placement, m and rad; NaN where there is none.
+        base, posture: of the machine, m or rad;  w: measures w_i there. Of K targets a row for each: (K, n_b), (K, n).
+        drive, turn: from the present placement, and along a way, m and rad.
         decay: of the sampled loop, 1/s; its least is the slowest that a search with gradients found in the box, too.
         stable_share: of the members.
-        slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency.
+        slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency;
+            slowest_target: at which target, from 0.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; NaN where there is no border.
         settling, swing: of the standard move, s, and the base's largest turn in it, rad, of a base that cannot turn its
@@ -61,6 +65,7 @@ class PlaceVerdict(Result):
     stable_share: float
     slowest_at: dict[str, float]
     slowest_hz: float
+    slowest_target: int
     better: float
     allowed_gain: Band
     delay_margin: Band
@@ -70,9 +75,15 @@ class PlaceVerdict(Result):
     runs: Runs | None
 
     DOCUMENT = """
-    name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] better allowed_gain
-    delay_margin[s] settling[s] swing swing_unit runs
+    name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target
+    better allowed_gain delay_margin[s] settling[s] swing swing_unit runs
     """
+
+    @property
+    def stands(self) -> list[tuple[Vector, Vector]]:
+        """Placement and posture at each target."""
+        postures = self.posture.reshape(-1, self.posture.shape[-1])
+        return list(zip(self.base.reshape(len(postures), self.base.shape[-1]), postures, strict=True))
 
     @property
     def shown_runs(self) -> str:
@@ -98,7 +109,7 @@ class Verdict(Pictured, Result):
         settings: of the loop, the same in every place.
         uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
             was found among these points, and by a search from the slowest ones.
-        selection: the problem's answer.
+        selection: the problem's answer;  targets: (K, n_task), m.
 
     Example:
         >>> len(answer.places) == len(answer.table)
@@ -114,17 +125,28 @@ class Verdict(Pictured, Result):
     settings: LoopSettings
     uncertainty: tuple[Uncertainty, ...]
     members: int
-    selection: Selection = field(repr=False)
+    selection: Chosen = field(repr=False)
     provenance: Document = field(repr=False)
 
     DOCUMENT = """
-    word sentence place reason measure gains rule places settings uncertainty=_uncertainty members proven provenance
+    word sentence place reason measure gains rule targets[m] places settings uncertainty=_uncertainty members proven
+    provenance
     """
 
     @property
     def rule(self) -> str:
         """See the class."""
         return RULE
+
+    @property
+    def problems(self) -> tuple[SelectionProblem, ...]:
+        """The configuration problem of each target."""
+        return problems_of(self.selection)
+
+    @property
+    def targets(self) -> Vector:
+        """See the class."""
+        return np.array([problem.target for problem in self.problems])
 
     @property
     def sentence(self) -> str:
@@ -156,7 +178,8 @@ class Verdict(Pictured, Result):
     def over(self) -> str:
         """What is uncertain, and how much of it was looked at, a sentence."""
         known = ", ".join(_interval(each) for each in self.uncertainty)
-        return f"uncertain: {known}; {self.members} members and a search, not a proof"
+        several = f"; the worst of {len(self.problems)} targets" if len(self.problems) > 1 else ""
+        return f"uncertain: {known}; {self.members} members and a search, not a proof{several}"
 
     @property
     def proven(self) -> bool:
@@ -174,7 +197,7 @@ class Verdict(Pictured, Result):
     def heading(self) -> str:
         """The machine and the word."""
         where = f" to {self.place}" if self.word == "move" else ""
-        return f"{self.selection.problem.machine.name}: {self.word}{where}"
+        return f"{self.problems[0].machine.name}: {self.word}{where}"
 
     @public(path=path(".html"))
     def to_html(self, path: str | os.PathLike[str]) -> None:
@@ -194,16 +217,30 @@ class Verdict(Pictured, Result):
         write_file(path, verdict_html(self))
 
     def _where(self, place: PlaceVerdict) -> str:
-        machine = self.selection.problem.machine
-        placed = in_words(machine.base_coordinates, place.base, machine.base_units) or "base fixed"
-        taken = place.name == STAY and self.selection.problem.present_posture is None
-        held = in_words(machine.joints, place.posture, machine.joint_units)
-        why = " (a posture that reaches the target: how the arm is held was not given)" if taken else ""
-        return f"{placed}; {held}{why}"
+        machine, many = self.problems[0].machine, len(self.problems) > 1
+        stands = [
+            (
+                in_words(machine.base_coordinates, base, machine.base_units) or "base fixed",
+                in_words(machine.joints, posture, machine.joint_units),
+            )
+            for base, posture in place.stands
+        ]
+        taken = place.name == STAY and (many or self.problems[0].present_posture is None)
+        reaches = "postures that reach the targets" if many else "a posture that reaches the target"
+        why = f" ({reaches}: how the arm is held was not given)" if taken else ""
+        first, held = stands[0]
+        if not many:
+            return f"{first}; {held}{why}"
+        lines = [f"{first}{why}"]
+        for k, (placed, held) in enumerate(stands):
+            moved = f"{placed}; " if k and placed != stands[k - 1][0] else ""
+            slowest = " (the slowest)" if k == place.slowest_target else ""
+            lines.append(f"    target {k + 1}: {moved}{held}{slowest}")
+        return "\n".join(lines)
 
     @property
     def _drifts(self) -> bool:
-        machine = self.selection.problem.machine
+        machine = self.problems[0].machine
         return len(machine.joints) > len(machine.task_rows) and not self.settings.nullspace_damping
 
     @property
@@ -212,7 +249,7 @@ class Verdict(Pictured, Result):
 
     def __repr__(self) -> str:
         lines = [
-            f"{self.selection.problem.machine.name}: {repr(self.settings).splitlines()[0]}",
+            f"{self.problems[0].machine.name}: {repr(self.settings).splitlines()[0]}",
             *self.settings.proposed,
             f"  {self.over}",
             "  decay with the file's numbers, then the worst of everything:",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -87,7 +89,86 @@ def test_what_is_asked_for_without_a_present_place() -> None:
     problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
     with pytest.raises(flexopt.InputError, match="where the machine stands now"):
         flexopt.verdict(problem)
-    with pytest.raises(flexopt.InputError, match="one target"):
-        flexopt.verdict(flexopt.load_problem("stations"))
+    excavator = flexopt.load("excavator")
+    with pytest.raises(flexopt.InputError, match="where the machine stands now"):
+        flexopt.verdict(flexopt.select_stand(excavator, [(0.0, 1.6), (0.2, 1.4)], starts=1))
     with pytest.raises(flexopt.InputError, match="control that is asked for"):
         flexopt.verdict(flexopt.load_problem("article"), loop={"control": "transpose"})
+
+
+TARGETS = [(0.0, 1.6), (0.2, 1.4)]
+FEW: dict[str, Any] = {"loop": ARTICLE, "members": 8, "runs": 2, "duration": 5.0}
+
+
+def alone(machine: flexopt.Machine, stand: tuple[Any, Any]) -> flexopt.Outcome:
+    return flexopt.outcome(machine, stand[1], base=stand[0], loop=ARTICLE)
+
+
+def test_of_several_targets_the_worst_counts() -> None:
+    """Each number is the worst of those that `outcome` and ensembles give at the targets one by one."""
+    machine = flexopt.load("excavator")
+    stand = flexopt.select_stand(machine, TARGETS, starts=4, base=0.0, workers=1)
+    found = flexopt.verdict(stand, **FEW)
+    stay, first = found.places[0], next(place for place in found.places if place.name == "candidate 1")
+    assert np.allclose(found.targets, TARGETS)
+    assert np.allclose(stay.base, 0.0)
+    assert np.allclose(first.posture, [place.evaluation.posture for place in stand.places])
+    assert first.drive == pytest.approx(abs(stand.base[0]))
+    for place in found.places:
+        outcomes = [alone(machine, each) for each in place.stands]
+        assert len(outcomes) == len(TARGETS)
+        for (base, posture), target in zip(place.stands, TARGETS, strict=True):
+            assert np.allclose(flexopt.evaluate(machine, posture, base=base).end_point, target, atol=1e-8)
+        assert place.decay.nominal == pytest.approx(min(each.decay for each in outcomes))
+        assert place.allowed_gain.nominal == pytest.approx(
+            np.min([each.allowed_gain for each in outcomes]), nan_ok=True
+        )
+        assert place.swing.nominal == pytest.approx(0.1 * np.max([each.swing for each in outcomes]), nan_ok=True)
+        slowest = [-np.inf, -np.inf]
+        for k, (base, posture) in enumerate(place.stands):
+            springs = {
+                name: value * place.slowest_at["stiffness"]
+                for name, value, _ in machine.parameters
+                if name.startswith("base.stiffness")
+            }
+            varied = {name: np.array([value]) for name, value in springs.items()}
+            run = flexopt.simulate_ensemble(machine, posture, base=base, vary=varied, duration=1.0, **ARTICLE)
+            slowest[k] = float(run.linear_growth_rate[0])
+        assert place.slowest_target == int(np.argmax(slowest))
+        assert place.decay.least == pytest.approx(-max(slowest), rel=1e-6)
+        assert place.runs is not None
+        assert place.runs.members == 2
+    lines = repr(found).splitlines()
+    assert any("the worst of 2 targets" in line for line in lines)
+    assert sum(line.startswith("    target 2: ") for line in lines) == len(found.places)
+    assert sum(line.endswith("(the slowest)") for line in lines) == len(found.places)
+
+
+def test_a_target_that_grows_grows() -> None:
+    """At the first of these targets the present place grows with these gains, at the second it decays."""
+    machine = flexopt.load("excavator")
+    stand = flexopt.select_stand(machine, [(0.0, 1.6), (2.0, 0.8)], starts=2, base=0.0, workers=1)
+    stay = flexopt.verdict(stand, **FEW | {"duration": 30.0}).places[0]
+    decays = [alone(machine, each).decay for each in stay.stands]
+    assert min(decays) < 0 < max(decays)
+    assert stay.runs is not None
+    assert stay.runs.growing == 1.0
+    assert stay.stable_share == 0.0
+
+
+def test_along_a_path_the_way_is_beside_standing_still() -> None:
+    machine = flexopt.load("excavator")
+    plan = flexopt.plan_base(machine, TARGETS, starts=1, base=0.0, workers=1, duration=20.0)
+    found = flexopt.verdict(plan, **FEW)
+    by_name = {place.name: place for place in found.places}
+    way, still = by_name["candidate 1"], by_name["candidate 2"]
+    assert np.allclose(way.base, plan.base)
+    assert way.drive == pytest.approx(abs(plan.base[0, 0]) + plan.travelled[0])
+    assert plan.still is not None
+    assert np.allclose(still.base, plan.still.base)
+    assert still.drive == pytest.approx(abs(plan.still.base[0]))
+    assert np.allclose(by_name["stay"].base, 0.0)
+    # A given start is where the machine stands now, and then nothing stands still elsewhere.
+    begun = flexopt.plan_base(machine, TARGETS, starts=1, start=plan.base[0], workers=1, duration=20.0)
+    names = [place.name for place in flexopt.verdict(begun, **FEW | {"runs": 0}).places]
+    assert names == ["stay", "candidate 1"]

@@ -112,7 +112,7 @@ def plan_base(
         times: when each is due, (K,), s, increasing from 0;  duration: even times until then; 10 s by default.
         max_base_rate: of each placement coordinate, one number or (n_b,), m/s and rad/s; 0.25 by default.
         max_joint_rate: of each joint, one number or (n,), rad/s or m/s; the machine's speeds by default.
-        start: where the base stands at the first target, (n_b,); free by default.
+        start: where the base stands at the first target, (n_b,), and now, where no `base` says so; free by default.
         constraints, options, keywords: as in `flexopt.select_stand`, but for combine and shares.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
@@ -143,7 +143,8 @@ def plan_base(
     joint_rates = np.resize(
         machine.speeds if max_joint_rate is None else np.asarray(max_joint_rate), len(machine.joints)
     )
-    alone = asked.model_copy(update={"starts": None})
+    now = asked.base if asked.base is not None or begin is None else begin
+    alone = asked.model_copy(update={"starts": None, "base": now})
     problems = build_problems("plan_base", machine, points, "path", alone, constraints)
     if begin is not None:
         _check_start(problems[0], begin)

@@ -1,0 +1,155 @@
+"""The places that a verdict compares: how the machine stands and is held at each target, and its loops there.
+
+In: what was chosen, a loop, what is uncertain. Out: configurations by place, and what the loops of one place do: of
+several targets the worst counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.settings import LoopSettings
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.robustness import Evaluation
+from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.several import BasePlan, Stand
+from flexopt.selection.several.postures import reached_from
+from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
+from flexopt.study.places import STAY
+
+Chosen = Selection | Stand | BasePlan
+# One for each target, in order.
+Configurations = tuple[Evaluation, ...]
+# Candidates of which the best are told of.
+LOOKED = 12
+# So many times the usual number of postures is looked at where a placement is given.
+FINER = 6
+
+
+class Slowest(NamedTuple):
+    """The least decay found over the uncertainty, 1/s, the member u (k,), and the index of the target."""
+
+    decay: float
+    member: Vector
+    target: int
+
+
+@dataclass(frozen=True)
+class PlaceLoops:
+    """The loop in one place: one `UncertainLoop` for each of K targets, all with the same numbers."""
+
+    loops: tuple[UncertainLoop, ...]
+
+    @classmethod
+    def at(
+        cls, settings: LoopSettings, stands: Sequence[tuple[Vector, Vector]], box: UncertaintyBox, *, gravity: bool
+    ) -> PlaceLoops:
+        """With this placement and posture at each target."""
+        return cls(tuple(UncertainLoop(settings, base, posture, gravity, box) for base, posture in stands))
+
+    @property
+    def settings(self) -> LoopSettings:
+        """Of the loop."""
+        return self.loops[0].settings
+
+    @property
+    def box(self) -> UncertaintyBox:
+        """What is not known."""
+        return self.loops[0].box
+
+    def with_settings(self, settings: LoopSettings) -> PlaceLoops:
+        """The same with other gains."""
+        return PlaceLoops(tuple(replace(loop, settings=settings) for loop in self.loops))
+
+    def decays(self, members: Vector) -> Vector:
+        """Of every member (n, k) at every target, 1/s, (K, n)."""
+        return np.array([loop.decays(members) for loop in self.loops])
+
+    def slowest(self, members: Vector, decays: Vector) -> Slowest:
+        """The least decay found in the box: searched from the slowest members of each target, of decays (K, n)."""
+        found = [loop.slowest(members, own) for loop, own in zip(self.loops, decays, strict=True)]
+        first = min(range(len(found)), key=lambda k: found[k][0])
+        return Slowest(*found[first], first)
+
+    def runs(self, members: Vector, decays: Vector, duration: float) -> Runs:
+        """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""
+        return of_all(
+            [nonlinear_runs(loop, members, own, duration) for loop, own in zip(self.loops, decays, strict=True)]
+        )
+
+
+def problems_of(chosen: Chosen) -> tuple[SelectionProblem, ...]:
+    """The problem of each target."""
+    return (chosen.problem,) if isinstance(chosen, Selection) else chosen.problems
+
+
+def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
+    """By place: the present one first, where every target is reached from it, then those that were found, best first.
+
+    Of targets for one placement the candidates are the placements found, of a path the way along it and the best
+    placement that stands still. How the arm is held at a target from a placement alone: the allowed posture with the
+    greatest objective, or where none is allowed that which breaks the constraints the least.
+    """
+    stay = _present(chosen)
+    if isinstance(chosen, Selection):
+        found = [(each.evaluation,) for each in chosen.candidates[:LOOKED]]
+    else:
+        problems, others = chosen.problems, list[Configurations | None]()
+        if isinstance(chosen, Stand):
+            others += [held_from(problems, base) for _, base in chosen.alternatives[: LOOKED - 1]]
+        elif chosen.still is not None and not _same(chosen.still.base, problems[0].present_base):
+            others.append(_evaluated(problems, [np.append(chosen.still.base, q) for q in chosen.still.posture]))
+        found = [tuple(place.evaluation for place in chosen.places), *(each for each in others if each is not None)]
+    named = {f"candidate {k}": each for k, each in enumerate(found, start=1)}
+    return named if stay is None else {STAY: stay} | named
+
+
+def _same(base: Vector, present: Vector | None) -> bool:
+    return present is not None and np.array_equal(base, present)
+
+
+def _present(chosen: Chosen) -> Configurations | None:
+    if isinstance(chosen, Selection):
+        return None if chosen.initial is None else (chosen.initial,)
+    now = chosen.problems[0].present_base
+    return None if now is None else held_from(chosen.problems, now, allowed=False)
+
+
+def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
+    """How the arm is held at each target from one placement (n_b,); None where one is not reached.
+
+    `allowed`: whether constraints must hold.
+    """
+    found = list[Vector]()
+    for problem in problems:
+        reached = reached_from(problem, base[:, None], problem.seed, FINER)
+        worth, off = reached.value[0], reached.violation[0]
+        if np.isfinite(worth).any():
+            found.append(reached.z[:, 0, int(worth.argmax())])
+        elif not allowed and np.isfinite(off).any():
+            found.append(reached.z[:, 0, int(off.argmin())])
+        else:
+            return None
+    return _evaluated(problems, found)
+
+
+def _evaluated(problems: Sequence[SelectionProblem], zs: Sequence[Vector]) -> Configurations:
+    return tuple(problem.quantities.evaluated(z) for problem, z in zip(problems, zs, strict=True))
+
+
+def drive_to(configurations: Configurations, now: Vector) -> tuple[float, float]:
+    """How far the base goes from where it stands now (n_b,) to the first target's placement and on, m and rad."""
+    names = configurations[0].base_coordinates
+    length, turn = 0.0, 0.0
+    for before, after in pairwise([now, *(each.base for each in configurations)]):
+        away = dict(zip(names, (after - before).tolist(), strict=True))
+        turn += abs(math.remainder(away.pop("yaw", 0.0), math.tau))
+        length += math.hypot(*away.values())
+    return length, turn
