@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,69 +16,106 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.small_motions import Parts
+from flexopt.loop.spectrum import balance
 
 # Share of what the end-point shows at all above which it sees what nothing holds.
 SEEN = 1e-6
 # Powers of Φ that have vanished; a loop that decays by 1e-9 in a sample needs 36 doublings until they have.
 VANISHED, DOUBLINGS = 1e-20, 64
+# Of the noise within a short time: terms of the Taylor series of e^{As}, ‖A s‖ ≤ 1, and nodes of the quadrature over s.
+TERMS, NODES = 20, 12
 
 
 class Noise(NamedTuple):
     """White noise of unit intensity through B into ẋ = A x, over a time: doublings of a short one.
 
+    Factors G of the covariances, W(h) = ∫₀ʰ e^{As} B Bᵀ e^{Aᵀs} ds = G Gᵀ: what little of it the end-point sees is lost
+    in the rounding of W, not in that of G.
+
     Attributes:
-        spans: e^{Ah} and W(h) = ∫₀ʰ e^{As} B Bᵀ e^{Aᵀs} ds, h the short time, then each time twice as long.
+        terms: (A h)ᵏ B / k!, k = 0, 1, …, h the short time.
+        spans: e^{Ah} and G, of the short time, then each time twice as long.
         short: h, s.
     """
 
+    terms: list[Vector]
     spans: list[tuple[Vector, Vector]]
     short: float
 
     @property
-    def covariance(self) -> Vector:
-        """W (n, n) over the whole time."""
+    def factor(self) -> Vector:
+        """G (n, n) over the whole time."""
         return self.spans[-1][1]
+
+    @property
+    def grown(self) -> Vector:
+        """What a longer time adds to W is this times its transpose: e^{Ah} B."""
+        return self.spans[-1][0] @ self.terms[0]
 
 
 def noise_over(flow: Vector, into: Vector, span: float) -> Noise:
-    """The noise that has come in over a time.
-
-    Source: Van Loan, IEEE Transactions on Automatic Control 23(3), 1978, for the short time.
-    """
+    """The noise that has come in over a time: within the short time by Gauss's quadrature of a Taylor series."""
     from scipy.linalg import expm  # noqa: PLC0415  (loads slowly)
 
-    n, fastest = len(flow), float(np.abs(np.linalg.eigvals(flow)).max(initial=0.0))
-    doublings = max(0, math.ceil(math.log2(max(fastest * span, 1.0))))
+    balanced, _ = balance(flow)
+    size = float(np.abs(balanced).sum(axis=0).max(initial=0.0)) * span
+    doublings = max(0, math.ceil(math.log2(max(size, 1.0))))
     short = span / 2**doublings
-    whole: Vector = np.asarray(expm(_hamiltonian(flow, into) * short), dtype=np.float64)
-    held = whole[:n, :n]
-    spans: list[tuple[Vector, Vector]] = [(held, whole[:n, n:] @ held.T)]
+    terms = [into]
+    for k in range(1, TERMS):
+        terms.append(flow @ terms[-1] * (short / k))
+    held: Vector = np.asarray(expm(flow * short), dtype=np.float64)
+    factor = _joined(*np.asarray(np.tensordot(_quadrature(short), np.array(terms), 1), dtype=np.float64))
+    spans = [(held, factor)]
     for _ in range(doublings):
-        held, come = spans[-1]
-        spans.append((held @ held, come + held @ come @ held.T))
-    return Noise(spans, short)
+        held, factor = spans[-1]
+        spans.append((held @ held, _joined(factor, held @ factor)))
+    return Noise(terms, spans, short)
 
 
-def _hamiltonian(flow: Vector, into: Vector) -> Vector:
-    return np.block([[flow, into @ into.T], [np.zeros_like(flow), -flow.T]])
+@lru_cache(maxsize=1)
+def _rule() -> tuple[Vector, Vector]:
+    """Powers of Gauss's nodes in (0, 1), (nodes, TERMS), and weights."""
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    return ((1 + nodes) / 2)[:, None] ** np.arange(TERMS), weights / 2
 
 
-def noise_slopes(flow: Vector, into: Vector, noise: Noise, by_covariance: Vector) -> tuple[Vector, Vector]:
-    """Derivatives by A and B, from that by W."""
+def _quadrature(short: float) -> Vector:
+    """Of the terms of a Taylor series its value at each node, with the root of the node's weight."""
+    powers, weights = _rule()
+    return powers * np.sqrt(weights * short)[:, None]
+
+
+def _joined(*factors: Vector) -> Vector:
+    """A factor (n, n) of the sum of Gᵢ Gᵢᵀ, every row as exact as it was."""
+    columns: Vector = np.hstack(factors)
+    if columns.shape[1] <= len(columns):
+        return columns
+    triangle: Vector = np.asarray(np.linalg.qr(columns.T, mode="r"), dtype=np.float64)
+    return triangle.T
+
+
+def noise_slopes(flow: Vector, noise: Noise, seen: Vector) -> tuple[Vector, Vector]:
+    """Derivatives of tr(E W Eᵀ) by A and B, E (r, n) what is seen of the noise."""
     from scipy.linalg import expm_frechet  # noqa: PLC0415  (loads slowly)
 
-    n = len(flow)
-    by_come, by_held = (by_covariance + by_covariance.T) / 2, np.zeros((n, n))
-    for held, come in reversed(noise.spans[:-1]):
-        by_held = 2 * by_come @ held @ come + by_held @ held.T + held.T @ by_held
-        by_come = by_come + held.T @ by_come @ held
-    held, come = noise.spans[0]
-    pushed, by_whole = np.linalg.solve(held, come).T, np.zeros((2 * n, 2 * n))
-    by_whole[:n, :n], by_whole[:n, n:] = by_held + by_come @ pushed, by_come @ held
-    block = _hamiltonian(flow, into).T * noise.short
-    found = np.real(expm_frechet(block, by_whole, compute_expm=False, check_finite=False)) * noise.short
-    by_square = found[:n, n:]
-    return found[:n, :n] - found[n:, n:].T, (by_square + by_square.T) @ into
+    by_held = np.zeros_like(flow)
+    for held, factor in reversed(noise.spans[:-1]):
+        later = seen @ held
+        by_held = 2 * seen.T @ (later @ factor) @ factor.T + by_held @ held.T + held.T @ by_held
+        seen = _joined(seen.T, later.T).T
+    found: Vector = np.zeros_like(flow)
+    if len(noise.spans) > 1:
+        block = flow.T * noise.short
+        found += np.real(expm_frechet(block, by_held, compute_expm=False, check_finite=False)) * noise.short
+    terms, at_nodes = np.array(noise.terms), _quadrature(noise.short)
+    by_values = 2 * seen.T @ (seen @ np.tensordot(at_nodes, terms, 1))
+    by_terms = np.tensordot(at_nodes.T, by_values, 1)
+    by_term = by_terms[-1]
+    for k in range(TERMS - 1, 0, -1):
+        found += by_term @ terms[k - 1].T * (noise.short / k)
+        by_term = by_terms[k - 1] + flow.T @ by_term * (noise.short / k)
+    return found, by_term
 
 
 @dataclass(frozen=True)
@@ -103,11 +140,11 @@ class Disturbed:
         return self.sample.waiting[1]
 
     @cached_property
-    def _over(self) -> tuple[Noise, Noise]:
-        """Over a sample, and over its part up to the measurement."""
-        p, period = self.sample.parts, self.sample.period
-        whole = noise_over(p.flow, self.into, period)
-        return whole, noise_over(p.flow, self.into, period - self._early) if self._early else whole
+    def _over(self) -> tuple[Noise, Noise | None]:
+        """Over the sample up to the measurement, and over what is left of it; None where that is nothing."""
+        flow, period = self.sample.parts.flow, self.sample.period
+        late = noise_over(flow, self.into, self._early) if self._early else None
+        return noise_over(flow, self.into, period - self._early), late
 
     @cached_property
     def _between(self) -> Vector:
@@ -118,10 +155,12 @@ class Disturbed:
 
     @cached_property
     def _joint(self) -> Vector:
-        """Covariance of the noise at the end of a sample and at the measurement (2 n_s, 2 n_s)."""
-        whole, part = (noise.covariance for noise in self._over)
-        crossed = self._between @ part
-        return np.block([[whole, crossed], [crossed.T, part]])
+        """A factor of the covariance of the noise at the end of a sample and at the measurement, (2 n_s, …)."""
+        early, late = self._over
+        first = np.vstack([self._between @ early.factor, early.factor])
+        if late is None:
+            return first
+        return np.hstack([first, np.vstack([late.factor, np.zeros_like(late.factor)])])
 
     @cached_property
     def _entering(self) -> Vector:
@@ -140,12 +179,11 @@ class Disturbed:
 
     @cached_property
     def _solved(self) -> tuple[Vector, Vector]:
-        """Covariance X of what is left, and Y of the end-point's variance by what comes in there, both (n, n)."""
+        """Z and F: Z Zᵀ is the covariance of what is left, Fᵀ F the end-point's variance by what comes in there."""
         down, up = self._lifts
         matrix = down @ self.sample.matrix @ up
-        shown = self._shown @ up
-        entering = down @ self._entering
-        return _summed(matrix, entering @ self._joint @ entering.T), _summed(matrix.T, shown.T @ shown)
+        come, shown = down @ self._entering @ self._joint, self._shown @ up
+        return _summed(matrix, come), _summed(matrix.T, shown.T).T
 
     @cached_property
     def _neutral(self) -> Vector:
@@ -165,37 +203,37 @@ class Disturbed:
         shown = self._shown * self.scale
         if np.linalg.norm(shown @ self._neutral) > SEEN * np.linalg.norm(shown):
             return math.inf
-        shown = self._shown @ self._lifts[1]
-        variance = float(np.trace(shown @ self._solved[0] @ shown.T))
-        return math.sqrt(variance) if variance > 0 else math.nan
+        found = float(np.linalg.norm(self._shown @ self._lifts[1] @ self._solved[0]))
+        return found if 0 < found < math.inf else math.nan
 
     def slopes(self) -> tuple[Slopes, Vector]:
         """Its derivative by what a sample is made of, and by B_d (n_s, n_p)."""
         p, (down, up), entering, joint = self.sample.parts, self._lifts, self._entering, self._joint
-        x, y = up @ self._solved[0] @ up.T, down.T @ self._solved[1] @ down
+        z, f = up @ self._solved[0], self._solved[1] @ down
         n, k, r, half = len(p.flow), len(p.law), len(p.force), 1 / (2 * self.norm)
-        by_entering = 2 * half * y @ entering @ joint
+        seen = f @ entering
+        by_entering = 2 * half * f.T @ (seen @ joint) @ joint.T
         of_law, of_force = by_entering[n : n + k, n:], by_entering[-r:, n:]
-        by_joint = half * entering.T @ y @ entering
-        crossed = by_joint[:n, n:] + by_joint[n:, :n].T
-        (whole, part), between = self._over, self._between
-        flow, into = noise_slopes(p.flow, self.into, whole, by_joint[:n, :n])
-        by_part = by_joint[n:, n:] + between.T @ crossed
-        more = noise_slopes(p.flow, self.into, part, by_part)
-        by_between = crossed @ part.covariance
-        flow, into = flow + more[0] + self._through_between(by_between), into + more[1]
+        at_end, between = seen[:, :n], self._between
+        (early, late), at_measured = self._over, at_end @ between + seen[:, n:]
+        flow, into = noise_slopes(p.flow, early, at_measured)
+        by_between = 2 * at_end.T @ (at_measured @ early.factor) @ early.factor.T
         # A later measurement: less time after it, more before.
-        grown = p.flow @ part.covariance
-        grown = grown + grown.T + self.into @ self.into.T
-        late = float(np.sum(by_between * (p.flow @ between)) - np.sum((by_part + by_part.T) / 2 * grown))
+        later = float(np.sum(by_between * (p.flow @ between))) - float(np.sum((at_measured @ early.grown) ** 2))
+        if late is None:
+            later += float(np.sum((at_end @ self.into) ** 2))
+        else:
+            more = noise_slopes(p.flow, late, at_end)
+            flow, into = flow + more[0] + self._through_between(by_between), into + more[1]
+            later += float(np.sum((at_end @ late.grown) ** 2))
         by_measured = p.law[:, k:].T @ of_law + p.force[:, k:].T @ of_force
-        by_measured[: len(p.measured) // 2] += 2 * half * (self._shown @ x)[:, :n]
+        by_measured[: len(p.measured) // 2] += 2 * half * (self._shown @ z @ z.T)[:, :n]
         law, force = np.zeros_like(p.law), np.zeros_like(p.force)
         law[:, k:], force[:, k:] = of_law @ p.measured.T, of_force @ p.measured.T
         untouched = {name: np.zeros_like(getattr(p, name)) for name in ("drive", "direct", "spread")}
-        rest = Parts(flow=flow, force=force, law=law, measured=by_measured, **untouched)
-        by_matrix = 2 * half * y @ self.sample.matrix @ x + self._through_neutral()
-        return self.sample.slopes(by_matrix) + Slopes(rest, late), into
+        rest = Parts(flow=half * flow, force=force, law=law, measured=by_measured, **untouched)
+        by_matrix = 2 * half * f.T @ (f @ self.sample.matrix @ z) @ z.T + self._through_neutral()
+        return self.sample.slopes(by_matrix) + Slopes(rest, half * later), half * into
 
     def _through_neutral(self) -> Vector:
         """By Φ, what the norm changes because what is divided out turns with it.
@@ -205,30 +243,30 @@ class Disturbed:
         """
         from scipy.linalg import solve_sylvester  # noqa: PLC0415  (loads slowly)
 
-        aside, kept, (x, y) = self._neutral, self.kept, self._solved
+        aside, kept, (z, f) = self._neutral, self.kept, self._solved
         if not aside.size:
             return np.zeros_like(self.sample.matrix)
         whole = self.sample.matrix / self.scale[:, None] * self.scale
         entering = self._entering / self.scale[:, None]
         matrix = kept @ whole @ kept.T
-        by_turn = y @ (matrix @ x @ kept @ whole.T + kept @ entering @ self._joint @ entering.T) @ aside / self.norm
+        come = entering @ self._joint
+        moved = (f @ matrix @ z) @ z.T @ kept @ whole.T + (f @ kept @ come) @ come.T
+        by_turn = f.T @ moved @ aside / self.norm
         found = kept.T @ solve_sylvester(matrix.T, -(aside.T @ whole @ aside).T, by_turn) @ aside.T
         return found / self.scale[:, None] * self.scale
 
     def _through_between(self, by_between: Vector) -> Vector:
         from scipy.linalg import expm_frechet  # noqa: PLC0415  (loads slowly)
 
-        if not self._early:
-            return np.zeros_like(by_between)
         block = self.sample.parts.flow.T * self._early
         return np.real(expm_frechet(block, by_between, compute_expm=False, check_finite=False)) * self._early
 
 
-def _summed(matrix: Vector, source: Vector) -> Vector:
-    """X = Σ Aᵏ S Aᵀᵏ, the solution of X = A X Aᵀ + S, A a matrix whose powers decay: by doubling."""
-    found, power = source, matrix
+def _summed(matrix: Vector, factor: Vector) -> Vector:
+    """Z of Z Zᵀ = Σ Aᵏ G Gᵀ Aᵀᵏ, the solution of X = A X Aᵀ + G Gᵀ, A a matrix whose powers decay: by doubling."""
+    found, power = _joined(factor), matrix
     for _ in range(DOUBLINGS):
-        found, power = found + power @ found @ power.T, power @ power
+        found, power = _joined(found, power @ found), power @ power
         if not np.abs(power).max(initial=0.0) > VANISHED:
             break
     return found

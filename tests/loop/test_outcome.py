@@ -17,7 +17,7 @@ from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.small_motions import small_motions
 from flexopt.loop.tangent import exponential
 from tests.oracles.late_cases import draw_case, nonlinear_growth, slopes_off
-from tests.oracles.late_loop import LateLoop
+from tests.oracles.late_loop import LateLoop, directional
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
 
 DIGGER, STAND = flexopt.load("slewing-excavator"), (0.2, 0.5, -1.2, -0.5)
@@ -52,8 +52,17 @@ def test_noise_on_the_base_of_random_loops(number):
     case = draw_case(number)
     measured, other = case.outcome.h2_norm(), float(case.oracle.h2_norm())
     # Loops that hardly decay add up what their rounding leaves.
-    assert measured.value == pytest.approx(other, rel=1e-9)
+    assert measured.value == pytest.approx(other, rel=1e-10)
     assert measured.slopes is not None
+
+
+def test_what_an_end_point_hardly_sees_of_the_noise_keeps_its_digits():
+    """Here gains change the norm by 1e-4 of it, and of the base's motion the end-point sees a thousandth."""
+    case = draw_case(4)
+    found, kp = case.outcome.gradient(case.outcome.h2_norm())["kp"], np.asarray(case.oracle.kp)
+    for k, along in enumerate(np.diag(kp)):
+        truth = directional(lambda changed: replace(case.oracle, **changed).h2_norm(), {"kp": kp}, {"kp": along})
+        assert found[k] * kp[k] == pytest.approx(truth, rel=1e-7)
 
 
 def test_variance_of_a_run_with_noise_on_the_base():
