@@ -47,7 +47,7 @@ from flexopt.foundation.arrays import Document
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.writing import write_file
 from flexopt.model import load, load_any
-from flexopt.model.choices import OUTCOMES, of_loop
+from flexopt.model.choices import OUTCOMES
 from flexopt.model.problem import asks_for_loop
 from flexopt.robustness import evaluate
 
@@ -220,10 +220,7 @@ def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], 
     """What no verdict and no choice by the loop can be had of, before anything is solved."""
     faults = list[Fault]()
     by_loop = asks_for_loop(settings.get("objective"), settings.get("constraints"))
-    if "path" in settings and by_loop:
-        name = "objective" if of_loop(settings.get("objective")) else "constraints.outcome"
-        faults.append(Fault(name, "of the loop goes with targets, not with a path", settings.get("objective")))
-    elif any(judged.values()) and not by_loop and settings.get("base") is None and settings["machine"].base_coordinates:
+    if any(judged.values()) and not by_loop and settings.get("base") is None and settings["machine"].base_coordinates:
         faults.append(Fault("--base", "is needed for a verdict: where the machine stands now"))
     raise_if_any(InputError, "select", faults)
     arguments = Arguments("select", settings["machine"])

@@ -220,7 +220,7 @@ class Problem(OnMachine):
         options = {name: getattr(self.selection, name) for name in SelectionOptions.of(kind)}
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
-        if kind != "path" and asks_for_loop(self.selection.objective, self.constraints):
+        if asks_for_loop(self.selection.objective, self.constraints):
             options |= {"loop": self.loop, "ranges": self.uncertainty or None}
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options
 

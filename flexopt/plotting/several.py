@@ -64,10 +64,8 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     numbers = np.arange(1, len(places) + 1)
     shades = [inks.chosen if k == stand.worst else inks.other for k in range(numbers.size)]
     panels[0].bar(numbers, [place.objective for place in places], 0.6, color=shades)
-    modes = stand.unit is None
-    of_modes = objective_label(stand.problems[0].sought[0], places[0].evaluation)
-    panels[0].set_ylabel(of_modes if modes else labelled(f"objective {stand.objective}", stand.unit or ""))
-    panels[0].set_title("objective at each target" + (", 0 is best" if modes else ""), loc="right")
+    panels[0].set_ylabel(_sought(stand))
+    panels[0].set_title("objective at each target" + (", 0 is best" if stand.unit is None else ""), loc="right")
     _draw_measures(panels[1], places, numbers)
     for panel in panels:
         panel.set_xticks(numbers)
@@ -99,7 +97,7 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
     moving: tuple[Line, ...] = (("the base moves", plan.time, plan.V),)
     if plan.still is not None:
         moving = (*moving, ("it stands still", plan.time, plan.still.V))
-    draw_panel(panels[0], Panel(objective_label(plan.problems[0].sought[0], e), moving, colors=_of_ways))
+    draw_panel(panels[0], Panel(_sought(plan), moving, colors=_of_ways))
     panels[0].axhline(0.0, color=colors().muted, linewidth=0.8, zorder=0)
     for line in panels[0].get_lines()[: len(moving)]:
         line.set_marker("o")
@@ -133,6 +131,13 @@ def _draw_strip(sheet: Sheet, grid: Any, plan: BasePlan, shots: list[int], shape
         if number + ROW < len(shots):
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
+
+
+def _sought(chosen: Stand | BasePlan) -> str:
+    """The axis of what was sought."""
+    if chosen.unit is None:
+        return objective_label(chosen.problems[0].sought[0], chosen.places[0].evaluation)
+    return labelled(f"objective {chosen.objective}", chosen.unit)
 
 
 def _of_ways(name: str, _: int) -> str:

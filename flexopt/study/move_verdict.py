@@ -29,7 +29,7 @@ from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.several import BasePlan, Stand
-from flexopt.selection.several.outcome_stand import OutcomeStand
+from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, faster
@@ -207,7 +207,7 @@ def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, t
     gains = dict[str, float]()
     if isinstance(chosen, OutcomeSelection):
         gains = dict(chosen.gains[0])
-    elif isinstance(chosen, OutcomeStand):
+    elif isinstance(chosen, ByLoop):
         gains = chosen.gains
     own = own.model_copy(update={name: (gain,) for name, gain in gains.items()})
     return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND

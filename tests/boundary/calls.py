@@ -312,7 +312,9 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         max_base_rate=0.5,
         max_joint_rate=[1.0, 1.0],
         start=None,
-        **SELECT,
+        **SELECT | {"objective": "decay", "weights": None},
+        loop={"kp": 1e4, "kv": 1e3},
+        ranges={"stiffness": [0.5, 2.0]},
         **RUN,
     ),
     "report": lambda: {

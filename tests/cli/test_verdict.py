@@ -61,7 +61,7 @@ def test_the_command_refuses(command: Command) -> None:
         (("region", "excavator", "--posture", "0,-1", "--ranges", "mass=1,2"), "ranges[0].of"),
         (("region", "excavator", "--posture", "0,-1", "--boxes", "-1"), "--boxes"),
         (("select", "stations", "--loop", "kq=1"), "unknown key"),
-        (("select", "trench", "--objective", "decay"), "not with a path"),
+        (("select", "trench", "--objective", "decay,swing"), "must be a single one"),
         (("select", "article", "--loop", "kq=1"), "unknown key"),
         (("select", "article", "--ranges", "stiffnes=1,2"), "did you mean"),
         (("select", "excavator", "--end-point", "0,1.6", "--loop", "kp=1e4"), "--base"),

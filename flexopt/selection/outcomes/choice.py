@@ -185,7 +185,7 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
     for _ in range(ROUNDS if worst else 0):
         if found is None:
             return None
-        value, at = _least(program, found.y)
+        value, at = least_over(program, found.y)
         if value >= found.value - NEW * abs(found.value):
             broken = _broken(program, found.y)
             if broken is None:
@@ -195,11 +195,11 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
         again = climbed(program, found.y)
         found = again if again is not None else replace(found, value=value)
     if found is not None and worst:
-        return replace(found, value=min(found.value, _least(program, found.y)[0]))
+        return replace(found, value=min(found.value, least_over(program, found.y)[0]))
     return found
 
 
-def _least(program: OutcomeProgram, y: Vector) -> tuple[float, Vector]:
+def least_over(program: OutcomeProgram, y: Vector) -> tuple[float, Vector]:
     """The least of the measure found over the uncertainty, and where."""
     return min((_worst(part.at(own), program.measure) for part, own in program.parts(y)), key=lambda found: found[0])
 

@@ -1,11 +1,12 @@
-"""What a loop does at several targets that one placement serves, as one program: the worst of them counts.
+"""What a loop does at several targets, from one placement or along a way, as one program: the worst of them counts.
 
 In: as of `program`, a problem for each target. Out: a `SharedProgram`, which climbs as any other.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
+from flexopt.selection.coupling import Coupling, alone
 from flexopt.selection.outcomes.branches import Branches
-from flexopt.selection.outcomes.program import OutcomeProgram, ProgramPoint
+from flexopt.selection.outcomes.program import SHORT, OutcomeProgram, ProgramPoint
 from flexopt.selection.problem import SelectionProblem
 
 
@@ -24,13 +26,19 @@ from flexopt.selection.problem import SelectionProblem
 class SharedProgram(OutcomeProgram):
     """Maximise the measure of the worst member at the worst target.
 
-    y = [base, posture of the first target, of the second, …] in scaled variables, then [ln kp, ln kv].
+    y = [x, ln kp, ln kv], x the configurations of all targets in scaled variables, what they share once.
 
     Attributes:
         problems: of every target, of one machine and one scale; `problem` is the first.
+        coupling: how the targets share x, and which of its entries are steps apart.
+        steps: greatest |x_j − x_i| of each of these pairs.
+        begin: placement of the first target, where it is given, (n_b,), m or rad.
     """
 
     problems: tuple[SelectionProblem, ...] = ()
+    coupling: Coupling = field(default_factory=lambda: alone(1))
+    steps: Vector = field(default_factory=lambda: np.zeros(0))
+    begin: Vector | None = None
 
     @cached_property
     def targets(self) -> tuple[OutcomeProgram, ...]:
@@ -41,16 +49,13 @@ class SharedProgram(OutcomeProgram):
     @cached_property
     def places(self) -> list[NDArray[np.int64]]:
         """Where each target finds its own y."""
-        n_b = len(self.problem.machine.base_coordinates)
-        n, gains = self.problem.scale.size - n_b, len(self.ranges)
-        return [np.array([*range(n_b), *range(n_b + k * n, n_b + (k + 1) * n), *range(self.n_z, self.n_z + gains)])
-                for k in range(len(self.problems))]  # fmt: skip
+        gains = range(self.n_z, self.n_z + len(self.ranges))
+        return [np.array([*place, *gains]) for place in self.coupling.places]
 
     @property
     def n_z(self) -> int:
         """See `OutcomeProgram`."""
-        n_b = len(self.problem.machine.base_coordinates)
-        return n_b + len(self.problems) * (self.problem.scale.size - n_b)
+        return self.coupling.n_x
 
     def _spread(self, each: Any, size: int) -> Any:
         """Entries of every target's z in their places, those of the placement from the last."""
@@ -67,10 +72,13 @@ class SharedProgram(OutcomeProgram):
         for place, target in zip(self.places, self.targets, strict=True):
             low[place] = np.maximum(low[place], target.bounds[0])
             high[place] = np.minimum(high[place], target.bounds[1])
+        if self.begin is not None:
+            first = self.places[0][: self.begin.size]
+            low[first] = high[first] = self.begin / self.problem.scale[: self.begin.size]
         return low, high
 
     def z(self, y: Vector) -> Vector:
-        """The placement, then the posture of every target."""
+        """The configurations of all targets, what they share once."""
         found: Vector = self._spread([target.z(y[place]) for target, place in self._each], self.n_z)
         return found
 
@@ -90,21 +98,32 @@ class SharedProgram(OutcomeProgram):
 
     @cached_property
     def _row_bounds(self) -> tuple[Vector, Vector, Vector]:
-        lower, upper, scale = (np.concatenate(each) for each in zip(*(t.row_bounds for t in self.targets), strict=True))
+        of_steps = -self.steps, self.steps, np.ones(self.steps.size)
+        each = [*(target.row_bounds for target in self.targets), of_steps]
+        lower, upper, scale = (np.concatenate(part) for part in zip(*each, strict=True))
         return lower, upper, scale
+
+    @cached_property
+    def differences(self) -> Vector:
+        """The matrix of the steps, (pairs, n_y)."""
+        return self.coupling.steps(self.n_z + len(self.ranges))
 
     @property
     def row_names(self) -> list[str]:
         """See `OutcomeProgram`."""
-        return [f"target {k + 1}: {name}" for k, target in enumerate(self.targets) for name in target.row_names]
+        found = [f"target {k + 1}: {name}" for k, target in enumerate(self.targets) for name in target.row_names]
+        return [*found, *["steps between targets"] * self.steps.size]
 
     @property
     def names(self) -> list[str]:
         """See `OutcomeProgram`."""
-        n_b, first = len(self.problem.machine.base_coordinates), self.targets[0].names
-        n = self.problem.scale.size
-        own = [f"target {k + 1}: {name}" for k in range(len(self.problems)) for name in first[n_b:n]]
-        return [*first[:n_b], *own, *first[n:]]
+        first, n = self.targets[0].names, self.problem.scale.size
+        places, found = self.coupling.places, [""] * self.n_z
+        for k, place in enumerate(places):
+            for i, name in zip(place, first[:n], strict=True):
+                shared = all(i in other for other in places)
+                found[i] = name if shared else f"target {k + 1}: {name}"
+        return [*found, *first[n:]]
 
     @property
     def turning(self) -> NDArray[np.bool_]:
@@ -138,11 +157,12 @@ class SharedProgram(OutcomeProgram):
 
     def rows(self, y: Vector) -> Vector:
         """See `OutcomeProgram`."""
-        return np.concatenate([target.rows(own) for target, own in self.parts(y)])
+        return np.concatenate([*(target.rows(own) for target, own in self.parts(y)), self.differences @ y])
 
     def row_slopes(self, y: Vector) -> Vector:
         """See `OutcomeProgram`."""
-        return np.vstack([self._wide(target.row_slopes(y[place]), place) for target, place in self._each])
+        each = [self._wide(target.row_slopes(y[place]), place) for target, place in self._each]
+        return np.vstack([*each, self.differences])
 
     def _wide(self, slopes: Vector, place: NDArray[np.int64]) -> Vector:
         """Slopes by a target's y as those by all."""
@@ -165,16 +185,62 @@ class SharedPoint(ProgramPoint):
     shared: SharedProgram | None = None
 
     @cached_property
-    def _parts(self) -> list[ProgramPoint]:
+    def parts(self) -> list[ProgramPoint]:
+        """The place of each target."""
         assert self.shared is not None
         return [target.place(own) for target, own in self.shared.parts(self.y)]
 
     @cached_property
     def points(self) -> list[LoopPoint]:
         """Of every target."""
-        return [point for part in self._parts for point in part.points]
+        return [point for part in self.parts for point in part.points]
 
     def branches(self, level: float) -> Branches:
         """See `ProgramPoint`."""
         assert self.shared is not None
-        return self.shared.joint([part.branches(level) for part in self._parts])
+        return self.shared.joint([part.branches(level) for part in self.parts])
+
+
+@dataclass(frozen=True)
+class ShortestWay(SharedProgram):
+    """The shortest of the ways on which the worst member at the worst target has a least value of the measure.
+
+    Attributes:
+        kept: that value.
+    """
+
+    kept: float = 0.0
+
+    def length(self, y: Vector) -> float:
+        """Σ (x_j − x_i)² over the pairs."""
+        return float(np.sum((self.differences @ y) ** 2))
+
+    def value(self, y: Vector) -> float:
+        """Minus the length; −∞ where the measure is less than it must be."""
+        return -self.length(y) if super().value(y) >= self.kept - SHORT * abs(self.kept) else -math.inf
+
+    def level(self, value: float) -> float:
+        """See `OutcomeProgram`."""
+        return value
+
+    def place(self, y: Vector) -> ProgramPoint:
+        """See `OutcomeProgram`."""
+        return ShortestPoint(self, y, shared=self, way=self)
+
+
+@dataclass(frozen=True, eq=False)
+class ShortestPoint(SharedPoint):
+    """A `ShortestWay` at one y."""
+
+    way: ShortestWay | None = None
+
+    def branches(self, level: float) -> Branches:
+        """Minus the length, less the level, and what keeps the measure."""
+        assert self.way is not None
+        way = self.way
+        kept = super().branches(way.measure.level(way.kept, way.size))
+        values = np.append(kept.values, -way.length(self.y) - level)
+        slopes = np.vstack([kept.slopes, -2 * way.differences.T @ (way.differences @ self.y)])
+        by_level = np.append(np.zeros(len(kept.values)), -1.0)
+        order = np.argsort(values, kind="stable")
+        return Branches(values[order], slopes[order], by_level[order])

@@ -24,23 +24,26 @@ from flexopt.foundation.quantities import DURATION
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
+from flexopt.model.choices import of_loop
 from flexopt.model.constraints import AnyConstraints
+from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATES, TIMES
-from flexopt.plant.inverse_kinematics import REACHED, solve_postures
+from flexopt.model.uncertainty import RangesLike, Uncertainty
 from flexopt.robustness.plausibility import warn_implausible
-from flexopt.selection.build import only_notes
 from flexopt.selection.coupling import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program, values_of
+from flexopt.selection.several.by_loop import Asked
+from flexopt.selection.several.outcome_plan import outcome_plan
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, verified
 from flexopt.selection.several.standing import best_placements, one_placement
-from flexopt.selection.several.targets import build_problems, sample_bases
-from flexopt.selection.several.ways import coarse_ways, nodes_of
-from flexopt.selection.solve import solved
+from flexopt.selection.several.targets import build_problems, sample_bases, single_measure
+from flexopt.selection.several.ways import coarse_ways, nodes_of, on_lines, travelled
+from flexopt.selection.solve import least_of, loop_notes, solved, without_loop
 
 # Placements that are looked at, for one coordinate and for more: from which all targets may be reached, and for each
 # target alone.
@@ -51,13 +54,12 @@ WAYS, STANDS = 3, 6
 CARRIED, CARRIED_STARTS = 4, 16
 # What the second, shortest way may give up, relative to the objective's scale.
 SLACK = 1e-4
-# Points looked at between two targets.
-BETWEEN = 8
 BASE_RATE, SECONDS = 0.25, 10.0
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    only_notes(arguments, given)
+    loop_notes(arguments, given)
+    single_measure(arguments, given)
     machine, path, times = arguments.of, given["path"], given["times"]
     if times is not None:
         if given["duration"] is not None:
@@ -95,6 +97,8 @@ def plan_base(
     max_joint_rate: ArrayLike | None = None,
     start: BaseLike | None = None,
     constraints: AnyConstraints | None = None,
+    loop: LoopLike | None = None,
+    ranges: RangesLike | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
@@ -114,6 +118,8 @@ def plan_base(
         max_joint_rate: of each joint, one number or (n,), rad/s or m/s; the machine's speeds by default.
         start: where the base stands at the first target, (n_b,), and now, where no `base` says so; free by default.
         constraints, options, keywords: as in `flexopt.select_stand`, but for combine and shares.
+        loop, ranges: as in `flexopt.select_stand`: with an objective of the loop the worst target counts, each as if
+            the machine stood still in its configuration.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -145,15 +151,27 @@ def plan_base(
     )
     now = asked.base if asked.base is not None or begin is None else begin
     alone = asked.model_copy(update={"starts": None, "base": now})
-    problems = build_problems("plan_base", machine, points, "path", alone, constraints)
+    least, word = least_of(constraints), cast(str, asked.objective)
+    by_loop = of_loop(word) or least is not None
+    if of_loop(word):
+        alone = alone.model_copy(update={"objective": "w1", "weights": None})
+    problems = build_problems("plan_base", machine, points, "path", alone, without_loop(constraints))
     if begin is not None:
         _check_start(problems[0], begin)
     program = _along(problems, due, np.concatenate([base_rates, joint_rates]), begin)
 
     common = sample_bases(problems, *COMMON, seed) if begin is None else begin[:, None]
     found = [reached_from(problem, common, seed) for problem in problems]
+    by_target = _with_own(problems, found, begin, seed)
+    if by_loop:
+        real = cast("Loop | None", loop or machine.loop) or Loop()
+        own = under_control(real, machine, problems[0].control, "plan_base")
+        known = cast("tuple[Uncertainty, ...]", ranges or ())
+        sought = Asked("plan_base", own, known, word, least)
+        counted = tuple(replace(problem, starts=asked.starts) for problem in problems)
+        return outcome_plan(replace(program, problems=counted), due, begin, common, by_target, sought, count, progress)
     still = _standing_still(problems, common, found, begin, count)
-    layers = [nodes_of(reached) for reached in _with_own(problems, found, begin, seed)]
+    layers = [nodes_of(reached) for reached in by_target]
     begins = coarse_ways(program, layers, asked.starts or WAYS)
     begins += _carried(program, begin, count)
     if still is not None:
@@ -172,8 +190,10 @@ def plan_base(
         time=due,
         places=places,
         still=None if still is None else _still(program, still),
-        between=_between(problems, due, [program.of(best, k) for k in range(len(problems))]),
-        travelled=_travelled(machine, np.array([place.evaluation.base for place in places])),
+        between=on_lines(
+            problems, due, [program.of(best, k) for k in range(len(problems))], lambda _, z: values_of(problems[0], z)
+        ),
+        travelled=travelled(machine, np.array([place.evaluation.base for place in places])),
         stationarity=end.stationarity,
         kinks=end.kinks,
         attempts=(len(ends), len(good)),
@@ -271,29 +291,3 @@ def _shortest(program: Program, good: list[End]) -> End:
             moved = end_from(shorter, end.x)
             ways.append(end if moved.violations else moved)
     return min(ways, key=lambda end: program.length(end.x))
-
-
-def _between(problems: tuple[SelectionProblem, ...], due: Vector, zs: list[Vector]) -> tuple[float, float]:
-    """The smallest V on straight lines between the targets, and when."""
-    plant, n_b = problems[0].measures.plant, problems[0].measures.plant.n_base
-    worst, when = np.inf, float(due[0])
-    along = np.linspace(0.0, 1.0, BETWEEN + 1)
-    for k in range(len(zs) - 1):
-        z = zs[k][:, None] + (zs[k + 1] - zs[k])[:, None] * along
-        ends = problems[k].target, problems[k + 1].target
-        targets = ends[0][:, None] + (ends[1] - ends[0])[:, None] * along
-        postures, left = solve_postures(plant, targets, z[:n_b], z[n_b:])
-        reached = left <= REACHED
-        if not reached.all():
-            return -np.inf, float(due[k] + (due[k + 1] - due[k]) * along[int(np.argmin(reached))])
-        values = values_of(problems[0], np.vstack([z[:n_b], postures]))
-        low = int(values.argmin())
-        if values[low] < worst:
-            worst, when = float(values[low]), float(due[k] + (due[k + 1] - due[k]) * along[low])
-    return worst, when
-
-
-def _travelled(machine: AnyMachine, bases: Vector) -> tuple[float, float]:
-    moved = np.diff(bases, axis=0)
-    lengths = np.array([unit == "m" for unit in machine.base_units])
-    return float(np.linalg.norm(moved[:, lengths], axis=1).sum()), float(np.abs(moved[:, ~lengths]).sum())

@@ -236,6 +236,12 @@ class BasePlan(Pictured, ConfigurationSet):
         """A sentence."""
         return self._found("way along")
 
+    @property
+    def _ways(self) -> str:
+        """The worst of the way beside standing still, and between its targets."""
+        still = "no placement reaches them all" if self.still is None else f"{self.standing:.4e} standing still"
+        return f"worst V {self.worth:.4e} ({still}); between the targets at least {self.between[0]:.4e}"
+
     def to_dict(self) -> Document:
         """JSON-ready dictionary.
 
@@ -250,10 +256,9 @@ class BasePlan(Pictured, ConfigurationSet):
         return self._document(self.status, own, "path")
 
     def __repr__(self) -> str:
-        still = "no placement reaches them all" if self.still is None else f"{self.standing:.4e} standing still"
         lines = [
             *self._lines(f"a way of the base along {len(self.places)} targets in {self.time[-1]:.4g} s", self.status),
-            f"  worst V {self.worth:.4e} ({still}); between the targets at least {self.between[0]:.4e}",
+            f"  {self._ways}",
             f"  the base travels {self.travelled[0]:.4g} m and turns {self.travelled[1]:.4g} rad",
         ]
         return "\n".join(lines)

@@ -23,12 +23,13 @@ from flexopt.model.targets import SOME_SHARES
 from flexopt.model.uncertainty import RangesLike, Uncertainty
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.program import Program
+from flexopt.selection.several.by_loop import Asked
 from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement
-from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases
+from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases, single_measure
 from flexopt.selection.solve import least_of, loop_notes, without_loop
 
 # Placements that are looked at, for one coordinate and for more.
@@ -38,14 +39,11 @@ SAME_BASE = 1e-4
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     loop_notes(arguments, given)
+    single_measure(arguments, given)
     objective = given["objective"]
-    if of_loop(objective) or least_of(given["constraints"]) is not None:
-        if given["combine"] != "worst":
-            arguments.note(
-                "combine", "must be 'worst' where the loop is asked: the worst target counts", given["combine"]
-            )
-        if isinstance(objective, str) and "," in objective:
-            arguments.note("objective", "must be a single one where several targets belong together", objective)
+    by_loop = of_loop(objective) or least_of(given["constraints"]) is not None
+    if by_loop and given["combine"] != "worst":
+        arguments.note("combine", "must be 'worst' where the loop is asked: the worst target counts", given["combine"])
     shares, targets = given["shares"], given["targets"]
     if shares is not None and given["combine"] == "worst":
         arguments.note("shares", "go with combine = 'weighted' only", shares)
@@ -117,7 +115,7 @@ def select_stand(
         real = cast("Loop | None", loop or machine.loop) or Loop()
         own = under_control(real, machine, problems[0].control, "select_stand")
         known = cast("tuple[Uncertainty, ...]", ranges or ())
-        return outcome_stand(problems, bases, own, known, word, least, count, progress)
+        return outcome_stand(problems, bases, Asked("select_stand", own, known, word, least), count, progress)
     problems = build_problems("select_stand", machine, points, "targets", asked, constraints)
     program = one_placement(problems, share, weighted=asked.combine == "weighted")
     bases = sample_bases(problems, *BASES, asked.seed)

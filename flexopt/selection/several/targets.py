@@ -5,7 +5,9 @@ In: arguments. Out: a `SelectionProblem` for each target, and placements to look
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +16,13 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine
+from flexopt.model.choices import of_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.problem import SelectionOptions
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.build import build_one
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.solve import least_of
 
 
 def build_problems(
@@ -64,6 +68,14 @@ def build_problems(
         arguments.done()
     sizes = tuple(np.median([problem.objective_scales for problem in problems], axis=0).tolist())
     return tuple(replace(problem, objective_scales=sizes) for problem in problems)
+
+
+def single_measure(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """Where the loop is asked, there must be one objective."""
+    objective = given["objective"]
+    by_loop = of_loop(objective) or least_of(given["constraints"]) is not None
+    if by_loop and isinstance(objective, str) and "," in objective:
+        arguments.note("objective", "must be a single one where several targets belong together", objective)
 
 
 def sample_bases(problems: tuple[SelectionProblem, ...], on_line: int, elsewhere: int, seed: int) -> Vector:

@@ -1,22 +1,28 @@
-"""Ways through samples of configurations, one sample for each target, by dynamic programming.
+"""Ways through samples of configurations, one sample for each target, by dynamic programming; what is between them.
 
-In: a program with bounded steps from target to target, and layers of nodes. Out: ways x that IPOPT starts from:
-each is the shortest of those with the highest worst V.
+In: a program with bounded steps from target to target, and layers of nodes. Out: ways x that solves start from: each is
+the shortest of those with the highest worst V.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.model import AnyMachine
+from flexopt.plant.inverse_kinematics import REACHED, solve_postures
+from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached
 
 # Nodes for each target: the best postures of as many placements.
 NODES = 400
+# Points looked at between two targets.
+BETWEEN = 8
 # A sample is too coarse for steps as short as the rates ask for, so longer ones are looked at, too.
 LONGER = (1.0, 3.0, 10.0, 1e9)
 # Configurations z (n_z, N) of one target and their V (N,).
@@ -96,3 +102,32 @@ def _lengths(before: Vector, after: Vector, limit: Vector, turns: NDArray[np.boo
 def _shortest_turn(step: Vector) -> Vector:
     """Angles within half a turn; angles are not scaled, so these are rad."""
     return (step + np.pi) % (2 * np.pi) - np.pi
+
+
+def on_lines(
+    problems: Sequence[SelectionProblem], due: Vector, zs: list[Vector], values: Callable[[int, Vector], Vector]
+) -> tuple[float, float]:
+    """The smallest value on straight lines between the targets, and when; `values` of z (n_z, N) towards target k."""
+    plant, n_b = problems[0].measures.plant, problems[0].measures.plant.n_base
+    worst, when = np.inf, float(due[0])
+    along = np.linspace(0.0, 1.0, BETWEEN + 1)
+    for k in range(len(zs) - 1):
+        z = zs[k][:, None] + (zs[k + 1] - zs[k])[:, None] * along
+        ends = problems[k].target, problems[k + 1].target
+        targets = ends[0][:, None] + (ends[1] - ends[0])[:, None] * along
+        postures, left = solve_postures(plant, targets, z[:n_b], z[n_b:])
+        reached = left <= REACHED
+        if not reached.all():
+            return -np.inf, float(due[k] + (due[k + 1] - due[k]) * along[int(np.argmin(reached))])
+        found = values(k, np.vstack([z[:n_b], postures]))
+        low = int(found.argmin())
+        if found[low] < worst:
+            worst, when = float(found[low]), float(due[k] + (due[k + 1] - due[k]) * along[low])
+    return worst, when
+
+
+def travelled(machine: AnyMachine, bases: Vector) -> tuple[float, float]:
+    """The length of a way of the base (K, n_b), m, and its turning, rad."""
+    moved = np.diff(bases, axis=0)
+    lengths = np.array([unit == "m" for unit in machine.base_units])
+    return float(np.linalg.norm(moved[:, lengths], axis=1).sum()), float(np.abs(moved[:, ~lengths]).sum())

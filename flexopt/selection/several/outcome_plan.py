@@ -1,0 +1,220 @@
+"""A way of the base along a path by what the real loop does: the worst target counts, and then the length of the way.
+
+In: a configuration problem for each target, the steps between them, a loop. Out: an `OutcomePlan`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from flexopt.errors import NoSolutionFound
+from flexopt.foundation.arrays import Progress, Vector
+from flexopt.foundation.documents import provenance
+from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.selection.coupling import Coupling
+from flexopt.selection.outcomes.choice import climbs, distinct_optima, least_over
+from flexopt.selection.outcomes.climb import Climbed, climbed
+from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
+from flexopt.selection.outcomes.starting import starts_from
+from flexopt.selection.program import Program
+from flexopt.selection.several.by_loop import Asked, ByLoop, places_by_loop, values_at
+from flexopt.selection.several.postures import Reached
+from flexopt.selection.several.results import BasePlan, FixedPlacement
+from flexopt.selection.several.standing import one_placement
+from flexopt.selection.several.ways import Layer, coarse_ways, nodes_of, on_lines, travelled
+
+# Gains with which coarse ways are looked for, where they are chosen; ways for each.
+GAINS, WAYS = 6, 3
+# Configurations of a target that these are made of: as many times the points that a measure looks at, together, but not
+# fewer for a target than so many.
+NODES, FEWEST = 4, 60
+# Of the best value, what the shortest way may give up.
+SLACK = 1e-4
+
+
+@dataclass(frozen=True, repr=False)
+class OutcomePlan(ByLoop, BasePlan):
+    """A motion of the base along a path by what the loop does; see `BasePlan` and `ByLoop`."""
+
+    @property
+    def worth(self) -> float:
+        """What the worst target has of the measure."""
+        return float(self.V[self.worst])
+
+    @property
+    def standing(self) -> float:
+        """The worst of the base that stands still, NaN where none reaches all targets."""
+        sign = self.criterion.sign
+        return math.nan if self.still is None else sign * float((sign * self.still.V).min())
+
+    @property
+    def _ways(self) -> str:
+        still = "no placement reaches them all" if self.still is None else f"{self._told(self.standing)} standing still"
+        bound = "least" if self.criterion.sign > 0 else "most"
+        between = f"between the targets at {bound} {self._told(self.between[0])}"
+        return f"worst {self.measure} {self._told(self.worth)} ({still}); {between}"
+
+    def _told(self, value: float) -> str:
+        return f"{value:.4g} {self.unit}".rstrip()
+
+
+def outcome_plan(
+    along: Program,
+    due: Vector,
+    begin: Vector | None,
+    common: Vector,
+    found: list[list[Reached]],
+    asked: Asked,
+    workers: int,
+    progress: Progress | None,
+) -> OutcomePlan:
+    """The shortest of the ways that keep the best of the worst target's measure, verified to first order.
+
+    Args:
+        along: the program of the modes' objective on these targets; its objective is not asked.
+        due: when each target is due, (K,), s.
+        begin: where the base stands at the first target, (n_b,).
+        common: placements (n_b, N) from which all may be reached;  found: for each target what is reached.
+        asked: of the loop.
+        workers, progress: as of `flexopt.plan_base`.
+
+    Raises:
+        InputError, NoSolutionFound: as `outcome_selection`; or no way was found to start from.
+    """
+    problems = along.problems
+    layers = [nodes_of(reached) for reached in found]
+    if any(not values.size for _, values in layers):
+        sentence = "at one of the targets no configuration that was looked at keeps every constraint"
+        raise NoSolutionFound(f"plan_base: {sentence}", violations={}, iterate={})
+    program = asked.program(problems, along.coupling, along.steps, layers[0][0][:, 0], begin)
+    still = _standing(program, along, common, found, workers)
+    looked = _looked(program, along, [_thinned(layer, _most(program)) for layer in layers], workers)
+    looked += [] if still is None else [program.joined([own for _, own in still[0].parts(still[1].y)])]
+    if not looked:
+        sentence = "with these rates no configurations of neighbouring targets are near enough"
+        raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
+    chosen, starts = starts_from(program, looked, workers)
+    assert isinstance(chosen, SharedProgram)
+    ends = climbs(chosen, starts, workers, progress)
+    distinct, unverified = distinct_optima(chosen, ends)
+    best = _shortest(chosen, distinct[0])
+    x = along.unwound(chosen.z(best.y))
+    y = np.append(x / along.scale, best.y[chosen.n_z :])
+    places, sign = places_by_loop(chosen, y), chosen.measure.sign
+    gains = y[chosen.n_z :]
+
+    def worth(k: int, z: Vector) -> Vector:
+        return np.array(values_at(chosen.targets[k], [np.append(own / first.scale, gains) for own in z.T], workers))
+
+    first = problems[0]
+    between, when = on_lines(problems, due, [along.of(x, k) for k in range(len(problems))], worth)
+    return OutcomePlan(
+        time=due,
+        places=places,
+        still=None if still is None else _fixed(*still),
+        between=(sign * between, when),
+        travelled=travelled(first.machine, np.array([place.evaluation.base for place in places])),
+        stationarity=best.stationarity,
+        kinks={},
+        attempts=(len(starts), sum(each is not None and each.holds for each in ends)),
+        problems=problems,
+        provenance=provenance(
+            first.machine, path=[p.target.tolist() for p in problems], times=due.tolist(), objective=asked.name,
+            start=None if begin is None else begin.tolist(), control=first.control, seed=first.seed,
+        ),
+        criterion=chosen.measure,
+        settings=chosen.at(y).settings,
+        loop=asked.loop,
+        uncertainty=asked.uncertainty,
+        unverified=unverified,
+    )  # fmt: skip
+
+
+def _standing(
+    program: SharedProgram, along: Program, common: Vector, found: list[list[Reached]], workers: int
+) -> tuple[SharedProgram, Climbed] | None:
+    """The program of one placement whose joints keep their rates, and its best; None where there is none.
+
+    `program`: that of the way, whose loop and beginning these are, too.
+    """
+    n_b, n_z = len(program.problem.machine.base_coordinates), program.problem.scale.size
+    places = one_placement(program.problems, along.share, weighted=False).coupling.places
+    joints = [number for number, (i, _) in enumerate(along.coupling.pairs) if i % n_z >= n_b]
+    entries = [(places[i // n_z][i % n_z], places[j // n_z][j % n_z]) for i, j in along.coupling.pairs]
+    pairs = tuple(entries[number] for number in joints)
+    still = replace(program, coupling=Coupling(places, pairs), steps=along.steps[joints])
+    # The placement is the same all along.
+    steps = along.steps.copy()
+    steps[[number for number in range(steps.size) if number not in joints]] = 0.0
+    some = np.linspace(0, common.shape[1] - 1, min(_most(program), common.shape[1]), dtype=int)
+    layers = [_allowed(first.z[:, some], first.value[some]) for first, *_ in found]
+    looked = _looked(program, replace(along, steps=steps), layers, workers)
+    if not looked:
+        return None
+    ys = [still.joined([own for _, own in program.parts(y)]) for y in looked]
+    try:
+        chosen, starts = starts_from(still, ys, workers)
+        assert isinstance(chosen, SharedProgram)
+        return chosen, distinct_optima(chosen, climbs(chosen, starts, workers, None))[0][0]
+    except NoSolutionFound:
+        return None
+
+
+def _fixed(program: SharedProgram, end: Climbed) -> FixedPlacement:
+    zs = [target.z(own) for target, own in program.parts(end.y)]
+    n_b = len(program.problem.machine.base_coordinates)
+    values = program.measure.sign * np.array(program.values(end.y))
+    return FixedPlacement(base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=values)
+
+
+def _allowed(z: Vector, value: Vector) -> Layer:
+    """Those of configurations (n_z, N, C) that are allowed."""
+    good = np.isfinite(value).ravel()
+    return z.reshape(len(z), -1)[:, good], value.ravel()[good]
+
+
+def _gains(program: SharedProgram) -> Vector:
+    """Logarithms of gains that ways are looked for with, (N, …), from their ranges."""
+    lower, upper = (end[program.n_z :] for end in program.bounds)
+    if not lower.size:
+        return np.zeros((1, 0))
+    return lower + low_discrepancy(lower.size, GAINS, program.problem.seed).T * (upper - lower)
+
+
+def _most(program: SharedProgram) -> int:
+    """Configurations of a target that are looked at."""
+    return max(FEWEST, NODES * program.measure.looked // (len(program.problems) * len(_gains(program))))
+
+
+def _thinned(layer: Layer, most: int) -> Layer:
+    some = np.linspace(0, layer[0].shape[1] - 1, min(most, layer[0].shape[1]), dtype=int)
+    return layer[0][:, some], layer[1][some]
+
+
+def _looked(program: SharedProgram, along: Program, layers: list[Layer], workers: int) -> list[Vector]:
+    """Coarse ways y through configurations of every target; none where a target has none."""
+    found = list[Vector]()
+    if not all(values.size for _, values in layers):
+        return found
+    for gains in _gains(program):
+        valued = list[Layer]()
+        for target, (z, _) in zip(program.targets, layers, strict=True):
+            ys = [np.append(own / target.problem.scale, gains) for own in z.T]
+            values = np.array(values_at(target, ys, workers))
+            valued.append((z[:, np.isfinite(values)], values[np.isfinite(values)]))
+        found += [np.append(x / along.scale, gains) for x in coarse_ways(along, valued, WAYS)]
+    return found
+
+
+def _shortest(program: SharedProgram, best: Climbed) -> Climbed:
+    """The shortest way near the best one that keeps what it has."""
+    kept = best.value - SLACK * abs(best.value)
+    way = ShortestWay(**{each.name: getattr(program, each.name) for each in fields(program)}, kept=kept)
+    found = climbed(way, best.y)
+    if found is None or not found.holds or way.length(found.y) >= way.length(best.y):
+        return best
+    value = least_over(program, found.y)[0] if len(program.members) else program.value(found.y)
+    return replace(found, value=value) if value >= kept - SLACK * abs(kept) else best
