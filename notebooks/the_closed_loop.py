@@ -52,7 +52,7 @@ flexopt.simulate(machine, posture_a, **gains).plot()
 #
 # ## How much gain a posture allows
 #
-# `stability_border` searches Kp for the edges of stability of the sampled linear loop. At Kv = 2000 N s/m posture A has
+# `stability_border` searches Kp for the edges of stability of the sampled linear loop. At Kv = 2000 N m s posture A has
 # no stable gain at all: the damping gain alone drives the base. The optimised posture allows a wide range.
 
 # %%

@@ -37,7 +37,7 @@ posture_a, posture_b = [0.9929, -2.6306], [0.0448, -2.0499]  # boom and stick, f
 # little off its target.
 
 # %%
-gains = {"kp": 1e5, "kv": 2e3}  # N/m, N s/m
+gains = {"kp": 1e5, "kv": 2e3}  # N m, N m s
 runs = {name: flexopt.simulate(machine, posture, **gains) for name, posture in (("A", posture_a), ("B", posture_b))}
 for name, run in runs.items():
     print(f"posture {name}: the vibration {run.verdict}")

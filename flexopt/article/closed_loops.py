@@ -121,11 +121,11 @@ class ClosedLoops:
         start = ", ".join(f"{x:+g}" for x in s["offset"])
         return (
             "The article prints neither gains nor the start of its runs. Stated here: Jacobian "
-            f"{s['control']} control, Kp = {s['kp']:g}, Kv = {s['kv']:g}, the arm's joints displaced by ({start}) rad "
-            f"at the start, {s['integrator'].upper()} at {s['rate']:g} Hz, gravity compensated. The base moves at most "
-            f"{s['max_base_rate']:g} m/s with {s['max_base_acceleration']:g} m/s², uphill on {s['objective']} with a "
-            f"scalar kξ, and stops at Table 2's x_mobile = {X_MOBILE['B']:g} m: the law alone goes on to "
-            f"{float(self.climb.base[-1, 0]):.3f} m. The optimised posture is an addition."
+            f"{s['control']} control, Kp = {s['kp']:g} N m, Kv = {s['kv']:g} N m s, the arm's joints displaced by "
+            f"({start}) rad at the start, {s['integrator'].upper()} at {s['rate']:g} Hz, gravity compensated. The base "
+            f"moves at most {s['max_base_rate']:g} m/s with {s['max_base_acceleration']:g} m/s², uphill on "
+            f"{s['objective']} with a scalar kξ, and stops at Table 2's x_mobile = {X_MOBILE['B']:g} m: the law alone "
+            f"goes on to {float(self.climb.base[-1, 0]):.3f} m. The optimised posture is an addition."
         )
 
     def to_dict(self) -> Document:

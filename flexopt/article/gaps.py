@@ -16,6 +16,7 @@ import numpy as np
 
 from flexopt.article.curves import rank_correlation
 from flexopt.coprime import gap, nu_gap
+from flexopt.coprime.margin import RIGID_MARGIN
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
@@ -26,8 +27,6 @@ from flexopt.robustness import build_measures
 from flexopt.robustness.margin import build_margin
 
 FACTORS = (1.0, 10.0, 100.0, 1e3, 1e4)
-# ε_max of the rigid plant a/s²: a controller that attains it tolerates every plant nearer than this.
-RIGID_MARGIN = math.sin(math.pi / 8)
 
 
 @dataclass(frozen=True)
@@ -97,10 +96,10 @@ class GapSweep(Result):
         if first is None:
             text += f"No factor up to {self.factors[-1]:g} of the damping changes that"
         elif first > self.factors[0]:
-            text += f"It takes {first:g} times the damping before a posture is"
+            text += f"It takes {first:g} times the damping before any of them is"
         else:
             text += "More damping brings no new case"
-        text += f" ({', '.join(f'{n} at × {f:g}' for f, n in zip(self.factors, self.within, strict=True))}). "
+        text += f" (as near: {', '.join(f'{n} at × {f:g}' for f, n in zip(self.factors, self.within, strict=True))}). "
         own, last = self.correlation_epsilon[0], self.correlation_epsilon[-1]
         order = "As an order it shows" if own <= -0.5 else "As an order it does not show either"
         return text + (

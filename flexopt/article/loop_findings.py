@@ -33,7 +33,8 @@ def better_convergence(loops: ClosedLoops) -> ArticleFinding:
     kp, kv = loops.rows[len(runs)].kp, loops.rows[len(runs)].kv
     sentence = (
         f"Rates of {loops.stated['integrator'].upper()}'s runs, and of the exact linear loop beside them. With the "
-        f"stated gains: {listed}. With Kp = {kp:g}, Kv = {kv:g}: {low}. The optimised posture is no part of Fig. 9."
+        f"stated gains: {listed}. With Kp = {kp:g} N m, Kv = {kv:g} N m s: {low}. "
+        "The optimised posture is no part of Fig. 9."
     )
     numbers = {name: _numbers(run) for name, run in runs.items()}
     quote = "there is better performance for the optimized position that has a higher robustness"
@@ -87,7 +88,7 @@ def higher_gain(loops: ClosedLoops, gains: GainMap) -> ArticleFinding:
     factors = [numbers[held_words(r)][OPTIMUM] / numbers[held_words(r)]["B"] for r in RATIOS]
     margins = ", ".join(f"{name} {e.epsilon_max:.4f}" for name, e in loops.stands.items() if e.epsilon_max is not None)
     sentence = (
-        f"Gains Kp for which the sampled linear loop is stable, exact between the samples. {'. '.join(parts)}. "
+        f"Gains Kp, N m, for which the sampled linear loop is stable, exact between the samples. {'. '.join(parts)}. "
         f"ε_max: {margins}. With Kv in proportion to Kp the optimised posture allows {min(factors):.0f} to "
         f"{max(factors):.0f} times the gain of B. "
     )
@@ -110,9 +111,9 @@ def stable_at_high_margin(gains: GainMap) -> ArticleFinding:
     rows = [row for row in gains.borders if row.integrator == EXACT and row.stand != "A"]
     bounded = [row for row in rows if row.frequency_hz is not None]
     listed = "; ".join(f"{row.stand}, {row.held}: {row.text}, then {row.frequency_hz:.2f} Hz grows" for row in bounded)
-    sentence = (
-        f"A high margin is not enough: gains bound it, too. {listed}." if bounded else "No gain was found too high."
-    )
+    sentence = "No gain was found too high."
+    if bounded:
+        sentence = f"A high margin is not enough: gains bound it, too; Kp in N m, Kv in N m s. {listed}."
     numbers = {f"{row.stand}, {row.held}": [row.border.largest, row.frequency_hz] for row in rows}
     quote = "As long as the configuration for the manipulator is chosen to have a high stability margin … the feedback "
     quote += "system is stable and does not excite unstable vibration modes"

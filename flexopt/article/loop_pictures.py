@@ -116,7 +116,7 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
             [d.kp for d in differ], [d.kv for d in differ], "x", color=inks.undecided, markersize=6,
             markeredgewidth=1.4, label="run and eigenvalues differ",
         )  # fmt: skip
-        axes.axhline(kv, color=inks.muted, linewidth=1.0, linestyle="--", label=f"Kv = {kv:g}")
+        axes.axhline(kv, color=inks.muted, linewidth=1.0, linestyle="--", label=f"Kv = {kv:g} N m s")
         for ratio, style in zip(ratios, (":", "-."), strict=False):
             axes.plot(gains.kp, ratio * gains.kp, style, color=inks.muted, linewidth=1.1, label=f"Kv/Kp = {ratio:g} s")
         axes.plot(
@@ -125,13 +125,13 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
         )  # fmt: skip
         axes.set(xscale="log", yscale="log", xlim=(gains.kp[0], gains.kp[-1]), ylim=(gains.kv[0], gains.kv[-1]))
         axes.minorticks_off()
-        axes.set_xlabel("Kp, SI")
-        axes.set_ylabel("Kv, SI" if k == 0 else "")
+        axes.set_xlabel("Kp, N m")
+        axes.set_ylabel("Kv, N m s" if k == 0 else "")
         axes.set_title(f"({'abcdefgh'[k]}) {name}")
     bar = figure.colorbar(image, ax=figure.axes, shrink=0.9, pad=0.01, extend="both")
     bar.set_label("growth rate of the sampled linear loop, 1/s")
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=1.2)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=1.2, handlelength=3.0)
     return figure
 
 

@@ -101,7 +101,7 @@ def _loops(result: Reproduction) -> Table:
         off = "" if run.end_error is None else f"{1e3 * run.end_error:.3f}"
         words = f"{run.verdict}{rate}, {run.time[-1]:g} s"
         rows.append((row.stand, f"{row.kp:g}", f"{row.kv:g}", stated, accurate, words, turn, off))
-    header = ("posture", "Kp", "Kv", "linear, RK4, 1/s", "linear, exact, 1/s", "nonlinear run, 1/s",
+    header = ("posture", "Kp, N m", "Kv, N m s", "linear, RK4, 1/s", "linear, exact, 1/s", "nonlinear run, 1/s",
               "largest base rotation, mrad", "end-point at the end, mm off")  # fmt: skip
     return header, rows
 
@@ -115,7 +115,7 @@ def _borders(result: Reproduction) -> Table:
         for row in g.borders
         if row.integrator == methods[0]
     ]
-    return ("stable Kp", "held", *(f"{method} at 200 Hz" for method in methods)), rows
+    return ("stable Kp, N m", "held", *(f"{method} at 200 Hz" for method in methods)), rows
 
 
 def _border(row: BorderRow) -> str:

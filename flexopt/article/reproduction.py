@@ -182,7 +182,8 @@ class Reproduction(Result):
             lines += ["", title]
             lines += [f"  {'holds' if f.holds else 'fails'}: “{f.quote}” ({f.where}). {f.sentence}" for f in group]
         lines += ["", "Closed loops", f"  {self.loops.sentence}", f"  {self.gains.sentence}"]
-        lines += [f"  {row.stand}, {row.held}, {row.integrator}: Kp {row.text}" for row in self.gains.borders]
+        lines += ["  Kp, N m, for which the sampled linear loop is stable, by what integrates it (Kv in N m s):"]
+        lines += [f"  {row.stand}, {row.held}, {row.integrator}: {row.text}" for row in self.gains.borders]
         return "\n".join([*lines, "", "The gap metric", f"  {self.gaps.sentence}"])
 
 

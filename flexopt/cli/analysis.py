@@ -121,17 +121,21 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
 @RANGES
 @option("--certify", is_flag=True, help="Prove that no configuration is better; where the redundancy is one.")
 @value(
+    "--proof",
+    "FILE.json",
+    "With --certify: write what the proof stands on, for another program to check.",
+)
+@value(
     "--log",
-    "PATH",
-    "How the machine swings (.csv): springs and dampers are identified from it first, as `flexopt identify` does, the "
-    "arm held as its joints or else --posture say. With --certify (.json): write what the proof stands on, for another "
-    "program to check.",
+    "FILE.csv",
+    "How the machine swings: springs and dampers are identified from it first, as `flexopt identify` does, the arm "
+    "held as its joints or else --posture say.",
 )
 @of_picture("Draw the choice: .png, .svg or .pdf.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
 def select_command(
-    as_json: bool, machine: str, out: str | None, certify: bool, log: str | None, **options: Any
+    as_json: bool, machine: str, out: str | None, certify: bool, proof: str | None, log: str | None, **options: Any
 ) -> None:
     """Best placement and posture for a target, of MACHINE: a machine with --end-point, or a problem (name or file).
 
@@ -139,24 +143,26 @@ def select_command(
     """
     draw = check_picture(options)
     check_output("--out", out, (".json",))
-    swing, log = (log, None) if log is not None and log.lower().endswith(".csv") else (None, log)
-    check_output("--log", log, (".json",))
+    check_output("--proof", proof, (".json",))
+    if log is not None and not log.lower().endswith(".csv"):
+        sentence = "must be a .csv file of how the machine swings; --proof writes what a certificate stands on"
+        raise InputError(f"select: --log = {log!r}: {sentence}", [Fault("--log", sentence, log)])
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
     with option_names(judged):
         _refuse_early(settings, judged, own)
-    identified = None if swing is None else _identified(swing, settings, as_json)
+    identified = None if log is None else _identified(log, settings, as_json)
     if asks_for_loop(settings.get("objective"), settings.get("constraints")):
         settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
         settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
-    if log is not None and not certify:
-        raise InputError("select: --log goes with --certify", [Fault("--log", "goes with --certify", log)])
+    if proof is not None and not certify:
+        raise InputError("select: --proof goes with --certify", [Fault("--proof", "goes with --certify", proof)])
     if certify and "target" not in settings:
         sentence = "goes with a single target: of several no bound over all ways and placements is known"
         raise InputError(f"select: --certify {sentence}", [Fault("--certify", sentence)])
     with option_names(options | judged), warnings_to_stderr(as_json), progress_bar() as progress:
         result = _solver(settings)(**settings, progress=progress)
-    certificate = _certificate(result, log) if certify else None
+    certificate = _certificate(result, proof) if certify else None
     with option_names(judged), warnings_to_stderr(as_json):
         judgement = _judgement(result, own, **judged)
 
@@ -203,7 +209,7 @@ def _identified(swing: str, settings: dict[str, Any], as_json: bool) -> Identifi
     return found
 
 
-def _certificate(result: Any, log: str | None) -> dict[str, Any]:
+def _certificate(result: Any, proof: str | None) -> dict[str, Any]:
     """The certificate's document; of a selection that cannot have one, the verdict "none" and why."""
     from flexopt.selection import certify  # noqa: PLC0415  (`evaluate` does not need it)
 
@@ -211,8 +217,8 @@ def _certificate(result: Any, log: str | None) -> dict[str, Any]:
         certificate = certify(result)
     except InputError as error:
         return {"verdict": "none", "status": f"not certified: {error.faults[0]}"}
-    if log is not None:
-        write_output("--log", log, lambda: certificate.write_log(log))
+    if proof is not None:
+        write_output("--proof", proof, lambda: certificate.write_log(proof))
     return certificate.to_dict()
 
 

@@ -33,6 +33,7 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, real_loop
+from flexopt.cli.terminal import VOICE
 from flexopt.errors import InputError
 from flexopt.model import load_simulated
 from flexopt.model.simulation import Actuator, Experiment, Sensor, SimulationOptions
@@ -72,6 +73,7 @@ TEXTS = {
     "seed": ("N", "Seed of the measurement noise."),
 }
 # Fields whose option says no, and its name.
+UNSAID = "no gains are given, so the article's are taken; --loop default takes what suits the machine"
 NEGATED = {"hold": "continuous", "gravity_compensation": "uncompensated"}
 # Arguments of `flexopt.simulate` that are no options of the command.
 ELSEWHERE = ("base_path", "target_path", "baked")
@@ -141,7 +143,10 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
         else:
             if "posture" not in asked and "end_point" not in asked:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")
-            result = simulate(loaded, loop=real_loop(loaded.loop, entries), **asked)
+            real = real_loop(loaded.loop, entries)
+            if real is None and not {"kp", "kv", "feedback"} & asked.keys() and not VOICE.quiet:
+                say(f"flexopt: {UNSAID}", err=True)
+            result = simulate(loaded, loop=real, **asked)
     out, film = options["out"], options["animate"]
     if out is not None:
         save = result.to_netcdf if Path(out).suffix.lower() == ".nc" else result.to_csv

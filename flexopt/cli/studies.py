@@ -55,7 +55,12 @@ REPORT_FOLDER, PROBLEM_FOLDER = "flexopt-reproduce", "flexopt-report"
 
 @click.command("map", short_help="Measures over end-points, two joints or placements.")
 @argument("machine")
-@value("--points", "N,M", "Points along x and y (400,400; 60,60 with four passive coordinates and more).", wholes)
+@value(
+    "--points",
+    "N,M",
+    "Points along x and y (400,400; 60,60 in space and with four passive ones or more).",
+    wholes,
+)
 @CONTROL
 @GAIN
 @GRAVITY
@@ -164,7 +169,9 @@ def reproduce_command(as_json: bool, out: str | None, figures: str | None, **opt
 @loop_options("", *LOOPS)
 @LOOP
 @RANGES
-@value("--points", "N", "Of the map along each axis (160; 48 with four passive coordinates and more).", whole)
+@value(
+    "--points", "N", "Of the map along each axis (160; 48 in space and with four passive coordinates or more).", whole
+)
 @value("--out", "DIR", "Folder of report.html and report.json (flexopt-report by default).")
 @value("--pdf", "FILE", "Print the page to a PDF, too; needs Chromium, Chrome or Edge.")
 @JSON

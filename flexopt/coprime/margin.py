@@ -36,6 +36,8 @@ from flexopt.foundation.results import Result
 RESIDUAL_MAX = 1e-6
 # Bounds on the relative error of ε_max: up to which double precision is left at it, and with which it is still told.
 GOOD, TOLD = 1e-9, 1e-6
+# ε_max of the rigid plant a/s²: a controller that attains it tolerates every plant nearer than this.
+RIGID_MARGIN = math.sin(math.pi / 8)
 STATES_MAX = 64  # decimals take minutes beyond
 
 

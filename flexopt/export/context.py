@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, cast
 
@@ -66,8 +66,10 @@ class Context:
         if self.judged_loop is None:
             return None
         entries = cast("dict[str, Any]", self.judged_loop["settings"])
-        numbers: dict[str, Any] = {name: np.array(cast(Any, x)) for name, x in entries.items() if isinstance(x, list)}
-        return LoopSettings(**entries | numbers)
+        own = {each.name: entries[each.name] for each in fields(LoopSettings)}
+        numbers: dict[str, Any] = {name: np.array(cast(Any, x)) for name, x in own.items() if isinstance(x, list)}
+        numbers["joint_units"] = tuple(own["joint_units"])
+        return LoopSettings(**own | numbers)
 
     @property
     def machine(self) -> AnyMachine:

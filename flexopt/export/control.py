@@ -9,7 +9,7 @@ import casadi as ca
 
 from flexopt.export.context import Context, sine_squared, unit_list
 from flexopt.export.operations import Field, Operation
-from flexopt.foundation.control import CONTROLS, Control, control_damping, control_method
+from flexopt.foundation.control import CONTROLS, Control, control_damping, control_method, gain_units
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.loop.feedback import joint_torque, nullspace_torque
 from flexopt.plant import Plant
@@ -88,7 +88,7 @@ def _torque(at: Context, control: Control) -> Operation:
     result = law(base=at.base, posture=g.posture, p=g.p, **symbol)
     torque, size = result["torque"], result["torque_size"]
 
-    units = ("N/m", "N s/m") if control == "transpose" else ("N m", "N m s")
+    units = gain_units(control, at.machine.joint_units)
     kp = field("proportional_gain", "", units[0], "Kp", high=GAIN_MAX, sample=(1e3, 1e6))
     kv = field("derivative_gain", "", units[1], "Kv", high=GAIN_MAX, sample=(1e2, 1e5))
     inputs = [

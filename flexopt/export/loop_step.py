@@ -140,7 +140,7 @@ def _about(loop: LoopSettings, law: _Law) -> str:
         text += f"; torques within {_listed(loop.torque_limit)}"
     return (
         f"{text}. These numbers are constants of the code. Jv at the measured joints, passive coordinates at rest. Its "
-        f"margins were told for a dead time of {loop.dead_time:g} s from measurement to command. It keeps no state: "
+        f"margins hold for a dead time of {loop.dead_time:g} s from measurement to command. It keeps no state: "
         "what is called next_ is handed in at the next call."
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from flexopt.foundation.quantities import Quantity, accepting
@@ -11,6 +12,8 @@ Control = str
 CONTROLS: tuple[Control, ...] = ("inverse", "transpose")
 DAMPED = "damped"
 DAMPING_MAX = 1e9
+# Of Kp, Kv and Ki that make of the end-point's error the rate which velocity-served joints are asked for.
+RATE_GAIN_UNITS = ("1/s", "", "1/s²")
 
 
 @accepting({"type": "string", "pattern": rf"^({'|'.join(CONTROLS)}|{DAMPED}:.+)$"})
@@ -41,3 +44,13 @@ def control_method(control: Control) -> str:
 def control_damping(control: Control) -> float | None:
     """λ of a damped control, None of any other."""
     return float(control.partition(":")[2]) if control_method(control) == DAMPED else None
+
+
+def gain_units(control: Control, joint_units: Sequence[str]) -> tuple[str, str, str]:
+    """Units of Kp, Kv and Ki: what makes of the end-point's error, m, the force f that Jvᵀ or Jv⁺ maps to the joints.
+
+    Jv⁺ is in rad/m of hinges, so that f is in N m² there, and 1 of slides; where an arm has both no unit fits all.
+    """
+    if control == "transpose" or set(joint_units) == {"m"}:
+        return "N/m", "N s/m", "N/(m s)"
+    return ("N m", "N m s", "N m/s") if set(joint_units) == {"rad"} else ("SI", "SI", "SI")

@@ -16,7 +16,7 @@ from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
 from flexopt.loop.lag import LaggedModes, lagged_modes
-from flexopt.loop.outcome import MEASURES, LoopPoint
+from flexopt.loop.outcome import HIGH, LOW, MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
@@ -35,7 +35,8 @@ class Outcome(Result):
     Attributes:
         settings: the loop's numbers, and where they come from.
         allowance, allowance_isotropic: κ_i = 4 ζ_i ω_i / |w_i|, the largest velocity gain in any direction before mode
-            i grows, and 2 ζ_i ω_i / (−a_i·b_i), the same for Kv = kv I, (m,); infinite (JSON: null) where no gain does.
+            i grows, and 2 ζ_i ω_i / (−a_i·b_i), the same for Kv = kv I, (m,), in `settings.force_units`; infinite
+            (JSON: null) where no gain does.
         lag, lag_reserve: (m,), rad; first_order_decay: (m,), 1/s; w_lagged: (m,), as w; see `LaggedModes`.
         frequencies_hz, damping_ratios: of the oscillation that each mode has become in the sampled loop, (m,).
         decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. frequency_hz: its frequency.
@@ -49,7 +50,7 @@ class Outcome(Result):
             `LoopPoint.h2_norm`.
         settling, swing: of the standard move, in which the end-point starts beside its target along one task row, the
             worst row: after which time |e| stays below 2 % of its start, s, NaN where it does not in a minute; and the
-            base's largest turn, rad (of a base that cannot turn a shift, m), for each m of the move.
+            base's largest turn, rad (of a base that cannot turn a shift, m: `swing_unit`), for each m of the move.
         gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
             and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
             time of whole samples those are of a longer one; of settling and swing NaN where
@@ -85,17 +86,30 @@ class Outcome(Result):
     h2_norm: float
     settling: float
     swing: float
+    swing_unit: str
     gradient: Slopes
 
     DOCUMENT = """
     settings allowance allowance_isotropic lag[rad] lag_reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
     damping_ratios decay[1/s] frequency_hz[Hz] drift[1/s] allowed_gain gain_intervals delay_margin[s] disk_margin
-    sensitivity_peak complementary_peak h2_norm settling[s] swing gradient
+    sensitivity_peak complementary_peak h2_norm settling[s] swing swing_unit gradient
     """
+
+    @property
+    def _stable(self) -> list[str]:
+        """The intervals of Kp in words; an end of the search is no border."""
+        kp = next((x for x in self.settings.kp.tolist() if x > 0), 1.0)
+        words = list[str]()
+        for low, high in self.gain_intervals:
+            least, most = (math.isclose(x, kp * 10**end, rel_tol=1e-6) for x, end in ((low, LOW), (high, HIGH)))
+            parts = [*([] if least else [f"from {low:.4g}"]), *([] if most else [f"up to {high:.4g}"])]
+            words.append(" ".join(parts) or "without border")
+        return words
 
     def __repr__(self) -> str:
         first, *sources = repr(self.settings).splitlines()
-        head = f"  {'mode':>4} {'κ':>11} {'κ, isotropic':>13} {'lag':>8} {'reserve':>8} {'1st order':>11}"
+        unit = self.settings.force_units[1]
+        head = f"  {'mode':>4} {f'κ, {unit}':>11} {'κ, isotropic':>13} {'lag':>8} {'reserve':>8} {'1st order':>11}"
         lines = [f"loop: {first}", *sources, f"{head} {'frequency':>12} {'damping':>10}"]
         degrees = np.degrees([self.lag, self.lag_reserve])
         for i, allowed in enumerate(self.allowance):
@@ -107,8 +121,9 @@ class Outcome(Result):
         verb = "decays" if self.decay > 0 else "grows"
         lines.append(f"  sampled loop: {verb} at {abs(self.decay):.4g}/s, {self.frequency_hz:.4g} Hz")
         lines += [f"  the arm's self-motion drifts at {rate:+.3g}/s" for rate in self.drift if rate > 0]
-        stable = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in self.gain_intervals) or "none"
-        lines.append(f"  allowed gain Kp {_told(self.allowed_gain)} (stable: {stable})")
+        stable = ", ".join(self._stable) or "nowhere"
+        unit = self.settings.gain_units[0] if math.isfinite(self.allowed_gain) else ""
+        lines.append(f"  allowed gain Kp {_told(self.allowed_gain)}{unit and ' ' + unit} (stable: {stable})")
         margin = f"{_told(1e3 * self.delay_margin)}{' ms' if math.isfinite(self.delay_margin) else ''}"
         lines.append(
             f"  delay margin {margin}; disk margin {_told(self.disk_margin)}; "
@@ -116,13 +131,16 @@ class Outcome(Result):
         )
         if math.isfinite(self.h2_norm):
             lines.append(
-                f"  the end-point's H2 norm from forces on the base {self.h2_norm:.4g} (m of unit white noise)"
+                f"  H2 norm from forces on the base to the end-point {self.h2_norm:.4g} m, its standard deviation "
+                "under white noise of unit intensity"
             )
         if math.isfinite(self.swing):
             settles = (
                 f"settles in {self.settling:.4g} s" if math.isfinite(self.settling) else "does not settle in a minute"
             )
-            lines.append(f"  standard move: {settles}; the base swings by {self.swing:.4g} for each m")
+            lines.append(
+                f"  standard move: {settles}; the base swings by {self.swing:.4g} {self.swing_unit} for each m"
+            )
         return "\n".join(lines)
 
 
@@ -227,11 +245,17 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
         damping_ratios=np.array([ratio.value for ratio in ratios]),
         frequency_hz=outcome.loop.frequency_hz,
         drift=outcome.loop.drift,
+        swing_unit=swing_unit(outcome),
         gain_intervals=tuple((low * kp, high * kp) for low, high in outcome.gain_intervals),
         gradient={name: {"parameters" if by == "p" else by: x for by, x in found.items()}
                   for name, found in gradient.items()},
         **{name: measured.value for name, measured in scalars.items()},
     )  # fmt: skip
+
+
+def swing_unit(point: LoopPoint) -> str:
+    """Of the base's swing in the standard move: rad, of a base that cannot turn m."""
+    return "rad" if point.motions.loop.shape.base_hinges else "m"
 
 
 def _shapes(outcome: LoopPoint) -> tuple[Vector, Vector]:

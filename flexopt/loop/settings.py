@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import Control
+from flexopt.foundation.control import RATE_GAIN_UNITS, Control, gain_units
 from flexopt.foundation.results import Result
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
 from flexopt.loop.levers import servo_gain_of_efforts
@@ -28,6 +28,7 @@ from flexopt.robustness import Evaluation
 # gains is halved in search of a stable loop.
 VELOCITY_KP = 1.0
 HALVINGS = 6
+USUAL = "usual of velocity-served joints"
 # What a loop may say of each joint's drive.
 OF_DRIVES = ("bandwidth_hz", "torque_limit", "rate_limit")
 
@@ -38,11 +39,12 @@ class LoopSettings(Result):
 
     Attributes:
         control, feedback, drive: as in `flexopt.model.Loop`.
-        kp, kv, ki: (r,).
+        kp, kv, ki: (r,), in `gain_units`; where they make a force of the end-point's error these are `force_units`.
         rate: Hz;  dead_time: s;  filter_hz: Hz;  bandwidth_hz: (n,), Hz.
         servo_gain: N m s/rad or N s/m, of velocity-served joints.
         nullspace_damping: N m s/rad or N s/m.
         torque_limit: N m or N, and rate_limit, N m/s or N/s, (n,): of the drives; small motions do not feel them.
+        joint_units: rad or m, (n,).
         sources: where each value comes from that `[loop]` does not give, in words.
     """
 
@@ -60,12 +62,23 @@ class LoopSettings(Result):
     nullspace_damping: float
     torque_limit: Vector | None
     rate_limit: Vector | None
+    joint_units: tuple[str, ...]
     sources: Mapping[str, str]
 
     DOCUMENT = """
     control feedback drive kp kv ki rate[Hz] dead_time[s] filter_hz[Hz] bandwidth_hz[Hz] servo_gain nullspace_damping
-    torque_limit rate_limit sources
+    torque_limit rate_limit joint_units gain_units force_units sources
     """
+
+    @property
+    def force_units(self) -> tuple[str, str, str]:
+        """See the class."""
+        return gain_units(self.control, self.joint_units)
+
+    @property
+    def gain_units(self) -> tuple[str, str, str]:
+        """See the class."""
+        return RATE_GAIN_UNITS if self.drive == "velocity" else self.force_units
 
     def motions(self, machine: AnyMachine, *, gravity: bool) -> SmallMotions:
         """The Functions of this loop."""
@@ -106,11 +119,11 @@ class LoopSettings(Result):
         return [f"  not given of the loop, so proposed from the machine: {names}"] if names else []
 
     def __repr__(self) -> str:
-        units = ("1/s", "", "1/s²") if self.drive == "velocity" else ("",) * 3
         gains = [f"{name} {_numbers(getattr(self, name.lower()))}{unit and ' ' + unit}"
-                 for name, unit in zip(("Kp", "Kv", "Ki"), units, strict=True)
+                 for name, unit in zip(("Kp", "Kv", "Ki"), self.gain_units, strict=True)
                  if name != "Ki" or self.feedback == "pid"]  # fmt: skip
-        served = "" if self.servo_gain is None else f" (servo gain {self.servo_gain:.4g})"
+        unit = " or ".join(dict.fromkeys("N m s/rad" if unit == "rad" else "N s/m" for unit in self.joint_units))
+        served = "" if self.servo_gain is None else f" (servo gain {self.servo_gain:.4g} {unit})"
         parts = [f"{self.drive}-served joints{served}", *gains, f"{self.rate:g} Hz", f"dead time {self.dead_time:g} s"]
         parts += [] if self.filter_hz is None else [f"filter {self.filter_hz:g} Hz"]
         parts += [] if self.bandwidth_hz is None else [f"servo {_numbers(self.bandwidth_hz)} Hz"]
@@ -142,7 +155,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     if loop.drive is None:
         sources["drive"] = _why_drive(loop, drive)
     if loop.rate is None:
-        sources["rate"] = f"{rate:g} Hz, as {'hydraulic excavators have' if drive == 'velocity' else 'in the article'}"
+        sources["rate"] = f"{rate:g} Hz, {USUAL if drive == 'velocity' else 'as in the article'}"
     gain = loop.servo_gain
     if drive == "velocity" and gain is None:
         gain = servo_gain_of_efforts(machine, stand.posture)
@@ -156,7 +169,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     chosen = {name for name in ("kp", "kv") if getattr(loop, name) is None and name not in gains}
     usual = {"kp": VELOCITY_KP, "kv": 0.0} if drive == "velocity" else _suiting(machine, stand, rate, loop, gains, 1.0)
     gains |= {name: usual[name] for name in chosen}
-    why = "usual of velocity-served joints"
+    why = USUAL
     if drive == "torque":
         why = f"suits the arm's masses: corner at {SHARE:g} of the lowest mode, damping ratio {DAMPING_RATIO:g} on a "
         why += "rigid base"
@@ -181,6 +194,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
         **{name: None if getattr(loop, name) is None else spread(name, len(machine.joints)) for name in OF_DRIVES},
         servo_gain=gain if drive == "velocity" else None,
         nullspace_damping=loop.nullspace_damping,
+        joint_units=tuple(machine.joint_units),
         sources=sources,
     )
     return found if drive == "velocity" or len(chosen) < 2 else _stable(machine, found, loop, stand, gravity=gravity)

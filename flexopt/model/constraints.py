@@ -240,7 +240,7 @@ class LeastOutcomes(FileModel):
         decay: of its slowest motion, 1/s.
         allowed_gain: largest Kp, N/m and the like.
         delay_margin: further dead time that it bears, s.
-        allowance: largest velocity gain that damps every mode, N s/m.
+        allowance: largest velocity gain that damps every mode, in the unit of Kv.
         radius: the stability radius, of all springs together.
         settling: of the standard move, at most, s.
         swing: of the base in the standard move, at most, rad (of a base that cannot turn m) for each m of the move.

@@ -20,7 +20,7 @@ DELAY_MAX = 100  # samples
 DECADES = 6.0  # of a range of gains from 0
 # In place of a table: everything follows from the machine.
 DEFAULT_LOOP = "default"
-# Where none is given: the article's, and that of hydraulic excavators.
+# Where none is given: the article's, and that of teleoperated excavators.
 RATES: dict[Drive, float] = {"torque": 200.0, "velocity": 100.0}
 LOOP_GAIN = Quantity("N/m and the like", low=0.0, high=1e15)
 GAINS = {"kp": "proportional gain Kp", "kv": "velocity gain Kv", "ki": "integral gain Ki"}
@@ -43,8 +43,9 @@ class Loop(BuiltByCall):
     Attributes:
         control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.
         feedback: `"pd"` or `"pid"`.
-        kp, kv, ki: gains, one number or one for each task row: N/m, N s/m, N/(m s) for transpose control. Of
-            velocity-served joints 1/s, 1 and 1/s², from the end-point's error to the rate asked for.
+        kp, kv, ki: gains, one number or one for each task row: N/m, N s/m, N/(m s) for transpose control, N m,
+            N m s, N m/s for the inverse of hinges. Of velocity-served joints 1/s, 1 and 1/s², from the end-point's
+            error to the rate asked for.
         kp_range, kv_range: (lower, upper) between which all entries of a gain may be chosen.
         rate: of the samples, Hz.
         dead_time: from measurement to command, s; any time, not only whole samples.

@@ -167,7 +167,8 @@ class SimulationOptions(BuiltByCall):
         base: placement (n_b,), m or rad: of a planar machine x alone; 0 by default.
         control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.
         feedback: `"pd"`, `"pid"`, `"robust"` (the controller that attains ε_max) or `"none"`.
-        kp, kv, ki: gains, one number or one for each task row (N/m, N s/m, N/(m s) for transpose control).
+        kp, kv, ki: gains, one number or one for each task row: N/m, N s/m, N/(m s) for transpose control, N m, N m s,
+            N m/s for the inverse of hinges.
         integral_limit: largest |∫ ki e dt| for each axis.
         gain: servo gain kr for which `"robust"` is designed.
         offset: displacement of the joints at the start (n,), rad or m; +0.05, −0.05, … by default.

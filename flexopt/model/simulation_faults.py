@@ -49,7 +49,9 @@ def _posture_faults(options: SimulationOptions, machine: AnyMachine) -> list[Fau
         point = list(options.end_point)
         noted.checked("end_point", point, lambda v: check_task(v, rows), ())
         if n > len(rows):
-            sentence = f"does not name one posture of {n} actuated joints; give the posture"
+            sentence = (
+                f"does not name one posture of {n} actuated joints; give the posture: `flexopt select` finds some"
+            )
             noted.faults.append(Fault("end_point", sentence, str(point)))
     if options.posture is not None:
         noted.posture(machine, list(options.posture))

@@ -170,7 +170,10 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
     first, initial = selection.problem.sought[0], selection.initial
     now, label = None, objective_label(first, selection.best.evaluation)
     if isinstance(selection, OutcomeSelection):
-        now, label = selection.present, labelled(f"objective {mathtext(selection.measure)}", selection.criterion.unit)
+        now, label = (
+            selection.present,
+            labelled(f"objective {mathtext(selection.measure)}", selection.criterion.unit_of(selection.settings[0])),
+        )
     elif initial is not None and first.own is None:
         now = first.value(initial.w, initial.epsilon_max)
     if now is not None:

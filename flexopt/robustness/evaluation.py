@@ -27,6 +27,7 @@ from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.posture_margin import evaluate_margin, prepare_margin
+from flexopt.robustness.residues import residue_unit
 
 if TYPE_CHECKING:
     from flexopt.robustness.damped import DampedModes
@@ -191,9 +192,10 @@ class Evaluation(Result):
         angles = in_words(self.joints, self.posture, self.joint_units)
         placed = in_words(self.base_coordinates, self.base, self.base_units) or "fixed"
         point = ", ".join(f"{x:z.4f}" for x in self.end_point)
+        unit = f"w, {residue_unit(self.control, self.joint_units)}"
         lines = [
             f"{self.machine}, Jacobian {self.control} control: base {placed}; {angles}; end-point ({point}) m",
-            "  mode   frequency    damping             w      w/|a||b|   in phase",
+            f"  mode   frequency    damping {unit:>13}      w/|a||b|   in phase",
         ]
         for i, w in enumerate(self.w):
             phase = "strictly" if self.in_phase_strict[i] else "yes" if self.in_phase[i] else "no"

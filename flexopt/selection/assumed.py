@@ -88,9 +88,9 @@ def assumed(
     """
     machine, named = plant.machine, list[Assumption]()
     ground = _ground(plant, targets) if assumes(assume, "ground") and not _has_ground(constraints) else None
-    above = () if ground is None else kept_above(plant)
+    above = "" if ground is None else kept_above(plant)
     if ground is not None and above:
-        sentence = f"{', '.join(above)} stay{'s' * (len(above) == 1)} above the ground, whose height is {ground:g} m"
+        sentence = f"{above} the ground, whose height is {ground:g} m"
         named.append(Assumption("ground", sentence, ground, "m"))
     limited = sum(bool(np.isfinite(ends).any()) for ends in machine.limits)
     limits = assumes(assume, "limits")

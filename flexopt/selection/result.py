@@ -21,6 +21,8 @@ from flexopt.selection.exchanged import at_edge
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 
 SHOWN = 12
+# Below this share of what others have an ε_max that nobody asked for is told of.
+THIN = 0.5
 # Names longer than this are folded in the heads of tables.
 NAME_WIDTH = 10
 # Optima whose V differs by less, as a share of the scale, are of one value.
@@ -188,8 +190,8 @@ class Selection(Pictured, Result):
     """
 
     DOCUMENT = (
-        "status converged best edges decided_by nothing_to_gain candidates initial attempts missed_chance kept problem "
-        "provenance"
+        "status converged best edges decided_by nothing_to_gain left_out candidates initial attempts missed_chance "
+        "kept problem provenance"
     )
 
     best: Candidate
@@ -274,6 +276,20 @@ class Selection(Pictured, Result):
             return ""
         return f"nothing to gain: the present configuration has as much {problem.name}, to {NOTHING:g} of |a||b|"
 
+    @property
+    def left_out(self) -> str:
+        """A sentence where ε_max was not sought and another candidate has more than twice as much; else empty."""
+        margins = [candidate.evaluation.epsilon_max or 0.0 for candidate in self.candidates[:SHOWN]]
+        most = max(margins)
+        if any(o.has_kinks for o in self.problem.sought) or self.best.evaluation.epsilon_max is None:
+            return ""
+        if margins[0] >= most * THIN:
+            return ""
+        return (
+            f"the objective leaves ε_max out: {margins[0]:.4g} at the best, {most:.4g} at candidate "
+            f"{margins.index(most) + 1}"
+        )
+
     def __repr__(self) -> str:
         best = self.best.evaluation
         problem = self.problem
@@ -308,7 +324,11 @@ class Selection(Pictured, Result):
                 f"  best found in {len(self.attempts)} starts, {ended} of which ended at an optimum: "
                 f"about {100 * self.missed_chance:.0f} % of further ones would end at a value not found yet"
             )
-        lines += [f"  {sentence}" for sentence in (*self.edges, self.decided_by, self.nothing_to_gain) if sentence]
+        lines += [
+            f"  {sentence}"
+            for sentence in (*self.edges, self.decided_by, self.left_out, self.nothing_to_gain)
+            if sentence
+        ]
         lines += [f"  {assumption}" for assumption in problem.assumed]
         return "\n".join(lines)
 
@@ -357,6 +377,12 @@ def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> flo
 
 def _measures(evaluation: Evaluation, equal: float) -> str:
     """The w_i, 0 where they are rounding or count as `equal` to it, and ε_max."""
-    margin = "         –" if evaluation.epsilon_max is None else f"{evaluation.epsilon_max:10.6f}"
     sizes = zip(evaluation.w.tolist(), evaluation.scale.tolist(), strict=True)
-    return "".join(f"{w if abs(w) > max(ROUNDING * size, equal) else 0.0:13.4e}" for w, size in sizes) + margin
+    return "".join(f"{w if abs(w) > max(ROUNDING * size, equal) else 0.0:13.4e}" for w, size in sizes) + in_margin(
+        evaluation
+    )
+
+
+def in_margin(e: Evaluation) -> str:
+    """ε_max in a column."""
+    return f"{'–':>10}" if e.epsilon_max is None else f"{e.epsilon_max:10.6f}"

@@ -59,6 +59,14 @@ def braked_by(machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> 
     return found
 
 
+def braked(machine: AnyMachine, by: Vector) -> AnyMachine:
+    """The machine with so much more in its p (n_par,), see `braked_by`."""
+    if not by.any():
+        return machine
+    own = zip(machine.parameters, by.tolist(), strict=True)
+    return with_parameters(machine, {each.name: each.value + more for each, more in own if more})
+
+
 def note_loop(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """Note options of a call that its loop brings itself."""
     if given["loop"] is not None:
@@ -77,10 +85,7 @@ def with_loop(
     waits = whole_samples(settings.dead_time, settings.rate)
     brought = run_options(machine, settings, waits)
     more = {name: brought[name] | table_entries(told.get(name)) for name in BROUGHT_BY_TABLES}
-    braked = braked_by(machine, settings, gravity=options.gravity)
-    if braked.any():
-        own = zip(machine.parameters, braked.tolist(), strict=True)
-        machine = with_parameters(machine, {each.name: each.value + by for each, by in own if by})
+    machine = braked(machine, braked_by(machine, settings, gravity=options.gravity))
     late, sentences = waits / settings.rate, list[str]()
     if abs(late - settings.dead_time) * settings.rate > PART_OF_SAMPLE:
         sentences.append(f"runs wait whole samples: the dead time of {settings.dead_time:g} s is taken as {late:g} s")

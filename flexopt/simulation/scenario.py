@@ -200,7 +200,7 @@ def build_scenario(
     period = 1 / options.rate
     fastest = 2 * math.pi * float(design.frequencies_hz[-1])
     servo = 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,))
-    substeps, iterations = (1, 0) if exact else stepping(options, fastest, servo)
+    substeps, iterations = (1, 0) if exact else stepping(options, fastest, servo, design.damper)
     structure = _structure(machine, options, substeps, iterations)
     structure = replace(structure, watched=watched, method="rk4" if exact else structure.method)
     if zeros is not None:
@@ -284,6 +284,7 @@ class _Design:
     target: Vector
     frequencies_hz: Vector
     modes: Vector
+    damper: float
 
 
 @lru_cache(maxsize=256)
@@ -317,9 +318,12 @@ def _design(
         q[:m] = plant.deflected(placement, angles, p).full().ravel()
         _check_static(plant, q, placement)
         stiffness = check_held(plant, q, placement)
-    frequencies, modes = _flexible_modes(stiffness, plant.mass.call([q, placement, p])[0].full(), m)
+    mass: Vector = plant.mass.call([q, placement, p])[0].full()
+    frequencies, modes = _flexible_modes(stiffness, mass, m)
     target = plant.end_point.call([q, placement, p])[0].full().ravel()
-    return _Design(angles, placement, q, target, frequencies, modes)
+    dampers: Vector = plant.damping(p).full()
+    damper = float(np.abs(np.linalg.eigvals(np.linalg.solve(mass, dampers))).max())
+    return _Design(angles, placement, q, target, frequencies, modes, damper)
 
 
 def _check_static(plant: Plant, q: Vector, base: Vector) -> None:

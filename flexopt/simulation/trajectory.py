@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -278,13 +279,16 @@ class Trajectory(Pictured, Result):
 
         rotation = number(self.peak_base_rotation, "{:.4g} rad")
         modes = ", ".join(
-            f"{hz:.2f} Hz {e:.2e} J" for hz, e in zip(self.frequencies_hz, self.residual_oscillation, strict=True)
+            f"{hz:.2f} Hz {f'{e:.2e} J' if math.isfinite(e) else '–'}"
+            for hz, e in zip(self.frequencies_hz, self.residual_oscillation, strict=True)
         )
+        rate = number(self.growth_rate, "{:+.4g}/s")
+        if self.growth_rate is not None:
+            rate += f" ± {number(self.growth_rate_error, '{:.1g}')}"
         verdict = "may grow or not, undecided" if self.verdict == "undecided" else self.verdict
         lines = [
             f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {verdict} "
-            f"({number(self.growth_rate, '{:+.4g}')}/s ± {number(self.growth_rate_error, '{:.1g}')} in the run, "
-            f"{number(self.linear_growth_rate, '{:+.4g}')}/s in the linear loop)",
+            f"({rate} in the run, {number(self.linear_growth_rate, '{:+.4g}/s')} in the linear loop)",
             f"  end-point: settles in {number(self.settling_time, '{:.3f} s')}, overshoot "
             f"{number(self.overshoot and 100 * self.overshoot, '{:.1f} %')}, {number(self.end_error, '{:.3e} m')} off "
             "at the end",

@@ -16,7 +16,7 @@ from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.ensemble import Ensemble
-from flexopt.simulation.real_loop import SHORTER, braked_by, run_options, whole_samples
+from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options, whole_samples
 
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
 # What runs may show; of several the first that one of them shows.
@@ -128,9 +128,11 @@ def _ensembles(
 
 def _ensemble(loop: UncertainLoop, members: Vector, waits: int, duration: float, substeps: int | None) -> Ensemble:
     s, machine = loop.settings, loop.box.machine
-    varied = np.array([loop.box.numbers(u)[0] for u in members]) + braked_by(machine, s, gravity=loop.gravity)
-    moved = np.flatnonzero(np.any(varied != loop.box.nominal, axis=0)).tolist() or [0]
+    brakes = braked_by(machine, s, gravity=loop.gravity)
+    varied, nominal = np.array([loop.box.numbers(u)[0] for u in members]) + brakes, loop.box.nominal + brakes
+    moved = np.flatnonzero(np.any(varied != nominal, axis=0)).tolist() or [0]
+    vary = {machine.parameters[k].name: varied[:, k] for k in moved}
     return simulate_ensemble(
-        machine, loop.posture, base=loop.base, vary={machine.parameters[k].name: varied[:, k] for k in moved},
+        braked(machine, brakes), loop.posture, base=loop.base, vary=vary,
         gravity=loop.gravity, substeps=substeps, duration=duration, **run_options(machine, s, waits),
     )  # fmt: skip

@@ -97,13 +97,16 @@ def decide(
             reason = f"no place found decays {100 * FASTER:.0f} % faster on {where}"
             return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
-    if sound:
+    if stay is not None and sound:
         first = max(sound, key=lambda place: place.slowest)
-        share = 0.0 if stay is None else first.better_than(stay)
-        grows = "" if stay is None or stay.holds else ", and the present place is not"
-        reason = f"{first.name} is stable on every ground{grows}, but better than it on {100 * share:.0f} % only"
-        if not grows:
-            reason = reason.replace("than it", "than the present place")
+        share = first.better_than(stay)
+        where = f"on {100 * share:.0f} % of the grounds only" if share else "on no ground"
+        reason = f"{first.name} is stable on every ground, and the present place is not, but better than it {where}"
+        if stay.holds:
+            reason = (
+                f"nonlinear runs do not confirm the present place, and {first.name}, which they confirm, is better "
+            )
+            reason += where
         return Decision("cannot tell", first.name, reason)
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]

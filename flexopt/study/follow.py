@@ -5,6 +5,7 @@ In: a plant, a target and a placement for each cell, and a reference posture. Ou
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -44,13 +45,16 @@ class MapPoints:
     distance: Vector
 
 
-def follow(plant: Plant, cells: MapPoints, reference: Vector) -> tuple[Vector, Mask, float]:
+def follow(
+    plant: Plant, cells: MapPoints, reference: Vector, told: Callable[[int], None] = lambda _: None
+) -> tuple[Vector, Mask, float]:
     """The posture of each cell: on its target, inside the joint limits, at rest.
 
     The first cell is the one nearest to the reference; every other starts from a neighbour that is done. An arm
     without redundancy stays in the reference's branch: the sign of det Jv is kept. A redundant arm takes the posture
     nearest to the reference, |q_a − q_ref|² least over the postures on the target (rad and m alike), at least locally:
-    each step is Jv⁺ (r_d − r) + α (I − Jv⁺ Jv)(q_ref − q_a), joints that rest against their limits left out.
+    each step is Jv⁺ (r_d − r) + α (I − Jv⁺ Jv)(q_ref − q_a), joints that rest against their limits left out. `told` is
+    called with how many cells are done.
 
     Returns:
         postures (n, n_y, n_x), NaN where none was found; a mask of those found; the least error in m of the first cell
@@ -77,6 +81,7 @@ def follow(plant: Plant, cells: MapPoints, reference: Vector) -> tuple[Vector, M
         fresh[rows[reached], columns[reached]] = True
         posture[:, rows[reached], columns[reached]] = found[:, reached]
         done |= fresh
+        told(int(done.sum()))
     return posture, done, 0.0
 
 

@@ -6,7 +6,7 @@ In: a machine, the range of the map and the number of points. Out: a `Grid` with
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -144,7 +144,7 @@ def _joint_axis(machine: AnyMachine, k: int, values: Vector) -> Axis:
 
 def task_grid(
     machine: AnyMachine, ranges: Sequence[Range], points: tuple[int, int], rows: Pair, end_point: Vector, base: Vector,
-    reference: Vector,
+    reference: Vector, told: Callable[[int], None],
 ) -> Grid:  # fmt: skip
     """Postures followed over a plane of the task: the rows of the indices `rows` vary, the others are `end_point`'s."""
     plant, names = build_plant(machine), machine.task_rows
@@ -155,7 +155,7 @@ def task_grid(
     bases = np.broadcast_to(base[:, None, None], (base.size, *shape))
     here = end_point_at(plant, base, reference)
     distance = np.hypot(*(target[k] - here[k] for k in rows))
-    posture, done, _ = follow(plant, MapPoints(target, bases, distance), reference)
+    posture, done, _ = follow(plant, MapPoints(target, bases, distance), reference, told)
     column, row = (
         Axis(names[k], values, "m", f"{names[k]} of the end-point at rest, inertial frame")
         for k, values in zip(rows, (x, y), strict=True)
@@ -165,7 +165,7 @@ def task_grid(
 
 def placement_grid(
     machine: AnyMachine, ranges: Sequence[Range], points: tuple[int, int], coordinates: Pair, end_point: Vector,
-    base: Vector, reference: Vector,
+    base: Vector, reference: Vector, told: Callable[[int], None],
 ) -> Grid:  # fmt: skip
     """Postures followed over placements with the end-point held: two coordinates vary, the others are `base`'s.
 
@@ -179,7 +179,7 @@ def placement_grid(
     bases[coordinates[0]], bases[coordinates[1]] = np.meshgrid(x, y)
     target = np.broadcast_to(end_point[:, None, None], (end_point.size, *shape))
     distance = np.hypot(*(bases[k] - base[k] for k in coordinates))
-    posture, done, miss = follow(plant, MapPoints(target, bases, distance), reference)
+    posture, done, miss = follow(plant, MapPoints(target, bases, distance), reference, told)
     if not done.any():
         raise missed(plant, end_point, base, miss)
     column, row = (

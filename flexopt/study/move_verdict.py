@@ -19,6 +19,7 @@ from flexopt.foundation.boundary import Keywords, number, public, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.stages import Stages
+from flexopt.loop.evaluation import swing_unit
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
@@ -279,7 +280,7 @@ def _place(
         delay_margin=band("delay_margin", np.min),
         settling=band("settling", np.max),
         swing=band("swing", np.max, MOVE),
-        swing_unit="rad" if outcomes[0][0].motions.loop.shape.base_hinges else "m",
+        swing_unit=swing_unit(outcomes[0][0]),
         runs=runs,
     )
 

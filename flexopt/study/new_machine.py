@@ -25,11 +25,13 @@ from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.robustness.plausibility import modes_at
 
-POSTURES = 64
+POSTURES = 256
 # Of the ranges of the joints, for a posture to look at first.
 INNER = (0.15, 0.85)
 # Least over largest singular value of Jv below which no posture is regular.
 REGULAR = 1e-3
+# Points whose heights differ by less are level, m.
+SAME_HEIGHT = 1e-9
 DIGITS = 6
 # Of springs that make 1 rad/s of each direction alone, Hz.
 FREQUENCY_MAX = 1e4
@@ -156,7 +158,9 @@ def aligned(text: str) -> str:
 
 
 def regular_posture(machine: AnyMachine) -> tuple[float, ...]:
-    """Well inside the joint limits, and there of a sample the one with the best conditioned Jv.
+    """Well inside the joint limits, above the ground where a sample has such, and there the best conditioned Jv.
+
+    The ground is at 0, or as low as what the arm does not move.
 
     Raises:
         InputError: every one is singular.
@@ -165,15 +169,18 @@ def regular_posture(machine: AnyMachine) -> tuple[float, ...]:
     low, high = sampled_ranges(machine, arm_length(plant)).T
     share = INNER[0] + (INNER[1] - INNER[0]) * low_discrepancy(len(low), POSTURES, 0)
     middle: Vector = (low + high) / 2
-    best, quality = middle, 0.0
-    base, p = np.zeros(plant.n_base), plant.parameter_values
-    for posture in [middle, *(low[:, None] + (high - low)[:, None] * share).T]:
-        jacobian: Vector = cast(Any, plant.rigid_jacobian)(plant.rest(base, posture, p), base, p).full()
-        sizes = np.linalg.svd(jacobian, compute_uv=False)
-        square = plant.n_task <= plant.n_actuated
-        conditioned = float(sizes[-1] / sizes[0]) if square and sizes[0] > 0 else 0.0
-        if conditioned > quality * 1.01:
-            best, quality = posture, conditioned
+    sample: list[Vector] = [middle, *(low[:, None] + (high - low)[:, None] * share).T]
+    at = [_at_rest(plant, posture) for posture in sample]
+    heights: Vector = np.array([points[-1] for points, _ in at])
+    moved = np.ptp(heights, axis=0) > SAME_HEIGHT
+    ground = float(heights[:, ~moved].min(initial=0.0))
+    best, quality, stands = middle, 0.0, False
+    for posture, (points, conditioned) in zip(sample, at, strict=True):
+        free = bool((points[-1][moved] >= ground - SAME_HEIGHT).all())
+        if conditioned < REGULAR or free < stands:
+            continue
+        if free > stands or conditioned > quality * 1.01:
+            best, quality, stands = posture, conditioned, free
     if quality < REGULAR:
         rows = ", ".join(machine.task_rows)
         raise InputError(
@@ -182,6 +189,17 @@ def regular_posture(machine: AnyMachine) -> tuple[float, ...]:
     # Two decimals, where the range is wide enough for them to stay inside.
     kept: Vector = np.where(high - low > 0.1, np.round(best, 2), best)
     return tuple(kept.tolist())
+
+
+def _at_rest(plant: Plant, posture: Vector) -> tuple[Vector, float]:
+    """Where joints and end-point are, a column each, m, and least over largest singular value of Jv, 0 of no square."""
+    base, p = np.zeros(plant.n_base), plant.parameter_values
+    q = plant.rest(base, posture, p)
+    points: Vector = cast(Any, plant.skeleton)(q, base, p).full()
+    jacobian: Vector = cast(Any, plant.rigid_jacobian)(q, base, p).full()
+    sizes = np.linalg.svd(jacobian, compute_uv=False)
+    square = plant.n_task <= plant.n_actuated and sizes[0] > 0
+    return points, float(sizes[-1] / sizes[0]) if square else 0.0
 
 
 def planar_file(

@@ -5,6 +5,7 @@ In: a machine and what a caller passes. Out: a `Plane`, from which the grid is m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -70,13 +71,15 @@ class Plane:
     ranges: tuple[Range, Range] = ((0.0, 1.0), (0.0, 1.0))
     rows: tuple[str, ...] = ()
 
-    def grid(self, machine: AnyMachine, points: tuple[int, int], elbow: Elbow) -> Grid:
-        """Postures and placements at every point."""
+    def grid(
+        self, machine: AnyMachine, points: tuple[int, int], elbow: Elbow, told: Callable[[int], None] = lambda _: None
+    ) -> Grid:
+        """Postures and placements at every point; `told` is called with how many postures are followed."""
         if self.over == "posture":
             return posture_grid(machine, *self.ranges, points, self.varies, self.posture, self.base)
         if self.followed:
             make = task_grid if self.over == "end_point" else placement_grid
-            return make(machine, self.ranges, points, self.varies, self.end_point, self.base, self.posture)
+            return make(machine, self.ranges, points, self.varies, self.end_point, self.base, self.posture, told)
         return end_point_grid(machine, *self.ranges, points, elbow)
 
     def options(self, elbow: Elbow) -> dict[str, Any]:
@@ -109,7 +112,7 @@ class Plane:
         if self.over == "base":
             return f"placement in the inertial frame, end-point held at {_listed(self.end_point)} m"
         if self.followed:
-            return f"inertial, base at {_listed(self.base)}"
+            return f"inertial, with the base at {_listed(self.base)} m or rad"
         return "workspace: axes of the inertial frame, origin at the first joint at rest, base at 0"
 
 

@@ -238,4 +238,5 @@ def _borders(report: Report) -> Table:
         ]
         for row in report.borders
     ]
-    return (["configuration", "held", "integrator", "stable Kp", "then grows, Hz"], rows) if rows else None
+    header = ["configuration", "held", "integrator", f"stable Kp, {report.gain_unit}", "then grows, Hz"]
+    return (header, rows) if rows else None

@@ -89,7 +89,7 @@ def report(
         loop, ranges: the real controller and what is uncertain, as of `flexopt.verdict`; by default those of the
             experiment, the problem or the machine. Where a controller is known the report says whether it pays to move,
             and the closed loops are its, unless `simulation` or the experiment's `[simulation]` say another.
-        points: of the map, along each axis; 160, or with more than three passive coordinates 48.
+        points: of the map, along each axis; 160; 48 in space, and with more than three passive coordinates.
         progress: called with the number of stages done and of all.
 
     Raises:

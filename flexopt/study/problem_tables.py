@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from flexopt.plant import build_plant
+from flexopt.robustness.residues import residue_unit
 from flexopt.selection import Selection
 from flexopt.selection.result import ConstraintValue
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
@@ -135,5 +136,7 @@ def modes(report: Report, name: str) -> Table:
                 number(share, 4), phase, ", ".join(f"{names[k]} {100 * shares[k, i]:.0f} %" for k in moving),
             ]
         )  # fmt: skip
-    header = [f"mode, {name}", "frequency, Hz", "damping ratio", "w", "w/|a||b|", "in phase", "strain energy in"]
+    unit = residue_unit(stand.control, stand.joint_units)
+    header = [f"mode, {name}", "frequency, Hz", "damping ratio", f"w, {unit}", "w/|a||b|", "in phase"]
+    header.append("strain energy in")
     return header, rows

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import instance, path, public
+from flexopt.foundation.control import gain_units
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.palette import Theme
 from flexopt.foundation.printing import printed
@@ -210,11 +211,18 @@ class Report(Tabled):
 
         write_file(path, printed(report_html(self)))
 
+    @property
+    def gain_unit(self) -> str:
+        """Of the gains Kp in `borders`."""
+        solved = problem_of(self.selection)
+        return gain_units(solved.control, solved.machine.joint_units)[0]
+
     def __repr__(self) -> str:
         lines = [f"Report on {self.name!r}", repr(self.selection)]
         for name, loop in self.loops.items():
             lines += [f"{name}: {loop.run!r}"]
-        lines += [f"  {row.stand}, {row.held}, {row.integrator}: Kp {row.text}" for row in self.borders]
+        kp = f"Kp, {self.gain_unit}"
+        lines += [f"  {row.stand}, {row.held}, {row.integrator}: {kp}, {row.text}" for row in self.borders]
         lines += [] if self.verdict is None else repr(self.verdict).splitlines()
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 

@@ -10,17 +10,16 @@ from typing import Any
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
-from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.grid import closed_form
-from flexopt.study.workspace import map_workspace
+from flexopt.study.workspace import map_workspace, takes_long
 from flexopt.study.workspace_map import WorkspaceMap
 
 CHOSEN, PRESENT, WORST = "chosen", "present", "worst target"
 # Of the map along each axis, and with more than three passive coordinates.
-POINTS, MANY_PASSIVE, FEW_POINTS = 160, 3, 48
+POINTS, FEW_POINTS = 160, 48
 
 
 def problem_of(selection: Selection | Stand | BasePlan) -> SelectionProblem:
@@ -45,7 +44,7 @@ def stands_of(selection: Selection | Stand | BasePlan) -> dict[str, Evaluation]:
 
 def map_points(machine: AnyMachine) -> int:
     """How many along each axis by default."""
-    return FEW_POINTS if build_plant(machine).n_passive > MANY_PASSIVE else POINTS
+    return FEW_POINTS if takes_long(machine) else POINTS
 
 
 def surroundings(selection: Selection | Stand | BasePlan, points: int) -> WorkspaceMap | None:

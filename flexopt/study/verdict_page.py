@@ -46,7 +46,7 @@ class BoxNumber(NamedTuple):
 def measures(verdict: Verdict) -> tuple[Compared, ...]:
     """Those that every place is compared by."""
     turns = verdict.places[0].swing_unit
-    gain = "1/s" if verdict.settings.drive == "velocity" else ""
+    gain = verdict.settings.gain_units[0]
     return (
         Compared("decay", "decay", "1/s", 1.0, "least", ""),
         Compared("settling", "settling time", "s", 1.0, "greatest", f"over {LONGEST:g} s"),

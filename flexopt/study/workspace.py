@@ -33,7 +33,9 @@ from flexopt.study.workspace_map import WorkspaceMap, workspace_dataset
 OVER: tuple[Over, ...] = ("end_point", "posture", "base")
 POINTS_MAX = 10_000
 # Points by default, and of machines with more passive coordinates than the number between: each costs far more there.
-POINTS, MANY_PASSIVE, FEW_POINTS = (400, 400), 3, (60, 60)
+POINTS, FEW_POINTS = (400, 400), (60, 60)
+# Task rows of a machine in the plane, and passive coordinates: of more of either a map takes long.
+IN_PLANE, MANY_PASSIVE = 2, 3
 
 
 def check_points(value: Any) -> tuple[int, int]:
@@ -113,7 +115,8 @@ def map_workspace(
         x_range, y_range: (low, high), in the axis' unit. By default the square around the arm's reach (closed form);
             what the task rows take over all postures; the joint limits, or without a whole turn or 1 m either way; as
             far from the end-point as the arm is long, or a whole turn.
-        points: numbers of points (along x, along y); (400, 400), or with more than three passive coordinates (60, 60).
+        points: numbers of points (along x, along y); (400, 400), of machines in space, and with more than three
+            passive coordinates, (60, 60).
         elbow: which posture reaches an end-point, in closed form.
         measures: include frequencies, w_i and in-phase regions.
         epsilon_max: include ε_max.
@@ -121,7 +124,7 @@ def map_workspace(
             `flexopt.evaluate`. What it leaves out follows from the machine at one point in the middle of the map, and
             is the same everywhere.
         threads: how many to compute with; all processors by default. The numbers do not depend on it.
-        progress: called with the number of postures done and of all.
+        progress: called with the number of postures done and of all; where they are followed each counts twice.
 
     Raises:
         InputError: every unusable argument, in one message.
@@ -145,7 +148,9 @@ def map_workspace(
         raise_if_any(InputError, "map_workspace", [fault])
     # Compilers are at work while postures are followed.
     expect_points(size[0] * size[1], machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
-    grid = plane.grid(machine, size, elbow)
+    # Postures that are followed count twice: there, and where they are computed.
+    ahead = size[0] * size[1] if plane.followed else 0
+    grid = plane.grid(machine, size, elbow, lambda done: None if progress is None else progress(done, 2 * ahead))
     return _computed(
         machine,
         plane,
@@ -155,7 +160,7 @@ def map_workspace(
         margins=epsilon_max,
         loop=own,
         threads=threads,
-        progress=progress,
+        progress=None if progress is None else lambda done, count: progress(ahead + done, ahead + count),
     )
 
 
@@ -223,4 +228,10 @@ def _attributes(machine: AnyMachine, plane: Plane, options: dict[str, Any]) -> d
 
 
 def _default_points(machine: AnyMachine) -> tuple[int, int]:
-    return FEW_POINTS if build_plant(machine).n_passive > MANY_PASSIVE else POINTS
+    return FEW_POINTS if takes_long(machine) else POINTS
+
+
+def takes_long(machine: AnyMachine) -> bool:
+    """Whether a point of a map takes so long that fewer are computed where nobody says how many."""
+    plant = build_plant(machine)
+    return plant.n_passive > MANY_PASSIVE or plant.n_task > IN_PLANE

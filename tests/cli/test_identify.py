@@ -49,6 +49,8 @@ def test_the_command_refuses(command: Command) -> None:
         (("identify", "excavator", "swing.csv", "--posture", POSTURE, "--unknown", "stifness"), "did you mean"),
         (("identify", "excavator", "swing.csv", "--posture", POSTURE, "--window", "3"), "--window"),
         (("select", "excavator", "--end-point", "0,1.6", "--log", "swing.csv"), "posture: is needed"),
+        (("select", "article", "--certify", "--log", "proof.json"), "--proof writes what"),
+        (("select", "article", "--proof", "proof.json"), "goes with --certify"),
     ):
         refused = command(*words)
         assert refused.code == 2

@@ -42,6 +42,18 @@ def test_a_machine_of_proposals_alone(command: Command) -> None:
     assert all(step in printed for step in document["next"])
 
 
+@pytest.mark.parametrize("links", [2, 3, 5, 8])
+def test_the_posture_to_look_at_first_is_above_the_ground(command: Command, links: int) -> None:
+    document, evaluation = followed(command, "mine.toml", "--links", str(links))
+    machine = flexopt.load("mine.toml")
+    heights = machine.base.length + np.append(0.0, np.cumsum(
+        [link.length * np.sin(np.pi / 2 + turn)
+         for link, turn in zip(machine.links, np.cumsum(document["posture"]), strict=True)]
+    ))  # fmt: skip
+    assert heights.min() > 0
+    assert evaluation["end_point"][1] == pytest.approx(heights[-1], abs=1e-6)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_planar_machine_is_what_was_said(command: Command, seed: int) -> None:
     rng = np.random.default_rng(seed)

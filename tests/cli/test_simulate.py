@@ -41,7 +41,8 @@ def test_document(command: Command) -> None:
 
 
 def test_text_and_files(command: Command) -> None:
-    outcome = command(*POSTURE, "--duration", "1", "--out", "r.nc", "--plot", "r.png", "--animate", "r.gif")
+    gains = "--kp", "1e5", "--kv", "2e3"
+    outcome = command(*POSTURE, *gains, "--duration", "1", "--out", "r.nc", "--plot", "r.png", "--animate", "r.gif")
     assert outcome.code == 0, outcome.stderr
     assert "data: r.nc" in outcome.stdout
     assert outcome.stderr == ""
@@ -51,6 +52,14 @@ def test_text_and_files(command: Command) -> None:
         assert data.sizes["time"] == 201
     assert command(*POSTURE, "--duration", "1", "--out", "r.csv").code == 0
     assert len((command.folder / "r.csv").read_text().splitlines()) == 202
+
+
+def test_gains_that_nobody_gave_are_told_of(command: Command) -> None:
+    said = "no gains are given, so the article's are taken"
+    assert said in command(*POSTURE, "--duration", "1").stderr
+    for given in (("--kp", "1e5"), ("--loop", "default")):
+        assert said not in command(*POSTURE, *given, "--duration", "1").stderr
+    assert command("--quiet", *POSTURE, "--duration", "1").stderr == ""
 
 
 def test_a_film_on_dark_ground(command: Command) -> None:

@@ -131,7 +131,7 @@ def test_an_excavator_of_others_keeps_its_boom_out_of_the_ground():
     assert lowest(free) < -0.1
     names = [each["name"] for each in found.to_dict()["problem"]["assumed"]]
     assert names == ["ground", "limits", "reach"]
-    assert "assumed (ground): the joint of stick, the joint of bucket stay above the ground" in repr(found)
+    assert "assumed (ground): the joints of stick, bucket stay above the ground" in repr(found)
     assert [each.name for each in free.problem.assumed] == ["limits"]
 
 

@@ -235,7 +235,7 @@ def test_a_log_that_was_tampered_with_is_found(spoil: Callable[[dict[str, Any]],
 
 
 def test_the_command_and_the_other_program(tmp_path: Path) -> None:
-    """`flexopt select --certify --log`, then the program on the log, in processes of their own."""
+    """`flexopt select --certify --proof`, then the program on the log, in processes of their own."""
     log = tmp_path / "log.json"
     command = [
         sys.executable,
@@ -246,7 +246,7 @@ def test_the_command_and_the_other_program(tmp_path: Path) -> None:
         "--end-point",
         "0,1.6",
     ]
-    by_sum = ["--objective", "V", "--weights", "1,1,1", "--certify", "--log", str(log), "--json"]
+    by_sum = ["--objective", "V", "--weights", "1,1,1", "--certify", "--proof", str(log), "--json"]
     done = subprocess.run([*command, *by_sum], capture_output=True, check=True)
     told = json.loads(done.stdout)["certificate"]
     assert told["verdict"] == "proven"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -203,3 +204,15 @@ def test_starts_apart_are_no_copies_by_whole_turns_or_idle_joints() -> None:
     columns[:3, 4] += 0.5
     columns[5, 5] += 0.2
     assert [tuple(start) for start in apart(problem, columns, 2)] == [tuple(z), tuple(columns[:, 5])]
+
+
+def test_an_epsilon_that_nobody_sought_is_told_of_where_others_have_twice_as_much() -> None:
+    found = flexopt.select(flexopt.load("excavator"), (0, 1.6), base=0.0, starts=8, workers=1)
+    assert found.left_out == ""
+    thin = replace(found.best.evaluation, epsilon_max=0.1)
+    best = replace(found.best, evaluate=lambda: thin)
+    told = replace(found, best=best, candidates=(best, *found.candidates[1:]))
+    most = max(candidate.evaluation.epsilon_max or 0.0 for candidate in found.candidates[1:])
+    assert told.left_out.startswith(f"the objective leaves ε_max out: 0.1 at the best, {most:.4g} at candidate ")
+    assert told.left_out in repr(told)
+    assert told.to_dict()["left_out"] == told.left_out

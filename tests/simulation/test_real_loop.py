@@ -61,6 +61,15 @@ def test_waits_whole_samples_and_says_so() -> None:
     assert run.linear_growth_rate == pytest.approx(-late.decay, abs=1e-9)
 
 
+def test_steps_suit_drives_that_brake_hard() -> None:
+    """Servos that brake their joints within a millisecond, in samples of 50 ms: steps and iterations follow."""
+    machine, loop = flexopt.load("excavator"), {"drive": "velocity", "servo_gain": 2e5, "rate": 20.0, "kp": 1.0}
+    run = flexopt.simulate(machine, POSTURE, loop=loop, duration=2.0)
+    found = flexopt.outcome(machine, POSTURE, loop=loop)
+    assert run.linear_growth_rate == pytest.approx(-found.decay, abs=1e-9)
+    assert run.verdict == "converges"
+
+
 def test_the_target_may_be_given_instead() -> None:
     machine, loop = flexopt.load("excavator"), LOOPS["torque"]
     there = flexopt.evaluate(machine, POSTURE).end_point

@@ -70,10 +70,13 @@ def test_reasons_say_what_is_so() -> None:
     partly = place("stay", np.where(np.arange(40) < 4, -1.0, 1.0) * GROUNDS)
     found = decide(partly, [place("near", 0.1 * GROUNDS)])
     assert (
-        found.reason == "near is stable on every ground, and the present place is not, but better than it on 10 % only"
+        found.reason
+        == "near is stable on every ground, and the present place is not, but better than it on 10 % of the grounds only"
     )
     doubted = decide(STAY, [place("near", GROUNDS)], unconfirmed=["stay"])
-    assert doubted.reason == "near is stable on every ground, but better than the present place on 0 % only"
+    assert doubted.reason == (
+        "nonlinear runs do not confirm the present place, and near, which they confirm, is better on no ground"
+    )
     assert "gains" not in found.reason
     nowhere = decide(place("stay", -GROUNDS), [place("near", -GROUNDS)])
     assert nowhere.reason.endswith("with these gains")

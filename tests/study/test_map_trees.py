@@ -197,9 +197,16 @@ def test_where_to_stand(slewing, coordinates):
 
 
 def test_margins_of_six_passive_coordinates(slewing):
+    calls = []
     result = flexopt.map_workspace(
-        slewing, over="base", posture=REFERENCE, points=(3, 3), x_range=(-0.4, 0.6), y_range=(-0.5, 0.5)
-    )
+        slewing, over="base", posture=REFERENCE, points=(3, 3), x_range=(-0.4, 0.6), y_range=(-0.5, 0.5),
+        progress=lambda done, total: calls.append((done, total)),
+    )  # fmt: skip
+    # Nine postures that are followed, then as many as were found.
+    found = int(result.array("reachable").sum())
+    assert calls[-1] == (9 + found, 9 + found)
+    assert [call for call in calls if call[1] == 18 and 0 < call[0] < 9]
+    assert sorted(done for done, _ in calls) == [done for done, _ in calls]
     function, p = build_margin(slewing).physical_plant, build_plant(slewing).parameter_values
     for row, column, base, posture, _ in check_quickly(result, slewing):
         a, b, c = (matrix.full() for matrix in function.call([base, posture, p]))

@@ -38,11 +38,13 @@ def ground_groups(plant: Plant, height: float) -> list[Group]:
     return [group for group in groups if group.rows]
 
 
-def kept_above(plant: Plant) -> tuple[str, ...]:
-    """What `ground_groups` has rows of."""
+def kept_above(plant: Plant) -> str:
+    """What `ground_groups` has rows of, and that it stays above; empty where there is nothing."""
     capsules, carried = _above(plant.machine)
-    bodies = dict.fromkeys(plant.machine.capsules[k].body for k in capsules)
-    return (*bodies, *(f"the joint of {body}" for body in carried))
+    bodies = list(dict.fromkeys(plant.machine.capsules[k].body for k in capsules))
+    joints = [f"the joint{'s' * (len(carried) > 1)} of {', '.join(carried)}"] if carried else []
+    verb = "stays" if len(bodies) + len(carried) == 1 else "stay"
+    return f"{', '.join([*bodies, *joints])} {verb} above" if bodies or joints else ""
 
 
 def above_ground(plant: Plant) -> float:

@@ -20,6 +20,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.roots import root
 from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint
 from flexopt.loop.region import LARGEST, stability_radius
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, RADIUS
 from flexopt.model.loop import DELAY_MAX, GAINS
@@ -120,6 +121,10 @@ class AllowedGain(Border):
     """The largest Kp along the present ratio of all gains, up to 1e4 times the present one."""
 
     name, unit = ALLOWED_GAIN, ""
+
+    def unit_of(self, settings: LoopSettings) -> str:
+        """See the class."""
+        return settings.gain_units[0]
 
     def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
         """See the class."""

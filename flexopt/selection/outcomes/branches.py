@@ -15,6 +15,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import LoopPoint
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
 
 # Motions of a loop that count, the slowest first: at an optimum several are as slow.
@@ -54,6 +55,11 @@ class Measure(ABC):
     sign: ClassVar[float] = 1.0
     looked: ClassVar[int] = 300
     stages: ClassVar[tuple[tuple[int, int], ...]] = ((32, 6), (12, 10))
+
+    def unit_of(self, settings: LoopSettings) -> str:  # noqa: ARG002
+        """Of the measure in such a loop."""
+        return self.unit
+
     of_modes: ClassVar[bool] = False
     lacking: ClassVar[str] = "every loop grows"
 

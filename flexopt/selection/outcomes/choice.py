@@ -229,7 +229,7 @@ def kept_values(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue
     for measure, least in program.least:
         value = measure.sign * min(measure.value(loop, point) for point in points)
         ends = (least, math.inf) if measure.sign > 0 else (-math.inf, -least)
-        found[measure.told] = ConstraintValue(value, *ends, measure.unit)
+        found[measure.told] = ConstraintValue(value, *ends, measure.unit_of(loop.settings))
     return found
 
 

@@ -15,6 +15,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.many import decays
 from flexopt.loop.outcome import DEAD_TIME, LoopPoint
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.choices import ALLOWANCE, DECAY
 from flexopt.selection.outcomes.borders import AllowedGain, DelayMargin, Radius
@@ -110,9 +111,13 @@ class OfModes(Measure):
 
 
 class Allowance(Measure):
-    """The least allowance over the modes, 4 ζ_i ω_i / |w_i|, N s/m."""
+    """The least allowance over the modes, 4 ζ_i ω_i / |w_i|, a gain Kv of a force."""
 
-    name, unit = ALLOWANCE, "N s/m"
+    name, unit = ALLOWANCE, ""
+
+    def unit_of(self, settings: LoopSettings) -> str:
+        """See the class."""
+        return settings.force_units[1]
 
     def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
         """See the class."""

@@ -57,7 +57,7 @@ class OutcomeSelection(Selection):
 
     @property
     def _unit(self) -> str:
-        return self.criterion.unit
+        return self.criterion.unit_of(self.settings[0])
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:

@@ -66,7 +66,7 @@ class ByLoop(ConfigurationSet):
     @property
     def unit(self) -> str:
         """Of it."""
-        return self.criterion.unit
+        return self.criterion.unit if self.settings is None else self.criterion.unit_of(self.settings)
 
     @property
     def gains(self) -> dict[str, float]:

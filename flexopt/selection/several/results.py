@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.coprime.margin import RIGID_MARGIN
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
@@ -15,7 +16,7 @@ from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import ConstraintValue, column_heads, in_columns
+from flexopt.selection.result import THIN, ConstraintValue, column_heads, in_columns, in_margin
 
 
 @dataclass(frozen=True)
@@ -110,8 +111,20 @@ class ConfigurationSet(Tabled):
         return [
             f"{first.machine.name}: {what}, {how}",
             *_table(self.places, self.worst, "V" if self.unit is None else self.objective),
+            *([f"  {self.left_out}"] if self.left_out else []),
             *named,
         ]
+
+    @property
+    def left_out(self) -> str:
+        """A sentence where a target has less than half of a rigid plant's ε_max, which is never sought; else empty."""
+        known = [(e.epsilon_max, k) for k, e in enumerate(place.evaluation for place in self.places) if e.epsilon_max]
+        least, k = min(known, default=(RIGID_MARGIN, 0))
+        if least >= THIN * RIGID_MARGIN:
+            return ""
+        return (
+            f"the objective leaves ε_max out: {least:.4g} at target {k + 1}, of {RIGID_MARGIN:.4g} of a rigid machine"
+        )
 
 
 @dataclass(frozen=True)
@@ -269,11 +282,12 @@ SHOWN = 12
 
 def _table(places: tuple[TargetConfiguration, ...], worst: int, name: str) -> list[str]:
     e = places[0].evaluation
-    lines = column_heads("  target", e, f"{name:>13}")
+    lines = column_heads("  target", e, f"{name:>13}{'ε_max':>10}")
     shown = range(len(places)) if len(places) <= SHOWN else np.linspace(0, len(places) - 1, SHOWN).astype(int)
     for k in sorted({*(int(i) for i in shown), worst}):
         told = "   the worst" if k == worst else ""
-        lines += [f"  {k + 1:6d} {in_columns(places[k].evaluation)}{places[k].objective:13.4e}{told}"]
+        e, worth = places[k].evaluation, places[k].objective
+        lines += [f"  {k + 1:6d} {in_columns(e)}{worth:13.4e}{in_margin(e)}{told}"]
     return lines
 
 

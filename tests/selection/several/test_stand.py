@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,6 +85,16 @@ def test_one_target_is_a_selection(excavator: flexopt.Machine) -> None:
     single = select(excavator, [0.0, 1.6], objective="V", weights=[1, 1, 1], workers=1)
     assert stand.worth == pytest.approx(single.best.objective, abs=1e-8 * single.problem.objective_scale)
     assert stand.base == pytest.approx(single.best.evaluation.base, abs=1e-4)
+
+
+def test_an_epsilon_that_nobody_sought_is_told_of_where_it_is_small(excavator: flexopt.Machine) -> None:
+    found = flexopt.select_stand(excavator, [(0.0, 1.6), (0.2, 1.4)], starts=2, workers=1)
+    assert found.left_out == ""
+    thin = replace(found.places[1], evaluation=replace(found.places[1].evaluation, epsilon_max=0.1))
+    told = replace(found, places=(found.places[0], thin))
+    assert told.left_out == "the objective leaves ε_max out: 0.1 at target 2, of 0.3827 of a rigid machine"
+    assert told.left_out in repr(told)
+    assert "  0.100000" in repr(told)
 
 
 def test_number_of_workers_does_not_matter(excavator: flexopt.Machine) -> None:
