@@ -16,7 +16,8 @@ from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant, inverse_kinematics
-from flexopt.robustness import build_measures, evaluate_w
+from flexopt.robustness import build_measures
+from flexopt.robustness.batches import w_of_few
 
 POSTURE = value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
 
@@ -59,7 +60,7 @@ def _best(
     """Of a redundant arm's sampled postures the one with the greatest w_1, which is said; the first where none has."""
     measures = build_measures(machine, control, options["gravity"])
     placement = np.zeros(len(machine.base_coordinates)) if base is None else np.atleast_1d(base)
-    first = evaluate_w(measures, placement, np.array(postures).T).w[0]
+    first = w_of_few(measures, placement, np.array(postures).T)[0]
     if not VOICE.quiet:
         told = f"of {len(postures)} postures found that reach it the one with the greatest w1 is taken"
         say(f"flexopt: --end-point: {told}; --posture names another, `flexopt select` seeks the best", err=True)

@@ -13,6 +13,9 @@ import numpy as np
 
 from flexopt.compiled.interpreted import Array, Interpreted
 
+# As many points as a call of the virtual machine takes at once keep a thread busy for longer than it takes to start.
+POINTS_EACH = 16
+
 
 class Interpreter:
     """Evaluates a Function at N points; called like a `Batch`, with the same results to rounding."""
@@ -34,10 +37,15 @@ class Interpreter:
         count = lengths.pop() if lengths else 1
         function = self.function
         outputs = [np.empty((function.numel_out(k), count)) for k in range(function.n_out())]
+        # Starting a thread costs more than a few points.
+        threads = max(1, min(threads, count // POINTS_EACH))
         edges = [count * k // threads for k in range(threads + 1)]
         parts = [(begin, end) for begin, end in pairwise(edges) if end > begin]
         while len(self._workers) < len(parts):
             self._workers.append(Interpreted(function))
+        if len(parts) == 1:
+            self._workers[0](inputs, outputs, *parts[0])
+            return outputs
         with ThreadPoolExecutor(max(1, len(parts))) as pool:
             jobs = [
                 pool.submit(worker, inputs, outputs, *part) for worker, part in zip(self._workers, parts, strict=False)

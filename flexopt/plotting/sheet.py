@@ -21,6 +21,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase, SubFigure
 from matplotlib.rcsetup import cycler
+from matplotlib.ticker import ScalarFormatter
 
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import Check, anything, public
@@ -122,6 +123,32 @@ def picture(
     return decorate
 
 
+class Numbers(ScalarFormatter):
+    """Numbers beside ticks in plain letters; the power of ten of an axis stays mathematics.
+
+    Matplotlib sets both as mathematics, which looks the same and takes a fifth of the time of a picture.
+    """
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """A number's text."""
+        return super().__call__(x, pos).removeprefix(r"$\mathdefault{").removesuffix("}$")
+
+
+def plain_numbers(figure: Figure | SubFigure, only: Axes | None = None) -> None:
+    """`Numbers`, with the same settings, where axes, all or some, have Matplotlib's own."""
+    waiting: list[Any] = [only] if only is not None else list(figure.axes)
+    while waiting:
+        axes = waiting.pop()
+        waiting += axes.child_axes
+        for axis in (axes.xaxis, axes.yaxis):
+            for which in ("major", "minor"):
+                given = getattr(axis, f"get_{which}_formatter")()
+                if type(given) is ScalarFormatter:
+                    plain = Numbers()
+                    vars(plain).update(vars(given))
+                    getattr(axis, f"set_{which}_formatter")(plain)
+
+
 @contextmanager
 def styled(theme: Theme = "light", letters: float = LETTERS) -> Generator[Palette]:
     """Within it Matplotlib draws as all pictures here are drawn; afterwards its settings are the user's again."""
@@ -135,7 +162,10 @@ def themed(draw: Callable[..., T]) -> Callable[..., T]:
     @wraps(draw)
     def drawn(*arguments: Any, theme: Theme = "light", letters: float = LETTERS, **options: Any) -> T:
         with styled(theme, letters):
-            return draw(*arguments, **options)
+            made = draw(*arguments, **options)
+            for figure in made.values() if isinstance(made, dict) else [made]:
+                plain_numbers(cast(Any, figure))
+            return made
 
     return drawn
 
@@ -225,6 +255,7 @@ def _settings(palette: Palette, letters: float) -> dict[str, Any]:
 def _finish(sheet: Sheet) -> None:
     """Axes keep their colours where Matplotlib makes ticks later, or has made them before."""
     palette = sheet.palette
+    plain_numbers(sheet.figure, sheet.axes)
     for axes in [sheet.axes] if sheet.axes is not None else sheet.figure.axes:
         axes.tick_params(which="both", color=palette.muted, labelcolor=palette.text)
         for spine in axes.spines.values():

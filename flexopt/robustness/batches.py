@@ -7,12 +7,14 @@ that have no measures are marked.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.compiled.economical import Economical
 from flexopt.foundation.arrays import MatrixLike
 from flexopt.foundation.boundary import array_of, instance, public
 from flexopt.plant.singularity import singular_points
@@ -78,11 +80,29 @@ def evaluate_w(
     return w_at(measures, np.asarray(bases), np.asarray(postures), p, threads=threads, gradient=gradient)
 
 
+def w_of_few(measures: Measures, bases: Array, postures: Array) -> Array:
+    """As `evaluate_w`, w (m, N) alone, at points that are asked for once: compiled where so many are worth it."""
+    quick = Economical(measures.quick)
+    quick.expect(postures.shape[1])
+    return w_at(measures, bases, postures, measures.plant.parameter_values.full().ravel(), quick=quick).w
+
+
 def w_at(
-    measures: Measures, bases: Array, postures: Array, p: Array, *, threads: int = 1, gradient: bool = False
+    measures: Measures,
+    bases: Array,
+    postures: Array,
+    p: Array,
+    *,
+    threads: int = 1,
+    gradient: bool = False,
+    quick: Callable[..., list[Array]] | None = None,
 ) -> BatchedW:
-    """As `evaluate_w`, with parameters p (n_par,) or (n_par, N)."""
-    quick = measures.quick_batch_with_gradient if gradient else measures.quick_batch
+    """As `evaluate_w`, with parameters p (n_par,) or (n_par, N).
+
+    Args:
+        quick: in place of `Measures.quick_batch` or the one with the gradient.
+    """
+    quick = quick or (measures.quick_batch_with_gradient if gradient else measures.quick_batch)
     w, gap, *slopes = quick(bases, postures, p, threads=threads)
     # A NaN is not trusted either.
     doubtful = np.flatnonzero(~(gap[0] >= TRUSTED_GAP))

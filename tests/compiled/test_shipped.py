@@ -42,9 +42,11 @@ def _quickly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(lanes, "LEVELS", tuple((most, ("-O0",)) for most, _ in lanes.LEVELS))
 
 
-@pytest.mark.parametrize("name", MACHINES)
-@pytest.mark.parametrize("what", BATCHED)
-def test_at_many_points(name: str, what: str) -> None:
+# With the gradient come all instructions of w alone: of the others what compiles with it compiles without.
+@pytest.mark.parametrize(
+    ("what", "name"), [(what, name) for what in BATCHED for name in MACHINES if what != "w" or name == "excavator"]
+)
+def test_at_many_points(what: str, name: str) -> None:
     assert BATCHED[what](flexopt.load(name)).compiled == (find_compiler() is not None)
 
 

@@ -22,9 +22,11 @@ UNITS = (
 
 
 def drawn(figure: Figure) -> Any:
-    """The renderer, after everything has its place."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    """The renderer, after everything has its place; a figure is drawn once."""
+    canvas = figure.canvas
+    if getattr(canvas, "renderer", None) is None:
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
     return canvas.get_renderer()
 
 

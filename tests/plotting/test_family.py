@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -20,6 +21,7 @@ from flexopt.foundation.pictures import Pictured, drawers
 from flexopt.plotting.ensemble import ABOVE
 from flexopt.plotting.sheet import PAGE, SLIDE
 from flexopt.study.workspace_map import WorkspaceMap
+from tests.compiled.comparison import unoptimised
 from tests.plotting.looking import faults, without_units
 from tests.plotting.specimens import SPECIMENS
 
@@ -29,6 +31,12 @@ DENSE = (
     "problem article", "problem pipe-laying", "problem stations", "problem trench", "way truck-crane", "run slewing-excavator",
     "ensemble excavator", "atlas truck-crane", "loop excavator", "identification excavator",
 )  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_quickly() -> Iterator[None]:
+    with unoptimised():
+        yield
 
 
 @cache

@@ -45,6 +45,12 @@ def text_of(page):
     return html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>", "", page, flags=re.S)))
 
 
+@pytest.fixture
+def words_alone(monkeypatch):
+    """Pages without their pictures, which `test_files` looks at."""
+    monkeypatch.setattr(page, "_png", lambda figure: "")
+
+
 def test_choice_and_loops_are_those_of_the_calls(article):
     best, initial = article.selection.best.evaluation, article.selection.initial
     expected = flexopt.solve_problem(flexopt.load_problem("article"))
@@ -141,6 +147,7 @@ def test_both_grounds_take_little_more_room_than_one_in_all_colours(article):
         assert np.abs(off).max() <= 16
 
 
+@pytest.mark.usefixtures("words_alone")
 def test_machine_in_space():
     machine = tree_from_dict(in_space({"gravity": 9.81} | flexopt.load("excavator").to_dict()))
     asked = {"region": [[[-3.0, -1.0], [3.0, -1.0], [3.0, 1.0], [-3.0, 1.0]]]}
@@ -160,6 +167,7 @@ def test_machine_in_space():
     assert result.to_dict()["constraints"]["region"] is not None
 
 
+@pytest.mark.usefixtures("words_alone")
 def test_what_cannot_be_run_is_noted():
     problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
     result = made(problem, simulation={"rate": 20.0, "integrator": "rk4", "substeps": 1})
@@ -186,6 +194,7 @@ def test_faults():
         flexopt.report(problem, simulation={"kp": -1.0})
 
 
+@pytest.mark.usefixtures("words_alone")
 def test_command(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     command = Command(capsys, tmp_path)

@@ -20,6 +20,7 @@ from flexopt.robustness.atlas.rectangle import INSET, CellFields, Fields, Mask, 
 from flexopt.robustness.atlas.tracing import CONVERGED, CORRECTIONS, ROUNDING, STEP, Tracing, ZeroCurve
 
 NEWTON_MAX = 40
+NEAR = 1e-6
 # In cells: how far chords of a curve may be from it. Points of pieces that may repeat a part of another curve.
 CHORD, REPEATED = 0.03, 40
 # Rounds of added lines.
@@ -99,13 +100,18 @@ def common_zeros(
 def on_curve(fields: Fields, rectangle: Rectangle, cells: tuple[int, int], function: int, points: Vector) -> Vector:
     """Points (2, N) beside a curve on which one of the fields vanishes, moved across it onto it."""
     scaled, which = CellFields(fields, rectangle, cells), np.full(points.shape[1], function, dtype=np.int64)
-    x = scaled.inwards(points)
+    x, last = scaled.inwards(points), False
     for _ in range(CORRECTIONS):
         value, slope = scaled.one(x, which)
         with np.errstate(all="ignore"):
             back = value * slope / np.sum(slope**2, axis=0)
         # Where there is no slope it stays.
-        x = x - np.where(np.isfinite(back), back, 0.0)
+        back = np.where(np.isfinite(back), back, 0.0)
+        x = x - back
+        if last:
+            break
+        # Newton's method squares what is left: after the next step it is rounding.
+        last = not np.any(np.abs(back) > NEAR)
     return rectangle.wrapped(scaled.outwards(x))
 
 
