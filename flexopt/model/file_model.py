@@ -18,6 +18,8 @@ from flexopt.foundation.quantities import Schema, entries
 DEPTH_MAX = 30
 ENTRIES_MAX = 1000
 BODIES_MAX = 250
+# Keys of a table that a message names.
+KEYS_TOLD = 8
 
 Table = Mapping[str, Any]
 PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("_"))
@@ -201,7 +203,9 @@ def _fault(model: type[FileModel], data: Table, entry: dict[str, Any]) -> Fault:
         "model_attributes_type": "must be a table",
         "int_type": "must be a whole number",
     }
-    return Fault(field, wanted.get(kind, str(entry["msg"])), shown)
+    keys = _valid_keys(model, location) if kind.startswith("model_") and location else []
+    told = f"; its keys: {', '.join(keys)}" if 0 < len(keys) <= KEYS_TOLD else ""
+    return Fault(field, wanted.get(kind, str(entry["msg"])) + told, shown)
 
 
 def _field_path(data: Table, location: tuple[str | int, ...]) -> str:

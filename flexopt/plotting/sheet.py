@@ -123,7 +123,7 @@ def picture(
     return decorate
 
 
-class Numbers(ScalarFormatter):
+class PlainTicks(ScalarFormatter):
     """Numbers beside ticks in plain letters; the power of ten of an axis stays mathematics.
 
     Matplotlib sets both as mathematics, which looks the same and takes a fifth of the time of a picture.
@@ -135,7 +135,7 @@ class Numbers(ScalarFormatter):
 
 
 def plain_numbers(figure: Figure | SubFigure, only: Axes | None = None) -> None:
-    """`Numbers`, with the same settings, where axes, all or some, have Matplotlib's own."""
+    """`PlainTicks`, with the same settings, where axes, all or some, have Matplotlib's own."""
     waiting: list[Any] = [only] if only is not None else list(figure.axes)
     while waiting:
         axes = waiting.pop()
@@ -144,7 +144,7 @@ def plain_numbers(figure: Figure | SubFigure, only: Axes | None = None) -> None:
             for which in ("major", "minor"):
                 given = getattr(axis, f"get_{which}_formatter")()
                 if type(given) is ScalarFormatter:
-                    plain = Numbers()
+                    plain = PlainTicks()
                     vars(plain).update(vars(given))
                     getattr(axis, f"set_{which}_formatter")(plain)
 

@@ -79,7 +79,7 @@ _KEYWORDS = Keywords(SelectionOptions, SelectionKeywords, together=True)
     keywords=_KEYWORDS,
 )
 def verdict(
-    problem: Problem | SelectionProblem | Chosen | AnyMachine,
+    problem: Problem | SelectionProblem | Selection | Stand | BasePlan | AnyMachine,
     target: TargetLike | None = None,
     *,
     constraints: AnyConstraints | None = None,

@@ -183,7 +183,7 @@ PROBLEM_ROWS = [
     problem("target-missing", {"target": None}, "target", "required"),
     problem("target-misspelt", {"target": None, "tagret.end_point": "[0, 1]"}, "tagret: unknown key", "'target'"),
     problem("target-key-misspelt", {"target": None, "target.endpoint": "[0, 1]"}, "target.endpoint", "'end_point'"),
-    problem("target-number", {"target": "3"}, "target = 3", "table"),
+    problem("target-number", {"target": "3"}, "target = 3", "its keys: end_point, end_points, path"),
     problem("target-three-numbers", {"target.end_point": "[1.0, 2.0, 3.0]"}, "[1.0, 2.0, 3.0]", "two numbers", "m"),
     problem("target-text", {"target.end_point": '["a", 1.0]'}, "target.end_point", "'a'", "number, not text", "m"),
     problem("target-nan", {"target.end_point": "[nan, 1.0]"}, "target.end_point", "nan", "finite", "1e+06 m"),

@@ -113,7 +113,8 @@ class Verification(Result):
     def __repr__(self) -> str:
         marks = {"passed": "ok", "failed": "FAILED", "not verified": "none"}
         lines = [f"{marks[c.state]:>7}  {c.target:10}  {c.name}: {c.finding}" for c in self.checks]
-        left = [f"not verified: {line}" for line in self.not_verified]
+        # What tools are missing for stands in the lines.
+        left = [f"not verified: {target} (not asked for)" for target in TARGETS if target not in self.targets]
         return "\n".join([*lines, *left, self.sentence])
 
     def write(self) -> None:
