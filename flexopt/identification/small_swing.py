@@ -36,7 +36,10 @@ NEARLY, LOOSELY = 1.2, 4.0
 # Evaluations that bring a start to its end; sums of squares, of the noise, that are further apart are told apart.
 TO_THE_END, BEYOND = 40, 60.0
 # How often other θ with the same poles are looked for, and how far apart searches start.
-SEARCHES, APART = 16, 1.2
+SEARCHES, APART = 64, 1.2
+# Evaluations of such a search, and poles that are nearly the same: their sizes, in logarithms, and angles, rad. Dampers
+# that are not negative may not bring them nearer; whether the log goes with them is asked then.
+MATCHING, SAME_SIZE, SAME_ANGLE = 30, 0.02, 0.1
 # A base hardly tilts by more either way, rad.
 TILT = 0.05
 THETA_MAX = 12.0
@@ -221,7 +224,7 @@ def grown(
 
 
 def same_poles(swing: HeldSwing, theta: Vector, springs: Sequence[int]) -> list[Vector]:
-    """Other θ with which the machine has the poles that it has with this one, as far as a search finds them."""
+    """Other θ with which the machine has nearly the poles that it has with this one, as far as a search finds them."""
     from scipy.optimize import least_squares  # noqa: PLC0415  (loads slowly)
 
     wanted, rng = swing.roots(theta), np.random.default_rng(SEED)
@@ -238,8 +241,9 @@ def same_poles(swing: HeldSwing, theta: Vector, springs: Sequence[int]) -> list[
     for _ in range(SEARCHES if wanted.size > 1 else 0):
         start = theta.copy()
         start[seen] += rng.normal(0.0, APART, len(seen))
-        solved: Any = least_squares(residuals, start, args=(start,), max_nfev=15)
-        if np.abs(solved.fun[: 2 * wanted.size]).max() < 1e-3:
+        solved: Any = least_squares(residuals, start, args=(start,), max_nfev=MATCHING)
+        size, angle = np.abs(solved.fun[: 2 * wanted.size]).reshape(2, -1).max(axis=1)
+        if size < SAME_SIZE and angle < SAME_ANGLE:
             found.append(solved.x)
     return _different([theta, *found], springs)[1:]
 

@@ -230,7 +230,8 @@ def _suiting(arguments: Arguments, machine: AnyMachine, asked: Constraints) -> C
     """The constraints, as far as they suit the machine; faults go to `arguments`."""
     faults = constraint_faults(build_plant(machine), asked)
     if asked.outcome is not None:
-        faults.append(Fault("outcome", "is for flexopt.select and select_stand, or flexopt select: it wants a loop"))
+        sentence = "is for flexopt.select, select_stand and plan_base, or flexopt select: it wants a loop"
+        faults.append(Fault("outcome", sentence))
     arguments.faults += [Fault(f"constraints.{f.field}", f.sentence, f.value) for f in faults]
     return Constraints(travel=asked.travel, own=asked.own) if faults else asked
 

@@ -179,7 +179,7 @@ def read_objectives(
     found = list[Objective]()
     for part in parts:
         if isinstance(part, str) and part in OUTCOMES:
-            sentence = "is for flexopt.select and select_stand, or flexopt select: it wants a loop"
+            sentence = "is for flexopt.select, select_stand and plan_base, or flexopt select: it wants a loop"
             arguments.note("objective", sentence, part)
         elif isinstance(part, str):
             found.append(_objective(arguments, machine, part, weights, m))

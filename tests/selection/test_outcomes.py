@@ -142,7 +142,7 @@ def test_in_space_with_constraints() -> None:
     problem = flexopt.load_problem("pipe-laying")
     arguments = problem.select_arguments()
     arguments.pop("weights", None)
-    found = flexopt.select(**arguments | {"objective": "decay", "loop": {"kp": 3e6, "kv": 6e5}, "starts": 3})
+    found = flexopt.select(**arguments | {"objective": "decay", "loop": {"kp": 3e6, "kv": 6e5}, "starts": 8})
     assert isinstance(found, OutcomeSelection)
     for constraint in found.best.constraints.values():
         assert constraint.lower - 1e-6 <= constraint.value <= constraint.upper + 1e-6

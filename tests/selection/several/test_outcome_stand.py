@@ -77,8 +77,6 @@ def test_what_does_not_go_together() -> None:
     ):
         with pytest.raises(flexopt.InputError, match=sentence):
             flexopt.select_stand(EXCAVATOR, TARGETS, **options)
-    with pytest.raises(flexopt.InputError, match="it wants a loop"):
-        flexopt.plan_base(EXCAVATOR, TARGETS, objective="decay")
 
 
 def test_bounds_hold_at_every_target() -> None:
