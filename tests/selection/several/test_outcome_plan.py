@@ -67,7 +67,8 @@ def test_no_way_of_a_scan_is_better() -> None:
     assert plan.worth >= plan.standing * (1 - 1.01e-4)
     still = [flexopt.outcome(EXCAVATOR, q, base=plan.still.base, loop=LOOP).decay for q in plan.still.posture]
     np.testing.assert_allclose(plan.still.V, still, rtol=1e-9)
-    assert plan.between[0] <= plan.worth
+    # Postures between the targets, those at them too, are found by an iteration.
+    assert plan.between[0] <= plan.worth * (1 + 1e-8)
     document = plan.to_dict()
     assert document["measure"] == "decay"
     assert document["worst"] == int(np.argmin(plan.V))
