@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.evaluation import with_outcome
@@ -24,10 +24,20 @@ from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.selection.coupling import Coupling
 from flexopt.selection.outcomes.branches import Measure
-from flexopt.selection.outcomes.choice import CORNERED, asked_of, kept_values, measure_of, unfit
+from flexopt.selection.outcomes.choice import (
+    CORNERED,
+    asked_of,
+    climbs,
+    distinct_optima,
+    kept_values,
+    measure_of,
+    unfit,
+)
+from flexopt.selection.outcomes.climb import Climbed
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.shared import SharedProgram
+from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.results import ConfigurationSet, TargetConfiguration
 from flexopt.selection.solve import constraint_values
@@ -90,7 +100,7 @@ class ByLoop(ConfigurationSet):
         worth = float(self.V[self.worst])
         lines = [super().__repr__(), f"  {self.measure}, the worst: {worth:.6g} {self.unit}".rstrip()]
         lines += [f"  worst over {over}"] if over else []
-        lines += [f"  {name} {value:.4g}, chosen with it" for name, value in self.gains.items()]
+        lines += [f"  {name} {value:.4g}, chosen with the configurations" for name, value in self.gains.items()]
         if self.unverified is not None:
             lines.append(
                 f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
@@ -140,6 +150,27 @@ class Asked:
             first, held, gain_ranges(self.loop), corners, measure=measure, least=bounds, problems=problems,
             coupling=coupling, steps=steps, begin=begin,
         )  # fmt: skip
+
+
+class Climbs(NamedTuple):
+    """Where climbs of a program led: it with the size of its values, verified optima, the best first, and how many.
+
+    `unverified`: as of `distinct_optima`;  attempts: starts, and how many led to a verified optimum.
+    """
+
+    program: SharedProgram
+    optima: list[Climbed]
+    unverified: float | None
+    attempts: tuple[int, int]
+
+
+def climbs_from(program: SharedProgram, looked: list[Vector], workers: int, progress: Progress | None = None) -> Climbs:
+    """Climbs from the best of the points y that are looked at."""
+    chosen, starts = starts_from(program, looked, workers)
+    assert isinstance(chosen, SharedProgram)
+    ends = climbs(chosen, starts, workers, progress)
+    verified = sum(each is not None and each.holds for each in ends)
+    return Climbs(chosen, *distinct_optima(chosen, ends), (len(starts), verified))
 
 
 def places_by_loop(program: SharedProgram, y: Vector) -> tuple[TargetConfiguration, ...]:

@@ -15,12 +15,11 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.coupling import Coupling
-from flexopt.selection.outcomes.choice import climbs, distinct_optima, least_over
+from flexopt.selection.outcomes.choice import least_over
 from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
-from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.program import Program
-from flexopt.selection.several.by_loop import Asked, ByLoop, places_by_loop, values_at
+from flexopt.selection.several.by_loop import Asked, ByLoop, climbs_from, places_by_loop, values_at
 from flexopt.selection.several.postures import Reached
 from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.standing import one_placement
@@ -96,11 +95,8 @@ def outcome_plan(
     if not looked:
         sentence = "with these rates no configurations of neighbouring targets are near enough"
         raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
-    chosen, starts = starts_from(program, looked, workers)
-    assert isinstance(chosen, SharedProgram)
-    ends = climbs(chosen, starts, workers, progress)
-    distinct, unverified = distinct_optima(chosen, ends)
-    best = _shortest(chosen, distinct[0])
+    chosen, optima, unverified, attempts = climbs_from(program, looked, workers, progress)
+    best = _shortest(chosen, optima[0])
     x = along.unwound(chosen.z(best.y))
     y = np.append(x / along.scale, best.y[chosen.n_z :])
     places, sign = places_by_loop(chosen, y), chosen.measure.sign
@@ -119,7 +115,7 @@ def outcome_plan(
         travelled=travelled(first.machine, np.array([place.evaluation.base for place in places])),
         stationarity=best.stationarity,
         kinks={},
-        attempts=(len(starts), sum(each is not None and each.holds for each in ends)),
+        attempts=attempts,
         problems=problems,
         provenance=provenance(
             first.machine, path=[p.target.tolist() for p in problems], times=due.tolist(), objective=asked.name,
@@ -156,11 +152,10 @@ def _standing(
         return None
     ys = [still.joined([own for _, own in program.parts(y)]) for y in looked]
     try:
-        chosen, starts = starts_from(still, ys, workers)
-        assert isinstance(chosen, SharedProgram)
-        return chosen, distinct_optima(chosen, climbs(chosen, starts, workers, None))[0][0]
+        found_there = climbs_from(still, ys, workers)
     except NoSolutionFound:
         return None
+    return found_there.program, found_there.optima[0]
 
 
 def _fixed(program: SharedProgram, end: Climbed) -> FixedPlacement:

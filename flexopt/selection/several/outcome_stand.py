@@ -13,11 +13,9 @@ import numpy as np
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
-from flexopt.selection.outcomes.choice import climbs, distinct_optima
 from flexopt.selection.outcomes.shared import SharedProgram
-from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.by_loop import Asked, ByLoop, places_by_loop, values_at
+from flexopt.selection.several.by_loop import Asked, ByLoop, climbs_from, places_by_loop, values_at
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.standing import one_placement
@@ -58,23 +56,20 @@ def outcome_stand(
     whole = np.flatnonzero(np.all([np.isfinite(reached.value).any(axis=1) for reached in found], axis=0))
     if not whole.size:
         raise none_reaches_all(len(problems))
-    z = found[0].z[:, whole[0], int(np.argmax(found[0].value[whole[0]]))]
+    z = found[0].z[:, whole[0], int(np.argmax(np.isfinite(found[0].value[whole[0]])))]
     coupling = one_placement(problems, np.ones(len(problems)), weighted=False).coupling
     program = asked.program(problems, coupling, np.zeros(0), z)
     looked = _looked(program, found, whole, workers)
-    chosen, starts = starts_from(program, looked, workers)
-    assert isinstance(chosen, SharedProgram)
-    ends = climbs(chosen, starts, workers, progress)
-    distinct, unverified = distinct_optima(chosen, ends)
-    best, sign = distinct[0], chosen.measure.sign
-    others = [(sign * each.value, chosen.z(each.y)[:n_base]) for each in distinct]
+    chosen, optima, unverified, attempts = climbs_from(program, looked, workers, progress)
+    best, sign = optima[0], chosen.measure.sign
+    others = [(sign * each.value, chosen.z(each.y)[:n_base]) for each in optima]
     return OutcomeStand(
         places=places_by_loop(chosen, best.y),
         worth=sign * best.value,
         alternatives=tuple(_elsewhere(others, first.scale[:n_base])),
         stationarity=best.stationarity,
         kinks={},
-        attempts=(len(starts), sum(each is not None and each.holds for each in ends)),
+        attempts=attempts,
         problems=problems,
         provenance=provenance(
             first.machine, objective=asked.name, targets=[p.target.tolist() for p in problems], seed=first.seed
