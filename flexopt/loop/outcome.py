@@ -45,6 +45,8 @@ SLOWEST, NEAR = 1e-5, np.concatenate([-np.geomspace(0.01, 30.0, 24), np.zeros(1)
 # Relative distance up to which an eigenvalue is one of those that are known.
 SAME = 1e-6
 DEAD_TIME = "dead_time"
+# Motions of a loop that count, the slowest first: at an optimum several are as slow.
+SLOWEST_MOTIONS = 6
 # How far the angle of a peak may be off, rad, and how often it is bettered.
 POLISH, POLISHES = 1e-5, 3
 # Peaks of feed · I + sign · F (zI − Φ)⁻¹ Γ, by sign and feed.

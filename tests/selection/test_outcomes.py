@@ -137,22 +137,6 @@ def test_slopes_at_points_that_are_no_optimum(
     assert first_order(program, y, program.value(y))[0] == math.inf
 
 
-def test_in_space_with_constraints() -> None:
-    """The shipped pipe-laying problem, chosen by decay: every constraint kept, and not slower than staying."""
-    problem = flexopt.load_problem("pipe-laying")
-    arguments = problem.select_arguments()
-    arguments.pop("weights", None)
-    found = flexopt.select(**arguments | {"objective": "decay", "loop": {"kp": 3e6, "kv": 6e5}, "starts": 8})
-    assert isinstance(found, OutcomeSelection)
-    for constraint in found.best.constraints.values():
-        assert constraint.lower - 1e-6 <= constraint.value <= constraint.upper + 1e-6
-    by_measure = flexopt.solve_problem(problem)
-    assert isinstance(by_measure, flexopt.Selection)
-    e = by_measure.best.evaluation
-    other = flexopt.outcome(found.problem.machine, e.posture, base=e.base, loop={"kp": 3e6, "kv": 6e5})
-    assert found.best.objective > other.decay
-
-
 @pytest.mark.parametrize("name", ["excavator", "truck-crane"])
 def test_under_gravity_the_target_is_reached(name: str) -> None:
     target = {"excavator": (0.0, 1.6), "truck-crane": (4.75, 1.47, 4.14)}[name]

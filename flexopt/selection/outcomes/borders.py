@@ -18,14 +18,14 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.roots import root
-from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint
+from flexopt.loop.outcome import DEAD_TIME, HIGH, SLOWEST_MOTIONS, LoopPoint
 from flexopt.loop.region import LARGEST, stability_radius
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, RADIUS
 from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import GROUND
-from flexopt.selection.outcomes.branches import BRANCHES, Branches, Measure, Slopes, rates_of, slopes_of
+from flexopt.selection.outcomes.branches import Branches, Measure, Slopes, rates_of, slopes_of
 
 # Places before a border that count.
 PLACES = 2
@@ -106,14 +106,14 @@ class Border(Measure):
                 places = [(level, 1.0), *((x, 0.0) for x in line.nearest(level))]
                 for place, moves in places:
                     there = line.loop(place)
-                    for k, value in enumerate(rates_of(there)[: BRANCHES if moves else 1]):
+                    for k, value in enumerate(rates_of(there)[: SLOWEST_MOTIONS if moves else 1]):
                         by, by_level = line.by(there, slopes_of(there, k))
                         found.append((value, at.by_y(by), moves * by_level))
         _, high = self.ends(at)
         if level >= high - NEAR:
             found.append((high - level, np.zeros(at.count), -1.0))
         found.sort(key=lambda entry: entry[0])
-        values, slopes, by_level = zip(*found[: 2 * BRANCHES], strict=True)
+        values, slopes, by_level = zip(*found[: 2 * SLOWEST_MOTIONS], strict=True)
         return Branches(np.array(values), np.array(slopes), np.array(by_level))
 
 

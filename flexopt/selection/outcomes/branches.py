@@ -14,12 +14,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.outcome import LoopPoint
+from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
-
-# Motions of a loop that count, the slowest first: at an optimum several are as slow.
-BRANCHES = 6
 
 if TYPE_CHECKING:
     from flexopt.selection.outcomes.program import OutcomeProgram, ProgramPoint
@@ -61,6 +58,8 @@ class Measure(ABC):
         return self.unit
 
     of_modes: ClassVar[bool] = False
+    # Whether two motions that meet are a kink of it.
+    of_rates: ClassVar[bool] = False
     lacking: ClassVar[str] = "every loop grows"
 
     @property
@@ -95,7 +94,7 @@ class Measure(ABC):
 
 def rates_of(point: LoopPoint) -> list[float]:
     """The rates of the slowest motions, 1/s, the least first."""
-    upper = point.loop.multipliers[point.loop.multipliers.imag >= 0][:BRANCHES]
+    upper = point.loop.multipliers[point.loop.multipliers.imag >= 0][:SLOWEST_MOTIONS]
     rates: list[float] = (-np.log(np.abs(upper)) / point.period).tolist()
     return rates
 

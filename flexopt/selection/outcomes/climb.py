@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.outcomes.branches import Branches
-from flexopt.selection.outcomes.program import OutcomeProgram, ProgramPoint
+from flexopt.selection.outcomes.program import MEETING, OutcomeProgram, ProgramPoint
 from flexopt.selection.starts import FEASIBLE
 
 # Steps at most, how exactly t is sought, and how often the search begins anew from where it came to.
@@ -69,8 +69,33 @@ def climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
     if there is None:
         return None
     value = program.value(there)
-    stationarity, active = first_order(program, there, value)
-    return Climbed(there, value, stationarity, active, steps)
+    found = Climbed(there, value, *first_order(program, there, value), steps)
+    return found if found.holds else _met(program, found) or found
+
+
+def _met(program: OutcomeProgram, found: Climbed) -> Climbed | None:
+    """Where two motions meet, near to where a climb ended that has no proof; None where that is none either.
+
+    Of rates m ± Re √d neither has a slope there. Where d is real and not above zero both are m: that is climbed. With
+    d = 0 the multiplier of Im d = 0 may have any sign, that of Re d ≤ 0 must not be below zero.
+
+    Source: Burke and Overton, Mathematical Programming 90(2), 2001.
+    """
+    level = program.level(found.value)
+    joined = program.meeting(found.y, level) if program.measure.of_rates and math.isfinite(level) else None
+    if joined is None:
+        return None
+    end, steps = _search(joined, found.y, found.value, STEPS)
+    there = onto_rows(joined, end)
+    value = -math.inf if there is None else program.value(there)
+    if there is None or program.level(value) < level - ACTIVE:
+        return None
+    stationarity, active = first_order(joined, there, value)
+    # Motions that decay alike and do not meet are told apart.
+    if sum(name.endswith(MEETING) for name in active) < sum(name.endswith(MEETING) for name in joined.row_names):
+        stationarity, active = first_order(program, there, value)
+    met = Climbed(there, value, stationarity, active, found.steps + steps)
+    return met if met.holds else None
 
 
 def ahead(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector, float]:

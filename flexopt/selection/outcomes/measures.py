@@ -14,12 +14,12 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import DEAD_TIME, LoopPoint
+from flexopt.loop.outcome import DEAD_TIME, SLOWEST_MOTIONS, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.choices import ALLOWANCE, DECAY
 from flexopt.selection.outcomes.borders import AllowedGain, DelayMargin, Radius
-from flexopt.selection.outcomes.branches import BRANCHES, Branches, Measure, rates_of, slopes_of
+from flexopt.selection.outcomes.branches import Branches, Measure, rates_of, slopes_of
 from flexopt.selection.outcomes.moves import Settling, Swing
 from flexopt.selection.problem import SelectionProblem
 
@@ -35,6 +35,7 @@ class Decay(Measure):
 
     name, unit = DECAY, "1/s"
     looked, stages = 1500, ((96, 6), (24, 10))
+    of_rates = True
 
     def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
         """See the class."""
@@ -64,10 +65,16 @@ class Decay(Measure):
         return Branches(values - level, slopes, np.full(len(values), -1.0))
 
     def _rates(self, at: ProgramPoint) -> tuple[Vector, Vector]:
-        each = [(value, point, k) for point in at.points for k, value in enumerate(rates_of(point))]
+        each = list[tuple[float, LoopPoint, Measured | int]]()
+        for number, point in enumerate(at.points):
+            met = at.met.get(number)
+            apart = () if met is None else met.branches
+            each += [(value, point, k) for k, value in enumerate(rates_of(point)) if k not in apart]
+            if met is not None:
+                each.append((met.mean.value, point, met.mean))
         each.sort(key=lambda entry: entry[0])
-        near = [entry for entry in each[:BRANCHES] if entry[0] <= each[0][0] + FAR * at.size]
-        slopes = [at.by_y(slopes_of(point, k)) for _, point, k in near]
+        near = [entry for entry in each[:SLOWEST_MOTIONS] if entry[0] <= each[0][0] + FAR * at.size]
+        slopes = [at.by_y(slopes_of(point, k) if isinstance(k, int) else point.gradient(k)) for _, point, k in near]
         return np.array([value for value, _, _ in near]) / at.size, np.array(slopes) / at.size
 
 

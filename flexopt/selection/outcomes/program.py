@@ -10,13 +10,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.outcome import LoopPoint
+from flexopt.loop.meeting import Nearest, nearest
+from flexopt.loop.outcome import UNDEFINED, LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.choices import DECAY
 from flexopt.model.loop import logarithms
@@ -25,8 +26,26 @@ from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import row_gradients
 
+# Share of a rate up to which two motions are near to each other; rows of those that meet are in units of the square of
+# this share of the size.
+TOGETHER, MEETS = 0.1, 0.1
+MEETING, ALIKE = "two motions that meet", "two oscillations that decay alike"
 # Share of what the loop must do at least that it may fall short by: that of steps.
 SHORT = 1e-6
+
+
+class Met(NamedTuple):
+    """A member two of whose motions, ln|μ| / T = −m ± Re √d, are held where they decay alike: d real and at most 0.
+
+    There m, which is smooth where the two meet, is the rate of both.
+
+    Attributes:
+        member: its number, the nominal one 0.
+        oscillate: whether both do; of two that do not d is real.
+    """
+
+    member: int
+    oscillate: bool
 
 
 @dataclass(frozen=True)
@@ -41,6 +60,7 @@ class OutcomeProgram:
         size: what the measure is divided by, in its unit, where levels are shares of it.
         measure: what is largest.
         least: what the loop of every member must do at least, by measure.
+        met: members, the nominal one 0, whose two motions nearest to each other are held where they decay alike.
     """
 
     problem: SelectionProblem
@@ -50,6 +70,7 @@ class OutcomeProgram:
     size: float = 1.0
     measure: Measure = MEASURES[DECAY]
     least: tuple[tuple[Measure, float], ...] = ()
+    met: tuple[Met, ...] = ()
 
     @property
     def n_z(self) -> int:
@@ -70,12 +91,17 @@ class OutcomeProgram:
     @property
     def row_bounds(self) -> tuple[Vector, Vector, Vector]:
         """Lower and upper bounds and scales of the rows."""
-        return self.problem.row_bounds
+        lower, upper, scale = self.problem.row_bounds
+        if not self.met:
+            return lower, upper, scale
+        low = np.concatenate([[-np.inf, 0.0][: 1 + each.oscillate] for each in self.met])
+        return np.append(lower, low), np.append(upper, np.zeros(low.size)), np.append(scale, np.ones(low.size))
 
     @property
     def row_names(self) -> list[str]:
         """Of the rows."""
-        return [constraint.name for constraint in self.problem.constraints]
+        met = [name for each in self.met for name in (MEETING, ALIKE)[: 1 + each.oscillate]]
+        return [*(constraint.name for constraint in self.problem.constraints), *met]
 
     @property
     def names(self) -> list[str]:
@@ -135,12 +161,28 @@ class OutcomeProgram:
     def rows(self, y: Vector) -> Vector:
         """Values of the problem's rows, in their scales: 0 for the target's."""
         lower, upper, scale = self.problem.row_bounds
-        return (self.problem.rows(self.z(y)) - np.where(lower == upper, lower, 0.0)) / scale
+        found: Vector = (self.problem.rows(self.z(y)) - np.where(lower == upper, lower, 0.0)) / scale
+        return np.append(found, self.place(y).met_rows[0]) if self.met else found
 
     def row_slopes(self, y: Vector) -> Vector:
         """Their slopes, (n_rows, n_y)."""
         found = row_gradients(self.problem, self.z(y)) / self.problem.row_bounds[2][:, None] * self.problem.scale
-        return np.hstack([found, np.zeros((len(found), len(self.ranges)))])
+        found = np.hstack([found, np.zeros((len(found), len(self.ranges)))])
+        return np.vstack([found, self.place(y).met_rows[1]]) if self.met else found
+
+    def meeting(self, y: Vector, level: float) -> OutcomeProgram | None:
+        """The program that holds motions as `met` which nearly meet at y and decay at a level; None without any."""
+        found = self.met_near(y, level)
+        return replace(self, met=found) if found else None
+
+    def met_near(self, y: Vector, level: float) -> tuple[Met, ...]:
+        """Members of which motions nearly meet at y and decay at a level."""
+        found = list[Met]()
+        for number, point in enumerate(self.points(y)):
+            near, rate = nearest(point, TOGETHER), point.rate().value
+            if near is not None and self.measure.level(rate, self.size) <= level + TOGETHER:
+                found.append(Met(number, near.oscillate))
+        return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +212,27 @@ class ProgramPoint:
     def points(self) -> list[LoopPoint]:
         """Of every member."""
         return self.program.points(self.y)
+
+    @cached_property
+    def met(self) -> dict[int, Nearest]:
+        """Of members that the program says so of the two motions that are held where they decay alike."""
+        found = {each.member: (each, nearest(self.points[each.member], TOGETHER))
+                 for each in self.program.met}  # fmt: skip
+        return {number: near for number, (each, near) in found.items() if near and near.oscillate == each.oscillate}
+
+    @cached_property
+    def met_rows(self) -> tuple[Vector, Vector]:
+        """Re d ≤ 0 and Im d = 0 of `Met` with their slopes by y; 1 where no two motions are near to each other."""
+        values, slopes, unit = list[float](), list[Vector](), (MEETS * self.program.size) ** 2
+        for each in self.program.met:
+            near, point = self.met.get(each.member), self.points[each.member]
+            for measured in (UNDEFINED, UNDEFINED) if near is None else near.squared:
+                by = {} if near is None else point.gradient(measured)
+                values.append(measured.value / unit if by else 1.0)
+                slopes.append(self.by_y(by) / unit if by else np.zeros(self.count))
+            if not each.oscillate:
+                del values[-1], slopes[-1]
+        return np.array(values), np.array(slopes)
 
     def branches(self, level: float) -> Branches:
         """What must not be below zero for the measure to be that of a level."""

@@ -6,7 +6,7 @@ In: as of `program`, a problem for each target. Out: a `SharedProgram`, which cl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +18,7 @@ from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.selection.coupling import Coupling, alone
 from flexopt.selection.outcomes.branches import Branches
-from flexopt.selection.outcomes.program import SHORT, OutcomeProgram, ProgramPoint
+from flexopt.selection.outcomes.program import SHORT, Met, OutcomeProgram, ProgramPoint
 from flexopt.selection.problem import SelectionProblem
 
 
@@ -33,18 +33,22 @@ class SharedProgram(OutcomeProgram):
         coupling: how the targets share x, and which of its entries are steps apart.
         steps: greatest |x_j − x_i| of each of these pairs.
         begin: placement of the first target, where it is given, (n_b,), m or rad.
+        met_at: of each target, as `met`.
     """
 
     problems: tuple[SelectionProblem, ...] = ()
     coupling: Coupling = field(default_factory=lambda: alone(1))
     steps: Vector = field(default_factory=lambda: np.zeros(0))
     begin: Vector | None = None
+    met_at: tuple[tuple[Met, ...], ...] = ()
 
     @cached_property
     def targets(self) -> tuple[OutcomeProgram, ...]:
         """The program of each target alone."""
-        rest: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(OutcomeProgram) if f.name != "problem"}
-        return tuple(OutcomeProgram(problem, **rest) for problem in self.problems)
+        own = {"problem", "met"}
+        rest: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(OutcomeProgram) if f.name not in own}
+        met = self.met_at or ((),) * len(self.problems)
+        return tuple(OutcomeProgram(problem, **rest, met=of) for problem, of in zip(self.problems, met, strict=True))
 
     @cached_property
     def places(self) -> list[NDArray[np.int64]]:
@@ -163,6 +167,14 @@ class SharedProgram(OutcomeProgram):
         """See `OutcomeProgram`."""
         each = [self._wide(target.row_slopes(y[place]), place) for target, place in self._each]
         return np.vstack([*each, self.differences])
+
+    def meeting(self, y: Vector, level: float) -> SharedProgram | None:
+        """See `OutcomeProgram`."""
+        found = tuple(
+            target.met_near(own, level)
+            for target, own in zip(self.targets, (y[place] for place in self.places), strict=True)
+        )
+        return replace(self, met_at=found) if any(found) else None
 
     def _wide(self, slopes: Vector, place: NDArray[np.int64]) -> Vector:
         """Slopes by a target's y as those by all."""
