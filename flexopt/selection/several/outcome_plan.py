@@ -14,7 +14,6 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
-from flexopt.selection.coupling import Coupling
 from flexopt.selection.outcomes.choice import least_over
 from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
@@ -22,7 +21,7 @@ from flexopt.selection.program import Program
 from flexopt.selection.several.by_loop import Asked, ByLoop, climbs_from, places_by_loop, values_at
 from flexopt.selection.several.postures import Reached
 from flexopt.selection.several.results import BasePlan, FixedPlacement
-from flexopt.selection.several.standing import one_placement
+from flexopt.selection.several.standing import standing_along
 from flexopt.selection.several.ways import Layer, coarse_ways, nodes_of, on_lines, travelled
 
 # Gains with which coarse ways are looked for, where they are chosen; ways for each.
@@ -45,13 +44,17 @@ class OutcomePlan(ByLoop, BasePlan):
 
     @property
     def standing(self) -> float:
-        """The worst of the base that stands still, NaN where none reaches all targets."""
+        """The worst of the base that stands still, NaN where none reaches all targets at the joints' rates."""
         sign = self.criterion.sign
         return math.nan if self.still is None else sign * float((sign * self.still.V).min())
 
     @property
     def _ways(self) -> str:
-        still = "no placement reaches them all" if self.still is None else f"{self._told(self.standing)} standing still"
+        still = (
+            "no placement reaches them all at these rates"
+            if self.still is None
+            else f"{self._told(self.standing)} standing still"
+        )
         bound = "least" if self.criterion.sign > 0 else "most"
         between = f"between the targets at {bound} {self._told(self.between[0])}"
         return f"worst {self.measure} {self._told(self.worth)} ({still}); {between}"
@@ -136,15 +139,8 @@ def _standing(
 
     `program`: that of the way, whose loop and beginning these are, too.
     """
-    n_b, n_z = len(program.problem.machine.base_coordinates), program.problem.scale.size
-    places = one_placement(program.problems, along.share, weighted=False).coupling.places
-    joints = [number for number, (i, _) in enumerate(along.coupling.pairs) if i % n_z >= n_b]
-    entries = [(places[i // n_z][i % n_z], places[j // n_z][j % n_z]) for i, j in along.coupling.pairs]
-    pairs = tuple(entries[number] for number in joints)
-    still = replace(program, coupling=Coupling(places, pairs), steps=along.steps[joints])
-    # The placement is the same all along.
-    steps = along.steps.copy()
-    steps[[number for number in range(steps.size) if number not in joints]] = 0.0
+    coupling, joints, steps = standing_along(along)
+    still = replace(program, coupling=coupling, steps=joints)
     some = np.linspace(0, common.shape[1] - 1, min(_most(program), common.shape[1]), dtype=int)
     layers = [_allowed(first.z[:, some], first.value[some]) for first, *_ in found]
     looked = _looked(program, replace(along, steps=steps), layers, workers)

@@ -32,6 +32,7 @@ from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATES, TIMES
 from flexopt.model.uncertainty import RangesLike, Uncertainty
 from flexopt.robustness.plausibility import warn_implausible
+from flexopt.selection.check import infeasible
 from flexopt.selection.coupling import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program, values_of
@@ -40,7 +41,7 @@ from flexopt.selection.several.outcome_plan import outcome_plan
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, verified
-from flexopt.selection.several.standing import best_placements, one_placement
+from flexopt.selection.several.standing import best_placements, one_placement, standing_along
 from flexopt.selection.several.targets import build_problems, sample_bases, single_measure
 from flexopt.selection.several.ways import coarse_ways, nodes_of, on_lines, travelled
 from flexopt.selection.solve import least_of, loop_notes, solved, without_loop
@@ -54,6 +55,8 @@ WAYS, STANDS = 3, 6
 CARRIED, CARRIED_STARTS = 4, 16
 # What the second, shortest way may give up, relative to the objective's scale.
 SLACK = 1e-4
+# Placements from which postures near to each other are looked for, with so many times the usual postures.
+PLACED, FINER = 128, 16
 BASE_RATE, SECONDS = 0.25, 10.0
 
 
@@ -170,7 +173,7 @@ def plan_base(
         sought = Asked("plan_base", own, known, word, least)
         counted = tuple(replace(problem, starts=asked.starts) for problem in problems)
         return outcome_plan(replace(program, problems=counted), due, begin, common, by_target, sought, count, progress)
-    still = _standing_still(problems, common, found, begin, count)
+    still = _standing_still(program, common, found, begin, count)
     layers = [nodes_of(reached) for reached in by_target]
     begins = coarse_ways(program, layers, asked.starts or WAYS)
     begins += _carried(program, begin, count)
@@ -250,19 +253,43 @@ def _carried(program: Program, begin: Vector | None, workers: int) -> list[Vecto
 
 
 def _standing_still(
-    problems: tuple[SelectionProblem, ...], bases: Vector, found: list[Reached], begin: Vector | None, workers: int
+    way: Program, bases: Vector, found: list[Reached], begin: Vector | None, workers: int
 ) -> list[Vector] | None:
-    """The configurations from the best single placement, or from `begin`; None where there is none."""
-    program = one_placement(problems, np.full(len(problems), 1 / len(problems)), weighted=False)
-    if begin is not None:
-        program = replace(program, fixed=tuple(range(begin.size)))
+    """The configurations from the best single placement, or from `begin`; None where there is none.
+
+    The joints keep their rates: where those of the best postures do not, others are looked for.
+    """
     if not bases.shape[1]:
         return None
+    fixed = () if begin is None else tuple(range(begin.size))
+    coupling, steps, of_way = standing_along(way)
+    still = replace(way, coupling=coupling, steps=steps, fixed=fixed)
     try:
-        best = best_placements(program, bases, found, STANDS, program.first.seed, workers, None)[0][0].x
+        free = replace(one_placement(way.problems, way.share, weighted=False), fixed=fixed)
+        best = best_placements(free, bases, found, STANDS, way.first.seed, workers, None)[0][0].x
+        if infeasible(still, best):
+            begins = _from_one_placement(way, still, of_way, bases)
+            ends = ends_from(still, begins, workers, None)
+            best = not_below(still, verified(still, ends, "placement"), begins, "placement")[0].x
     except FlexoptError:
         return None
-    return [program.of(best, k) for k in range(len(problems))]
+    return [still.of(best, k) for k in range(len(way.problems))]
+
+
+def _from_one_placement(way: Program, still: Program, of_way: Vector, bases: Vector) -> list[Vector]:
+    """Starts from as many placements: those with the highest worst V among postures whose steps keep the rates."""
+    seed = way.first.seed
+    some = bases[:, np.linspace(0, bases.shape[1] - 1, min(PLACED, bases.shape[1]), dtype=int)]
+    found = [reached_from(problem, some, seed, FINER) for problem in way.problems]
+    ranked = list[tuple[float, float, Vector]]()
+    for j in np.flatnonzero(np.isfinite([reached.value.max(axis=1) for reached in found]).all(axis=0)).tolist():
+        at = [Reached(each.z[:, j : j + 1], each.value[j : j + 1], each.violation[j : j + 1]) for each in found]
+        for x in coarse_ways(replace(way, steps=of_way), [nodes_of([reached]) for reached in at], 1):
+            begin = still.packed([way.of(x, k) for k in range(len(found))])
+            away = np.abs(still.coupling.steps(still.coupling.n_x) @ (begin / still.scale))
+            ranked.append((float(np.maximum(away - still.steps, 0.0).max(initial=0.0)), -still.worth(begin), begin))
+    ranked.sort(key=lambda each: each[:2])
+    return [begin for _, _, begin in ranked[:STANDS]]
 
 
 def _with_own(

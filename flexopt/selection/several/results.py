@@ -178,6 +178,8 @@ class Stand(Pictured, ConfigurationSet):
 class FixedPlacement:
     """The best that a base can do that stands still while the end-point goes along its path of K targets.
 
+    The joints keep their rates.
+
     Attributes:
         base: the placement (n_b,), m or rad.
         posture: actuated joints at each target (K, n), rad or m.
@@ -221,7 +223,7 @@ class BasePlan(Pictured, ConfigurationSet):
 
     @property
     def standing(self) -> float:
-        """The worst V of the base that stands still, −∞ where none reaches all targets."""
+        """The worst V of the base that stands still, −∞ where none reaches all targets at the joints' rates."""
         return -np.inf if self.still is None else float(self.still.V.min())
 
     @property
@@ -252,7 +254,11 @@ class BasePlan(Pictured, ConfigurationSet):
     @property
     def _ways(self) -> str:
         """The worst of the way beside standing still, and between its targets."""
-        still = "no placement reaches them all" if self.still is None else f"{self.standing:.4e} standing still"
+        still = (
+            "no placement reaches them all at these rates"
+            if self.still is None
+            else f"{self.standing:.4e} standing still"
+        )
         return f"worst V {self.worth:.4e} ({still}); between the targets at least {self.between[0]:.4e}"
 
     def to_dict(self) -> Document:

@@ -5,7 +5,7 @@ In: problems, and what their postures are worth from a sample of placements. Out
 
 from __future__ import annotations
 
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,29 @@ def one_placement(problems: tuple[SelectionProblem, ...], share: Vector, *, weig
     n_b, n = plant.n_base, plant.n_actuated
     places = tuple((*range(n_b), *range(n_b + k * n, n_b + (k + 1) * n)) for k in range(len(problems)))
     return Program(problems, Coupling(places, ()), np.zeros(0), share, "weighted" if weighted else "worst")
+
+
+class Standing(NamedTuple):
+    """A way on which the base stands still.
+
+    Attributes:
+        coupling: one placement for all, and the joints' steps;  steps: how far these may be.
+        of_way: steps of the way itself with 0 where the placement's are.
+    """
+
+    coupling: Coupling
+    steps: Vector
+    of_way: Vector
+
+
+def standing_along(way: Program) -> Standing:
+    """The way from one placement whose joints keep their rates."""
+    n_z, n_b = way.first.scale.size, way.first.measures.plant.n_base
+    places = one_placement(way.problems, way.share, weighted=False).coupling.places
+    joints = np.array([i % n_z >= n_b for i, _ in way.coupling.pairs], dtype=bool)
+    entries = [(places[i // n_z][i % n_z], places[j // n_z][j % n_z]) for i, j in way.coupling.pairs]
+    pairs = tuple(entries[number] for number in np.flatnonzero(joints))
+    return Standing(Coupling(places, pairs), way.steps[joints], np.where(joints, way.steps, 0.0))
 
 
 def default_starts(program: Program) -> int:

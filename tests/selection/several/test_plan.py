@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from flexopt import build_measures, evaluate, load, simulate
 from flexopt.errors import InputError, NoSolutionFound, UnreachableTarget
 from flexopt.robustness import evaluate_w
 from flexopt.selection.several import BasePlan, plan_base, select_stand
+from flexopt.selection.several.postures import reached_from
+from flexopt.selection.several.results import FixedPlacement
 
 PATH = np.array([[x, 1.6] for x in np.linspace(0.0, 1.5, 7)])
 
@@ -92,6 +95,27 @@ def test_start_and_rates_bind(excavator: flexopt.Machine) -> None:
     still = plan_base(excavator, PATH, objective="w2", max_base_rate=0.0, duration=6.0, workers=1)
     assert np.ptp(still.base) < 1e-7
     assert still.worth == pytest.approx(still.standing, abs=2e-4 * still.problems[0].objective_scale)
+
+
+def test_what_stands_still_keeps_its_joints_rates() -> None:
+    """A redundant arm whose best placement asks for faster joints; the next best is no worse than a scan of pairs."""
+    machine, path, seconds, rate = flexopt.load("boom-stick-bucket"), [(4.0, 1.0), (4.6, 0.4)], 3.0, 0.05
+
+    def still(most: float) -> tuple[BasePlan, FixedPlacement, float]:
+        given: dict[str, Any] = {"objective": "w1", "duration": seconds, "starts": 1, "workers": 1}
+        found = plan_base(machine, path, max_joint_rate=most, **given)
+        assert found.still is not None
+        return found, found.still, float(np.abs(np.diff(found.still.posture, axis=0)).max()) / seconds
+
+    assert still(1.0)[2] > rate
+    found, slow, fastest = still(rate)
+    assert fastest <= rate + 1e-7
+    first, second = (reached_from(problem, np.linspace(-4.0, 4.0, 81)[None], 7, 16) for problem in found.problems)
+    away = np.abs(first.z[1:, :, :, None] - second.z[1:, :, None, :]).max(axis=0)
+    both = np.minimum(first.value[:, :, None], second.value[:, None, :])
+    best = float(both[away <= rate * seconds].max())
+    # The scan finds pairs, and the placement is as good as the best of them.
+    assert -np.inf < best <= slow.V.min() + 1e-7 * found.problems[0].objective_scale
 
 
 def test_simulation_follows_the_plan(excavator: flexopt.Machine, plan: BasePlan) -> None:
