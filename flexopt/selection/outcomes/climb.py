@@ -23,6 +23,8 @@ from flexopt.selection.starts import FEASIBLE
 STEPS, EXACT, AGAIN = 60, 1e-12, 3
 # Steps onto the rows.
 CORRECTIONS = 12
+# Linear programs at most, and their trust radii, in scaled variables: the first and the least.
+TRIES, RADIUS, LEAST_RADIUS = 60, 0.1, 1e-8
 # Branches and rows that are active: distances, in units of their sizes.
 ACTIVE, ON_ROW = 1e-6, 1e-7
 # Norm of the Lagrangian's gradient, in scaled variables, below which a point is stationary.
@@ -52,7 +54,35 @@ class Climbed:
 
 
 def climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
-    """The local optimum that a start leads to; None where it leads off the rows."""
+    """The local optimum that a start leads to; None where it leads off the rows.
+
+    Where the search stops at none, two motions may meet there; else steps that never lead down go on.
+    """
+    found = _searched(program, start)
+    if found is None or found.holds:
+        return found
+    met = _met(program, found)
+    if met is not None:
+        return met
+    found = _raised(program, found)
+    return found if found.holds else _met(program, found) or found
+
+
+def _raised(program: OutcomeProgram, found: Climbed) -> Climbed:
+    """Where steps that never lead down, and searches from there, lead from where a search stopped."""
+    for _ in range(AGAIN):
+        if found.holds:
+            break
+        there, steps = _by_steps(program, found.y, found.value)
+        again = _searched(program, there) if steps else None
+        if again is None or program.level(again.value) - program.level(found.value) <= ACTIVE:
+            break
+        found = replace(again, steps=found.steps + steps + again.steps)
+    return found
+
+
+def _searched(program: OutcomeProgram, start: Vector) -> Climbed | None:
+    """Where searches one after the other lead, as long as they lead up."""
     best, steps, value = start, 0, program.value(start)
     for _ in range(AGAIN if math.isfinite(value) else 0):
         found, more = _search(program, best, value, STEPS)
@@ -69,8 +99,49 @@ def climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
     if there is None:
         return None
     value = program.value(there)
-    found = Climbed(there, value, *first_order(program, there, value), steps)
-    return found if found.holds else _met(program, found) or found
+    return Climbed(there, value, *first_order(program, there, value), steps)
+
+
+def _by_steps(program: OutcomeProgram, y: Vector, value: float) -> tuple[Vector, int]:
+    """Where linear programs within a trust radius lead, each step taken only where the measure rises; and how many.
+
+    Slower than `_search`, but branches whose slopes change abruptly do not mislead it.
+    """
+    from scipy.optimize import linprog  # noqa: PLC0415  (loads slowly)
+
+    lower, upper, scale = program.row_bounds
+    equal, radius, taken = lower == upper, RADIUS, 0
+    low, high = np.where(equal, 0.0, lower / scale), np.where(equal, 0.0, upper / scale)
+    for _ in range(TRIES if math.isfinite(value) else 0):
+        level = program.level(value)
+        found, rows, slopes = program.branches(y, level), program.rows(y), program.row_slopes(y)
+        known = np.isfinite(found.slopes).all(axis=1)
+        wide = np.column_stack([slopes, np.zeros(len(slopes))])
+        above, below = ~equal & np.isfinite(low), ~equal & np.isfinite(high)
+        limits = np.vstack([
+            -np.column_stack([found.slopes, found.by_level])[known], -wide[above], wide[below],
+        ])  # fmt: skip
+        room = np.concatenate([np.maximum(found.values[known], 0.0), (rows - low)[above], (high - rows)[below]])
+        ends = np.column_stack(program.bounds) - y[:, None]
+        while radius > LEAST_RADIUS:
+            step: Any = linprog(
+                np.append(np.zeros(y.size), -1.0), A_ub=limits, b_ub=np.maximum(room, 0.0), A_eq=wide[equal],
+                b_eq=-rows[equal], bounds=[*np.clip(ends, -radius, radius).tolist(), (0.0, None)], method="highs",
+            )  # fmt: skip
+            promised = float(step.x[-1]) if step.status == 0 else 0.0
+            if promised <= ACTIVE / 10:
+                return y, taken
+            there = onto_rows(program, y + step.x[:-1])
+            after = -math.inf if there is None else program.value(there)
+            gained = program.level(after) - level
+            if there is not None and gained > promised / 10:
+                y, value, taken = there, after, taken + 1
+                radius *= 2.0 if gained > promised / 2 else 1.0
+                break
+            radius /= 3
+        else:
+            break
+    return y, taken
 
 
 def _met(program: OutcomeProgram, found: Climbed) -> Climbed | None:
@@ -85,17 +156,18 @@ def _met(program: OutcomeProgram, found: Climbed) -> Climbed | None:
     joined = program.meeting(found.y, level) if program.measure.of_rates and math.isfinite(level) else None
     if joined is None:
         return None
-    end, steps = _search(joined, found.y, found.value, STEPS)
-    there = onto_rows(joined, end)
-    value = -math.inf if there is None else program.value(there)
-    if there is None or program.level(value) < level - ACTIVE:
+    there = onto_rows(joined, found.y)
+    end = None if there is None else _searched(joined, there)
+    if end is None:
         return None
-    stationarity, active = first_order(joined, there, value)
+    end = _raised(joined, end)
+    if program.level(end.value) < level - ACTIVE:
+        return None
     # Motions that decay alike and do not meet are told apart.
-    if sum(name.endswith(MEETING) for name in active) < sum(name.endswith(MEETING) for name in joined.row_names):
-        stationarity, active = first_order(program, there, value)
-    met = Climbed(there, value, stationarity, active, found.steps + steps)
-    return met if met.holds else None
+    if sum(name.endswith(MEETING) for name in end.active) < sum(name.endswith(MEETING) for name in joined.row_names):
+        stationarity, active = first_order(program, end.y, end.value)
+        end = replace(end, stationarity=stationarity, active=active)
+    return replace(end, steps=found.steps + end.steps) if end.holds else None
 
 
 def ahead(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector, float]:
