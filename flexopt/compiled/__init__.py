@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from flexopt.compiled.economical import Economical as Economical
     from flexopt.compiled.recurrences import Records as Records
     from flexopt.compiled.recurrences import Recurrence as Recurrence
+    from flexopt.compiled.recurrences import is_brief as is_brief
     from flexopt.compiled.recurrences import recurrence as recurrence
     from flexopt.compiled.storage import cache_folder as cache_folder
 
@@ -32,6 +33,6 @@ __getattr__ = later(
     calls="ArrayCall",
     compilers="Compiler find_compiler",
     economical="Economical",
-    recurrences="Records Recurrence recurrence",
+    recurrences="Records Recurrence is_brief recurrence",
     storage="cache_folder",
 )

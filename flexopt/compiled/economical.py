@@ -40,7 +40,7 @@ class Economical:
         self._interpreter = Interpreter(function)
         self._begun: Callable[[], ctypes.CDLL | None] | None = None
         self._batch: Batch | None = None
-        self._decided = False
+        self._asked = self._decided = False
         self._spent = 0
 
     @property
@@ -59,7 +59,8 @@ class Economical:
         if self._decided or find_compiler() is None:
             return
         work = self._spent + points
-        kept = self._begun is None and is_kept([self._compact], PURPOSE)
+        # Asked once: writing a graph down for its key takes longer than evaluating it at some points.
+        kept, self._asked = not self._asked and is_kept([self._compact], PURPOSE), True
         if self._begun is None and (kept or work >= _AHEAD * self.worth):
             self._begun = begin_batch(self._compact)
         self._decided = kept or work >= self.worth

@@ -211,6 +211,12 @@ def level(source: str) -> tuple[str, ...] | None:
     return next((level for most, level in LEVELS if longest <= most), None)
 
 
+def brief_level(source: str) -> tuple[str, ...] | None:
+    """The same for what runs briefly: compiled in half the time, it takes a seventh longer and gives the same bits."""
+    hard = level(source)
+    return hard and tuple("-O1" if option == "-O2" else option for option in hard)
+
+
 def definitions(text: str) -> dict[str, str]:
     """Name -> text of every table, struct and function defined at the left margin, in their order."""
     pieces: dict[str, str] = {}

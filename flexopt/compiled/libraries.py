@@ -29,15 +29,18 @@ T = TypeVar("T")
 Level = Callable[[str], tuple[str, ...] | None]
 
 
-def load(functions: Sequence[ca.Function], purpose: str, source: Callable[[], str]) -> ctypes.CDLL | None:
+def load(
+    functions: Sequence[ca.Function], purpose: str, source: Callable[[], str], chosen: Level = level
+) -> ctypes.CDLL | None:
     """The library of lanes that `source` describes, which is called only if the cache does not hold it.
 
     Args:
         functions: what the library depends on; messages name the first.
         purpose: tells libraries of the same Functions apart.
         source: writes the translation unit; may raise `RuntimeError` where CasADi cannot generate a graph.
+        chosen: how hard to optimise it; another choice wants another purpose.
     """
-    return opened(functions, purpose, source, level, "c++", _library)
+    return opened(functions, purpose, source, chosen, "c++", _library)
 
 
 def begin(

@@ -9,7 +9,7 @@ course by numbers, CasADi's virtual machine takes the exact step.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,13 +19,18 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
 from flexopt.compiled.interpreted import Accumulated, Array
-from flexopt.compiled.lanes import recurrence_source
-from flexopt.compiled.libraries import load
+from flexopt.compiled.lanes import brief_level, level, recurrence_source
+from flexopt.compiled.libraries import is_kept, load
 from flexopt.compiled.members import checked_arguments, checked_functions, densified
 
 # A multiple of every processor's number of lanes, so that threads never share a group of members.
 _GROUP = 8
+# Shares by which steps take longer, and by which compiling takes less, where it is not optimised fully.
+_SLOWER, _SOONER = 0.15, 0.4
+# How much faster compiled steps are than the virtual machine's at least: of few members, of many.
+_FEW_FASTER, _MANY_FASTER = 8, 40
 # Up to so many members run in vectors of half the width at most, in which a step is done sooner.
 _FEW = 4
 
@@ -54,6 +59,7 @@ def recurrence(
     refresh: ca.Function | None = None,
     every: int = 100,
     many: bool = False,
+    brief: bool = False,
 ) -> Recurrence:
     """The recurrence x_{k+1}, monitor = step(x_k, e_k, c), compiled if that can be, and kept for the next process.
 
@@ -67,11 +73,19 @@ def recurrence(
         every: number of steps between two refreshes.
         many: whether the first call is for many members, rather than one to four; code for the other is compiled when
             it is first called, and gives the same bits.
+        brief: whether so few steps are to come in all (`is_brief`) that compiling would take longest: it takes half the
+            time then, the steps a seventh longer, and they give the same bits.
 
     Raises:
         InputError: shapes that do not belong together; `fast` without `refresh` or the reverse; `every` below 1.
     """
-    return Recurrence(step, fast=fast, refresh=refresh, every=every, many=many)
+    return Recurrence(step, fast=fast, refresh=refresh, every=every, many=many, brief=brief)
+
+
+def is_brief(step: ca.Function, steps: int, *, many: bool = False) -> bool:
+    """Whether optimising a recurrence fully would take longer than it saves in so many steps of all members."""
+    seconds = steps * evaluation_seconds(step) / (_MANY_FASTER if many else _FEW_FASTER)
+    return _SLOWER * seconds < _SOONER * compilation_seconds(step)
 
 
 class Recurrence:
@@ -90,6 +104,7 @@ class Recurrence:
         refresh: ca.Function | None = None,
         every: int = 100,
         many: bool = False,
+        brief: bool = False,
     ) -> None:
         given = {"step": step, "fast": fast, "refresh": refresh}
         functions = {name: function for name, function in given.items() if function is not None}
@@ -97,8 +112,8 @@ class Recurrence:
         self._sizes = checked_functions(functions, every)
         self._every = int(every)
         dense = {name: densified(function) for name, function in functions.items()}
-        self._functions = dense
-        self._libraries = {not many: _loaded(dense, self._sizes, narrow=not many)}
+        self._functions, self._brief = dense, brief
+        self._libraries = {not many: self._loaded(narrow=not many)}
         self._interpreted = Accumulated(dense["step"])
 
     @property
@@ -165,8 +180,22 @@ class Recurrence:
         """The loop for so many members, compiled when it is first needed; members give the same bits in each."""
         narrow = n_members <= _FEW
         if self.compiled and narrow not in self._libraries:
-            self._libraries[narrow] = _loaded(self._functions, self._sizes, narrow=narrow)
+            self._libraries[narrow] = self._loaded(narrow=narrow)
         return self._libraries[narrow] if self.compiled else None
+
+    def _loaded(self, *, narrow: bool) -> ctypes.CDLL | None:
+        """The compiled loop over the steps, or None where it cannot be."""
+        n = self._sizes
+        rows = {"N": n["x"], "N_E": n["e"], "N_C": n["c"], "N_D": n["d"], "N_M": n["monitor"]}
+        functions, chosen = list(self._functions.values()), level
+        purpose = "recurrence of few" if narrow else "recurrence"
+        # What is there is used, however hard it was to make.
+        if self._brief and not is_kept(functions, purpose):
+            purpose, chosen = f"brief {purpose}", brief_level
+        library = load(functions, purpose, lambda: recurrence_source(self._functions, rows, narrow=narrow), chosen)
+        if library is not None:
+            library.flexopt_recurrence.argtypes = [ctypes.c_void_p, ctypes.c_longlong, ctypes.c_longlong]
+        return library
 
     def _interpret(self, arguments: Sequence[Array], records: Records, steps: int, stride: int) -> None:
         """All members through the virtual machine, one after the other."""
@@ -236,13 +265,3 @@ def _run(kernel: Callable[..., int], job: tuple[_Job, list[Array]], n: int, thre
             statuses = list(pool.map(part, parts))
     if any(statuses):
         raise MemoryError("no memory for the working space of a compiled recurrence")
-
-
-def _loaded(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], *, narrow: bool) -> ctypes.CDLL | None:
-    """The compiled loop over the steps, or None where it cannot be."""
-    rows = {"N": sizes["x"], "N_E": sizes["e"], "N_C": sizes["c"], "N_D": sizes["d"], "N_M": sizes["monitor"]}
-    purpose = "recurrence of few" if narrow else "recurrence"
-    library = load(list(functions.values()), purpose, lambda: recurrence_source(functions, rows, narrow=narrow))
-    if library is not None:
-        library.flexopt_recurrence.argtypes = [ctypes.c_void_p, ctypes.c_longlong, ctypes.c_longlong]
-    return library

@@ -27,7 +27,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.uncertainty import GROUND, LATE, RangesLike, Uncertainty
 from flexopt.robustness import build_measures
-from flexopt.robustness.batches import w_at
+from flexopt.robustness.batches import w_of_few
 
 # Samples, and those of them where slopes are computed; a power of two, as Sobol sequences have it.
 SAMPLES, SLOPES, SLOPES_OF_LOOP = 1024, 512, 128
@@ -229,7 +229,7 @@ class _Outputs:
         """(m, N)."""
         p, _ = self.box.numbers_at(np.array([self.box.theta(u) for u in members]).T)
         postures = np.tile(self.posture[:, None], len(members))
-        return w_at(self.measures, self.base, postures, np.ascontiguousarray(p)).w
+        return w_of_few(self.measures, self.base, postures, np.ascontiguousarray(p))
 
     def slopes(self, u: Vector) -> Vector:
         """∂w/∂u (m, k)."""

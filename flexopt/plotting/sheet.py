@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -19,7 +19,9 @@ from typing import Any, TypeVar, cast
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.rcsetup import cycler
 from matplotlib.ticker import ScalarFormatter
 
@@ -191,13 +193,53 @@ def sized(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     return fitting
 
 
+def placed_as(figure: Figure, drawn: Figure) -> None:
+    """Axes and titles where they are in a figure that has been drawn and has the same contents, in other colours.
+
+    Looking for their places takes Matplotlib as long as drawing does.
+    """
+    if not isinstance(drawn.get_layout_engine(), ConstrainedLayoutEngine) or drawn.subfigs:
+        return
+    figure.set_layout_engine("none")
+    for axes, other in zip(figure.axes, drawn.axes, strict=True):
+        axes.set_position(other.get_position(original=True))
+        axes.set_anchor(cast(Any, other.get_anchor()))
+        axes.set_box_aspect(other.get_box_aspect())
+        if _gives_way(other):
+            axes.set(xlim=other.get_xlim(), ylim=other.get_ylim())
+    for name in ("_suptitle", "_supxlabel", "_supylabel"):
+        text = getattr(drawn, name)
+        if text is not None:
+            getattr(figure, name).set_position(text.get_position())
+
+
 def write(figure: Figure, path: str | os.PathLike[str] | None, *, dpi: float = 200) -> None:
     """Write a figure where asked; the path's ending, which the boundary has checked, chooses the format."""
     if path is None:
         return
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=Path(path).suffix[1:].lower(), dpi=dpi)
+    buffer, kind = io.BytesIO(), Path(path).suffix[1:].lower()
+    with _laid_out(figure, dpi) if kind == "png" else nullcontext():
+        figure.savefig(buffer, format=kind, dpi=dpi)
     write_file(path, buffer.getvalue())
+
+
+@contextmanager
+def _laid_out(figure: Figure, dpi: float) -> Generator[None]:
+    """Within it axes stay where they belong in a file of points; `savefig` would draw all of it to find that out."""
+    engine, canvas, dots = figure.get_layout_engine(), figure.canvas, figure.dpi
+    if engine is None or not figure.axes:
+        yield
+        return
+    try:
+        figure.set_dpi(dpi)
+        FigureCanvasAgg(figure)
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+        yield
+    finally:
+        figure.set_layout_engine(engine)
+        figure.set_dpi(dots)
+        figure.set_canvas(canvas)
 
 
 def _inches(size: Size, asked: Inches) -> Inches:
@@ -265,6 +307,11 @@ def _finish(sheet: Sheet) -> None:
                 text.set_color(palette.text)
         for axis in (axes.xaxis, axes.yaxis):
             axis.get_offset_text().set(color=palette.text, fontsize="small")
-    if any(axes.get_adjustable() == "datalim" and axes.get_aspect() != "auto" for axes in sheet.figure.axes):
+    if any(_gives_way(axes) for axes in sheet.figure.axes):
         # Limits that give way to the frame change the numbers beside it, and these the frame.
         sheet.figure.figure.draw_without_rendering()
+
+
+def _gives_way(axes: Axes) -> bool:
+    """Whether limits are as wide as the frame lets them be."""
+    return axes.get_adjustable() == "datalim" and axes.get_aspect() != "auto"

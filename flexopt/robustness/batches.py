@@ -80,11 +80,18 @@ def evaluate_w(
     return w_at(measures, np.asarray(bases), np.asarray(postures), p, threads=threads, gradient=gradient)
 
 
-def w_of_few(measures: Measures, bases: Array, postures: Array) -> Array:
-    """As `evaluate_w`, w (m, N) alone, at points that are asked for once: compiled where so many are worth it."""
-    quick = Economical(measures.quick)
-    quick.expect(postures.shape[1])
-    return w_at(measures, bases, postures, measures.plant.parameter_values.full().ravel(), quick=quick).w
+def w_of_few(measures: Measures, bases: Array, postures: Array, p: Array | None = None) -> Array:
+    """As `evaluate_w`, w (m, N) alone, at points that are asked for once: compiled where so many are worth it.
+
+    Args:
+        measures, bases, postures: as of `evaluate_w`.
+        p: parameters (n_par,) or (n_par, N); None: the machine's.
+    """
+    numbers = measures.plant.parameter_values.full().ravel() if p is None else p
+    quick, sound = Economical(measures.quick), Economical(measures.sound)
+    for each in (quick, sound):
+        each.expect(max(points.shape[-1] for points in (bases, postures, numbers) if points.ndim > 1))
+    return w_at(measures, bases, postures, numbers, quick=quick, sound=sound).w
 
 
 def w_at(
@@ -96,11 +103,12 @@ def w_at(
     threads: int = 1,
     gradient: bool = False,
     quick: Callable[..., list[Array]] | None = None,
+    sound: Callable[..., list[Array]] | None = None,
 ) -> BatchedW:
     """As `evaluate_w`, with parameters p (n_par,) or (n_par, N).
 
     Args:
-        quick: in place of `Measures.quick_batch` or the one with the gradient.
+        quick: in place of `Measures.quick_batch` or the one with the gradient;  sound: of `Measures.sound_batch`.
     """
     quick = quick or (measures.quick_batch_with_gradient if gradient else measures.quick_batch)
     w, gap, *slopes = quick(bases, postures, p, threads=threads)
@@ -115,7 +123,7 @@ def w_at(
             m, n = slopes[0].shape[0] // measures.plant.n_actuated, measures.plant.n_actuated
             slopes[0][:, doubtful] = flat.reshape(m, doubtful.size, n).transpose(2, 0, 1).reshape(m * n, -1)
     w_posture = slopes[0].reshape(-1, w.shape[0], w.shape[1]).transpose(1, 0, 2) if gradient else None
-    singular, unheld = unsound(measures, bases, postures, p, threads=threads)
+    singular, unheld = unsound(measures, bases, postures, p, threads=threads, sound=sound)
     # Points that fit every input alone are one.
     none = np.flatnonzero(np.broadcast_to(singular | unheld, w.shape[1]))
     w[:, none] = np.nan
@@ -125,10 +133,16 @@ def w_at(
 
 
 def unsound(
-    measures: Measures, bases: Array, postures: Array, p: Array, *, threads: int = 1
+    measures: Measures,
+    bases: Array,
+    postures: Array,
+    p: Array,
+    *,
+    threads: int = 1,
+    sound: Callable[..., list[Array]] | None = None,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which of N points have no measures: singular ones, and those that nothing holds; see `BatchedW`."""
-    *jacobians, left_over, least_pivot = measures.sound_batch(bases, postures, p, threads=threads)
+    *jacobians, left_over, least_pivot = (sound or measures.sound_batch)(bases, postures, p, threads=threads)
     singular = singular_points(measures.plant, measures.control, *jacobians)
     unheld = np.zeros_like(singular)
     if measures.gravity:

@@ -178,8 +178,8 @@ class Measures:
         return compiled.batch(self.quick_with_gradient)
 
     @cached_property
-    def sound_batch(self) -> compiled.Batch:
-        """What tells the points that have no measures, for many at once; see `flexopt.robustness.batches`.
+    def sound(self) -> ca.Function:
+        """(base, posture, p) -> what tells the points that have no measures; see `flexopt.robustness.batches`.
 
         Outputs of `flexopt.plant.singularity.screened`; under gravity also `left_over`, of the static deflection
         relative to the weight, and `least_pivot` of the stiffness that holds it, else empty.
@@ -191,7 +191,12 @@ class Measures:
             at = plant.operating_point(g.base, g.posture, g.p, plant.deflected(g.base, g.posture, g.p))
             outputs["left_over"] = left_over(plant, at)
             outputs["least_pivot"] = ca.mmin(ca.ldl(ca.densify(at.stiffness[:m, :m]))[0])
-        return compiled.batch(_function("sound", self.inputs, outputs))
+        return _function("sound", self.inputs, outputs)
+
+    @cached_property
+    def sound_batch(self) -> compiled.Batch:
+        """`sound` at many points."""
+        return compiled.batch(self.sound)
 
     @cached_property
     def _quickly(self) -> tuple[ca.SX, ca.SX, Held]:

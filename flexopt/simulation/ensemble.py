@@ -284,7 +284,7 @@ class _Share:
 
 
 def _run(plan: Plan, threads: int, progress: Progress | None) -> list[_Share]:
-    runner, shown, _ = runners(plan.scenario.loop.structure)
+    runner, shown, _ = runners(plan.scenario.loop.structure, steps=plan.n * plan.scenario.samples)
     size = GROUP * threads
     shares: list[_Share] = []
     for begin in range(0, plan.n, size):

@@ -10,7 +10,8 @@ from typing import Any, Unpack, cast
 
 import numpy as np
 
-from flexopt.compiled import Batch, Recurrence, batch, recurrence
+from flexopt.compiled import Batch, Recurrence, batch, is_brief, recurrence
+from flexopt.compiled.threaded import Interpreter
 from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import PostureLike, Vector
@@ -107,7 +108,7 @@ def simulate_checked(
     """`simulate` for a scenario that is known to be good; of a `[loop]` its numbers, and what is to be warned of."""
     s, loop = scenario, scenario.loop
     constants, signals = s.constants, s.signals()
-    runner, shown, folded = runners(loop.structure, constants if s.options.baked else None)
+    runner, shown, folded = runners(loop.structure, constants if s.options.baked else None, steps=s.samples)
     empty = np.zeros(0)
     records = runner(s.start, empty if folded else constants, steps=s.samples, e=signals)
     x = np.concatenate([s.start[:, None], records.x[:, :, 0].T], axis=1)
@@ -128,17 +129,23 @@ def moves(scenario: Scenario) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _runner(structure: LoopStructure) -> tuple[Recurrence, Batch]:
+def _runner(structure: LoopStructure, brief: bool) -> tuple[Recurrence, Batch]:
     loop = closed_loop(structure)
     fast = loop.fast
     refresh = loop.refresh if fast else None
-    runner = recurrence(loop.step, fast=fast, refresh=refresh, many=structure.watched)
+    runner = recurrence(loop.step, fast=fast, refresh=refresh, many=structure.watched, brief=brief)
     return runner, batch(loop.outputs)
 
 
-def runners(structure: LoopStructure, constants: Vector | None = None) -> tuple[Recurrence, Batch, bool]:
-    """The compiled run and outputs of a structure; with `constants`, these folded into the run."""
-    runner, shown = _runner(structure)
+def runners(
+    structure: LoopStructure, constants: Vector | None = None, *, steps: int | None = None
+) -> tuple[Recurrence, Batch, bool]:
+    """The compiled run and outputs of a structure; with `constants`, these folded into the run.
+
+    `steps`: of all members that are to be run; None: very many.
+    """
+    brief = steps is not None and is_brief(closed_loop(structure).step, steps, many=structure.watched)
+    runner, shown = _runner(structure, brief)
     if constants is None:
         return runner, shown, False
     return _baked_runner(structure, tuple(constants.tolist())), shown, True
@@ -285,13 +292,14 @@ def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behavio
 
 def _closest_to_singular(s: Scenario, plant: Plant, joints: Vector) -> tuple[float, float]:
     """Least distance from singular postures, as a share of that at the design posture, and when."""
-    distance = _singularity(s.machine)
-    values = distance(s.base, joints, plant.parameter_values)[0][0]
-    start = float(distance(s.base, s.posture, plant.parameter_values)[0][0, 0])
+    distance, p = _singularity(s.machine), plant.parameter_values.full().ravel()
+    values = distance(s.base, joints, p)[0][0]
+    start = float(distance(s.base, s.posture, p)[0][0, 0])
     index = int(np.nanargmin(values)) if np.any(np.isfinite(values)) else 0
     return float(values[index]) / start, float(s.times[index])
 
 
 @lru_cache(maxsize=16)
-def _singularity(machine: AnyMachine) -> Batch:
-    return batch(build_plant(machine).singularity_sine_squared)
+def _singularity(machine: AnyMachine) -> Interpreter:
+    # Of a run's samples: compiling it would take longer than evaluating it at a million.
+    return Interpreter(build_plant(machine).singularity_sine_squared)

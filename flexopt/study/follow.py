@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.compiled import Batch, batch
+from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
@@ -118,6 +118,7 @@ class _Solver:
 
     def _task(self, base: Vector, posture: Vector) -> tuple[Vector, Vector]:
         """Task r (n_task, N) and Jv (N, n_task, n)."""
+        self.function.expect(posture.shape[1])
         r, flat = self.function(base, posture, self.p)
         return r, flat.T.reshape(-1, self.plant.n_actuated, self.plant.n_task).transpose(0, 2, 1)
 
@@ -173,7 +174,7 @@ class _Solver:
 
 
 @lru_cache(maxsize=16)
-def _task_at_rest(machine: AnyMachine) -> Batch:
+def _task_at_rest(machine: AnyMachine) -> Economical:
     """(base, posture, p) -> r and the stacked columns of Jv."""
     plant = build_plant(machine)
     g = plant.graph
@@ -181,4 +182,4 @@ def _task_at_rest(machine: AnyMachine) -> Batch:
     rest = plant.rest(*inputs)
     outputs = [plant.end_point(rest, g.base, g.p), ca.vec(plant.rigid_jacobian(rest, g.base, g.p))]
     dense = [ca.densify(output) for output in outputs]
-    return batch(ca.Function("task_at_rest", inputs, dense, ["base", "posture", "p"], ["r", "Jv"], {"cse": True}))
+    return Economical(ca.Function("task_at_rest", inputs, dense, ["base", "posture", "p"], ["r", "Jv"], {"cse": True}))

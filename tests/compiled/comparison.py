@@ -6,15 +6,13 @@ import ctypes
 import os
 import platform
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from unittest import mock
 
 import casadi as ca
 import numpy as np
-import pytest
 
-from flexopt.compiled import Batch, accelerate, batch, find_compiler, lanes
+from flexopt.compiled import Batch, accelerate, batch, find_compiler
 
 # A machine without compiler takes the way through the virtual machine in every test, and says so once.
 QUIET = "ignore::flexopt.errors.CompilerNotFound"
@@ -65,11 +63,3 @@ def control_register() -> bytes:
     environment = ctypes.create_string_buffer(64)
     ctypes.CDLL("libm.so.6").fegetenv(environment)
     return environment.raw[:2] + (int.from_bytes(environment.raw[28:32], "little") & ~0x3F).to_bytes(4, "little")
-
-
-@contextmanager
-def unoptimised() -> Iterator[None]:
-    """Kernels are compiled without optimisation: where results are used once compilers would take most of the time."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lanes, "LEVELS", tuple((most, ("-O0",)) for most, _ in lanes.LEVELS))
-        yield

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from flexopt.compiled import Recurrence, find_compiler, recurrence
+from flexopt.compiled import Compiler, Recurrence, find_compiler, is_brief, recurrence
 from flexopt.errors import InputError
 from tests.compiled.chains import Chain, build_chain
 from tests.compiled.comparison import QUIET, control_register
@@ -460,6 +460,41 @@ def test_each_compiler(fresh: None, monkeypatch: pytest.MonkeyPatch, chain: Chai
     for i in (0, 4, 10):
         alone = run(x0[:, i], chain.reference, **options)
         np.testing.assert_array_equal(alone.x[..., 0], together.x[..., i])
+
+
+@pytest.mark.parametrize("name", [name for name in ("g++", "clang++") if shutil.which(name)])
+def test_what_runs_briefly_is_compiled_sooner_to_the_same_bits(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, chain: Chain, name: str
+) -> None:
+    levels, compiled = list[str](), Compiler.build
+
+    def build(self, *arguments, **options) -> None:
+        levels.append(options["level"][0])
+        compiled(self, *arguments, **options)
+
+    monkeypatch.setenv("FLEXOPT_CXX", name)
+    assert find_compiler() is not None
+    monkeypatch.setattr(Compiler, "build", build)
+    brief, whole, again = (
+        recurrence(chain.step, fast=chain.fast, refresh=chain.refresh, brief=brief) for brief in (True, False, True)
+    )
+    # What the cache holds is used, however hard it was to make.
+    assert levels == ["-O1", "-O2"]
+    x0, options = chain.start(3), {"steps": 300, "e": np.zeros(chain.links)}
+    first, *others = (run(x0, chain.reference, **options) for run in (whole, brief, again))
+    for other in others:
+        assert other.x.tobytes() == first.x.tobytes()
+        assert other.monitor.tobytes() == first.monitor.tobytes()
+
+
+def test_how_many_steps_are_few() -> None:
+    """By counts: some millions of a straight-line step, fewer of one that does more than it says, more of many members."""
+    assert is_brief(linear(), 1_000_000)
+    assert not is_brief(linear(), 10_000_000)
+    assert is_brief(linear(), 5_000_000, many=True)
+    x, e, c = ca.MX.sym("x", 3), ca.MX.sym("e", 2), ca.MX.sym("c", 12)
+    state, watched = linear().mapaccum(50)(x, ca.repmat(e, 1, 50), ca.repmat(c, 1, 50))
+    assert not is_brief(ca.Function("fifty", [x, e, c], [state[:, -1], watched[:, -1]]), 1_000_000)
 
 
 def test_the_cache_may_be_deleted_while_in_use(empty_cache: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -13,15 +12,16 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
 import flexopt
 from flexopt.foundation.palette import DARK, LIGHT, PALETTES
 from flexopt.foundation.pictures import Pictured, drawers
 from flexopt.plotting.ensemble import ABOVE
-from flexopt.plotting.sheet import PAGE, SLIDE
+from flexopt.plotting.sheet import DOTS_OTHERWISE, PAGE, SLIDE, styled
+from flexopt.study import page
 from flexopt.study.workspace_map import WorkspaceMap
-from tests.compiled.comparison import unoptimised
 from tests.plotting.looking import faults, without_units
 from tests.plotting.specimens import SPECIMENS
 
@@ -31,12 +31,6 @@ DENSE = (
     "problem article", "problem pipe-laying", "problem stations", "problem trench", "way truck-crane", "run slewing-excavator",
     "ensemble excavator", "atlas truck-crane", "loop excavator", "identification excavator",
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_quickly() -> Iterator[None]:
-    with unoptimised():
-        yield
 
 
 @cache
@@ -98,6 +92,20 @@ def test_sizes(size, inches, dots, tmp_path):
     np.testing.assert_allclose(figure.get_size_inches(), inches)
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.size == dots
+
+
+@pytest.mark.parametrize("name", ["explanation excavator", "loop excavator"])
+def test_places_found_once_are_those_found_again(name, tmp_path):
+    """A page's dark picture takes them from the light one; a file is not drawn a first time for them."""
+    result = made(name)
+    embedded = page.picture(lambda theme: result.plot(theme=theme), "")
+    assert embedded.dark == page.picture(lambda _: result.plot(theme="dark"), "").light
+    figure = result.plot(tmp_path / "a.png")
+    assert isinstance(figure.get_layout_engine(), ConstrainedLayoutEngine)
+    with styled():
+        result.plot().savefig(tmp_path / "b.png", dpi=DOTS_OTHERWISE)
+    with Image.open(tmp_path / "a.png") as one, Image.open(tmp_path / "b.png") as two:
+        assert one.tobytes() == two.tobytes()
 
 
 def test_a_page_is_as_wide_as_a_page():

@@ -23,7 +23,6 @@ from flexopt.study.problem_page import report_html
 from flexopt.study.verdict_result import STAY
 from tests.browser import on_paper, page_of, wide_tables
 from tests.cli.command import Command
-from tests.compiled.comparison import unoptimised
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
 LOOP = {"kp": 1e4, "kv": 1e3}
@@ -33,12 +32,6 @@ PAPER = round((210 - 24) / 25.4 * 96)
 # The pictures that are shown, and their grounds.
 SHOWN = "[...document.images].filter((each) => each.checkVisibility())"
 GROUNDS = f"[...new Set({SHOWN}.map((each) => each.className.replace('on-', '').replace(' own', '')))]"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_quickly() -> Iterator[None]:
-    with unoptimised():
-        yield
 
 
 class Parsed(HTMLParser):
