@@ -50,6 +50,7 @@ from flexopt.model import load, load_any
 from flexopt.model.choices import OUTCOMES
 from flexopt.model.problem import asks_for_loop
 from flexopt.robustness import evaluate
+from flexopt.robustness.evaluation import without_rounding
 
 if TYPE_CHECKING:
     from flexopt.identification import Identification
@@ -296,10 +297,13 @@ def _selection_text(result: Selection, *, judged: bool) -> str:
     angles = ", ".join(f"{name} {a:z.4f} {unit}" for name, a, unit in held)
     stand = f"Stand at {base} and hold" if base else "Hold"
     if judged:
-        stand = f"Best by {problem.name}, whether it pays is told below: {stand[0].lower()}{stand[1:]}"
+        stand = (
+            f"Best by {result.measure or problem.name}, whether it pays is told below: {stand[0].lower()}{stand[1:]}"
+        )
     lines = [repr(result), "", f"{stand} {angles}.", repr(best)]
     if result.initial is not None and result.measure is None:
         first = problem.sought[0]
-        before, after = (first.value(e.w, e.epsilon_max) for e in (result.initial, best))
+        ends = (result.initial, best)
+        before, after = (first.value(without_rounding(e.w, e.scale), e.epsilon_max) for e in ends)
         lines.append(f"{first.name}: {before:.5e} in the present posture, {after:.5e} in the chosen one")
     return "\n".join(lines)

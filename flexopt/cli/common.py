@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
@@ -26,6 +27,10 @@ from flexopt.model.choices import ELBOWS
 
 BAD_INPUT, FAILED, ABORTED = 2, 3, 130
 FILE_NAME_MAX = 255
+# Of the clock, s.
+TICK = 1.0
+# How sentences begin on what was not given.
+NEEDED = ("is needed", "needs ")
 PICTURES = (".png", ".svg", ".pdf")
 
 T = TypeVar("T")
@@ -108,20 +113,22 @@ def print_json(document: dict[str, Any]) -> None:
 
 @contextmanager
 def option_names(options: dict[str, Any]) -> Generator[None]:
-    """Faults of arguments under the names of the options they were given by."""
+    """Faults of arguments under the names of the options they were given by; meanwhile a clock runs."""
     spelled = {"target": "end_point", "end-point": "end_point", "executor": "dask"}
     asked = dict(options)
     try:
-        yield
+        with clock():
+            yield
     except InputError as error:
         renamed: list[Fault] = []
         for fault in error.faults:
             name, rest = cast(re.Match[str], re.match(r"([\w-]*)(.*)", fault.field, re.DOTALL)).groups()
             word = spelled.get(name, name)
             # What no option gave may be a file's.
-            given = asked.get(word) not in (None, ()) or (word in asked and fault.sentence.startswith("is needed"))
+            missing = word in asked and asked[word] is None and fault.value in (None, "None")
+            given = asked.get(word) not in (None, ()) or (missing and fault.sentence.startswith(NEEDED))
             field = f"--{word.replace('_', '-')}{re.sub(r'^[.]', ' ', rest)}" if given else fault.field
-            renamed.append(Fault(field, fault.sentence, fault.value))
+            renamed.append(Fault(field, fault.sentence, None if missing else fault.value))
         if type(error) is InputError:
             # A command that calls another's function, as verdict calls select, goes by its own name.
             command = click.get_current_context().command_path.partition(" ")[2]
@@ -155,6 +162,31 @@ def warnings_to_stderr(as_json: bool) -> Generator[None]:
                     say(f"flexopt: warning: {sentence}", err=True, colour="yellow")
 
 
+@contextmanager
+def clock() -> Generator[None]:
+    """Seconds on standard error, where that is a terminal and nothing else tells that the command works."""
+    if VOICE.quiet or not sys.stderr.isatty():
+        yield
+        return
+    word, done, shown = click.get_current_context().command_path.partition(" ")[2], threading.Event(), list[str]()
+
+    def tick() -> None:
+        while not done.wait(TICK):
+            if not VOICE.telling:
+                shown.append(f"\r{word}: {len(shown) + 1} s")
+                click.echo(shown[-1], nl=False, err=True)
+
+    thread = threading.Thread(target=tick, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+        if shown:
+            click.echo(f"\r{' ' * len(shown[-1])}\r", nl=False, err=True)
+
+
 def read(load: Callable[[str], T], name: str) -> T:
     """What `load` reads from a name or file, its warnings as lines on standard error."""
     with warnings_to_stderr(True):
@@ -170,13 +202,17 @@ def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
     if not sys.stderr.isatty():
         yield lambda done, total: click.echo(f"{what} {done}/{total}", err=True) if done == total else None
         return
-    with click.progressbar(length=1, label=what, file=sys.stderr, show_pos=True) as bar:
+    VOICE.telling = True
+    try:
+        with click.progressbar(length=1, label=what, file=sys.stderr, show_pos=True) as bar:
 
-        def show(done: int, total: int) -> None:
-            bar.length = total
-            bar.update(done - bar.pos)
+            def show(done: int, total: int) -> None:
+                bar.length = total
+                bar.update(done - bar.pos)
 
-        yield show
+            yield show
+    finally:
+        VOICE.telling = False
 
 
 def check_folder(option: str, path: str) -> None:

@@ -7,11 +7,12 @@ from typing import Any
 
 from flexopt.cli.common import given, option_names, print_json, read, say, value, warnings_to_stderr
 from flexopt.cli.judging import real_loop
-from flexopt.cli.simulation import TEXTS, loop_options, simulate_arguments
+from flexopt.cli.simulation import TEXTS, UNSAID, loop_options, simulate_arguments
+from flexopt.cli.terminal import VOICE
 from flexopt.errors import InputError
 from flexopt.model import load
 
-LEAD = "With --fmu: "
+LEAD = "With --fmu"
 # All that `simulate` has but its noise, which comes in through an FMU's inputs.
 _OPTIONS = loop_options(LEAD, *(name for name in TEXTS if name != "seed"))
 
@@ -19,8 +20,8 @@ _OPTIONS = loop_options(LEAD, *(name for name in TEXTS if name != "seed"))
 def fmu_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options of an FMU but --control and --gain, which `export` has."""
     path = value("--fmu", "PATH", "Write an FMU of the closed loop instead, its reference run beside.")
-    version = value("--fmi", "2.0|3.0", f"{LEAD}version of FMI (2.0 by default).")
-    kind = value("--kind", "co-simulation|model-exchange", f"{LEAD}who integrates (co-simulation by default).")
+    version = value("--fmi", "2.0|3.0", f"{LEAD}: version of FMI (2.0 by default).")
+    kind = value("--kind", "co-simulation|model-exchange", f"{LEAD}: who integrates (co-simulation by default).")
     return path(version(kind(_OPTIONS(command))))
 
 
@@ -33,8 +34,11 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     if "posture" not in asked and "end_point" not in asked:
         raise InputError("export: an FMU needs --posture or --end-point")
     asked |= given({"version": options["fmi"], "kind": options["kind"]})
+    real = real_loop(loaded.loop, entries)
+    if real is None and not {"kp", "kv", "feedback"} & asked.keys() and not VOICE.quiet:
+        say(f"flexopt: {UNSAID}", err=True)
     with option_names(options | {"path": options["fmu"], "version": options["fmi"]}), warnings_to_stderr(as_json):
-        report = export_fmu(loaded, options["fmu"], loop=real_loop(loaded.loop, entries), **asked)
+        report = export_fmu(loaded, options["fmu"], loop=real, **asked)
     if as_json:
         print_json(report.to_dict())
     else:

@@ -259,7 +259,11 @@ def _spelt(name: str) -> str:
 @value("--frequency", "HZ", "Of the first mode, from which stiffnesses follow.")
 @value("--ratio", "ZETA", "Damping ratio of the first mode, from which dampers follow.")
 @value("--actuated", "A,B,…", "Of a robot file: joints that the controller moves (all on the way to the end-point).")
-@value("--tip", "LINK", "Of a robot file: the link at the end-point (the one with the most joints before it).")
+@value(
+    "--tip",
+    "LINK",
+    "Of a robot file: the link at the end-point (the one with the most joints before it, without a hand).",
+)
 @JSON
 def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, force: bool, **options: Any) -> None:
     """Write a commented machine FILE: a planar one by a few answers, or with --from one around a robot file.
@@ -268,7 +272,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
     """
     from flexopt.study.new_machine import Ground, planar_file  # noqa: PLC0415  (only this command needs it)
 
-    robot = options.pop("from")
+    robot, end = options.pop("from"), ""
     if file is not None and out is not None:
         raise InputError("new: give the file to write once", [Fault("--out", "is given as FILE, too", out)])
     target = file or out
@@ -297,6 +301,9 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         raise_if_any(InputError, "new", planar)
         actuated = None if options["actuated"] is None else names(options["actuated"])
         chain = read_chain(Path(robot), options["tip"], actuated)
+        if chain.hand:
+            behind = f"{len(chain.hand)} joints behind it, as of a hand, stand still"
+            end = f"The end-point is link {chain.end}: {behind}. --tip names another."
         based = chain.floats or not chain.sprung
         questions = [
             Question("name", "Name of the machine", _name, lambda _: stem or chain.name),
@@ -315,6 +322,8 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
                     "posture": list(made.posture), "next": steps})  # fmt: skip
         return
     say(f"{path}: {made.machine!r}")
+    if end:
+        say(end)
     say("Next: fill in what is marked as proposed; then")
     say("\n".join(f"  {step}" for step in steps))
 

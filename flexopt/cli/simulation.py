@@ -81,20 +81,21 @@ READERS: dict[Any, Callable[[str], Any]] = {float: number, int: whole, tuple: nu
 
 
 def loop_options(lead: str, *fields: str) -> Decorator:
-    """Options for these fields of `SimulationOptions`, by their types; `lead` before each help."""
+    """Options for these fields of `SimulationOptions`, by their types; in the help of each, `lead` says with what."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         for name in reversed(fields):
             metavar, text = TEXTS[name]
+            if lead:
+                also = text.startswith("With ")
+                text = f"{lead} and {text.removeprefix('With ')}" if also else f"{lead}: {text[0].lower()}{text[1:]}"
             word = f"--{NEGATED.get(name, name).replace('_', '-')}"
             kind = type_of(SimulationOptions.model_fields[name].annotation)
-            made = value(
-                word, metavar or "|".join(get_args(kind)), lead + text, READERS.get(get_origin(kind) or kind, str)
-            )
+            made = value(word, metavar or "|".join(get_args(kind)), text, READERS.get(get_origin(kind) or kind, str))
             if kind is bool:
-                made = option(word, is_flag=True, help=lead + text)
+                made = option(word, is_flag=True, help=text)
             elif kind in (Sensor, Actuator):
-                made = value(word, metavar, lead + text, multiple=True)
+                made = value(word, metavar, text, multiple=True)
             command = made(command)
         return command
 

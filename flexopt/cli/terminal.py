@@ -22,11 +22,12 @@ INDENT = re.compile(r"\s*")
 
 @dataclass
 class Voice:
-    """What of the group's options concerns all output."""
+    """What of the group's options concerns all output, and whether a bar tells how far the command is."""
 
     quiet: bool = False
     verbose: bool = False
     colour: bool = True
+    telling: bool = False
 
 
 VOICE = Voice()

@@ -129,6 +129,7 @@ def _loop(machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> dict
         "sources": dict(settings.sources),
         "drive": settings.drive,
         "numbers": {name: value.tolist() for name, value in numbers.items() if name != "period"},
+        "units": dict(zip(("kp", "kv", "ki"), settings.gain_units, strict=True)),
         "period": period,
         DEAD_TIME: settings.dead_time,
         "dead_time_max": max(min(DEAD_TIME_MAX, DELAY_MAX * period), settings.dead_time),

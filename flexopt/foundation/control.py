@@ -49,8 +49,12 @@ def control_damping(control: Control) -> float | None:
 def gain_units(control: Control, joint_units: Sequence[str]) -> tuple[str, str, str]:
     """Units of Kp, Kv and Ki: what makes of the end-point's error, m, the force f that Jvᵀ or Jv⁺ maps to the joints.
 
-    Jv⁺ is in rad/m of hinges, so that f is in N m² there, and 1 of slides; where an arm has both no unit fits all.
+    Jv⁺ is in rad/m of hinges, so that f is in N m² there, and 1 of slides; an arm that has both has both units.
     """
+    slides, hinges = ("N/m", "N s/m", "N/(m s)"), ("N m", "N m s", "N m/s")
     if control == "transpose" or set(joint_units) == {"m"}:
-        return "N/m", "N s/m", "N/(m s)"
-    return ("N m", "N m s", "N m/s") if set(joint_units) == {"rad"} else ("SI", "SI", "SI")
+        return slides
+    if set(joint_units) == {"rad"}:
+        return hinges
+    kp, kv, ki = (f"{of_hinges} or {of_slides}" for of_hinges, of_slides in zip(hinges, slides, strict=True))
+    return kp, kv, ki

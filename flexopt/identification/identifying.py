@@ -329,10 +329,11 @@ def _result(
 
 def _either_or(swing: HeldSwing, theta: Vector, known: Confidence) -> Iterator[str]:
     """What fits the log as well, in words."""
+    units = {parameter.name: parameter.unit for parameter in swing.machine.parameters}
     for other in known.others:
         apart = np.flatnonzero(known.apart(theta, other))
         one, two = (swing.reference * np.exp(each) for each in (theta, other))
-        told = ", ".join(f"{swing.names[k]} {one[k]:.4g} or {two[k]:.4g}" for k in apart)
+        told = ", ".join(f"{swing.names[k]} {one[k]:.4g} or {two[k]:.4g} {units[swing.names[k]]}" for k in apart)
         if told:
             yield f"two sets of numbers fit alike, {told} {ANOTHER}"
 
@@ -347,7 +348,7 @@ def _doubts(columns: Sequence[FittedColumn], factors: Mapping[str, float | None]
             "are widened by what they have in common"
         )
     told += [
-        f"{name} is {factor:.3g} of the file's: is the file, or the log, of this machine?"
+        f"{name} is {factor:.3g} times the file's: is the file, or the log, of this machine?"
         for name, factor in factors.items()
         if factor is not None and not 1 / FAR <= factor <= FAR
     ]

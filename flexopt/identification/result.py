@@ -143,11 +143,14 @@ class Identification(Pictured, Result):
             if value is None or interval is None:
                 lines.append(f"  {name:{width}}  {OPEN}")
                 continue
-            times = "" if factor is None else f", {factor:.3g} of the file's"
+            times = "" if factor is None else f", {factor:.3g} times the file's"
             lines.append(
                 f"  {name:{width}}  {value:.5g} {self.units[name]} ({interval[0]:.5g} … {interval[1]:.5g}){times}"
             )
         lines += [f"  left open: {sentence}" for sentence in self.open_directions]
+        if self.unidentified:
+            nearest = "what goes with the others and is nearest to its file, which is no measurement"
+            lines.append(f"  the machine has, of what is left open, {nearest}")
         for mode in self.modes:
             seen = "" if mode.signal_to_noise >= 1 else "; hidden in the noise"
             lines.append(

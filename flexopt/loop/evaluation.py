@@ -109,12 +109,13 @@ class Outcome(Result):
     def __repr__(self) -> str:
         first, *sources = repr(self.settings).splitlines()
         unit = self.settings.force_units[1]
-        head = f"  {'mode':>4} {f'κ, {unit}':>11} {'κ, isotropic':>13} {'lag':>8} {'reserve':>8} {'1st order':>11}"
+        kappa, wide = f"κ, {unit}", max(11, len(unit) + 3)
+        head = f"  {'mode':>4} {kappa:>{wide}} {'κ, isotropic':>13} {'lag':>8} {'reserve':>8} {'1st order':>11}"
         lines = [f"loop: {first}", *sources, f"{head} {'frequency':>12} {'damping':>10}"]
         degrees = np.degrees([self.lag, self.lag_reserve])
         for i, allowed in enumerate(self.allowance):
             lines.append(
-                f"  {i + 1:4d} {allowed:11.4g} {self.allowance_isotropic[i]:13.4g} {degrees[0, i]:7.1f}° "
+                f"  {i + 1:4d} {allowed:{wide}.4g} {self.allowance_isotropic[i]:13.4g} {degrees[0, i]:7.1f}° "
                 f"{degrees[1, i]:7.1f}° {self.first_order_decay[i]:+7.4g} 1/s {self.frequencies_hz[i]:9.4f} Hz "
                 f"{self.damping_ratios[i]:10.3e}"
             )

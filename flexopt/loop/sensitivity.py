@@ -28,12 +28,15 @@ from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.uncertainty import GROUND, LATE, RangesLike, Uncertainty
 from flexopt.robustness import build_measures
 from flexopt.robustness.batches import w_of_few
+from flexopt.robustness.residues import MIXED, residue_unit
 
 # Samples, and those of them where slopes are computed; a power of two, as Sobol sequences have it.
 SAMPLES, SLOPES, SLOPES_OF_LOOP = 1024, 512, 128
 LEAST, MOST = 64, 2**18
 # How often the samples are drawn anew for an interval, and the share of all indices that it holds.
 DRAWN, SHARE = 200, 0.95
+# A bound on a share of the variance below which it is rounding.
+NOTHING = 1e-12
 
 
 @by
@@ -53,7 +56,7 @@ class Sensitivity(Pictured, Result):
 
     Attributes:
         machine: its name.
-        outputs: `"w1"`, … and, with a loop, `"decay"` (1/s).
+        outputs: `"w1"`, … and, with a loop, `"decay"`.  output_units: theirs.
         names: of what is uncertain.
         first: S_i = Var(E[y | x_i]) / Var(y), (s, k): the share of the variance that x_i explains alone.
         total: S_Ti = 1 − Var(E[y | all but x_i]) / Var(y), (s, k): with all that it does together with others.
@@ -74,6 +77,7 @@ class Sensitivity(Pictured, Result):
 
     machine: str
     outputs: tuple[str, ...]
+    output_units: tuple[str, ...]
     names: tuple[str, ...]
     first: Vector
     first_interval: Vector
@@ -87,8 +91,8 @@ class Sensitivity(Pictured, Result):
     provenance: Document
 
     DOCUMENT = """
-    machine outputs names first first_interval total total_interval bound bound_error mean deviation samples most
-    provenance
+    machine outputs output_units names first first_interval total total_interval bound bound_error mean deviation
+    samples most provenance
     """
 
     @property
@@ -115,21 +119,24 @@ class Sensitivity(Pictured, Result):
     def _most(self, s: int, k: int) -> str:
         """The bound in words; one of all that varies, or more, says nothing."""
         bound, error = self.bound[s, k], 2 * self.bound_error[s, k]
+        if bound + error < NOTHING:
+            return "does nothing"
         return "no bound below 1" if bound + error >= 1 else f"at most {bound:.3g} ± {error:.2g}"
 
     def __repr__(self) -> str:
         lines = [f"{self.machine}: what matters, over {', '.join(self.names)} ({self.samples} base samples)"]
         width = max(map(len, self.names))
         for s, output in enumerate(self.outputs):
-            lines.append(f"  {output}: mean {self.mean[s]:.4g}, standard deviation {self.deviation[s]:.3g}")
+            unit = "in mixed units" if self.output_units[s] == MIXED else self.output_units[s]
+            lines.append(f"  {output}: mean {self.mean[s]:.4g}, standard deviation {self.deviation[s]:.3g} {unit}")
             for k, name in enumerate(self.names):
                 if not np.isfinite(self.total[s, k]):
                     lines.append(f"    {name:{width}}  does not vary")
                     continue
                 one, all_ = self.first_interval[s, k], self.total_interval[s, k]
                 lines.append(
-                    f"    {name:{width}}  alone {self.first[s, k]:6.3f} [{one[0]:6.3f}, {one[1]:6.3f}]  "
-                    f"in all {self.total[s, k]:6.3f} [{all_[0]:6.3f}, {all_[1]:6.3f}]  "
+                    f"    {name:{width}}  alone {self.first[s, k]:z6.3f} [{one[0]:z6.3f}, {one[1]:z6.3f}]  "
+                    f"in all {self.total[s, k]:z6.3f} [{all_[0]:z6.3f}, {all_[1]:z6.3f}]  "
                     f"{self._most(s, k)}"
                 )
             why = {"undecided": ": the intervals overlap", "nothing": ", it does not vary"}.get(self.said[s], "")
@@ -208,12 +215,14 @@ def sensitivity(
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(_varies(parts), math.pi**2 * deviation**2, np.nan)[:, None]
     outputs = (*(f"w{i + 1}" for i in range(of.modes)), *(() if loops is None else ("decay",)))
+    units = (*[residue_unit(settings.control, machine.joint_units)] * of.modes, *(() if loops is None else ("1/s",)))
     options = {"posture": posture, "base": placed, "control": settings.control, "gravity": gravity, "samples": samples}
     options |= {"seed": seed, "ranges": [each.model_dump(exclude_none=True) for each in known]}
     return Sensitivity(
-        machine=machine.name, outputs=outputs, names=box.names, first=first, first_interval=first_ends, total=total,
-        total_interval=total_ends, bound=bound / scale, bound_error=error / scale, mean=parts[:2].mean(axis=(0, 2)),
-        deviation=deviation, samples=samples, provenance=provenance(machine, **options),
+        machine=machine.name, outputs=outputs, output_units=units, names=box.names, first=first,
+        first_interval=first_ends, total=total, total_interval=total_ends, bound=bound / scale,
+        bound_error=error / scale, mean=parts[:2].mean(axis=(0, 2)), deviation=deviation, samples=samples,
+        provenance=provenance(machine, **options),
     )  # fmt: skip
 
 

@@ -94,7 +94,8 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[Kind, ...]) -
 
 def _robot_file(path: Path) -> ModelError:
     return ModelError(
-        f"{_cut(str(path))}: is a robot file; give a machine file, a TOML file with name, robot = {path.name!r}, "
+        f"{_cut(str(path))}: is a robot file; give a machine file, which `flexopt new --from` writes: a TOML file "
+        f"with name, robot = {path.name!r}, "
         'actuated = ["…"] (its driven joints), [base] stiffness = { z = …, roll = …, pitch = … } (what gives) and '
         '[end_point] link = "…"'
     )

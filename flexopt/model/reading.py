@@ -154,7 +154,7 @@ def _experiment(source: Source) -> Experiment:
         raise ModelError(f"{source.name}: is a study, not an experiment; `flexopt study run` takes it")
     if "simulation" not in source.data:
         raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
-    experiment = validated(Experiment, source.data, source.name, ())
+    experiment = validated(Experiment, read_table(source.data, source.name, "an experiment file"), source.name, ())
     machine = _machine_of(source, experiment.machine)
     raise_if_any(ModelError, source.name, experiment_faults(experiment, machine))
     return experiment.with_machine(machine)
@@ -170,17 +170,18 @@ def _problem(source: Source) -> Problem:
         raise ModelError(f"{source.name}: is a study, not a configuration problem; `flexopt study run` takes it")
     check_extent(source.data, source.name)
     faults = problem_faults(source.data)
+    table = read_table(source.data, source.name, "a problem file")
     name = source.data.get("machine")
     machine: Machine | Tree | None = None
     try:
         machine = _machine_of(source, name) if isinstance(name, str) and name else None
     except ModelError as error:
         # What is wrong with the problem itself comes first.
-        validated(Problem, source.data, source.name, faults)
+        validated(Problem, table, source.name, faults)
         raise error from None
     if machine is not None:
         faults += _size_faults(source.data, machine)
-    problem = validated(Problem, source.data, source.name, faults)
+    problem = validated(Problem, table, source.name, faults)
     assert machine is not None
     own = uncertainty_faults(problem.uncertainty, machine)
     if problem.loop is not None:

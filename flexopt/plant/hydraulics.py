@@ -45,10 +45,9 @@ class CylinderState(NamedTuple):
 
     def __str__(self) -> str:
         low, high = self.stroke
-        return (
-            f"{self.name}: {self.length:.4f} m of {low:g} to {high:g} m; lever arm {self.ratio:.4f}; "
-            f"{self.force:.4g} N hold gravity"
-        )
+        # Of a hinge m/rad, which is a length; of a slide 1.
+        arm = f"lever arm {self.ratio:.4f} m" if self.ratio != 1 else "along its slide"
+        return f"{self.name}: {self.length:.4f} m of {low:g} to {high:g} m; {arm}; {self.force:.4g} N hold gravity"
 
 
 _SATURATION = words("none", "each", "uniform")

@@ -136,8 +136,13 @@ def _draw(axes: Axes, bands: Bands) -> None:
         axes.text(1.04, k, row.worst, transform=across, va="center", fontsize="small")
     axes.set_yticks([])
     axes.set_ylim(len(bands.rows) - 0.4, -0.6)
-    better = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)"
-    axes.set_xlabel(labelled(f"{bands.label}{better}", bands.unit or "SI"))
+    better, unit = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)", bands.unit or "SI"
+    # Two units are long: a power of ten beside the axis makes room, and the rest is a line of its own.
+    apart = " or " in unit and bool(better)
+    label = f"{labelled(bands.label, unit)}\n{better.strip()}" if apart else labelled(f"{bands.label}{better}", unit)
+    axes.set_xlabel(label)
+    if apart:
+        axes.xaxis.get_offset_text().set_horizontalalignment("left")
     if bands.heading:
         axes.text(
             1.04, -0.75, bands.heading, transform=axes.get_yaxis_transform(), va="bottom", fontsize="x-small",

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from flexopt.foundation.boundary import instance
+from flexopt.foundation.control import gain_units
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.foundation.palette import colors
 from flexopt.plotting.scene import legend_above
@@ -92,7 +93,10 @@ def _varied(ensemble: Ensemble) -> tuple[str, Values]:
     if len(differ) == 1:
         (name, values), *_ = differ.items()
         if values.ndim == 1:
-            units = {parameter.name: parameter.unit for parameter in ensemble.plan.scenario.machine.parameters}
+            scenario = ensemble.plan.scenario
+            units = {parameter.name: parameter.unit for parameter in scenario.machine.parameters}
+            of_gains = gain_units(scenario.options.control, scenario.machine.joint_units)
+            units |= zip(("kp", "kv", "ki"), of_gains, strict=True)
             return labelled(mathtext(name), units.get(name, "SI")), values
     return "member, by number", np.arange(1.0, ensemble.n_members + 1)
 

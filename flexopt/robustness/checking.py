@@ -152,13 +152,17 @@ def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple
 
 
 def _volumes(problem: Problem) -> tuple[str, ...]:
-    """What of a problem a selection will refuse, as the machine has no volumes."""
-    machine = problem.loaded_machine
-    asked = [name for name in ("clearance", "self_clearance") if getattr(problem.constraints, name, None) is not None]
-    if machine.capsules or not asked:
-        return ()
-    names = " and ".join(f"constraints.{name}" for name in asked)
-    return (f"{names}: {machine.name} has no [[capsules]], without which a selection refuses this",)
+    """What of a problem a selection will refuse, as the machine has no volumes, or nothing that it stands on."""
+    machine, kept, told = problem.loaded_machine, problem.constraints, list[str]()
+    for table, there, names in (
+        ("[[capsules]]", machine.capsules, ("clearance", "self_clearance")),
+        ("[support]", machine.support_points, ("tip_over_margin",)),
+    ):
+        asked = [f"constraints.{name}" for name in names if getattr(kept, name, None) is not None]
+        if asked and not there:
+            sentence = f"{machine.name} has no {table}, without which a selection refuses this"
+            told.append(f"{' and '.join(asked)}: {sentence}")
+    return tuple(told)
 
 
 def _targets(problem: Problem) -> Iterator[ImplausibleNumber]:

@@ -14,7 +14,7 @@ from flexopt.coprime.margin import with_bound
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Vector
 from flexopt.foundation.boundary import public
-from flexopt.foundation.control import Control
+from flexopt.foundation.control import Control, gain_units
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.results import Result
@@ -27,10 +27,13 @@ from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.posture_margin import evaluate_margin, prepare_margin
-from flexopt.robustness.residues import residue_unit
+from flexopt.robustness.residues import MIXED, residue_unit
 
 if TYPE_CHECKING:
     from flexopt.robustness.damped import DampedModes
+
+# Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -192,29 +195,42 @@ class Evaluation(Result):
         angles = in_words(self.joints, self.posture, self.joint_units)
         placed = in_words(self.base_coordinates, self.base, self.base_units) or "fixed"
         point = ", ".join(f"{x:z.4f}" for x in self.end_point)
-        unit = f"w, {residue_unit(self.control, self.joint_units)}"
+        unit = residue_unit(self.control, self.joint_units)
+        heading = f"w, {unit}"
         lines = [
             f"{self.machine}, Jacobian {self.control} control: base {placed}; {angles}; end-point ({point}) m",
-            f"  mode   frequency    damping {unit:>13}      w/|a||b|   in phase",
+            f"  mode   frequency    damping {heading:>13}      w/|a||b|   in phase",
         ]
-        for i, w in enumerate(self.w):
+        for i, w in enumerate(without_rounding(self.w, self.scale)):
             phase = "strictly" if self.in_phase_strict[i] else "yes" if self.in_phase[i] else "no"
             ratio = w / self.scale[i] if self.scale[i] > 0 else 0.0
             lines.append(
                 f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e} {w:13.5e} {ratio:13.5e}"
                 f"   {phase}"
             )
-        lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {self.rigid:.5e}; cond Jv = {self.condition:.4g}")
+        rigid = f"{self.rigid:.5e} {'mixed units' if unit == MIXED else unit}"
+        lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {rigid}; cond Jv = {self.condition:.4g}")
         if self.epsilon_max is not None:
             margin = with_bound(self.epsilon_max, self.epsilon_max_error)
-            lines.append(f"  robust stability margin ε_max = {margin} at gain kr = {self.gain:g}")
+            gain = f"{self.gain:g} {gain_units(self.control, self.joint_units)[0]}"
+            lines.append(f"  robust stability margin ε_max = {margin} at gain kr = {gain}")
         if self.damped_difference is not None:
             lines.append(
                 f"  with damping; differs from the undamped measures by {self.damped_difference:.2e} of |a||b|"
             )
+        if unit == MIXED:
+            lines.append(
+                "  mixed units: 1/(kg m2) of hinges, 1/kg of slides; they compare postures of this machine alone"
+            )
         lines += [f"  {cylinder}" for cylinder in self.cylinders]
         lines += [] if self.outcome is None else repr(self.outcome).splitlines()
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
+
+
+def without_rounding(w: Vector, scale: Vector) -> Vector:
+    """The w_i (m,) as they are shown, 0 where they are rounding of |a_i||b_i| (m,)."""
+    shown: Vector = np.where(np.abs(w) > ROUNDING * scale, w, 0.0)
+    return shown
 
 
 def in_words(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> str:

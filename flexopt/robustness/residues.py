@@ -12,6 +12,7 @@ from flexopt.plant.plant import OperatingPoint
 from flexopt.robustness.modes import ReducedPencil
 
 # 1/kg where the force acts on the end-point; with the inverse Jacobian, torque stands for velocity.
+MIXED = "mixed"
 RESIDUE_UNITS = {"transpose": "1/kg", "inverse": "1/(kg m2)"}
 
 
@@ -82,5 +83,5 @@ def residue_unit(control: str, joint_units: tuple[str, ...]) -> str:
     """The unit of R_i and w_i."""
     if control != "transpose" and "m" in joint_units:
         # What a force on a slide and a torque on a hinge become is not one unit.
-        return "1/kg" if len(set(joint_units)) == 1 else "mixed"
+        return "1/kg" if len(set(joint_units)) == 1 else MIXED
     return RESIDUE_UNITS.get(control, RESIDUE_UNITS["inverse"])

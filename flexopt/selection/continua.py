@@ -71,6 +71,12 @@ def travel(problem: SelectionProblem, z: Vector) -> float:
     return float(_travels(problem, z))
 
 
+def way_to(problem: SelectionProblem, z: Vector) -> Vector:
+    """From the present configuration, or from zeros, to z (n_z,), m or rad, the short way round."""
+    way: Vector = between(problem, _now(problem), z) * problem.scale
+    return way
+
+
 def _travels(problem: SelectionProblem, z: Vector) -> Vector:
     """The same of each z (…, n_z)."""
     far: Vector = np.sum(between(problem, _now(problem), z) ** 2, axis=-1)

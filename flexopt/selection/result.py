@@ -15,8 +15,9 @@ from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result, Tabled
 from flexopt.foundation.turns import TURN
-from flexopt.robustness.evaluation import Evaluation
-from flexopt.selection.continua import travel
+from flexopt.robustness.evaluation import Evaluation, without_rounding
+from flexopt.robustness.residues import MIXED, residue_unit
+from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 
@@ -27,8 +28,6 @@ THIN = 0.5
 NAME_WIDTH = 10
 # Optima whose V differs by less, as a share of the scale, are of one value.
 SAME_VALUE = 1e-6
-# Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
-ROUNDING = 1e-13
 # Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
 # about the square of its step tolerance, far below.
 TIE_TOLERANCE = 1e-9
@@ -246,7 +245,7 @@ class Selection(Pictured, Result):
         """A sentence on what chose the best among those whose objective is as good; empty where it stands alone.
 
         In order: the worst of the w_i that the objectives leave out, ε_max, the way there from the present
-        configuration, or from zeros.
+        configuration, or from zeros: Σ |Δz|² in scaled variables, told as the drive and the largest move of a joint.
         """
         best = self.best
         level = best.objective - TIE_TOLERANCE * self.problem.objective_scale
@@ -258,7 +257,7 @@ class Selection(Pictured, Result):
             told.append(f"worst of the other w_i {best.w[~used].min():.6g}")
         if best.evaluation.epsilon_max is not None and not any(o.has_kinks for o in self.problem.sought):
             told.append(f"ε_max {best.evaluation.epsilon_max:.6g}")
-        told.append(f"way there {np.sqrt(travel(self.problem, best.z)):.4g} in scaled variables")
+        told.append(way_there(self.problem, best))
         return f"among those as good, in this order: {', '.join(told)}"
 
     @property
@@ -298,7 +297,6 @@ class Selection(Pictured, Result):
             f"Jacobian {best.control} control, objective {problem.name}: {self.status}",
             *column_heads("  rank", best, "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size)) + f"{'ε_max':>10}"),
         ]
-        equal = TIE_TOLERANCE * problem.first_scale if not problem.sought[0].has_kinks else 0.0
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
             e = candidate.evaluation
             numbers = in_columns(e)
@@ -309,12 +307,13 @@ class Selection(Pictured, Result):
                 else ""
             )
             wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
-            lines.append(f"  {rank:4d} {numbers}{_measures(e, equal)}{active}{wide}{alike}")
+            lines.append(f"  {rank:4d} {numbers}{_measures(problem, e)}{active}{wide}{alike}")
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
-            lines.append(f"   now {in_columns(e)}{_measures(e, equal)}")
+            lines.append(f"   now {in_columns(e)}{_measures(problem, e)}")
+        lines.append(f"  {units_told(best)}")
         lines += [f"  {kept}" for kept in self.kept]
         if self.best.unsurpassed and not self.kept:
             lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
@@ -331,6 +330,17 @@ class Selection(Pictured, Result):
         ]
         lines += [f"  {assumption}" for assumption in problem.assumed]
         return "\n".join(lines)
+
+
+def units_told(e: Evaluation) -> str:
+    """What the columns of a table are in."""
+    residue = residue_unit(e.control, e.joint_units)
+    return f"in {units_of_columns(e)}; w_i in {'mixed units' if residue == MIXED else residue}"
+
+
+def units_of_columns(e: Evaluation) -> str:
+    """Of placement and posture."""
+    return " and ".join(dict.fromkeys((*e.base_units, *e.joint_units)))
 
 
 def in_columns(e: Evaluation) -> str:
@@ -365,6 +375,20 @@ def _folded_names(e: Evaluation) -> list[list[str]]:
     return folded
 
 
+def way_there(problem: SelectionProblem, best: Candidate) -> str:
+    """From the present configuration, or 0 where it is not known: the base's drive, the joint that moves most."""
+    e, moved = best.evaluation, np.abs(way_to(problem, best.z))
+    n, told = len(e.base_coordinates), list[str]()
+    for word, units, away, one, now in (
+        ("base", e.base_units, moved[:n], np.linalg.norm, problem.present_base),
+        ("joints up to", e.joint_units, moved[n:], np.max, problem.present_posture),
+    ):
+        parts = {unit: away[[own == unit for own in units]] for unit in dict.fromkeys(units)}
+        lengths = " and ".join(f"{float(one(x)):.3g} {unit}" for unit, x in parts.items())
+        told += [f"{word} {lengths}{' from 0' if now is None else ''}"] * bool(parts)
+    return f"way there: {'; '.join(told)}"
+
+
 def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> float | None:
     """As `Selection.missed_chance`, of these attempts."""
     values = np.sort([attempt.value for attempt in attempts if attempt.value is not None])
@@ -375,12 +399,17 @@ def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> flo
     return float(alone.sum() / values.size)
 
 
-def _measures(evaluation: Evaluation, equal: float) -> str:
-    """The w_i, 0 where they are rounding or count as `equal` to it, and ε_max."""
-    sizes = zip(evaluation.w.tolist(), evaluation.scale.tolist(), strict=True)
-    return "".join(f"{w if abs(w) > max(ROUNDING * size, equal) else 0.0:13.4e}" for w, size in sizes) + in_margin(
-        evaluation
-    )
+def shown_measures(problem: SelectionProblem, evaluation: Evaluation) -> Vector:
+    """The w_i (m,) in tables, 0 where they are rounding or rank as equal to it."""
+    equal = TIE_TOLERANCE * problem.first_scale if not problem.sought[0].has_kinks else 0.0
+    shown: Vector = np.where(np.abs(evaluation.w) > equal, without_rounding(evaluation.w, evaluation.scale), 0.0)
+    return shown
+
+
+def _measures(problem: SelectionProblem, evaluation: Evaluation) -> str:
+    """The w_i and ε_max in columns."""
+    shown = shown_measures(problem, evaluation).tolist()
+    return "".join(f"{w:13.4e}" for w in shown) + in_margin(evaluation)
 
 
 def in_margin(e: Evaluation) -> str:

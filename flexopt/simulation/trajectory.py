@@ -285,13 +285,15 @@ class Trajectory(Pictured, Result):
         rate = number(self.growth_rate, "{:+.4g}/s")
         if self.growth_rate is not None:
             rate += f" ± {number(self.growth_rate_error, '{:.1g}')}"
+        beyond = "" if self.overshoot is None else f"overshoot {100 * self.overshoot:.1f} %, "
+        settles = f"does not settle in {self.time[-1]:g} s"
+        if self.settling_time is not None:
+            settles = f"settles in {self.settling_time:.3f} s"
         verdict = "may grow or not, undecided" if self.verdict == "undecided" else self.verdict
         lines = [
             f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {verdict} "
             f"({rate} in the run, {number(self.linear_growth_rate, '{:+.4g}/s')} in the linear loop)",
-            f"  end-point: settles in {number(self.settling_time, '{:.3f} s')}, overshoot "
-            f"{number(self.overshoot and 100 * self.overshoot, '{:.1f} %')}, {number(self.end_error, '{:.3e} m')} off "
-            "at the end",
+            f"  end-point: {settles}, {beyond}{number(self.end_error, '{:.3e} m')} off at the end",
             f"  base: turns by up to {rotation}; left in its modes: {modes}",
         ]
         if self.loop is not None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
+from flexopt.robustness.residues import residue_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,8 +28,9 @@ class SavedQuantity(NamedTuple):
     """A quantity of a saved document, by keys with dots.
 
     `key`: where its value is;  `error`: where its error is;  `scale`: where that is whose rounding is 0;  `more`:
-    whether more of it is better, None where neither is. Of a list every entry is a quantity, numbered, or with names
-    and units from the lists at `names` and `units`.
+    whether more of it is better, None where neither is;  `control`: where that is which says the unit of w_i. Of a
+    list every entry is a quantity, numbered, or with names and units from the lists at `names` and `units`; of a number
+    its unit is at `units`, or the first of a list there.
     """
 
     key: str
@@ -39,17 +41,18 @@ class SavedQuantity(NamedTuple):
     names: str = ""
     units: str = ""
     scale: str = ""
+    control: str = ""
 
 
 POSTURE = (
     SavedQuantity("base", "base", names="base_coordinates", units="base_units"),
     SavedQuantity("posture", "", names="joints", units="joint_units"),
-    SavedQuantity("w", "w", more=True, scale="scale"),
+    SavedQuantity("w", "w", more=True, scale="scale", control="control"),
     SavedQuantity("epsilon_max", "ε_max", error="epsilon_max_error", more=True),
     SavedQuantity("frequencies_hz", "frequency", "Hz"),
     SavedQuantity("condition", "condition of Jv", more=False),
     SavedQuantity("outcome.decay", "decay of the loop", "1/s", more=True),
-    SavedQuantity("outcome.allowed_gain", "allowed Kp", more=True),
+    SavedQuantity("outcome.allowed_gain", "allowed Kp", more=True, units="outcome.settings.gain_units"),
     SavedQuantity("outcome.delay_margin", "delay margin", "s", more=True),
     SavedQuantity("outcome.sensitivity_peak", "peak of the sensitivity", more=False),
     SavedQuantity("outcome.settling", "settling time", "s", more=False),
@@ -69,7 +72,7 @@ RUN = (
 
 def within(prefix: str, quantities: Sequence[SavedQuantity]) -> tuple[SavedQuantity, ...]:
     """These quantities of a document inside another."""
-    keys = ("key", "error", "names", "units", "scale")
+    keys = ("key", "error", "names", "units", "scale", "control")
     moved = [{key: f"{prefix}.{getattr(each, key)}" for key in keys if getattr(each, key)} for each in quantities]
     return tuple(each._replace(**keys) for each, keys in zip(quantities, moved, strict=True))
 
@@ -225,7 +228,8 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
     if not any(isinstance(value, list) for value in values):
         errors = tuple(_number(_at(document, quantity.error)) for document in documents)
         own = tuple(_value(v, _at(d, quantity.scale)) for v, d in zip(values, documents, strict=True))
-        return [ComparedRow(quantity.label, quantity.unit, own, errors, quantity.more)]
+        return [ComparedRow(quantity.label, _units(quantity, documents), own, errors, quantity.more)]
+    shared = _units(quantity, documents) if quantity.control else quantity.unit
     found: dict[tuple[str, str], list[float | str | None]] = {}
     for k, (document, value) in enumerate(zip(documents, values, strict=True)):
         entries = cast(list[Any], value) if isinstance(value, list) else []
@@ -233,10 +237,29 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
         for i, entry in enumerate(entries):
             own = str(names[i]) if i < len(names) else str(i + 1)
             apart = " " if len(quantity.label) > 1 and quantity.label else ""
-            key = f"{quantity.label}{apart}{own}", str(units[i]) if i < len(units) else quantity.unit
+            key = f"{quantity.label}{apart}{own}", str(units[i]) if i < len(units) else shared
             found.setdefault(key, [None] * len(documents))[k] = _value(entry, scales[i] if i < len(scales) else None)
     none = (None,) * len(documents)
     return [ComparedRow(label, unit, tuple(row), none, quantity.more) for (label, unit), row in found.items()]
+
+
+def _units(quantity: SavedQuantity, documents: Sequence[Any]) -> str:
+    """The unit of a number, or of every w_i; where documents have different ones all of them."""
+    found = [_unit(quantity, document) for document in documents if _at(document, quantity.key) is not None]
+    return " or ".join(dict.fromkeys(filter(None, found))) or quantity.unit
+
+
+def _unit(quantity: SavedQuantity, document: Any) -> str:
+    control, joints = _at(document, quantity.control), _listed(document, _beside(quantity.control, "joint_units"))
+    if isinstance(control, str) and joints:
+        return residue_unit(control, tuple(map(str, joints)))
+    listed = _listed(document, quantity.units)
+    return str(listed[0]) if listed else ""
+
+
+def _beside(path: str, key: str) -> str:
+    """The path of another key of the same table."""
+    return f"{path.rpartition('.')[0]}.{key}".lstrip(".") if path else ""
 
 
 def _listed(document: Any, path: str) -> list[Any]:

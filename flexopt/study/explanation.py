@@ -145,7 +145,9 @@ class Explanation(Pictured, Result):
         named = zip(self.variables, (*of.base, *of.posture), self.variable_units, strict=True)
         point = ", ".join(f"{x:z.4f}" for x in of.end_point)
         head = f"  mode   frequency    damping        |a||b|    angle             w   [{self.w_unit}]"
-        told = "" if self.outcome is None else f"{'κ':>12} {'reserve':>8} {'1st order':>13}"
+        gain = "" if self.outcome is None else self.outcome.settings.force_units[1]
+        wide = max(12, len(gain) + 3)
+        told = f"{f'κ, {gain}':>{wide}} {'reserve':>8} {'1st order':>13}" if gain else ""
         lines = [
             f"{of.machine}, Jacobian {of.control} control: "
             + ", ".join(f"{name} {value:z.4f} {unit}" for name, value, unit in named)
@@ -159,7 +161,7 @@ class Explanation(Pictured, Result):
             )
             if self.outcome is not None:
                 reserve = math.degrees(self.outcome.lag_reserve[i])
-                row += f"{'':{len(self.w_unit) + 5}} {self.outcome.allowance[i]:12.4g} {reserve:7.1f}° "
+                row += f"{'':{len(self.w_unit) + 5}} {self.outcome.allowance[i]:{wide}.4g} {reserve:7.1f}° "
                 row += f"{self.outcome.first_order_decay[i]:+9.4g} 1/s"
             lines.append(row)
         lines += [f"Mode {i}: {sentence}" for i, sentence in enumerate(self.sentences, 1)]
@@ -189,10 +191,10 @@ class Explanation(Pictured, Result):
         if self.outcome is None or math.isnan(self.outcome.lag_reserve[i]):
             return ""
         of, settings = self.outcome, self.outcome.settings
-        gain = (settings.servo_gain or 1.0) * float(settings.kv.max())
+        gain, unit = (settings.servo_gain or 1.0) * float(settings.kv.max()), settings.force_units[1]
         allowed = of.allowance[i]
         against = "no velocity gain is too much without lag" if math.isinf(allowed) else (
-            f"velocity gain {gain:.4g} {'below' if gain < allowed else 'above'} the allowance κ = {allowed:.4g}"
+            f"velocity gain {gain:.4g} {'below' if gain < allowed else 'above'} the allowance κ = {allowed:.4g} {unit}"
         )  # fmt: skip
         lag, reserve = math.degrees(of.lag[i]), math.degrees(of.lag_reserve[i])
         effect = "equal gains damp it" if reserve > 0 else "equal gains feed it"

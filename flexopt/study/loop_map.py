@@ -72,7 +72,7 @@ def _varied(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -
         key = f"{field}[{shown(name)}]"
         if name in GAINS:
             low, high = arguments.checked(key, ends, pair(POSITIVE), (1.0, 2.0))
-            found.append(Varied(name, low, high, "SI", GAINS[name]))
+            found.append(Varied(name, low, high, "", GAINS[name]))
         else:
             found += _of_machine(arguments, machine, key, name, ends)
     entries = [set(parameters_of(each.of.of, machine)) if each.of else set[int]() for each in found]
@@ -146,6 +146,8 @@ def map_loop(
     settings, placed = settings_at(machine, held, known_base, control, asked, gravity=gravity, call="map_loop")
     box = UncertaintyBox(machine, tuple(each.of for each in (x, y) if each.of), settings.dead_time)
     raise_if_any(InputError, "map_loop", _unfit(settings, box, (x, y)))
+    gain_units = dict[str, str](zip(GAINS, settings.gain_units, strict=True))
+    x, y = (replace(each, unit=gain_units.get(each.name, each.unit)) for each in (x, y))
     columns, rows = x.axis(size[0]), y.axis(size[1])
     count = columns.values.size * rows.values.size
     expect_decays(count, machine, settings, gravity=gravity)

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from flexopt.errors import Fault, FlexoptWarning, InputError, ModelError, raise_if_any
 from flexopt.foundation.escapes import one_line
 from flexopt.foundation.nearest import hint
@@ -25,9 +27,14 @@ from flexopt.study.new_machine import Ground, NewMachine, Springs, aligned, numb
 
 # What of the end-point can be controlled: the first of these that the joints can move.
 ROWS = (("x", "y", "z"), ("x", "z"), ("x", "y"), ("y", "z"), ("x",), ("y",), ("z",))
-JOINTS_SHOWN = 80
+JOINTS_SHOWN, HAND_SHOWN = 80, 4
 # Folders to climb from which on a path is written from the root.
 FAR_UP = 3
+# What a hand may be of the way to a finger's tip.
+SHORT = 0.2
+# Of the names of joints that close a gripper, and of those that turn one.
+GRIPPING = ("grip", "finger", "thumb", "jaw", "claw")
+TURNING = ("roll", "pitch", "yaw", "wrist", "rot")
 WORDS = {"hinge": "turns, rad", "slide": "slides, m", "free": "is free"}
 
 
@@ -40,6 +47,7 @@ class RobotChain:
         end: the link at the end-point;  root: what stands on the base, None where the file has one.
         actuated: joints between them that can be driven.
         sprung: whether the robot has springs of its own;  floats: whether its root is free, and needs a base.
+        hand: joints behind the end, as of a gripper; none where the end was asked for.
     """
 
     path: Path
@@ -50,6 +58,7 @@ class RobotChain:
     actuated: tuple[str, ...]
     sprung: bool
     floats: bool
+    hand: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -93,7 +102,9 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
     if not driven:
         raise InputError(f"new: {path.name}: no joint between the ground and link {at!r} can be driven")
     sprung = any(joint.stiffness > 0 for link in robot.links for joint in link.joints)
-    return RobotChain(path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None)
+    behind = (x for x in robot.links if end is None and x.name != at and links[at] in _way(links, x.name))
+    hand = tuple(joint.name for link in behind for joint in link.joints)
+    return RobotChain(path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None, hand)
 
 
 def _way(links: dict[str, RobotLink], name: str) -> list[RobotLink]:
@@ -105,8 +116,25 @@ def _way(links: dict[str, RobotLink], name: str) -> list[RobotLink]:
 
 
 def _wrist(links: dict[str, RobotLink], name: str) -> str:
-    """The link before a gripper's fingers: the last joint to a finger is one that a joint elsewhere follows."""
+    """The link before a gripper's fingers, else the link itself.
+
+    A hand is where, no farther than SHORT of the whole way from the tip, the way parts into several links that move, or
+    goes on through a joint that is named after what grips; the last joint may also be one that another follows.
+    """
     way = _way(links, name)
+    # From which links of the way others part that move.
+    parted = {
+        [each for each in _way(links, x.name) if each in way][-1].name
+        for x in links.values()
+        if x not in way and x.joints and way[0] in _way(links, x.name)
+    }
+    reach = np.cumsum([float(np.linalg.norm(link.pose.position)) for link in way])
+    for k, link in enumerate(way[:-1]):
+        if reach[-1] - reach[k] > SHORT * reach[-1] or not _driven(way[: k + 1]):
+            continue
+        after = way[k + 1]
+        if (link.name in parted and any(x.joints for x in way[k + 1 :])) or (after.joints and _grips(after)):
+            return link.name
     elsewhere = [joint for link in links.values() if link not in way for joint in link.joints]
     followed = {joint.mimic.joint for joint in elsewhere if joint.mimic is not None}
     joints = _driven(way)
@@ -114,6 +142,12 @@ def _wrist(links: dict[str, RobotLink], name: str) -> str:
         return name
     finger = next(link for link in way if any(joint.name == joints[-1] for joint in link.joints))
     return finger.parent if finger.parent and _driven(_way(links, finger.parent)) else name
+
+
+def _grips(link: RobotLink) -> bool:
+    """Whether what moves the link is called after a gripper, and not after a wrist that turns one."""
+    names = " ".join(joint.name for joint in link.joints).lower()
+    return any(word in names for word in GRIPPING) and not any(word in names for word in TURNING)
 
 
 def _driven(way: Sequence[RobotLink]) -> list[str]:
@@ -202,11 +236,20 @@ class _Text:
             "stiffness_note": springs.notes[0],
             "damping_note": springs.notes[1],
             "link": quoted(chain.end),
+            "link_note": self._end_told(),
             "rows": _listed(self.rows),
             "rows_note": "" if self.rows == ROWS[0] else " (proposed: what these joints can move)",
             "first": quoted(chain.actuated[0]),
         }
         return aligned(render("study/templates/robot_machine.toml", **values))
+
+    def _end_told(self) -> str:
+        """Why this link is proposed as the end-point's, and which joints are left out behind it."""
+        hand = self.chain.hand
+        if not hand:
+            return "the last one"
+        more = f" and {len(hand) - HAND_SHOWN} more" if len(hand) > HAND_SHOWN else ""
+        return one_line(f"the last one before a hand; its joints are left out: {', '.join(hand[:HAND_SHOWN])}{more}")
 
     def _root(self) -> str:
         """Name and mass of the link that stands on the springs, where the file tells them."""

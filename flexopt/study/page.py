@@ -36,6 +36,8 @@ COLOURS = 256
 DOTS = 110  # per inch
 # Of zlib: the greatest takes three times as long and saves 1 to 2 %.
 COMPRESSION = 8
+# Coordinates below it are where a search came to rest beside 0, m or rad.
+NEAR_ZERO = 1e-7
 
 
 class Picture(NamedTuple):
@@ -106,6 +108,11 @@ def number(value: float | None, digits: int = 5) -> str:
     if value is None or not math.isfinite(value):
         return "–"
     return f"{value:.{digits}g}".replace("-", "−")
+
+
+def coordinate(value: float, digits: int = 5) -> str:
+    """A coordinate, m or rad, in a page: 0 where nobody could tell it from that."""
+    return number(value if abs(value) > NEAR_ZERO else 0.0, digits)
 
 
 def write_files(folder: Path, text: str, document: dict[str, Any]) -> tuple[Path, Path]:

@@ -8,13 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
+from flexopt.foundation.arrays import Vector
 from flexopt.foundation.rendering import render
 from flexopt.robustness import Evaluation
+from flexopt.robustness.evaluation import without_rounding
 from flexopt.selection import Selection
+from flexopt.selection.result import shown_measures
 from flexopt.selection.several import BasePlan, Stand
-from flexopt.study.page import Picture, Table, begun, number, picture, pictures, run_figures
+from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, pictures, run_figures
 from flexopt.study.places import STAY
-from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some
+from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some, written_residue
 from flexopt.study.verdict_page import judged, target_of
 
 if TYPE_CHECKING:
@@ -151,7 +154,7 @@ def _placed(report: Report) -> tuple[Table, str]:
     said = any(each.remark for each in listed)
     last = "rests on" if isinstance(selection, Selection) else "objective"
     rows = [
-        [each.name, *(number(x) for x in (*each.evaluation.base, *each.evaluation.posture)), *[each.remark] * said]
+        [each.name, *(coordinate(x) for x in (*each.evaluation.base, *each.evaluation.posture)), *[each.remark] * said]
         for each in listed
     ]
     if not isinstance(selection, Selection):
@@ -171,13 +174,23 @@ def _measured(report: Report) -> Table:
     """Measures and frequencies of each."""
     listed = _listed(report)
     modes = range(1, listed[0].evaluation.w.size + 1)
-    header = ["", *(f"w{i}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes)]
+    unit, selection = written_residue(listed[0].evaluation), report.selection
+
+    def shown(e: Evaluation) -> Vector:
+        return (
+            shown_measures(selection.problem, e) if isinstance(selection, Selection) else without_rounding(e.w, e.scale)
+        )
+
+    header = ["", *(f"w{i}, {unit}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes)]
     return header, [
         [
-            name, *(number(w, 4) for w in e.w), number(e.epsilon_max), *(number(f, 4) for f in e.frequencies_hz),
+            name,
+            *(number(w, 4) for w in shown(e)),
+            number(e.epsilon_max),
+            *(number(f, 4) for f in e.frequencies_hz),
         ]
         for name, e, _ in listed
-    ]  # fmt: skip
+    ]
 
 
 def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
@@ -197,7 +210,12 @@ def _loops_note(report: Report) -> str:
 def _options(report: Report) -> str:
     given = report.simulation
     told = ", ".join(f"{name} = {_told(value)}" for name, value in given.items())
-    return f"Options of flexopt.simulate: {told}; all others are its defaults." if told else ""
+    real = next((loop.run.loop for loop in report.loops.values() if loop.run.loop is not None), None)
+    controller = "" if real is None else f"Controller: {repr(real).splitlines()[0]}. "
+    others = "all others" if real is None else "all that the controller does not say"
+    return (
+        f"{controller}Options of flexopt.simulate: {told}; {others} are its defaults." if told else controller.strip()
+    )
 
 
 def _told(value: Any) -> str:

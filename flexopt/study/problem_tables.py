@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from flexopt.plant import build_plant
-from flexopt.robustness.residues import residue_unit
+from flexopt.robustness.evaluation import Evaluation, without_rounding
+from flexopt.robustness.residues import MIXED, residue_unit
 from flexopt.selection import Selection
 from flexopt.selection.result import ConstraintValue
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
@@ -121,12 +122,18 @@ def parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
     return ([what, "value", "unit"], rows) if rows else None
 
 
+def written_residue(evaluation: Evaluation) -> str:
+    """The unit of w_i, as it is printed."""
+    unit = residue_unit(evaluation.control, evaluation.joint_units)
+    return "mixed units" if unit == MIXED else unit.replace("m2", "m²")
+
+
 def modes(report: Report, name: str) -> Table:
     """Modes of a configuration, and the coordinates that hold their strain energy."""
     stand = report.stands[name]
     shares, names = report.mode_shares(stand), build_plant(report.machine).coordinates
     rows: list[list[str]] = []
-    for i, w in enumerate(stand.w):
+    for i, w in enumerate(without_rounding(stand.w, stand.scale)):
         moving = [k for k in np.argsort(-shares[:, i]) if shares[k, i] >= NAMED]
         share = w / stand.scale[i] if stand.scale[i] > 0 else 0.0
         phase = "strictly" if stand.in_phase_strict[i] else "yes" if stand.in_phase[i] else "no"
@@ -136,7 +143,6 @@ def modes(report: Report, name: str) -> Table:
                 number(share, 4), phase, ", ".join(f"{names[k]} {100 * shares[k, i]:.0f} %" for k in moving),
             ]
         )  # fmt: skip
-    unit = residue_unit(stand.control, stand.joint_units)
-    header = [f"mode, {name}", "frequency, Hz", "damping ratio", f"w, {unit}", "w/|a||b|", "in phase"]
+    header = [f"mode, {name}", "frequency, Hz", "damping ratio", f"w, {written_residue(stand)}", "w/|a||b|", "in phase"]
     header.append("strain energy in")
     return header, rows

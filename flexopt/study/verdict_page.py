@@ -14,7 +14,7 @@ import numpy as np
 from flexopt.foundation.rendering import render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
-from flexopt.study.page import Picture, Table, begun, number, picture
+from flexopt.study.page import Picture, Table, begun, coordinate, number, picture
 from flexopt.study.places import MOVE, STAY, told
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def _where(verdict: Verdict) -> Table:
     """Placement and posture of each."""
     header = ["place", *(f"{name}, {unit}" for name, unit in _names(verdict))]
     return header, [
-        [f"{place.name}{f', {at}' if at else ''}", *map(number, values)]
+        [f"{place.name}{f', {at}' if at else ''}", *map(coordinate, values)]
         for place in verdict.places
         for at, values in _stands(place)
     ]

@@ -249,17 +249,20 @@ class Verdict(Pictured, Result):
 
     def __repr__(self) -> str:
         unit = self.settings.gain_units[0]
+        wide = max(15, len(unit) + 11)
         lines = [
             f"{self.problems[0].machine.name}: {repr(self.settings).splitlines()[0]}",
             *self.settings.proposed,
             f"  {self.over}",
             "  decay with the file's numbers, then the worst of everything:",
-            f"  {'place':12} {'drive':>8} {'decay, slowest':>20} {'allowed Kp':>15} {'delay margin':>13} "
+            f"  {'place':12} {'drive':>8} {'decay, slowest':>20} {'allowed Kp':>{wide}} {'delay margin':>13} "
             f"{'settling':>10} {'turn':>11}   nonlinear runs",
         ]
-        lines += [_row(place, f" {unit}") for place in self.places]
+        lines += [_row(place, f" {unit}", wide) for place in self.places]
         if any(place.decay.least <= 0 for place in self.places):
             lines.append("  –: there is none, for on some ground it grows")
+        elif any(math.isnan(place.settling.greatest) for place in self.places):
+            lines.append("  –: on some ground it does not settle in a minute")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         if any(place.runs and place.runs.undecided for place in self.places) and self._drifts:
             lines.append("  the arm's self-motion is not damped in these runs; loop.nullspace_damping brakes it")
@@ -272,11 +275,11 @@ def _interval(each: Uncertainty) -> str:
     return f"{each.name} {'times ' if each.factor else ''}{low:g} to {high:g}"
 
 
-def _row(place: PlaceVerdict, gain_unit: str) -> str:
+def _row(place: PlaceVerdict, gain_unit: str, wide: int) -> str:
     drive = "" if place.name == STAY else "–" if math.isnan(place.drive) else f"{place.drive:.2f} m"
     decay = f"{place.decay.nominal:+.4g}, {place.decay.least:+.4g}/s"
     return (
-        f"  {place.name:12} {drive:>8} {decay:>20} {told(place.allowed_gain.least, 1, gain_unit):>15} "
+        f"  {place.name:12} {drive:>8} {decay:>20} {told(place.allowed_gain.least, 1, gain_unit):>{wide}} "
         f"{told(place.delay_margin.least, 1e3, ' ms'):>13} {told(place.settling.greatest, 1, ' s'):>10} "
         f"{told(place.swing.greatest, 1e3, ' m' + place.swing_unit):>11}   {place.shown_runs}"
     )

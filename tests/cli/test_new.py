@@ -132,6 +132,61 @@ def test_a_grippers_finger_is_no_end_point(command: Command) -> None:
     assert "The springs carry the root link, chassis, 900 kg." in text
 
 
+def hand(joints: str) -> str:
+    """A vehicle with a mast, an arm of two joints and a head on the mast, and a hand of these joints behind a palm."""
+    body = '<inertial><mass value="{}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    masses = {
+        "vehicle": 90,
+        "mast": 9,
+        "head": 2,
+        "upper": 5,
+        "fore": 4,
+        "palm": 0.5,
+        "one": 0.1,
+        "two": 0.1,
+        "tip": 0.1,
+    }
+    links = "".join(f'<link name="{name}">{body.format(mass)}</link>' for name, mass in masses.items())
+
+    def joint(name: str, kind: str, parent: str, child: str, x: float) -> str:
+        limit = '<axis xyz="0 1 0"/><limit lower="-1" upper="1.2" effort="9" velocity="1"/>' * (kind != "fixed")
+        return (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{x} 0 0.3"/>{limit}</joint>'
+        )
+
+    of_hand = {
+        "parted": [("a", "revolute", "palm", "one"), ("b", "revolute", "palm", "two"), ("c", "revolute", "one", "tip")],
+        "named": [("gripper", "revolute", "palm", "one"), ("b", "fixed", "one", "two"), ("c", "fixed", "one", "tip")],
+    }
+    parts = [
+        joint("lift", "prismatic", "vehicle", "mast", 0.0), joint("nod", "revolute", "mast", "head", 0.1),
+        joint("shoulder", "revolute", "mast", "upper", 0.2), joint("elbow", "revolute", "upper", "fore", 0.6),
+        joint("mount", "fixed", "fore", "palm", 0.5),
+        *(joint(*each, 0.0).replace('xyz="0.0 0 0.3"', 'xyz="0.04 0 0"') for each in of_hand[joints]),
+    ]  # fmt: skip
+    return f'<robot name="carrier">{links}{"".join(parts)}</robot>'
+
+
+@pytest.mark.parametrize(("joints", "behind"), [("parted", ["a", "b", "c"]), ("named", ["gripper"])])
+def test_a_hand_is_no_part_of_the_arm(command: Command, joints: str, behind: list[str]) -> None:
+    """Fingers part from a palm, or a joint is named after them; what stands beside the arm far from its end is none."""
+    command.write("carrier.urdf", hand(joints))
+    followed(command, "own.toml", "--from", "carrier.urdf")
+    text = Path("own.toml").read_text(encoding="utf-8")
+    data = tomllib.loads(text)
+    assert data["end_point"]["link"] == "palm"
+    assert data["actuated"] == ["lift", "shoulder", "elbow"]
+    left_out = text.partition("its joints are left out: ")[2].partition(")")[0]
+    assert set(left_out.split(", ")) == set(behind)
+    told = command("new", "other.toml", "--from", "carrier.urdf", "--yes").stdout
+    assert f"link palm: {len(behind)} joints behind it" in told
+    # Who names a link gets it.
+    followed(command, "tip.toml", "--from", "carrier.urdf", "--tip", "one")
+    asked = tomllib.loads(Path("tip.toml").read_text(encoding="utf-8"))
+    assert asked["actuated"][-1] == behind[0]
+
+
 def test_joints_and_end_point_of_a_robot_can_be_chosen(command: Command) -> None:
     command.write("arm.urdf", URDF)
     followed(command, "own.toml", "--from", "arm.urdf", "--tip", "tool", "--actuated", "slew,boom,extend", "--gives", "z,pitch",

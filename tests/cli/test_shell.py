@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import re
 import shlex
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import click
@@ -16,6 +18,7 @@ from click.shell_completion import ShellComplete
 
 import flexopt
 from flexopt.cli import _COMMANDS, cli, common, main
+from flexopt.cli.common import clock, progress_bar
 from flexopt.cli.completing import SHELLS
 from flexopt.cli.examples import EXAMPLES
 from flexopt.cli.shell import VARIABLE
@@ -189,6 +192,30 @@ def test_colours_are_for_terminals_and_can_be_switched_off(command: Command, mon
     # A pipe has none.
     assert not COLOUR.search(command("evaluate", "nothing", "--posture", "1,-2").stderr)
     assert VOICE.colour
+
+
+def test_a_clock_runs_where_nothing_else_tells_that_work_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal alone, not with --quiet, not beside a bar; the line is cleared at its end."""
+    context = click.Context(
+        click.Command("simulate"), info_name="simulate", parent=click.Context(cli, info_name="flexopt")
+    )
+
+    def told(stream: io.StringIO, *, bar: bool = False) -> str:
+        with monkeypatch.context() as inside, context:
+            inside.setattr("sys.stderr", stream)
+            inside.setattr("flexopt.cli.common.TICK", 0.01)
+            with clock(), progress_bar() if bar else contextlib.nullcontext():
+                time.sleep(0.2)
+        return stream.getvalue()
+
+    seen = told(Terminal())
+    assert seen.startswith("\rsimulate: 1 s\rsimulate: 2 s")
+    assert seen.endswith("\r")
+    assert not seen.split("\r")[-2].strip()
+    assert told(io.StringIO()) == ""
+    assert "simulate" not in told(Terminal(), bar=True)
+    monkeypatch.setattr(VOICE, "quiet", True)
+    assert told(Terminal()) == ""
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 100])

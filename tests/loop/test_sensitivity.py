@@ -100,3 +100,17 @@ def test_what_is_no_loops(tmp_path: Path) -> None:
     assert "does not vary" in repr(found)
     found.plot(tmp_path / "what.png")
     assert (tmp_path / "what.png").stat().st_size > 10_000
+
+
+def test_text_has_units_and_no_rounding() -> None:
+    """w_i does not depend on the springs' common factor: "does nothing", and no 1e-30."""
+    found = flexopt.sensitivity(
+        flexopt.load("excavator"), (0.9929, -2.6306), loop={"kp": 1e4, "kv": 1e3}, samples=64,
+        ranges={"stiffness": (0.5, 2.0), "payload.mass": (0.0, 500.0)},
+    )  # fmt: skip
+    assert found.output_units == ("1/(kg m2)",) * 3 + ("1/s",)
+    lines = repr(found).splitlines()
+    assert sum(line.endswith("1/(kg m2)") for line in lines) == 3
+    assert next(line for line in lines if line.startswith("  decay")).endswith(" 1/s")
+    assert "does nothing" in lines[2]
+    assert not any(rounded in repr(found) for rounded in ("-0.000 ", "-0.000,", "-0.000]"))

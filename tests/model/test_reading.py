@@ -437,3 +437,29 @@ def test_evaluate_wants_a_machine(junk: Any) -> None:
     with pytest.raises(InputError, match="machine") as caught:
         flexopt.evaluate(junk, [1.0, -2.0])
     assert "load" in str(caught.value)
+
+
+def test_a_problem_file_says_what_is_uncertain(tmp_path: Path) -> None:
+    """As the guides have it; entries of a list of tables come from TOML as lists."""
+    path = tmp_path / "uncertain.toml"
+    text = 'name = "u"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[loop]\nkp = 1e4\n'
+    path.write_text(f'{text}[[uncertainty]]\nof = "stiffness"\nfactor = [0.5, 2.0]\n', encoding="utf-8")
+    known = flexopt.load_problem(path)
+    assert [each.model_dump(exclude_none=True) for each in known.uncertainty] == [
+        {"of": ("stiffness",), "factor": (0.5, 2.0)}
+    ]
+    assert flexopt.check(path).faults == ()
+    path.write_text(f'{text}[[uncertainty]]\nof = "stiffness"\nfactor = [2.0, 0.5]\n', encoding="utf-8")
+    with pytest.raises(flexopt.ModelError, match=r"uncertainty\[0\]"):
+        flexopt.load_problem(path)
+
+
+def test_what_a_machine_lacks_for_a_constraint_is_told_before_a_selection(tmp_path: Path) -> None:
+    path = tmp_path / "lacking.toml"
+    text = 'name = "l"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[constraints]\ntip_over_margin = 0.2\n'
+    path.write_text(text, encoding="utf-8")
+    (sentence,) = flexopt.check(path).warnings
+    assert "constraints.tip_over_margin" in sentence
+    assert "[support]" in sentence
+    with pytest.raises(InputError, match="tip_over_margin"):
+        flexopt.solve_problem(flexopt.load_problem(path))

@@ -383,3 +383,31 @@ def test_commands_take_a_robot(command, tmp_path, capsys, monkeypatch):
     name, *options = command.split()
     main([name, str(path), *options, "--json"])
     assert json.loads(capsys.readouterr().out)["provenance"]
+
+
+def test_units_of_hinges_and_slides(tmp_path: Path) -> None:
+    """An arm that has both: gains in one unit for each kind, measures in none, and a text that says so."""
+    slewing, telescope = flexopt.load("slewing-excavator"), flexopt.load("truck-crane")
+    plain = repr(flexopt.evaluate(slewing, POSTURES["slewing-excavator"]))
+    assert "1/(kg m2); cond Jv" in plain
+    assert "at gain kr = 500000 N m\n" in plain
+    assert "mixed" not in plain
+    text = repr(flexopt.evaluate(telescope, POSTURES["truck-crane"], loop={"kp": 1e4, "kv": 1e3}))
+    assert "at gain kr = 500000 N m or N/m\n" in text
+    assert "mixed units: 1/(kg m2) of hinges, 1/kg of slides" in text
+    assert "Kp 1e+04 N m or N/m, Kv 1000 N m s or N s/m" in text
+    lines = text.splitlines()
+    head = next(line for line in lines if "κ, N m s or N s/m" in line)
+    # Columns end below their heads.
+    below = lines[lines.index(head) + 1]
+    assert head.index("κ, isotropic") - 2 == head.index("κ, N m s or N s/m") + len("κ, N m s or N s/m")
+    assert below[: head.index("κ, isotropic") - 2].rstrip()[-1].isdigit()
+
+
+def test_what_is_rounding_is_shown_as_zero() -> None:
+    """Where a and b are parallel the document has 1e-30 and the table 0."""
+    found = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), starts=4).best.evaluation
+    assert 0 < abs(found.w[0]) < 1e-13 * found.scale[0]
+    rows = [line.split() for line in repr(found).splitlines()[2:5]]
+    assert [float(row[4]) for row in rows] == pytest.approx([0.0, *found.w[1:]], rel=1e-5, abs=0)
+    assert float(rows[0][5]) == 0

@@ -79,3 +79,10 @@ def test_machines_in_space_have_points(command: Command) -> None:
     missing = command(*slew)
     assert missing.code == 2
     assert "needs 2 angles in rad, for the joints that do not vary (stick, bucket)" in missing.stderr
+
+
+def test_what_is_missing_is_named_as_an_option(command: Command) -> None:
+    outcome = command("atlas", "boom-stick-bucket")
+    assert outcome.code == 2
+    assert "--posture: needs 1" in outcome.stderr
+    assert "None" not in outcome.stderr

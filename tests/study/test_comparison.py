@@ -67,6 +67,22 @@ def test_evaluations_of_other_machines(command: Command, tmp_path: Path) -> None
     assert "machine_sha256" in command("compare", *files).stdout
 
 
+def test_units_of_gains_and_measures(command: Command, tmp_path: Path) -> None:
+    """A gain has the unit of its controller; where two are compared that have different ones, both."""
+    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    found = {
+        control: flexopt.evaluate(machine, POSTURES["chosen"], control=control, loop=loop)
+        for control in ("inverse", "transpose")
+    }
+    one, other = (save(tmp_path, name, each) for name, each in found.items())
+    same = command("compare", one, one).stdout
+    assert "allowed Kp, N m  " in same
+    assert "w1, 1/(kg m2)  " in same
+    both = command("compare", one, other).stdout
+    assert "allowed Kp, N m or N/m  " in both
+    assert "w1, 1/(kg m2) or 1/kg  " in both
+
+
 def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     found = [flexopt.solve_problem(flexopt.load_problem(name)) for name in ("article", "article-transpose")]
     files = [save(tmp_path, name, each) for name, each in zip(("inverse", "transpose"), found, strict=True)]

@@ -205,7 +205,7 @@ class Explorer extends Pictures {
     $("unit").textContent = `w and |a||b| in ${data.unit === "mixed" ? "mixed units" : data.unit.replace("kg m2", "kg m²")}; Jacobian ${data.control} control.`;
     const gain = (name) => {
       const numbers = data.loop.numbers[name], same = numbers.every((x) => x === numbers[0]);
-      const show = (x) => (same ? digits(numbers[0] * 10 ** x) : `× ${digits(10 ** x)}`);
+      const show = (x) => (same ? `${digits(numbers[0] * 10 ** x)} ${data.loop.units[name]}` : `× ${digits(10 ** x)}`);
       const set = (x) => { this.factors[name] = 10 ** x; this.touched(); };
       return this.slider(box, { label: { kp: "gain Kp", kv: "gain Kv", ki: "gain Ki" }[name], low: -2, high: 2, value: 0, show, set });
     };

@@ -318,7 +318,9 @@ class Atlas(Pictured, Result):
         lines = [f"{self.title}, {spans}{f'; {fixed} held' if fixed else ''}"]
         lines += [f"  mode {mode}: {self._curves_of(mode)}" for mode in range(1, self.modes + 1)]
         if self.doubly_robust:
-            lines.append(f"  doubly robust, two measures are zero ({', '.join(self.joints)}):")
+            lines.append(
+                f"  doubly robust, two measures are zero ({', '.join(self.joints)}, {posture_unit(self.joint_units)}):"
+            )
             lines += [f"    w{p.modes[0]} = w{p.modes[1]} = 0 at {_posture(p)}" for p in self.doubly_robust]
         elif len(self.rows) < 3:
             lines.append("  no posture in which two measures are zero")

@@ -42,11 +42,17 @@ def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
 def without_volumes(plant: Plant, field: str) -> Fault:
     """A machine without capsules cannot keep them apart from anything."""
     ends = "[along, left]" if plant.frames.dimension == 2 else "[x, y, z]"
+    shapes = "" if plant.frames.dimension == 2 else ', or capsules = "collision" where its robot file has such shapes'
     sentence = (
-        f"needs the volumes of bodies, and {plant.machine.name} has none: add tables [[capsules]] with body, "
-        f"start = {ends}, end and radius (m, in the body's axes) to the machine file"
+        f"needs the volumes of bodies, and {plant.machine.name} has none: add tables [[capsules]] with {_key(plant)}, "
+        f"start = {ends}, end and radius (m, in the {_key(plant)}'s axes) to the machine file{shapes}"
     )
     return Fault(field, sentence)
+
+
+def _key(plant: Plant) -> str:
+    """What a file calls the body of a capsule: of a machine in space, which stands around a robot file, a link."""
+    return "body" if plant.frames.dimension == 2 else "link"
 
 
 def _body_faults(plant: Plant, asked: Clearance) -> list[Fault]:
@@ -58,7 +64,7 @@ def _body_faults(plant: Plant, asked: Clearance) -> list[Fault]:
             sentence = f"{plant.machine.name} has no body of that name{meant}"
             faults.append(Fault("clearance.bodies", sentence, repr(name)))
         elif name not in with_capsules:
-            sentence = f"has no volume: add a table [[capsules]] with body = {name!r} to the machine file"
+            sentence = f"has no volume: add a table [[capsules]] with {_key(plant)} = {name!r} to the machine file"
             faults.append(Fault("clearance.bodies", sentence, repr(name)))
     return faults
 

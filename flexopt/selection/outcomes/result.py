@@ -11,7 +11,7 @@ from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.measures import MEASURES
-from flexopt.selection.result import Selection
+from flexopt.selection.result import Selection, units_of_columns
 
 # Of the best value, by which the present one may be less and nothing is to gain.
 ALIKE = 1e-3
@@ -108,7 +108,7 @@ class OutcomeSelection(Selection):
         each = zip(self.candidates, self.radii, self.gains, strict=True)
         for rank, (candidate, radius, gains) in enumerate(each, start=1):
             e = candidate.evaluation
-            numbers = " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture))
+            numbers = " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture))
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
             chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
             lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
@@ -116,9 +116,10 @@ class OutcomeSelection(Selection):
             lines.append(
                 f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
             )
+        lines.append(f"  in {units_of_columns(best)}; radius: by which factor springs may be softer or stiffer")
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain, *map(str, self.kept)) if sentence]
         if self.initial is not None and self.present is not None:
             e, now = self.initial, self.present
             nominal = " with the machine's own numbers" if self.uncertainty else ""
-            lines.append("   now " + " ".join(f"{x:9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}{nominal}")
+            lines.append("   now " + " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}{nominal}")
         return "\n".join([*lines, *repr(self.settings[0]).splitlines()])

@@ -16,7 +16,7 @@ from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import THIN, ConstraintValue, column_heads, in_columns, in_margin
+from flexopt.selection.result import THIN, ConstraintValue, column_heads, in_columns, in_margin, units_of_columns
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,9 @@ class Stand(Pictured, ConfigurationSet):
         return self._document(self.status, own, "targets")
 
     def __repr__(self) -> str:
-        names = self.places[0].evaluation.base_coordinates
-        base = ", ".join(f"{name} = {x:.4f}" for name, x in zip(names, self.base, strict=True))
+        e = self.places[0].evaluation
+        placed = zip(e.base_coordinates, self.base, e.base_units, strict=True)
+        base = ", ".join(f"{name} = {x:z.4f} {unit}" for name, x, unit in placed)
         return "\n".join(self._lines(f"{len(self.places)} targets from {base}", self.status))
 
 
@@ -294,7 +295,7 @@ def _table(places: tuple[TargetConfiguration, ...], worst: int, name: str) -> li
         told = "   the worst" if k == worst else ""
         e, worth = places[k].evaluation, places[k].objective
         lines += [f"  {k + 1:6d} {in_columns(e)}{worth:13.4e}{in_margin(e)}{told}"]
-    return lines
+    return [*lines, f"  in {units_of_columns(e)}"]
 
 
 def _path(time: Vector, points: Vector) -> Path:

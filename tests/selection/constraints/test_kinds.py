@@ -419,7 +419,8 @@ def test_bodies_and_obstacles_that_do_not_suit():
     assert "did you mean 'boom'?" in text
     assert "clearance.obstacles[0].center = [1.0, 2.0, 3.0]: must be two numbers [x, y]" in text
     assert "excavator has no body of that name; valid here: base, boom, stick" in text
-    with pytest.raises(InputError, match=r"body = 'arm1' to the machine file"):
+    # A machine file in space stands around a robot file, and calls it a link.
+    with pytest.raises(InputError, match=r"link = 'arm1' to the machine file"):
         build_constraints(build_plant(machines[3]), read_constraints({"clearance": asked | {"bodies": ["arm1"]}}))
     with pytest.raises(InputError, match="give ground"):
         build_constraints(build_plant(machines[3]), read_constraints({"clearance": {"distance": 0.1}}))
