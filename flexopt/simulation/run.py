@@ -274,11 +274,13 @@ def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behavio
     if ended < s.times[-1]:
         sentences.append(f"the run left the finite numbers at {ended:.4g} s; what follows is not a number")
     m = plant.n_passive
-    near, at = _closest_to_singular(s, plant, outputs["q"][m:])
-    if control_damping(s.options.control) is None and near < NEAR_SINGULAR:
-        sentences.append(
-            f"the arm came close to a singular posture at {at:.4g} s (sine squared {near:.2g} of its start)"
-        )
+    # A damped inverse may even start at one.
+    if control_damping(s.options.control) is None:
+        near, at = _closest_to_singular(s, plant, outputs["q"][m:])
+        if near < NEAR_SINGULAR:
+            sentences.append(
+                f"the arm came close to a singular posture at {at:.4g} s (sine squared {near:.2g} of its start)"
+            )
     if plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
         sentences.append("the arm's self-motion is not damped and may drift; nullspace_damping brakes it")
     sentences += feeble_levers(s.machine, s.options, s.posture)

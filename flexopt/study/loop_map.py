@@ -147,7 +147,7 @@ def map_loop(
     box = UncertaintyBox(machine, tuple(each.of for each in (x, y) if each.of), settings.dead_time)
     raise_if_any(InputError, "map_loop", _unfit(settings, box, (x, y)))
     gain_units = dict[str, str](zip(GAINS, settings.gain_units, strict=True))
-    x, y = (replace(each, unit=gain_units.get(each.name, each.unit)) for each in (x, y))
+    x, y = (replace(each, unit=gain_units.get(each.name, each.unit) or "1") for each in (x, y))
     columns, rows = x.axis(size[0]), y.axis(size[1])
     count = columns.values.size * rows.values.size
     expect_decays(count, machine, settings, gravity=gravity)
