@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nonnegative import nonnegative_least_squares
@@ -64,8 +65,8 @@ def climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
     met = _met(program, found)
     if met is not None:
         return met
-    found = _raised(program, found)
-    return found if found.holds else _met(program, found) or found
+    raised = _raised(program, found)
+    return raised if raised is found or raised.holds else _met(program, raised) or raised
 
 
 def _raised(program: OutcomeProgram, found: Climbed) -> Climbed:
@@ -109,9 +110,8 @@ def _by_steps(program: OutcomeProgram, y: Vector, value: float) -> tuple[Vector,
     """
     from scipy.optimize import linprog  # noqa: PLC0415  (loads slowly)
 
-    lower, upper, scale = program.row_bounds
-    equal, radius, taken = lower == upper, RADIUS, 0
-    low, high = np.where(equal, 0.0, lower / scale), np.where(equal, 0.0, upper / scale)
+    equal, low, high = _row_ends(program)
+    radius, taken = RADIUS, 0
     for _ in range(TRIES if math.isfinite(value) else 0):
         level = program.level(value)
         found, rows, slopes = program.branches(y, level), program.rows(y), program.row_slopes(y)
@@ -121,7 +121,7 @@ def _by_steps(program: OutcomeProgram, y: Vector, value: float) -> tuple[Vector,
         limits = np.vstack([
             -np.column_stack([found.slopes, found.by_level])[known], -wide[above], wide[below],
         ])  # fmt: skip
-        room = np.concatenate([np.maximum(found.values[known], 0.0), (rows - low)[above], (high - rows)[below]])
+        room = np.concatenate([found.values[known], (rows - low)[above], (high - rows)[below]])
         ends = np.column_stack(program.bounds) - y[:, None]
         while radius > LEAST_RADIUS:
             step: Any = linprog(
@@ -181,14 +181,19 @@ def ahead(program: OutcomeProgram, start: Vector, steps: int) -> tuple[Vector, f
     return there, value
 
 
+def _row_ends(program: OutcomeProgram) -> tuple[NDArray[np.bool_], Vector, Vector]:
+    """Which rows are equations, and between what each lies as `rows` counts, 0 for these."""
+    lower, upper, scale = program.row_bounds
+    equal = lower == upper
+    return equal, np.where(equal, 0.0, lower / scale), np.where(equal, 0.0, upper / scale)
+
+
 def onto_rows(program: OutcomeProgram, y: Vector) -> Vector | None:
     """The point moved onto the rows by the shortest steps; None where that fails.
 
     By the rows themselves, which under gravity know the deflection.
     """
-    lower, upper, scale = program.row_bounds
-    equal = lower == upper
-    low, high = np.where(equal, 0.0, lower / scale), np.where(equal, 0.0, upper / scale)
+    equal, low, high = _row_ends(program)
     y = np.clip(y, *program.bounds)
     for _ in range(CORRECTIONS):
         rows = program.rows(y)
