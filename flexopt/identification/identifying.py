@@ -40,7 +40,7 @@ EVEN = 2500
 # A log shows motion where the fit explains this share of a column's variance; the slowest motion fits in so often.
 EXPLAINED, PERIODS = 0.2, 1.5
 # Twice the logarithm of the likelihood by which the strongest motion decays rather than lasts: 3 standard deviations.
-DECAYS = 9.0
+DECAYS, SMALLEST = 9.0, 1e-12
 # The posture given and the joints measured may differ by, rad or m; a number is far from the file's by this factor.
 AWAY, FAR = 0.05, 10.0
 # Fits whose sums of squares, of the noise, differ by less are not told apart (99.9 %, one degree of freedom).
@@ -151,7 +151,7 @@ def identify(
     candidates = grown(small, starts, beginning, springs)
     noise = _first_noise(small, candidates[0][0])
     _check_motion(shown, noise)
-    _check_decay(poles)
+    doubts += _decay_doubts(swing, poles, np.where(np.isin(np.arange(len(entries)), springs), starts[0], 0.0))
     found, others = _fits(swing, shown, candidates, noise)
     _check_motion(shown, found.sigma)
     known = confidence(found, shown.values, others)
@@ -256,14 +256,23 @@ def _check_duration(swing: HeldSwing, duration: float, found: Fit) -> None:
         raise _refused(f"is too short: {duration:.3g} s, while its strongest motion takes {period:.3g} s to and fro")
 
 
-def _check_decay(poles: Poles) -> None:
-    """Refuse a log whose strongest motion does not decay."""
-    if poles.values.size and poles.evidence < DECAYS:
-        hertz = poles.values[0].imag / (2 * math.pi)
-        how = "grows" if poles.evidence < -DECAYS else "might last for ever"
-        raise _refused(
-            f"shows no decay: its strongest motion, {hertz:.4g} Hz, {how}; is an engine or a loop still driving it?"
-        )
+def _decay_doubts(swing: HeldSwing, poles: Poles, theta: Vector) -> list[str]:
+    """Whether the strongest motion lasts for ever, where the log does not tell.
+
+    What grows is refused, and what leaves no room for a tenth of the damping that the file's dampers give, θ.
+    """
+    if not poles.values.size or poles.evidence >= DECAYS:
+        return []
+    pole, motion = poles.values[0], f"its strongest motion, {poles.values[0].imag / (2 * math.pi):.4g} Hz,"
+    # The decay's standard deviation, of a likelihood that falls with its square.
+    deviation = abs(pole.real) / math.sqrt(max(abs(poles.evidence), SMALLEST))
+    roots = swing.modes(theta)[0]
+    own = -roots[int(np.argmin(np.abs(roots.imag - pole.imag)))].real if roots.size else 0.0
+    grows = poles.evidence < -DECAYS
+    if grows or FAR * (math.sqrt(DECAYS) * deviation - pole.real) < own:
+        how = "grows" if grows else "lasts"
+        raise _refused(f"shows no decay: {motion} {how}; is an engine or a loop still driving it?")
+    return [f"{motion} may last for ever, which the log does not tell: the numbers are right only of a free swing"]
 
 
 def _result(

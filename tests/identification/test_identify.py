@@ -14,6 +14,7 @@ from flexopt.identification.cleaning import spikes
 from flexopt.identification.poles import find_poles
 from flexopt.model.parameter_values import with_parameters
 from tests.identification.swings import Swung, planar, spatial
+from tests.oracles.free_swing import FreeSwing
 
 PLANAR = ("gyro_z", "end_point.x", "end_point.y")
 SPATIAL = ("gyro_x", "gyro_y", "gyro_z", "end_point.x", "end_point.y", "end_point.z")
@@ -235,6 +236,20 @@ def refused(machine: object, log: object, sentence: str, **more: object) -> None
         flexopt.identify(machine, log, **{"posture": planar().posture} | more)
 
 
+def test_a_swing_too_short_to_show_its_decay_is_told_with_a_doubt() -> None:
+    """Dampers as the article's excavator has them take 1 % of a swing in 5 s; its springs are known all the same."""
+    machine = flexopt.load("excavator")
+    swing = FreeSwing(machine, (0.5, -1.2), [1e-4, -1e-4, 6e-3], np.zeros(3))
+    log = swing.log(("gyro_z",), np.arange(501) / 100, 0.01, seed=2)
+    found = flexopt.identify(machine, log, posture=(0.5, -1.2))
+    assert any("may last for ever" in doubt for doubt in found.doubts)
+    assert "may last for ever" in str(found)
+    low, high = found.intervals["base.stiffness.rotation"] or (np.nan, np.nan)
+    truth = next(each.value for each in machine.parameters if each.name == "base.stiffness.rotation")
+    assert low < truth < high
+    assert high - low < 0.01 * truth
+
+
 def test_what_is_refused(tmp_path: Path) -> None:
     machine, t, rng = planar().machine, np.arange(0, 4, 0.01), np.random.default_rng(0)
     swing = np.exp(-0.5 * t) * np.sin(20 * t) * 1e-2
@@ -242,6 +257,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     steady, turn = 1e-2 * np.sin(20 * t) + 1e-5 * rng.standard_normal(t.size), {"unknown": "base.*.rotation"}
     refused(machine, {"t": t, "gyro_z": rng.standard_normal(t.size)}, "stands out of its noise", **turn)
     refused(machine, {"t": t, "gyro_z": steady}, "shows no decay", **turn)
+    refused(machine, {"t": t, "gyro_z": steady * np.exp(0.1 * t)}, "grows", **turn)
     refused(machine, {"t": t, "gyro_z": np.ones(t.size)}, "shows no motion: gyro_z does not move")
     refused(machine, {name: column[:30] for name, column in good.items()}, "too short: 30 samples")
     refused(machine, {"t": t[:60] / 30, "gyro_z": swing[:60]}, "too short: 0.0197 s", **turn)
