@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from flexopt.model.choices import OUTCOMES, SETTLING, SWING
 from flexopt.model.loop import Loop
 from flexopt.model.parameter_values import with_parameters
 from flexopt.model.uncertainty import GROUND, Uncertainty
+from flexopt.selection.outcomes.borders import Line
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
@@ -39,6 +41,38 @@ def test_nothing_that_a_scan_sees_is_better(name: str) -> None:
     assert found.best.objective == pytest.approx(here, rel=3e-3 if name == "radius" else 1e-6)
     assert f"objective {name}" in repr(found)
     assert found.to_dict()["measure"] == name
+
+
+def line(rate: Callable[[float], float]) -> Line:
+    """Of rates alone."""
+    return Line(loop=lambda _: pytest.fail("no loop"), rate=rate, start=0.0, by=lambda *_: pytest.fail("no slopes"))
+
+
+@pytest.mark.parametrize("place", [0.41, 0.9, 0.955, 0.98])
+def test_where_a_rate_comes_near_to_zero_before_a_border(place: float) -> None:
+    """Close before the border, too, where another motion takes the rate to zero."""
+    found = line(lambda x: min(1e-3 + (x - place) ** 2, 400 * (1.0 - x)))
+    assert found.nearest(1.0)[0] == pytest.approx(place, abs=1e-5)
+    assert found.border(1.0) == 1.0
+    assert line(lambda x: min((x - place) ** 2 - 1e-6, 400 * (1.0 - x))).border(1.0) == pytest.approx(place - 1e-3)
+
+
+@pytest.mark.parametrize("rate", [lambda x: 1.0 - x, lambda x: x, lambda x: 1.0 - x**2, lambda x: x * (1.0 - x)])
+def test_rates_that_only_fall_or_rise_come_near_to_zero_nowhere(rate: Callable[[float], float]) -> None:
+    assert not line(rate).nearest(1.0)
+
+
+def test_an_optimum_at_which_the_way_to_its_border_closes_is_verified() -> None:
+    """Allowed gains jump there: at the border of another motion the rate of a first one touches zero before."""
+    found = flexopt.select(EXCAVATOR, (0.0, 1.6), objective="allowed_gain", loop={"kp": 25.8, "kv": 196.0}, starts=8)
+    assert isinstance(found, OutcomeSelection)
+    assert found.unverified is None
+    x, posture = float(found.best.evaluation.base[0]), found.best.evaluation.posture
+    elbow = min(("up", "down"), key=lambda word: float(np.abs(np.subtract(posture_at(x, word), posture)).max()))
+    near = [worth("allowed_gain", x + step, posture_at(x + step, elbow), {"kp": 25.8, "kv": 196.0})
+            for step in (-1e-3, -1e-5, 1e-5, 1e-3)]  # fmt: skip
+    assert max(near) < found.best.objective * (1 + 1e-9)
+    assert min(near) < 0.8 * found.best.objective
 
 
 CASES = [(name, machine) for name in OUTCOMES for machine in ("excavator", "slewing-excavator")]

@@ -29,8 +29,9 @@ from flexopt.selection.outcomes.branches import Branches, Measure, Slopes, rates
 
 # Places before a border that count.
 PLACES = 2
-# Places along a line that are looked at for where the rate comes near to zero, and how near to that it is found.
-POINTS, NEAR = 24, 1e-3
+# Places along a line that are looked at for where the rate comes near to zero; how near to that it is found, as a share
+# of the distance between them; and how near to its ends a level rests against these.
+POINTS, DIP, NEAR = 24, 1e-4, 1e-3
 # Decades below a border that gains are looked at in.
 DECADES = 3.0
 # Points that are looked at in each box of factors for the stability radius.
@@ -57,38 +58,39 @@ class Line:
 
     def border(self, level: float) -> float:
         """The first level, this one at most, at which the loop grows."""
-        levels, rates = self._looked(level)
+        told = sorted(self._looked(level))
+        rates = np.array([rate for _, rate in told])
         grows = np.flatnonzero(rates < 0)
         if not grows.size:
             return level
         if grows[0] == 0:
             return self.start
-        return root(self.rate, *levels[grows[0] - 1 : grows[0] + 1].tolist(), xtol=1e-13, rtol=1e-14)
+        return root(self.rate, told[grows[0] - 1][0], told[grows[0]][0], xtol=1e-13, rtol=1e-14)
 
     def nearest(self, level: float) -> list[float]:
         """Levels before this one where the rate is least among its neighbours, the lowest of them."""
-        if not level > self.start:
-            return []
-        levels, rates = self._looked(level)
-        inner = [k for k in range(1, len(levels) - 1) if rates[k] <= min(rates[k - 1], rates[k + 1])]
-        return [float(levels[k]) for k in sorted(inner, key=lambda k: rates[k])[:PLACES]]
+        dips = self._looked(level)[POINTS:] if level > self.start else []
+        return [x for x, _ in sorted(dips, key=lambda dip: dip[1])[:PLACES]]
 
-    def _looked(self, level: float) -> tuple[Vector, Vector]:
-        """Levels up to this one, ascending, with those between where the rate is least, and the rates there."""
+    def _looked(self, level: float) -> list[tuple[float, float]]:
+        """Levels up to this one with the rates there, and after these where between them the rate is least."""
         from scipy.optimize import minimize_scalar  # noqa: PLC0415  (loads slowly)
 
         levels = np.linspace(self.start, level, POINTS)
         rates = np.array([self.rate(float(x)) for x in levels])
-        inner = [k for k in range(1, POINTS - 1) if rates[k] <= min(rates[k - 1], rates[k + 1])]
-        more = list[tuple[float, float]]()
-        for k in sorted(inner, key=lambda k: rates[k])[:PLACES]:
-            ends = float(levels[k - 1]), float(levels[k + 1])
+        # At a border the rate falls to zero, which hides where another motion comes near to it just before.
+        last = POINTS - 2
+        inner = [k for k in range(1, last) if rates[k] <= min(rates[k - 1], rates[k + 1])]
+        found = list(zip(levels.tolist(), rates.tolist(), strict=True))
+        for k in [*sorted(inner, key=lambda k: rates[k])[:PLACES], last]:
+            low, high = float(levels[k - 1]), float(levels[k + 1])
             best: Any = minimize_scalar(
-                self.rate, bounds=ends, method="bounded", options={"xatol": NEAR * (ends[1] - ends[0])}
+                self.rate, bounds=(low, high), method="bounded", options={"xatol": DIP * (high - low)}
             )
-            more.append((float(best.x), float(best.fun)))
-        told = sorted([*zip(levels.tolist(), rates.tolist(), strict=True), *more])
-        return np.array([x for x, _ in told]), np.array([rate for _, rate in told])
+            beside = [float(best.x) + side * 2 * DIP * (high - low) for side in (-1, 1)]
+            if low < beside[0] < beside[1] < high and best.fun < min(map(self.rate, beside)):
+                found.append((float(best.x), float(best.fun)))
+        return found
 
 
 class Border(Measure):
