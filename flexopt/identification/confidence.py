@@ -2,7 +2,8 @@
 
 In: a `Fit`. Out: a `Confidence`. From the exact Jacobian P of the residuals by θ, with the first state and the offsets
 eliminated: the covariance of θ is (PᵀP)⁻¹ where residuals are white. Where they are not it is (PᵀP)⁻¹ Ω (PᵀP)⁻¹ with
-the sum Ω of the correlated scores (Newey and West 1987), and never the smaller of the two.
+the sum Ω of the correlated scores (Newey and West 1987), and never the smaller of the two. What moves no other poles
+than those of modes that do not stand out of the noise is open.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Array, Vector
 from flexopt.identification.fitting import Fit
+from flexopt.identification.swing import HeldSwing
 
 LEVEL = 0.95
 # A parameter is identified where its interval is within this factor of its value either way.
@@ -28,6 +30,11 @@ SMALLEST = 1e-12
 SHARE = 0.1
 # Fits that differ by less, in θ, are the same.
 SAME = 1e-3
+# What a mode must take from the sum of squares, beyond what the strongest of N frequencies takes of mere noise, 2 ln N:
+# 3 standard deviations.
+SEEN = 9.0
+# Steps of θ in differences of poles, which themselves are known to 1e-12; the least share that is no rounding.
+MOVED = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +42,8 @@ class Confidence:
     """What the log says of θ.
 
     Attributes:
-        low, high: (n_θ,) ends of the intervals of θ; other fits that the log does not tell from this one lie within.
+        low, high: (n_θ,) ends of the intervals of θ, by factors e^w up and 1 − w down: a damper's noise is as large
+            either way; other fits that the log does not tell from this one lie within.
         deviations: (n_θ,) standard deviations of θ;  covariance: (n_θ, n_θ).
         quantile: how many of them the interval reaches either way.
         identified: (n_θ,) whether it is within `FACTOR`.
@@ -59,8 +67,33 @@ class Confidence:
         return np.abs(other - theta) > np.maximum(2.0 * self.quantile * self.deviations, SAME)
 
 
-def confidence(found: Fit, values: Array, others: Sequence[Vector] = ()) -> Confidence:
-    """Of a fit to the samples `values` (N, c), beside others that fit as well."""
+def hidden(swing: HeldSwing, found: Fit, time: Vector) -> tuple[Vector, Array]:
+    """Frequencies, Hz, of modes that do not stand out of the noise, and the moves of θ that they alone feel (n_θ, k).
+
+    The noise alone has frequencies in it, and the fit finds them: such a mode's pole tells nothing of the machine. The
+    moves change it by as much as its size, and the poles of the others not at all.
+    """
+    theta = found.theta
+    roots, v, left = swing.modes(theta)
+    _, c, rest = swing.linear(theta)
+    elapsed, shapes = time - time[0], (c @ v) * (left @ (found.start - rest))
+    waves = np.exp(np.minimum(np.outer(elapsed, roots), 50.0))[:, None, :] * shapes
+    taken = np.sum((2 * waves.real / found.sigma[:, None])[found.used] ** 2, axis=0)
+    weak = taken < 2 * math.log(max(2, int(found.used.sum()))) + SEEN
+    pairs = [(swing.roots(theta + way), swing.roots(theta - way)) for way in MOVED * np.eye(theta.size)]
+    if not weak.any() or any(root.shape != roots.shape for pair in pairs for root in pair):
+        return np.zeros(0), np.zeros((theta.size, 0))
+    slopes = np.array([(more - less) / (2 * MOVED) for more, less in pairs]).T / np.abs(roots)[:, None]
+    seen, unseen = (np.vstack([part.real, part.imag]) for part in (slopes[~weak], slopes[weak]))
+    sizes, rows = np.linalg.svd(np.vstack([seen, np.zeros((1, theta.size))]))[1:]
+    rank = int(np.count_nonzero(sizes > MOVED * sizes[0])) if sizes[0] > 0 else 0
+    free = rows[rank:].T
+    hertz: Vector = np.abs(roots[weak]) / (2 * math.pi)
+    return hertz, np.asarray(free @ np.linalg.pinv(unseen @ free, rcond=MOVED), dtype=np.float64)
+
+
+def confidence(found: Fit, values: Array, unseen: Array, others: Sequence[Vector] = ()) -> Confidence:
+    """Of a fit to the samples `values` (N, c), beside others that fit as well; `unseen`: moves, as of `hidden`."""
     from scipy.stats import t  # noqa: PLC0415  (loads slowly)
 
     residual = np.where(found.used, (found.fitted - values) / found.sigma, np.nan)
@@ -70,22 +103,22 @@ def confidence(found: Fit, values: Array, others: Sequence[Vector] = ()) -> Conf
     nuisance = nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300)
     p: Array = rows[:, m : m + n]
     p = p - nuisance @ np.linalg.lstsq(nuisance, p, rcond=1e-12)[0]
-    decomposed = np.linalg.svd(p, full_matrices=False)
-    s: Vector = decomposed[1]
-    v: Array = decomposed[2]
-    long = 1.0 / np.maximum(s, SMALLEST)
-    covariance = v.T @ np.diag(long**2) @ v
+    _, s, v = np.linalg.svd(p, full_matrices=False)
+    covariance: Array = v.T @ np.diag(1.0 / np.maximum(s, SMALLEST) ** 2) @ v
     white = np.array([is_white(column[np.isfinite(column)]) for column in residual.T])
     if not white.all():
         correlated = covariance @ _scores(p, residual, found.used) @ covariance
         wider = np.maximum(1.0, np.sqrt(np.diag(correlated) / np.diag(covariance)))
         covariance = wider[:, None] * covariance * wider
+    covariance = covariance + unseen @ unseen.T
     deviations = np.sqrt(np.diag(covariance))
     quantile = float(t.ppf(0.5 + 0.5 * LEVEL, max(1, len(rows) - rows.shape[1])))
     width = quantile * deviations
-    is_open = quantile * long > math.log(FACTOR)
-    directions = v[is_open][np.argsort(-long[is_open], kind="stable")]
-    ends = [(center - width, center + width) for center in (found.theta, *others)]
+    squares, ways = np.linalg.eigh(covariance)
+    is_open = quantile * np.sqrt(np.maximum(squares, 0.0)) > 1 - 1 / FACTOR
+    directions = ways.T[is_open][::-1]
+    down = -np.log1p(-np.minimum(width, 1 - SMALLEST))
+    ends = [(center - down, center + width) for center in (found.theta, *others)]
     low, high = (choose([end[k] for end in ends], axis=0) for k, choose in ((0, np.min), (1, np.max)))
     identified = np.maximum(found.theta - low, high - found.theta) <= math.log(FACTOR)
     return Confidence(low, high, deviations, covariance, quantile, identified, directions, white, tuple(others))

@@ -16,7 +16,7 @@ from flexopt.foundation.boundary import of_machine, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
 from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, without_spikes
-from flexopt.identification.confidence import Confidence, confidence, is_open_in_words
+from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words
 from flexopt.identification.fitting import INTEGRATION, Fit, fit
 from flexopt.identification.log import FrameLike, MeasuredLog, read_log
 from flexopt.identification.modes import described_modes
@@ -154,7 +154,12 @@ def identify(
     doubts += _decay_doubts(swing, poles, np.where(np.isin(np.arange(len(entries)), springs), starts[0], 0.0))
     found, others = _fits(swing, shown, candidates, noise)
     _check_motion(shown, found.sigma)
-    known = confidence(found, shown.values, others)
+    weak, unseen = hidden(swing, found, shown.time)
+    doubts += [
+        f"a motion of {hertz:.4g} Hz does not stand out of the noise: what it alone would tell is left open"
+        for hertz in weak
+    ]
+    known = confidence(found, shown.values, unseen, others)
     _check_duration(swing, float(np.ptp(shown.time)), found)
     options = {
         "posture": held,

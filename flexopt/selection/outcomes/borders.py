@@ -65,7 +65,8 @@ class Line:
             return level
         if grows[0] == 0:
             return self.start
-        return root(self.rate, told[grows[0] - 1][0], told[grows[0]][0], xtol=1e-13, rtol=1e-14)
+        low, high = (told[int(k)][0] for k in (grows[0] - 1, grows[0]))
+        return root(self.rate, low, high, xtol=1e-13, rtol=1e-14)
 
     def nearest(self, level: float) -> list[float]:
         """Levels before this one where the rate is least among its neighbours, the lowest of them."""
