@@ -19,7 +19,7 @@ from flexopt.selection.coupling import Coupling
 from flexopt.selection.outcomes.climb import ACTIVE, Climbed, _searched, climbed, first_order, onto_rows
 from flexopt.selection.outcomes.program import MEETING, MEETS, TOGETHER, OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.outcomes.shared import SharedProgram
+from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
 from tests.oracles.machines import arm_at_rest, random_machine, regular_posture
 
 LOOP = {"kp": 3e6, "kv": 6e5}
@@ -113,6 +113,22 @@ def test_slopes_beside_differences(targets: int) -> None:
         changed = (met.rows(y + way) - met.rows(y - way)) / (2 * step)
         # Rows of motions that meet are in small units.
         np.testing.assert_allclose(rows[:, i], changed, rtol=1e-5, atol=1e-7 / MEETS**2)
+
+
+def test_the_shortest_way_holds_together_what_decays_as_its_measure_must() -> None:
+    """Whatever its length, which is told in other units."""
+    own, y = program()
+    options: dict[str, Any] = {each.name: getattr(own, each.name) for each in fields(own)}
+    apart = Coupling((tuple(range(y.size)), tuple(range(y.size, 2 * y.size))))
+    shared = SharedProgram(**options, problems=(own.problem,) * 2, coupling=apart)
+    both, kept = np.append(y, y), own.value(y)
+    way = ShortestWay(**{each.name: getattr(shared, each.name) for each in fields(shared)}, kept=kept)
+    for length in (-100.0, 0.0):
+        found, same = way.meeting(both, length), shared.meeting(both, shared.level(kept))
+        assert isinstance(found, ShortestWay)
+        assert same is not None
+        assert found.met_at == same.met_at
+        assert all(found.met_at)
 
 
 def test_it_is_found_again_from_beside_it() -> None:

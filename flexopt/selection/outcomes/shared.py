@@ -235,6 +235,10 @@ class ShortestWay(SharedProgram):
         """See `OutcomeProgram`."""
         return value
 
+    def meeting(self, y: Vector, level: float) -> SharedProgram | None:  # noqa: ARG002
+        """See `OutcomeProgram`: of motions that decay as the measure must, whatever the length."""
+        return super().meeting(y, self.measure.level(self.kept, self.size))
+
     def place(self, y: Vector) -> ProgramPoint:
         """See `OutcomeProgram`."""
         return ShortestPoint(self, y, shared=self, way=self)
