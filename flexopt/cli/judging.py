@@ -32,7 +32,7 @@ from flexopt.cli.common import (
 from flexopt.cli.completing import argument
 from flexopt.cli.postures import asked_posture, configuration
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.model import AnyMachine, Problem, load, load_any
+from flexopt.model import AnyMachine, load, load_any
 from flexopt.model.loop import DEFAULT_LOOP, Loop
 
 LOOP = value(
@@ -126,7 +126,8 @@ def region_command(as_json: bool, machine: str, out: str | None, **options: Any)
 
 def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, Loop | None]:
     """A problem file's problem, or that of a machine with a target; and the loop that belongs to it."""
-    from flexopt.selection import build_selection  # noqa: PLC0415  (`evaluate` does not need it)
+    from flexopt.model import Problem  # noqa: PLC0415  (`evaluate` does not need them)
+    from flexopt.selection import build_selection  # noqa: PLC0415
 
     loaded: AnyMachine | Problem = read(load_any, name)
     words = ("end_point", "posture", "base", "elbow", "control", "objective", "weights")

@@ -17,7 +17,6 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import build_measures
-from flexopt.robustness.batches import w_of_few
 
 POSTURE = value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
 
@@ -58,6 +57,8 @@ def _best(
     machine: AnyMachine, postures: list[Vector], base: Any, control: Control, options: Mapping[str, Any]
 ) -> Vector:
     """Of a redundant arm's sampled postures the one with the greatest w_1, which is said; the first where none has."""
+    from flexopt.robustness.batches import w_of_few  # noqa: PLC0415  (a posture that is given does not need it)
+
     measures = build_measures(machine, control, options["gravity"])
     placement = np.zeros(len(machine.base_coordinates)) if base is None else np.atleast_1d(base)
     first = w_of_few(measures, placement, np.array(postures).T)[0]
