@@ -64,7 +64,7 @@ EXHIBITS = (
         'result.plot("FILE")',
     ),
     Exhibit(
-        "run", "A run of the closed loop", "Dashed: the envelope from which the growth rate was found.", "Trajectory",
+        "run", "A run of the closed loop", "Dashed: the envelope from which the decay was found.", "Trajectory",
         'machine = flexopt.load("excavator")\nresult = flexopt.simulate(machine, (0.9929, -2.6306))\n'
         'result.plot("FILE")',
     ),

@@ -137,8 +137,9 @@ def integration_step(loops: ClosedLoops, gains: GainMap) -> ArticleFinding:
     sentence = (
         f"As a ratio it is: {rate / highest:.1f} times the highest resonance, {highest:.2f} Hz, and RK4 shows A's "
         f"growth to within {shares[f'A, Kp = {at_b.kp:g}']:.0e} of it. For slow decay it is too long: at B with "
-        f"the stated gains the last to die away is the mode at {slow:.2f} Hz with {at_b.accurate.growth_rate:+.4f}/s; "
-        f"RK4 lets it decay with {damped:+.3f}/s and leaves {at_b.stated.growth_rate:+.4f}/s at "
+        f"the stated gains the last to die away is the mode at {slow:.2f} Hz with a decay of "
+        f"{-at_b.accurate.growth_rate:+z.4f}/s; RK4 makes that {-damped:+z.3f}/s and leaves "
+        f"{-at_b.stated.growth_rate:+z.4f}/s at "
         f"{at_b.stated.frequency_hz:.2f} Hz. With {held} RK4 has B stable {stated.text}, the exact loop "
         f"{accurate.text}."
     )
@@ -166,10 +167,12 @@ def robust_controller(loops: ClosedLoops, gains: GainMap) -> ArticleFinding:
     sentence = (
         f"At A PD control with {held_words(None)} has stable Kp: {gains.border('A', held_words(None), EXACT).text}. "
         f"There the controller that attains ε_max at kr = {kr:g}, sampled at {loops.stated['rate']:g} Hz, "
-        f"{'stabilises' if accurate.stable else 'does not stabilise'} the linear loop ({accurate.growth_rate:+.3f}/s); "
+        f"{'stabilises' if accurate.stable else 'does not stabilise'} the linear loop "
+        f"(decay {-accurate.growth_rate:+z.3f}/s); "
         f"the nonlinear one {_outcome(run)} and is {1e6 * _end(run):.2g} µm off after {run.time[-1]:g} s. Integrated "
         f"by {loops.stated['integrator'].upper()} at {1e3 / loops.stated['rate']:g} ms the same linear loop is "
-        f"{'stable' if stated.stable else 'unstable'} ({stated.growth_rate:+.4f}/s at {stated.frequency_hz:.2f} Hz)."
+        f"{'stable' if stated.stable else 'unstable'} (decay {-stated.growth_rate:+z.4f}/s at "
+        f"{stated.frequency_hz:.2f} Hz)."
     )
     numbers: dict[str, Any] = {
         row.integrator: [row.linear.growth_rate, row.linear.frequency_hz] for row in loops.robust
@@ -183,8 +186,8 @@ def robust_controller(loops: ClosedLoops, gains: GainMap) -> ArticleFinding:
 def _outcome(run: Trajectory) -> str:
     word = "is undecided" if run.verdict == "undecided" else run.verdict
     linear = run.linear
-    exact = "" if linear is None else f"; exactly {linear.growth_rate:+.4f}/s at {linear.frequency_hz:.2f} Hz"
-    return word + ("" if run.growth_rate is None else f" ({run.growth_rate:+.4f}/s{exact})")
+    exact = "" if linear is None else f"; exactly {-linear.growth_rate:+z.4f}/s at {linear.frequency_hz:.2f} Hz"
+    return word + ("" if run.growth_rate is None else f" (decay {-run.growth_rate:+z.4f}/s{exact})")
 
 
 def _end(run: Trajectory) -> float:

@@ -83,7 +83,7 @@ def plot_figures11and12(runs: Mapping[str, Trajectory], *, theme: Theme = "light
 
 @sized
 def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: float, ratios: Sequence[float]) -> Figure:
-    """Growth rate of the sampled linear loop over Kp and Kv for each posture, with verdicts of nonlinear runs.
+    """Decay of the sampled linear loop over Kp and Kv for each posture, with verdicts of nonlinear runs.
 
     Args:
         gains: the map.
@@ -97,12 +97,12 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
     image: Any = None
     for k, name in enumerate(gains.names):
         axes = figure.add_subplot(1, len(gains.names), k + 1)
-        rate, grows = gains.growth_rate[k], np.asarray(gains.grows[k], dtype=bool)
+        decay, grows = -gains.growth_rate[k], np.asarray(gains.grows[k], dtype=bool)
         image = axes.pcolormesh(
-            gains.kp, gains.kv, rate, norm=norm, cmap=signed_colors().reversed(), shading="nearest", rasterized=True
+            gains.kp, gains.kv, decay, norm=norm, cmap=signed_colors(), shading="nearest", rasterized=True
         )
-        if rate.min() < 0 < rate.max():
-            axes.contour(gains.kp, gains.kv, rate, levels=[0.0], colors=inks.text, linewidths=1.3)
+        if decay.min() < 0 < decay.max():
+            axes.contour(gains.kp, gains.kv, decay, levels=[0.0], colors=inks.text, linewidths=1.3)
         for mask, mark, color, label in (
             (grows, "^", inks.text, "run grows"),
             (~grows, "o", inks.page, "run converges"),
@@ -129,7 +129,7 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
         axes.set_ylabel("Kv, N m s" if k == 0 else "")
         axes.set_title(f"({'abcdefgh'[k]}) {name}")
     bar = figure.colorbar(image, ax=figure.axes, shrink=0.9, pad=0.01, extend="both")
-    bar.set_label("growth rate of the sampled linear loop, 1/s")
+    bar.set_label("decay of the sampled linear loop, 1/s")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=1.2, handlelength=3.0)
     return figure

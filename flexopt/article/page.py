@@ -28,7 +28,7 @@ CAPTIONS = {
     "it: (a) the machine, (b) position and (c) rate of the base, (d) the objective.",
     "figures11and12": "Figs. 11 and 12. End-point error (a), (b) and base oscillation (c) to (e) with base adjustment "
     "from A to B along Fig. 10, and without at A. Gains and start are stated, not printed.",
-    "gains": "Not in the article: growth rate of the sampled linear loop over both gains, RK4 at 200 Hz, black where "
+    "gains": "Not in the article: decay of the sampled linear loop over both gains, RK4 at 200 Hz, black where "
     "it is 0; marks: nonlinear runs.",
     "gaps": "Not in the article: ν-gap between kr R0/s² and the full plant, and ε_max, as the damping grows.",
 }
@@ -94,14 +94,14 @@ def _loops(result: Reproduction) -> Table:
     """Poles and runs of every posture with both pairs of gains."""
     rows: list[tuple[str, ...]] = []
     for row in result.loops.rows:
-        stated, accurate = (f"{x.growth_rate:+.4f} at {x.frequency_hz:.2f} Hz" for x in (row.stated, row.accurate))
+        stated, accurate = (f"{-x.growth_rate:+z.4f} at {x.frequency_hz:.2f} Hz" for x in (row.stated, row.accurate))
         run = row.run
-        rate = "" if run.growth_rate is None else f" {run.growth_rate:+.4f}"
+        rate = "" if run.growth_rate is None else f" {-run.growth_rate:+z.4f}"
         turn = "" if run.peak_base_rotation is None else f"{1e3 * run.peak_base_rotation:.2f}"
         off = "" if run.end_error is None else f"{1e3 * run.end_error:.3f}"
         words = f"{run.verdict}{rate}, {run.time[-1]:g} s"
         rows.append((row.stand, f"{row.kp:g}", f"{row.kv:g}", stated, accurate, words, turn, off))
-    header = ("posture", "Kp, N m", "Kv, N m s", "linear, RK4, 1/s", "linear, exact, 1/s", "nonlinear run, 1/s",
+    header = ("posture", "Kp, N m", "Kv, N m s", "decay, RK4, 1/s", "decay, exact, 1/s", "nonlinear run, decay, 1/s",
               "largest base rotation, mrad", "end-point at the end, mm off")  # fmt: skip
     return header, rows
 

@@ -29,6 +29,8 @@ BAD_INPUT, FAILED, ABORTED = 2, 3, 130
 FILE_NAME_MAX = 255
 # Of the clock, s.
 TICK = 1.0
+# What brakes a redundant arm's self-motion: a key of loops and of runs.
+BRAKE = "nullspace_damping"
 # How sentences begin on what was not given.
 NEEDED = ("is needed", "needs ")
 PICTURES = (".png", ".svg", ".pdf")
@@ -103,7 +105,17 @@ def say(text: str, *, err: bool = False, colour: Colour | None = None) -> None:
     """Print text, whatever letters are in it, as wide as the terminal is."""
     # Not `click.echo`, which writes UTF-8 where the terminal has only ASCII.
     stream = sys.stderr if err else sys.stdout
-    print(painted(fitted(terminal(text), stream), colour, stream), file=stream, flush=True)
+    print(painted(fitted(terminal(as_options(text)), stream), colour, stream), file=stream, flush=True)
+
+
+def as_options(text: str) -> str:
+    """A key that a sentence advises, as the command that prints it takes it."""
+    context = click.get_current_context(silent=True)
+    options = {word for each in context.command.params for word in each.opts} if context is not None else set[str]()
+    if "--loop" in options:
+        text = text.replace(f"loop.{BRAKE} brakes", f"--loop {BRAKE}=C brakes")
+    word = f"--{BRAKE.replace('_', '-')}"
+    return text.replace(f"; {BRAKE} brakes", f"; {word} brakes") if word in options else text
 
 
 def print_json(document: dict[str, Any]) -> None:
@@ -200,7 +212,10 @@ def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
         yield lambda _done, _total: None
         return
     if not sys.stderr.isatty():
-        yield lambda done, total: click.echo(f"{what} {done}/{total}", err=True) if done == total else None
+        told: list[str] = [""]
+        yield lambda done, total: told.append(f"{what} {done}/{total}")
+        if told[-1]:
+            click.echo(told[-1], err=True)
         return
     VOICE.telling = True
     try:

@@ -262,7 +262,7 @@ def _spelt(name: str) -> str:
 @value(
     "--tip",
     "LINK",
-    "Of a robot file: the link at the end-point (the one with the most joints before it, without a hand).",
+    "Of a robot file: the link, or site, at the end-point (the one with the most joints before it, without a hand).",
 )
 @JSON
 def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, force: bool, **options: Any) -> None:
@@ -303,7 +303,8 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         chain = read_chain(Path(robot), options["tip"], actuated)
         if chain.hand:
             behind = f"{len(chain.hand)} joints behind it, as of a hand, stand still"
-            end = f"The end-point is link {chain.end}: {behind}. --tip names another."
+            where = f"site {chain.site} on link {chain.end}" if chain.site else f"link {chain.end}"
+            end = f"The end-point is {where}: {behind}. --tip names another."
         based = chain.floats or not chain.sprung
         questions = [
             Question("name", "Name of the machine", _name, lambda _: stem or chain.name),

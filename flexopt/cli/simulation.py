@@ -88,7 +88,10 @@ def loop_options(lead: str, *fields: str) -> Decorator:
             metavar, text = TEXTS[name]
             if lead:
                 also = text.startswith("With ")
-                text = f"{lead} and {text.removeprefix('With ')}" if also else f"{lead}: {text[0].lower()}{text[1:]}"
+                whole_lead = f"{lead} or --loop" if name in ("posture", "base") else lead
+                text = (
+                    f"{lead} and {text.removeprefix('With ')}" if also else f"{whole_lead}: {text[0].lower()}{text[1:]}"
+                )
             word = f"--{NEGATED.get(name, name).replace('_', '-')}"
             kind = type_of(SimulationOptions.model_fields[name].annotation)
             made = value(word, metavar or "|".join(get_args(kind)), text, READERS.get(get_origin(kind) or kind, str))

@@ -89,8 +89,9 @@ def _holes(time: Vector) -> list[str]:
     usual = float(np.median(step))
     wide = step > HOLE * usual
     if wide.any():
-        missing = int(np.sum(np.round(step[wide] / usual) - 1))
-        return [f"{int(wide.sum())} gaps, about {missing} samples missing; the longest lasts {step.max():.4g} s"]
+        holes, missing = int(wide.sum()), int(np.sum(np.round(step[wide] / usual) - 1))
+        gaps = f"{holes} gap{'s' * (holes > 1)}, about {missing} samples missing"
+        return [f"{gaps}; the longest lasts {step.max():.4g} s"]
     even = np.abs(step - usual).max() <= 0.02 * usual
     return [] if even else [f"sampled unevenly, every {step.min():.3g} to {step.max():.3g} s"]
 

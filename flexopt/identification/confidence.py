@@ -158,5 +158,5 @@ def is_open_in_words(direction: Vector, names: tuple[str, ...]) -> str:
     order: list[int] = np.argsort(-share, kind="stable").tolist()
     listed = [names[k] for k in order if share[k] >= SHARE]
     if len(listed) <= 1:
-        return f"{listed[0] if listed else names[int(np.argmax(share))]} itself"
+        return listed[0] if listed else names[int(np.argmax(share))]
     return f"a combination of {', '.join(listed[:-1])} and {listed[-1]}"

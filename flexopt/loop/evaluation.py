@@ -121,7 +121,7 @@ class Outcome(Result):
             )
         verb = "decays" if self.decay > 0 else "grows"
         lines.append(f"  sampled loop: {verb} at {abs(self.decay):.4g}/s, {self.frequency_hz:.4g} Hz")
-        lines += [f"  the arm's self-motion drifts at {rate:+.3g}/s" for rate in self.drift if rate > 0]
+        lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(self._stable) or "nowhere"
         unit = self.settings.gain_units[0] if math.isfinite(self.allowed_gain) else ""
         lines.append(f"  allowed gain Kp {_told(self.allowed_gain)}{unit and ' ' + unit} (stable: {stable})")

@@ -76,7 +76,7 @@ class SampledLoop:
         word = "stable" if self.stable else "unstable"
         how = "" if self.integrator == EXACT else f" by {self.integrator}"
         return (
-            f"SampledLoop({word}{how}: {self.growth_rate:+.4g}/s at {self.frequency_hz:.4g} Hz, "
+            f"SampledLoop({word}{how}: decay {-self.growth_rate:+z.4g}/s at {self.frequency_hz:.4g} Hz, "
             f"{len(self.multipliers)} multipliers)"
         )
 

@@ -210,7 +210,7 @@ def _most_variance(part: BodyNumbers) -> float:
 def _unit_of_inertia(part: BodyNumbers, radius: float) -> str:
     size = max(part.length, part.size, part.com)
     for factor, sentence in (
-        (1e3, f"the mass is probably in tonnes: {1000 * part.mass:g} kg"),
+        (1e3, f"the mass may be in tonnes, {1000 * part.mass:g} kg, or the inertia in another unit"),
         (1e4, f"the inertia is probably in kg cm²: {part.inertia / 1e4:g} kg m²"),
         (1e6, f"the inertia is probably in kg mm²: {part.inertia / 1e6:g} kg m²"),
     ):

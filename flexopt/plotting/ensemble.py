@@ -42,7 +42,7 @@ def _timed(ensemble: Ensemble) -> bool:
     check=instance(Ensemble, "an Ensemble, from flexopt.simulate_ensemble for example"),
 )
 def plot_ensemble(sheet: Sheet, ensemble: Ensemble) -> None:
-    """Draw each member's growth rate over what varies, coloured by its verdict.
+    """Draw each member's decay over what varies, coloured by its verdict.
 
     Of an ensemble that keeps its trajectories also bands over time of the end-point error and of the energy: the
     median, and between which values half and nine tenths of the members are; of those that settle, grow and are
@@ -67,22 +67,22 @@ def plot_ensemble(sheet: Sheet, ensemble: Ensemble) -> None:
 
 
 def _draw_rates(axes: Axes, ensemble: Ensemble) -> None:
-    """The exact growth rate of each member's linear loop."""
+    """The exact decay of each member's linear loop."""
     inks = colors()
     label, at = _varied(ensemble)
-    rates, verdicts = ensemble.linear_growth_rate, ensemble.verdict
+    decays, verdicts = -ensemble.linear_growth_rate, ensemble.verdict
     for word, marker in zip(VERDICTS, ("o", "^", "s"), strict=True):
         chosen = verdicts == word
         if chosen.any():
             axes.plot(
-                at[chosen], rates[chosen], marker, color=getattr(inks, NAMES[word]), markersize=5,
+                at[chosen], decays[chosen], marker, color=getattr(inks, NAMES[word]), markersize=5,
                 markeredgecolor=inks.edge, markeredgewidth=0.5, label=NAMES[word],
             )  # fmt: skip
     axes.axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)
     if at.min() > 0 and at.max() / at.min() > DECADES:
         axes.set_xscale("log")
     axes.set_xlabel(label)
-    axes.set_ylabel("growth rate, 1/s")
+    axes.set_ylabel("decay, 1/s")
     axes.grid(visible=True)
     legend_above(axes, "right", ncols=3)
 

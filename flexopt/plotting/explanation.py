@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ def plot_explanation(sheet: Sheet, found: Any) -> None:
     shape = shape_of(found.model, found.evaluation)
     seen = views(shape)
     grid = sheet.figure.add_gridspec(len(found.moves), len(seen) + 1)
+    drawn = list[list[Axes]]()
     for i in range(len(found.moves)):
         scenes = [sheet.figure.add_subplot(grid[i, k]) for k in range(len(seen))]
         for axes, view in zip(scenes, seen, strict=True):
@@ -52,8 +54,21 @@ def plot_explanation(sheet: Sheet, found: Any) -> None:
             handles = scenes[0].get_legend_handles_labels()
             sheet.figure.legend(*handles, loc="outside lower center", ncols=2, frameon=False)
         _draw_move(sheet.figure.add_subplot(grid[i, len(seen)]), found, i)
+        drawn.append(scenes)
+    for column in zip(*drawn, strict=True):
+        _align(column)
     of = found.evaluation
     sheet.title(f"{mathtext(of.machine)}, {mathtext(of.control)} control: why, mode by mode")
+
+
+def _align(column: Sequence[Axes]) -> None:
+    """The same limits in scenes one below the other, which share the lowest one's numbers."""
+    x, y = (np.array([limits(axes) for axes in column]) for limits in (Axes.get_xlim, Axes.get_ylim))
+    for axes in column:
+        # Equal scales are made with regard to the data.
+        axes.update_datalim([(x.min(), y.min()), (x.max(), y.max())])
+        axes.set_xlim(x.min(), x.max(), auto=True)
+        axes.set_ylim(y.min(), y.max(), auto=True)
 
 
 def _named(found: Any, i: int) -> str:

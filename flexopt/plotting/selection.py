@@ -18,7 +18,7 @@ from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
 from flexopt.plotting.shape import Points, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled, measure_label, objective_label
-from flexopt.robustness.evaluation import Evaluation
+from flexopt.robustness.evaluation import Evaluation, without_rounding
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.result import Selection
 
@@ -88,7 +88,8 @@ def _line(evaluation: Evaluation) -> str:
     placed = ", ".join(f"{mathtext(name)} = {value:.2f} {unit}" for name, value, unit in places)
     said = placed or "no placement"
     if evaluation.skeleton.shape[0] == 2:
-        said += ": " + ", ".join(f"$w_{i + 1}$ = {w:.1e}" for i, w in enumerate(evaluation.w))
+        shown = without_rounding(evaluation.w, evaluation.scale)
+        said += ": " + ", ".join(f"$w_{i + 1}$ = {f'{w:.1e}' if w else 0}" for i, w in enumerate(shown))
     elif evaluation.epsilon_max is not None:
         said += f": $\\epsilon_{{max}}$ = {evaluation.epsilon_max:.4f}"
     return said.replace("-", "−")

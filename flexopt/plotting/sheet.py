@@ -223,6 +223,16 @@ def write(figure: Figure, path: str | os.PathLike[str] | None, *, dpi: float = 2
     write_file(path, buffer.getvalue())
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows, also one that never said `%matplotlib inline`."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        with _laid_out(self, self.dpi):
+            self.savefig(buffer, format="png", dpi=self.dpi)
+        return buffer.getvalue()
+
+
 @contextmanager
 def _laid_out(figure: Figure, dpi: float) -> Generator[None]:
     """Within it axes stay where they belong in a file of points; `savefig` would draw all of it to find that out."""
@@ -272,7 +282,7 @@ def _sheet(ax: Axes | Figure | SubFigure | None, inches: Inches, palette: Palett
     if ax is not None:
         ax.set_facecolor(palette.page)
         return Sheet(ax, None, palette, inches)
-    return Sheet(Figure(figsize=inches, layout="constrained"), None, palette, inches)
+    return Sheet(ShownFigure(figsize=inches, layout="constrained"), None, palette, inches)
 
 
 def _settings(palette: Palette, letters: float) -> dict[str, Any]:

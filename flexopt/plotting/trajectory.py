@@ -32,7 +32,7 @@ def _size(t: Trajectory) -> tuple[float, float]:
 def plot_trajectory(sheet: Sheet, trajectory: Trajectory) -> None:
     """Draw a run over time: end-point error, torques and energy; each passive coordinate with its envelope.
 
-    Envelopes are ±A exp(σ t), σ the growth rate, A the least that holds the second half of the run, from which σ was
+    Envelopes are ±A exp(−d t), d the decay, A the least that holds the second half of the run, from which d was
     found. A run that diverges is drawn up to the last number, on axes that show what came before. Of long runs the
     extremes of every 1,200th part are drawn.
     """
@@ -46,7 +46,7 @@ def plot_trajectory(sheet: Sheet, trajectory: Trajectory) -> None:
     left, right = [error_panel(t), torques, energy], deflections
     drawn = _draw_columns(sheet.figure, left, right)
     if right and drawn[len(left)].lines[1:]:
-        drawn[len(left)].set_title(r"dashed: $\pm A\,e^{\sigma t}$", loc="right")
+        drawn[len(left)].set_title(r"dashed: $\pm A\,e^{-\mathrm{decay}\;t}$", loc="right")
     sheet.title(title(t))
 
 
@@ -102,13 +102,13 @@ def title(trajectory: Trajectory) -> str:
 
 
 def outcome(trajectory: Trajectory) -> str:
-    """Verdict and growth rate."""
+    """Verdict and decay."""
     rate, error = trajectory.growth_rate, trajectory.growth_rate_error
     if rate is None:
         return trajectory.verdict
     spread = "" if error is None else f" ± {error:.1g}"
-    number = f"{rate:+.3g}{spread}".replace("-", "−")
-    return f"{trajectory.verdict}, $\\sigma$ = {number} s$^{{-1}}$"
+    number = f"{-rate:+z.3g}{spread}".replace("-", "−")
+    return f"{trajectory.verdict}, decay {number} s$^{{-1}}$"
 
 
 def axis_names(trajectory: Trajectory) -> Sequence[str]:

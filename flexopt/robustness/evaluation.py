@@ -210,6 +210,8 @@ class Evaluation(Result):
             )
         rigid = f"{self.rigid:.5e} {'mixed units' if unit == MIXED else unit}"
         lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {rigid}; cond Jv = {self.condition:.4g}")
+        if self.rigid < -ROUNDING * np.abs(self.rigid_residue).max():
+            lines.append("    negative: equal gains in all rows damp the rigid part, some unequal ones excite it")
         if self.epsilon_max is not None:
             margin = with_bound(self.epsilon_max, self.epsilon_max_error)
             gain = f"{self.gain:g} {gain_units(self.control, self.joint_units)[0]}"

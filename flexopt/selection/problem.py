@@ -78,6 +78,8 @@ def _sizes(of: Any) -> dict[str, int]:
     return {"n_z": len(of.variables)}
 
 
+# How far from its target an end-point may be and count as there, m.
+THERE = 0.01
 _OBJECTIVE = instance(Objective, "one of the problem's `objectives`")
 # One configuration or many.
 _MANY = array_of(("n_z",), ("N", "n_z"), ("K", "N", "n_z"), finite=False)
@@ -435,6 +437,14 @@ class SelectionProblem:
             "seed": self.seed,
             "scanned_points": self.scan.size,
         }
+
+
+def elsewhere(problem: SelectionProblem, z: Vector) -> str:
+    """Where a configuration that is not at the target holds the end-point; empty where it is there."""
+    point = problem.rows(z)[: problem.target.size]
+    if np.linalg.norm(point - problem.target) <= THERE:
+        return ""
+    return f"holds the end-point at ({', '.join(f'{x:.4g}' for x in point)}) m, not at the target"
 
 
 def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:

@@ -19,7 +19,7 @@ from flexopt.robustness.evaluation import Evaluation, without_rounding
 from flexopt.robustness.residues import MIXED, residue_unit
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
-from flexopt.selection.problem import SelectionProblem, beyond_bounds
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, elsewhere
 
 SHOWN = 12
 # Below this share of what others have an ε_max that nobody asked for is told of.
@@ -312,7 +312,8 @@ class Selection(Pictured, Result):
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
-            lines.append(f"   now {in_columns(e)}{_measures(problem, e)}")
+            off = elsewhere(problem, np.concatenate([e.base, e.posture]))
+            lines.append(f"   now {in_columns(e)}{_measures(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
         lines += [f"  {kept}" for kept in self.kept]
         if self.best.unsurpassed and not self.kept:

@@ -178,6 +178,9 @@ def solved(
         kept.append(now)
         found, more = later_optima(problem, [z for z, _, _ in found], count)
         attempts += more
+    if progress is not None:
+        # Later objectives, and points that were seen to be better, bring starts of their own.
+        progress(len(attempts), len(attempts))
     bests = along_surfaces(problem, found, count) if climbs else [Best(item) for item in found]
     groups = grouped(problem, [best.found[0] for best in bests])
     candidates = _ranked(

@@ -163,11 +163,11 @@ class Ensemble(Pictured, Tabled):
 
     def __repr__(self) -> str:
         d = self.dataset
-        rate = self._quantiles(d["growth_rate"].to_numpy())
+        decay = self._quantiles(-d["growth_rate"].to_numpy())
         shares = ", ".join(f"{100 * self.share(word):.1f} % {WORDS[word]}" for word in VERDICTS)
         return (
-            f"Ensemble({self.n_members} members: {shares}; growth rate "
-            f"{rate[0]:+.3g} … {rate[1]:+.3g} … {rate[2]:+.3g}/s (5, 50, 95 %))"
+            f"Ensemble({self.n_members} members: {shares}; decay "
+            f"{decay[0]:+.3g} … {decay[1]:+.3g} … {decay[2]:+.3g}/s (5, 50, 95 %))"
         )
 
 

@@ -207,7 +207,7 @@ def _trajectory(
     sentences: tuple[str, ...],
 ) -> Trajectory:
     plant, loop = build_plant(s.machine), s.loop.structure
-    sentences += _warnings(s, plant, outputs, of)
+    sentences += _warnings(s, plant, outputs, of, "nullspace_damping" if settings is None else "loop.nullspace_damping")
     for sentence in sentences:
         python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
     rows = {name: value.T for name, value in outputs.items()}
@@ -268,7 +268,8 @@ def _overshoot(error: Vector) -> float | None:
     return max(0.0, beyond) if math.isfinite(beyond) else None
 
 
-def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behaviour) -> tuple[str, ...]:
+def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behaviour, brake: str) -> tuple[str, ...]:
+    """Sentences on the run; `brake` is the key by which self-motion is damped."""
     sentences: list[str] = []
     ended = float(of.finite_until[0])
     if ended < s.times[-1]:
@@ -282,7 +283,7 @@ def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behavio
                 f"the arm came close to a singular posture at {at:.4g} s (sine squared {near:.2g} of its start)"
             )
     if plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
-        sentences.append("the arm's self-motion is not damped and may drift; nullspace_damping brakes it")
+        sentences.append(f"the arm's self-motion is not damped and may drift; {brake} brakes it")
     sentences += feeble_levers(s.machine, s.options, s.posture)
     if s.loop.structure.noisy:
         sentences.append(

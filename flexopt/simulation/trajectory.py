@@ -282,9 +282,10 @@ class Trajectory(Pictured, Result):
             f"{hz:.2f} Hz {f'{e:.2e} J' if math.isfinite(e) else '–'}"
             for hz, e in zip(self.frequencies_hz, self.residual_oscillation, strict=True)
         )
-        rate = number(self.growth_rate, "{:+.4g}/s")
-        if self.growth_rate is not None:
-            rate += f" ± {number(self.growth_rate_error, '{:.1g}')}"
+        own, linear = self.growth_rate, self.linear_growth_rate
+        spread = "" if self.growth_rate_error is None else f" ± {self.growth_rate_error:.1g}"
+        shown = "–" if own is None else f"{-own:+z.4g}{spread}/s"
+        exact = "–" if linear is None else f"{-linear:+z.4g}/s"
         beyond = "" if self.overshoot is None else f"overshoot {100 * self.overshoot:.1f} %, "
         settles = f"does not settle in {self.time[-1]:g} s"
         if self.settling_time is not None:
@@ -292,7 +293,7 @@ class Trajectory(Pictured, Result):
         verdict = "may grow or not, undecided" if self.verdict == "undecided" else self.verdict
         lines = [
             f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {verdict} "
-            f"({rate} in the run, {number(self.linear_growth_rate, '{:+.4g}/s')} in the linear loop)",
+            f"(decay {shown} in the run, {exact} in the linear loop)",
             f"  end-point: {settles}, {beyond}{number(self.end_error, '{:.3e} m')} off at the end",
             f"  base: turns by up to {rotation}; left in its modes: {modes}",
         ]

@@ -110,8 +110,8 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     rate, known = linear.growth_rate, abs(linear.growth_rate) > linear.rounding
     eigenvalues: LoopVerdict = ("grows" if rate > 0 else "converges") if known else "undecided"
     verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
-    other = f"the linear loop {verb} ({rate:+.4g}/s at {linear.frequency_hz:.4g} Hz)"
-    other += "".join(f", the arm's self-motion drifts ({own:+.3g}/s)" for own in linear.drift[:1] if own > 0)
+    other = f"the linear loop {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz)"
+    other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in linear.drift[:1] if own > 0)
     if run.short and not (run.ended < run.duration and eigenvalues == "grows"):
         needed = f"four periods of the slowest mode, {run.slowest_hz:.4g} Hz, undisturbed"
         return Judgement("undecided", f"{said}, too short to tell: it takes {needed}; {other}")
@@ -129,7 +129,7 @@ def _why(linear: SampledLoop, ended: Ended | None) -> str:
         return "the run is too short to show it, too large for a linear loop, or damped by its own integrator"
     if (own > 0) != (linear.growth_rate > 0):
         integrator = ended.options.integrator
-        return f"the integrator {integrator} makes it {own:+.4g}/s by itself; more substeps or another show the loop"
+        return f"the integrator {integrator} makes the decay {-own:+.4g}/s; more substeps or another show the loop"
     return "the run is too short to show it, or too large for a linear loop"
 
 
@@ -143,4 +143,4 @@ def _words(run: Shown) -> str:
         verb = "grows" if run.rate > 0 else "ends far above its start" if run.significant else "does not clearly decay"
     else:
         verb = "decays" if run.rate < 0 else "does not clearly grow"
-    return f"{verb} ({run.rate:+.4g}/s ± {run.error:.1g})"
+    return f"{verb} (decay {-run.rate:+z.4g} ± {run.error:.1g}/s)"

@@ -28,9 +28,9 @@ class SavedQuantity(NamedTuple):
     """A quantity of a saved document, by keys with dots.
 
     `key`: where its value is;  `error`: where its error is;  `scale`: where that is whose rounding is 0;  `more`:
-    whether more of it is better, None where neither is;  `control`: where that is which says the unit of w_i. Of a
-    list every entry is a quantity, numbered, or with names and units from the lists at `names` and `units`; of a number
-    its unit is at `units`, or the first of a list there.
+    whether more of it is better, None where neither is;  `turned`: whether it is shown with the other sign;
+    `control`: where that is which says the unit of w_i. Of a list every entry is a quantity, numbered, or with names
+    and units from the lists at `names` and `units`; of a number its unit is at `units`, or the first of a list there.
     """
 
     key: str
@@ -38,6 +38,7 @@ class SavedQuantity(NamedTuple):
     unit: str = ""
     error: str = ""
     more: bool | None = None
+    turned: bool = False
     names: str = ""
     units: str = ""
     scale: str = ""
@@ -60,8 +61,8 @@ POSTURE = (
 )
 RUN = (
     SavedQuantity("verdict", "verdict"),
-    SavedQuantity("growth_rate", "growth rate of the run", "1/s", error="growth_rate_error", more=False),
-    SavedQuantity("linear_growth_rate", "growth rate of the linear loop", "1/s", more=False),
+    SavedQuantity("growth_rate", "decay of the run", "1/s", error="growth_rate_error", more=True, turned=True),
+    SavedQuantity("linear_growth_rate", "decay of the linear loop", "1/s", more=True, turned=True),
     SavedQuantity("settling_time", "settling time", "s", more=False),
     SavedQuantity("overshoot", "overshoot", more=False),
     SavedQuantity("end_error", "end-point off at the end", "m", more=False),
@@ -223,6 +224,8 @@ def _at(document: Any, path: str) -> Any:
 def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow]:
     """A row, or of lists one for each entry; none where no document has it."""
     values = [_at(document, quantity.key) for document in documents]
+    if quantity.turned:
+        values = [None if number is None else -number for number in map(_number, values)]
     if all(value is None for value in values):
         return []
     if not any(isinstance(value, list) for value in values):

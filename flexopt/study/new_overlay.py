@@ -6,6 +6,7 @@ In: a path and answers. Out: the text of the file and the machine that is read f
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 import warnings
 from collections.abc import Sequence
@@ -35,6 +36,8 @@ SHORT = 0.2
 # Of the names of joints that close a gripper, and of those that turn one.
 GRIPPING = ("grip", "finger", "thumb", "jaw", "claw")
 TURNING = ("roll", "pitch", "yaw", "wrist", "rot")
+# Of the names of sites where a tool is, in the order in which they are proposed.
+TOOLS = ("tcp", "tool", "attach", "pinch", "grasp", "grip", "end", "ee", "tip", "hand")
 WORDS = {"hinge": "turns, rad", "slide": "slides, m", "free": "is free"}
 
 
@@ -48,6 +51,7 @@ class RobotChain:
         actuated: joints between them that can be driven.
         sprung: whether the robot has springs of its own;  floats: whether its root is free, and needs a base.
         hand: joints behind the end, as of a gripper; none where the end was asked for.
+        site: of an MJCF file, which is the end-point; empty where the link's own origin is.
     """
 
     path: Path
@@ -59,6 +63,7 @@ class RobotChain:
     sprung: bool
     floats: bool
     hand: tuple[str, ...] = ()
+    site: str = ""
 
     @property
     def name(self) -> str:
@@ -67,7 +72,7 @@ class RobotChain:
 
 
 def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> RobotChain:
-    """A robot file, and the chain to a link: by default the one with the most joints before it.
+    """A robot file, and the chain to a link or site: by default the link with the most joints before it.
 
     Raises:
         ModelError: the file has faults.
@@ -81,9 +86,13 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
         raise_if_any(ModelError, path.name, left)
     ignore += [word for word, blocker in robot.blockers.items() if blocker.faults and word != "gravity"]
     links = {link.name: link for link in robot.links}
-    if end is not None and end not in links:
-        raise InputError(f"new: --tip = {end!r}: is no link of {path.name}{hint(end, links, '')}")
-    at = end or _wrist(links, max(links, key=lambda name: (len(_driven(_way(links, name))), len(_way(links, name)))))
+    known_ends = [*links, *robot.sites]
+    if end is not None and end not in known_ends:
+        word = "link or site" if robot.sites else "link"
+        raise InputError(f"new: --tip = {end!r}: is no {word} of {path.name}{hint(end, known_ends, '')}")
+    asked = robot.sites[end].link if end is not None and end not in links else end
+    at = asked or _wrist(links, max(links, key=lambda name: (len(_driven(_way(links, name))), len(_way(links, name)))))
+    site = (end or "") if asked != end else _site(robot, links, at) if end is None else ""
     way = _way(links, at)
     ground = [link for link in robot.links if link.parent is None]
     free = next((k for k, link in enumerate(way) if any(joint.kind == "free" for joint in link.joints)), None)
@@ -104,7 +113,7 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
     sprung = any(joint.stiffness > 0 for link in robot.links for joint in link.joints)
     behind = (x for x in robot.links if end is None and x.name != at and links[at] in _way(links, x.name))
     hand = tuple(joint.name for link in behind for joint in link.joints)
-    return RobotChain(path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None, hand)
+    return RobotChain(path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None, hand, site)
 
 
 def _way(links: dict[str, RobotLink], name: str) -> list[RobotLink]:
@@ -113,6 +122,21 @@ def _way(links: dict[str, RobotLink], name: str) -> list[RobotLink]:
     while (parent := found[-1].parent) is not None:
         found.append(links[parent])
     return found[::-1]
+
+
+def _site(robot: Description, links: dict[str, RobotLink], at: str) -> str:
+    """The site on a link, or on what is fixed to it, where a tool is; empty where none is plain.
+
+    Plain is: it is the only one, or it is named after a tool.
+    """
+
+    def carried(name: str) -> str:
+        return next((link.name for link in reversed(_way(links, name)) if link.joints), "")
+
+    found = [name for name, frame in robot.sites.items() if carried(frame.link) == carried(at)]
+    parts = {name: re.split(r"[^a-z]+", name.lower()) for name in found}
+    named = [name for word in TOOLS for name in found if any(part.startswith(word) for part in parts[name])]
+    return found[0] if len(found) == 1 else named[0] if named else ""
 
 
 def _wrist(links: dict[str, RobotLink], name: str) -> str:
@@ -235,6 +259,8 @@ class _Text:
             "damping": by_direction(springs.damping),
             "stiffness_note": springs.notes[0],
             "damping_note": springs.notes[1],
+            "site": chain.site and quoted(chain.site),
+            "site_note": one_line(f"on {chain.end}, {self._end_told()}"),
             "link": quoted(chain.end),
             "link_note": self._end_told(),
             "rows": _listed(self.rows),

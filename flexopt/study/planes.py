@@ -112,7 +112,8 @@ class Plane:
         if self.over == "base":
             return f"placement in the inertial frame, end-point held at {_listed(self.end_point)} m"
         if self.followed:
-            return f"inertial, with the base at {_listed(self.base)} m or rad"
+            units = "m" if self.base.size < 2 else "m and rad"
+            return f"inertial, with the base at {_listed(self.base)} {units}"
         return "workspace: axes of the inertial frame, origin at the first joint at rest, base at 0"
 
 
@@ -152,7 +153,7 @@ def _note(arguments: Arguments, name: str, sentence: str, value: Any) -> None:
 
 
 def _listed(values: Vector) -> str:
-    return "(" + ", ".join(f"{value:g}" for value in values) + ")"
+    return "(" + ", ".join(f"{value:z.4g}" for value in values) + ")"
 
 
 def _read_varying(arguments: Arguments, machine: AnyMachine, plane: Plane, given: dict[str, Any]) -> None:

@@ -231,16 +231,17 @@ def _loops(report: Report) -> Table:
     rows: list[list[str]] = []
     for name, loop in report.loops.items():
         run, linear = loop.run, loop.linear
-        poles = "–" if linear is None else f"{number(linear.growth_rate, 4)} at {number(linear.frequency_hz, 4)} Hz"
+        poles = "–" if linear is None else f"{number(-linear.growth_rate, 4)} at {number(linear.frequency_hz, 4)} Hz"
+        decay = "–" if run.growth_rate is None else number(-run.growth_rate, 4)
         turn = "–" if run.peak_base_rotation is None else number(1e3 * run.peak_base_rotation, 4)
         off = "–" if run.end_error is None else number(1e3 * run.end_error, 4)
         rows.append(
             [
-                name, run.verdict, number(run.growth_rate, 4), poles, number(run.settling_time, 4), turn, off,
+                name, run.verdict, decay, poles, number(run.settling_time, 4), turn, off,
                 f"{run.time[-1]:g}",
             ]
         )  # fmt: skip
-    header = ["configuration", "verdict", "growth rate of the run, 1/s", "linear loop, 1/s", "settles in, s",
+    header = ["configuration", "verdict", "decay of the run, 1/s", "decay of the linear loop, 1/s", "settles in, s",
               "largest base rotation, mrad", "end-point at the end, mm off", "duration, s"]  # fmt: skip
     return (header, rows) if rows else None
 

@@ -15,8 +15,10 @@ from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
-from flexopt.model.uncertainty import Uncertainty
+from flexopt.model import AnyMachine
+from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
+from flexopt.selection.problem import elsewhere
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word
 from flexopt.study.place_loops import Chosen, problems_of
@@ -177,7 +179,7 @@ class Verdict(Pictured, Result):
     @property
     def over(self) -> str:
         """What is uncertain, and how much of it was looked at, a sentence."""
-        known = ", ".join(_interval(each) for each in self.uncertainty)
+        known = ", ".join(_interval(each, self.problems[0].machine) for each in self.uncertainty)
         several = f"; the worst of {len(self.problems)} targets" if len(self.problems) > 1 else ""
         return f"uncertain: {known}; {self.members} members and a search, not a proof{several}"
 
@@ -230,7 +232,8 @@ class Verdict(Pictured, Result):
         why = f" ({reaches}: how the arm is held was not given)" if taken else ""
         first, held = stands[0]
         if not many:
-            return f"{first}; {held}{why}"
+            off = elsewhere(self.problems[0], np.concatenate(place.stands[0])) if place.name == STAY else ""
+            return f"{first}; {held}{why}{off and f' ({off})'}"
         lines = [f"{first}{why}"]
         for k, (placed, held) in enumerate(stands):
             moved = f"{placed}; " if k and placed != stands[k - 1][0] else ""
@@ -270,9 +273,12 @@ class Verdict(Pictured, Result):
         return "\n".join([*lines, *([self.measure] if self.measure else [])])
 
 
-def _interval(each: Uncertainty) -> str:
-    low, high = each.factor or each.value or (0.0, 0.0)
-    return f"{each.name} {'times ' if each.factor else ''}{low:g} to {high:g}"
+def _interval(each: Uncertainty, machine: AnyMachine) -> str:
+    if each.factor:
+        return f"{each.name} times {each.factor[0]:g} to {each.factor[1]:g}"
+    low, high = each.value or (0.0, 0.0)
+    units = {machine.parameters[k].unit for k in parameters_of(each.of, machine)} or {"s"}
+    return f"{each.name} {low:g} to {high:g} {' or '.join(sorted(units))}".rstrip()
 
 
 def _row(place: PlaceVerdict, gain_unit: str, wide: int) -> str:

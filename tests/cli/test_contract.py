@@ -321,6 +321,14 @@ def test_progress_goes_to_standard_error(command: Command) -> None:
         assert "starts 8/8" not in outcome.stdout
 
 
+def test_the_last_line_of_progress_counts_what_the_text_counts(command: Command) -> None:
+    """A second objective brings starts of its own; a pipe gets one line."""
+    told = command(*SELECT, "--objective", "w1,epsilon_max")
+    count = told.stdout.split(" verified from ")[1].split(" starts")[0]
+    assert int(count) > 8
+    assert told.stderr == f"starts {count}/{count}\n"
+
+
 def test_text_names_the_choice(command: Command) -> None:
     best = command.json("select", "article")["best"]
     outcome = command("select", "article")

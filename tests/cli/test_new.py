@@ -132,6 +132,22 @@ def test_a_grippers_finger_is_no_end_point(command: Command) -> None:
     assert "The springs carry the root link, chassis, 900 kg." in text
 
 
+def test_a_site_is_the_end_point(command: Command) -> None:
+    """Of several on the last link that which is named after a tool, or the one that --tip names."""
+    command.write("arm.xml", MJCF)
+    followed(command, "own.toml", "--from", "arm.xml")
+    data = tomllib.loads(Path("own.toml").read_text(encoding="utf-8"))
+    assert (data["end_point"]["site"], "link" in data["end_point"]) == ("tip", False)
+    more = '<site name="camera"/><site name="tool_center" pos="0.2 0 0"/><site name="tip"'
+    command.write("more.xml", MJCF.replace('<site name="tip"', more))
+    followed(command, "more.toml", "--from", "more.xml")
+    assert tomllib.loads(Path("more.toml").read_text(encoding="utf-8"))["end_point"]["site"] == "tool_center"
+    followed(command, "asked.toml", "--from", "more.xml", "--tip", "camera")
+    assert tomllib.loads(Path("asked.toml").read_text(encoding="utf-8"))["end_point"]["site"] == "camera"
+    followed(command, "link.toml", "--from", "more.xml", "--tip", "stick")
+    assert tomllib.loads(Path("link.toml").read_text(encoding="utf-8"))["end_point"]["link"] == "stick"
+
+
 def hand(joints: str) -> str:
     """A vehicle with a mast, an arm of two joints and a head on the mast, and a hand of these joints behind a palm."""
     body = '<inertial><mass value="{}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'

@@ -28,6 +28,16 @@ duration = 1.0
 """
 
 
+def test_what_brakes_self_motion_is_spelt_as_the_command_takes_it(command: Command) -> None:
+    asked = ("simulate", "boom-stick-bucket", "--posture=-0.6,-1.2,-0.5", "--duration", "0.1")
+    plain = command(*asked, "--kp", "1e4", "--kv", "1e3").stdout
+    assert "; --nullspace-damping brakes it" in plain
+    real = command(*asked, "--loop", "kp=1e4", "--loop", "kv=1e3").stdout
+    assert "; --loop nullspace_damping=C brakes it" in real
+    document = command(*asked, "--kp", "1e4", "--kv", "1e3", "--json").document
+    assert any("; nullspace_damping brakes it" in warning for warning in document["warnings"])
+
+
 def test_document(command: Command) -> None:
     document = command.json(
         *POSTURE, "--kp", "1e5", "--kv", "2e3", "--duration", "10", "--rate", "200", "--offset", "0.05,-0.05"

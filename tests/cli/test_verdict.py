@@ -38,6 +38,21 @@ def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(
     assert shown.strip() == repr(found)
 
 
+def test_a_present_posture_beside_the_target_is_told(command: Command) -> None:
+    """And numbers that are uncertain have their units."""
+    asked = ("excavator", "--end-point", "0,1.6", "--base", "0", "--posture", "0.5,-1.5")
+    words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--ranges", "payload.mass=0,200", "--members", "2", "--runs", "0")
+    point = flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.5)).end_point
+    sentence = f"holds the end-point at ({point[0]:.4g}, {point[1]:.4g}) m, not at the target"
+    shown = command("verdict", *asked, *words).stdout
+    assert shown.count(sentence) == 1
+    assert "uncertain: payload.mass 0 to 200 kg; 2 members" in shown
+    for objective in ("w1", "decay"):
+        chosen = command("select", *asked, "--objective", objective, "--loop", "kp=1e4", "--starts", "2").stdout
+        rows = [line for line in chosen.splitlines() if line.startswith("   now ")]
+        assert [row.endswith(sentence) for row in rows] == [True]
+
+
 def test_regions_are_those_of_python(command: Command) -> None:
     words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--ranges", "stiffness=0.5,2", "--points", "16")
     found = flexopt.stable_region(flexopt.load("excavator"), B, loop=LOOP, ranges=GROUND, points=16)

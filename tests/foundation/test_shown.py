@@ -77,6 +77,8 @@ def test_every_result_is_a_table_that_scrolls(objects: dict[str, object]) -> Non
         own = type(found).__repr__ is not Result.shortly
         blocks = [style for tag, style in page.styles if tag == "pre"]
         assert bool(blocks) == own, name
+        # Notebooks otherwise choose letters of many widths, and break words anywhere.
+        assert all("font-family: monospace" in style and "word-break: normal" in style for style in blocks), name
         wide = any(COLUMNS.search(line.strip()) for line in repr(found).splitlines())
         assert not own or any("overflow-x: auto" in style for style in blocks) == wide, name
 

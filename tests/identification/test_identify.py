@@ -82,7 +82,7 @@ def test_a_machine_in_space_and_what_its_log_leaves_open() -> None:
     assert "base.pitch.damping" not in alone.unidentified
     assert all(alone.intervals[name] is None and alone.factors[name] is None for name in alone.unidentified)
     assert alone.status == "partly identified"
-    assert alone.open_directions == ("base.y.damping itself",)
+    assert alone.open_directions == ("base.y.damping",)
     assert alone.to_dict()["values"]["base.y.damping"] is None
     assert "base.y.damping" in repr(alone)
     assert "not identifiable from this log" in repr(alone)
@@ -95,7 +95,7 @@ def test_a_direction_that_is_open() -> None:
         swung.machine, swung.log(*PLANAR), posture=swung.posture, unknown=["stiffness", "damping", "gravity"]
     )
     assert found.unidentified == ("gravity",)
-    assert found.open_directions == ("gravity itself",)
+    assert found.open_directions == ("gravity",)
     assert {each.name: each.value for each in found.machine.parameters}["gravity"] == pytest.approx(9.81, rel=1e-6)
     check(found, swung, swung.truth)
 
@@ -139,7 +139,7 @@ def test_gaps_spikes_and_uneven_samples() -> None:
     found = flexopt.identify(swung.machine, {name: column[keep] for name, column in log.items()}, posture=swung.posture)
     check(found, swung)
     told = "\n".join(found.notes)
-    assert "1 gaps, about 25 samples missing" in told
+    assert "1 gap, about 25 samples missing" in told
     assert "gyro_z: 3 spikes left out, at t = 0.2, 0.5, 1.33 s" in told
     assert "end_point.x: 1 spike left out, at t = 0.77 s" in told
     assert [column.left_out for column in found.columns] == [3, 1, 0]

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -206,6 +207,9 @@ ACTUATORS: dict[str, tuple[str, float]] = {
     "gear": ('<general joint="slew" gear="-30 0 0" forcerange="-40 40"/>', 1200.0),
     "weaker way": ('<motor joint="slew" forcerange="-40 25"/>', 25.0),
     "control of a motor": ('<motor joint="slew" gear="150" ctrlrange="-0.4 0.4"/>', 60.0),
+    "a motor as MuJoCo saves it": ('<general joint="slew" gear="150 0 0 0 0 0" gainprm="2" ctrlrange="-0.4 0.4"/>', 120.0),
+    "with a bias": ('<general joint="slew" biastype="affine" biasprm="0 -9" ctrlrange="-0.4 0.4"/>', math.inf),
+    "an integrator": ('<general joint="slew" dyntype="integrator" ctrlrange="-0.4 0.4"/>', math.inf),
     "control of a servo": ('<position joint="slew" ctrlrange="-0.4 0.4"/>', math.inf),
     "range that is off": ('<motor joint="slew" forcerange="-40 40" forcelimited="false"/>', math.inf),
     "one way only": ('<motor joint="slew" forcerange="0 40"/>', math.inf),
@@ -219,6 +223,38 @@ def test_mjcf_actuators_bound_their_joint(tmp_path: Path, case: str) -> None:
     actuator, effort = ACTUATORS[case]
     tree = read(tmp_path, changed_text(MJCF, '<motor joint="slew"/>', actuator), MJCF_MACHINE)
     assert tree.efforts[tree.joints.index("slew")] == pytest.approx(effort)
+
+
+# Actuators of which MuJoCo itself says what they give at most either way, with defaults.
+DRIVEN = {
+    "a motor's control": '<motor joint="slew" gear="150" ctrlrange="-0.4 0.4"/>',
+    "weaker way": '<motor joint="slew" gear="-20" ctrlrange="-0.4 0.3"/>',
+    "as MuJoCo saves it": '<general joint="slew" gear="150 0 0 0 0 0" gainprm="2" ctrlrange="-0.4 0.4"/>',
+    "by a class": '<motor class="geared" joint="slew"/>',
+    "force before control": '<motor joint="slew" gear="10" ctrlrange="-9 9" forcerange="-5 5"/>',
+}
+
+
+@pytest.mark.parametrize("case", DRIVEN)
+def test_efforts_are_what_mujoco_gives_at_most(tmp_path: Path, case: str) -> None:
+    given = f"""
+    <default><default class="geared"><motor gear="7" ctrlrange="-3 3"/></default></default>
+    <worldbody><body name="chassis"><geom type="box" size="1 1 0.2" mass="90"/><joint name="heave" type="slide"/>
+      <body name="arm"><joint name="slew" axis="0 0 1"/><geom type="capsule" fromto="0 0 0 1 0 0" size="0.1"/></body>
+    </body></worldbody>
+    <actuator>{DRIVEN[case]}</actuator>"""
+    model = mujoco.MjModel.from_xml_string(f"<mujoco>{given}</mujoco>")
+    state, found = mujoco.MjData(model), list[float]()
+    for sign in (-1.0, 1.0):
+        state.ctrl[:] = 1e6 * sign
+        mujoco.mj_forward(model, state)
+        found.append(abs(float(state.qfrc_actuator[1])))
+    data = {
+        "name": "arm", "robot": "arm.xml", "actuated": ["slew"], "joints": {"heave": {"stiffness": 1e5}},
+        "end_point": {"link": "arm", "offset": [1.0, 0.0, 0.0], "rows": ["x"]},
+    }  # fmt: skip
+    tree = files.read(tmp_path, f"<mujoco>{given}</mujoco>", data)
+    assert tree.efforts == (pytest.approx(min(found)),)
 
 
 def test_mjcf_joints_bound_themselves_and_defaults_count(tmp_path: Path) -> None:

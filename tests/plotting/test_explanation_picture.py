@@ -77,6 +77,18 @@ def test_every_arrow_is_inside_its_axes(name):
             assert low <= y <= high
 
 
+@pytest.mark.parametrize("name", MACHINES)
+def test_scenes_below_each_other_have_the_same_limits(name):
+    """Only the lowest one's numbers are shown."""
+    found = explanation(name)
+    figure = found.plot()
+    figure.draw_without_rendering()
+    scenes = rows_of(figure, len(found.moves))[:, :-1]
+    for column in scenes.T:
+        np.testing.assert_allclose([axes.get_xlim() for axes in column], [column[-1].get_xlim()] * len(column))
+        np.testing.assert_allclose([axes.get_ylim() for axes in column], [column[-1].get_ylim()] * len(column))
+
+
 def test_colours_have_their_meanings():
     found = flexopt.explain(flexopt.load("excavator"), (0.9929, -2.6306))
     figure = found.plot()

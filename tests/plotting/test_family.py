@@ -6,10 +6,12 @@ import subprocess
 import sys
 import warnings
 from functools import cache
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 import pytest
+from IPython.core.formatters import DisplayFormatter
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -202,6 +204,15 @@ def test_what_may_stand_where_is_said_and_marked():
         assert min(np.abs(ring - e.base[:2]).max() for ring in rings) < 0.05
 
 
+def test_a_notebook_shows_a_picture_that_is_a_cells_value():
+    """As IPython finds out what to show, without `%matplotlib inline`."""
+    figure = made("run excavator").plot()
+    shown, _ = DisplayFormatter().format(figure)
+    with Image.open(BytesIO(shown["image/png"])) as image:
+        assert image.size == tuple((figure.get_size_inches() * figure.dpi).astype(int))
+        assert len(image.getcolors(1 << 20)) > 10
+
+
 def test_own_axes():
     """A picture of one panel goes into anyone's axes, of several into a part of a figure, and nothing else changes."""
     ensemble = flexopt.simulate_ensemble(
@@ -211,7 +222,7 @@ def test_own_axes():
     left, right = figure.subfigures(1, 2)
     axes = left.add_subplot()
     assert ensemble.plot(ax=axes) is figure
-    assert axes.get_ylabel() == "growth rate, 1/s"
+    assert axes.get_ylabel() == "decay, 1/s"
     assert made("run excavator").plot(ax=right, theme="dark") is figure
     assert len(right.axes) == 6
     assert len(left.axes) == 1

@@ -92,7 +92,7 @@ def test_run(grows, tmp_path):
     assert low < 1e3 * grows.deflection[:, 2].min()
     assert high > 1e3 * grows.deflection[:, 2].max()
     assert "grows" in figure.get_suptitle()
-    assert f"{grows.growth_rate:+.3g}" in figure.get_suptitle()
+    assert f"decay −{grows.growth_rate:.3g}" in figure.get_suptitle()
     # An energy that grows exponentially is a straight line.
     assert [axes.get_yscale() for axes in figure.axes if axes.get_ylabel() == "energy, kJ"] == ["log"]
 
@@ -100,7 +100,7 @@ def test_run(grows, tmp_path):
 def test_envelopes_of_a_decay_do_not_widen_the_axes(converges):
     figure = plot_trajectory(converges)
     assert "converges" in figure.get_suptitle()
-    assert "−" in figure.get_suptitle()
+    assert "decay +" in figure.get_suptitle()
     for axes, row in zip(figure.axes[3:], converges.deflection.T, strict=True):
         assert max(map(abs, axes.get_ylim())) < 1.2 * 1e3 * np.abs(row).max()
 

@@ -41,17 +41,17 @@ GROWN = {"word": "grows", "rate": 0.5}
 @pytest.mark.parametrize(
     ("run", "linear", "verdict", "words"),
     [
-        ({}, loop(-0.5), "converges", "the linear loop decays (-0.5/s"),
-        (GROWN, loop(0.4), "grows", "the linear loop grows (+0.4/s"),
+        ({}, loop(-0.5), "converges", "the linear loop decays (decay +0.5/s"),
+        (GROWN, loop(0.4), "grows", "the linear loop grows (decay -0.4/s"),
         ({}, loop(1e-3), "undecided", "but the linear loop grows"),
         (GROWN, loop(-0.1), "undecided", "but the linear loop decays"),
         ({"short": True}, loop(-0.5), "undecided", "too short to tell: it takes four periods"),
         (GROWN | {"short": True, "ended": 0.4}, loop(9.0), "grows", "out of the finite numbers at 0.4 s"),
         (GROWN | {"ended": 4.0}, loop(-0.1), "undecided", "out of the finite numbers"),
         ({}, loop(-1e-12), "undecided", "neither grows nor decays"),
-        (GROWN | {"rate": -0.02, "significant": False}, loop(0.2), "grows", "does not clearly decay (-0.02/s"),
-        (GROWN | {"rate": -0.2}, loop(0.2), "grows", "ends far above its start (-0.2/s"),
-        ({"rate": 0.1, "error": 0.03}, loop(0.005), "undecided", "does not clearly grow (+0.1/s"),
+        (GROWN | {"rate": -0.02, "significant": False}, loop(0.2), "grows", "does not clearly decay (decay +0.02 ±"),
+        (GROWN | {"rate": -0.2}, loop(0.2), "grows", "ends far above its start (decay +0.2 ±"),
+        ({"rate": 0.1, "error": 0.03}, loop(0.005), "undecided", "does not clearly grow (decay -0.1 ±"),
         ({"rate": np.nan, "error": np.nan}, loop(0.1), "undecided", "never moves the base"),
         ({"rate": np.nan, "error": np.nan}, loop(-0.1), "converges", "never moves the base"),
         ({}, "nothing rests", "converges", "no eigenvalues beside it: nothing rests"),
@@ -98,7 +98,7 @@ def test_an_integrator_that_damps_a_growing_loop_decides_nothing():
     late = {"kp": 1e4, "kv": 1e3, "sensor": {"delay": 0.02}, "offset": (1e-4, -1e-4), "duration": 60.0}
     damped = flexopt.simulate(EXCAVATOR, POSTURE_B, **late)
     assert (damped.run.word, damped.verdict) == ("converges", "undecided")
-    assert "the integrator rk4 makes it -0.004774/s by itself" in damped.verdict_reason
+    assert "the integrator rk4 makes the decay +0.004774/s" in damped.verdict_reason
     assert flexopt.simulate(EXCAVATOR, POSTURE_B, integrator="dop853", **late | {"duration": 2000.0}).verdict == "grows"
 
 

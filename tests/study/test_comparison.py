@@ -44,13 +44,13 @@ def test_runs(command: Command, tmp_path: Path) -> None:
     assert document["names"] == list(runs)
     rows = rows_of(document)
     assert rows["verdict"] == [run.verdict for run in runs.values()] == ["grows", "converges"]
-    assert rows["growth rate of the run"] == [run.growth_rate for run in runs.values()]
+    assert rows["decay of the run"] == [-run.growth_rate for run in runs.values()]
     assert rows["largest rotation of the base"] == [run.peak_base_rotation for run in runs.values()]
     assert [name for name, _ in document["differences"]] == ["posture"]
     table = command("compare", *files)
     assert table.code == 0
     for run in runs.values():
-        assert f"{run.growth_rate:.5g} ± {run.growth_rate_error:.1g}" in table.stdout
+        assert f"{-run.growth_rate:.5g} ± {run.growth_rate_error:.1g}" in table.stdout
     with Image.open(tmp_path / "runs.png") as drawn:
         assert drawn.size[0] > 1000
 

@@ -1,7 +1,8 @@
 """What the actuators of an MJCF model can give at most, joint by joint, where that is plain.
 
-Plain is: one actuator acts on the joint itself, and its force is bounded by `forcerange`, or by the `ctrlrange` of a
-<motor>, whose force is its control. The first number of `gear` leads from the actuator to the joint.
+Plain is: one actuator acts on the joint itself, and its force is bounded by `forcerange`, or by the `ctrlrange` of what
+is a motor: a <motor>, or a <general> with a fixed gain and no bias, as which MuJoCo saves one. The first of `gear`
+leads from the actuator to the joint.
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ import numpy as np
 
 from flexopt.model.robots.elements import Element, check_text
 from flexopt.model.robots.mjcf_settings import MAIN, Settings
+
+# Dynamics of an actuator that end at its control.
+FOLLOWING = ("none", "filter", "filterexact")
 
 
 def drive_efforts(root: Element, settings: Settings) -> Mapping[str, float]:
@@ -29,9 +33,21 @@ def drive_efforts(root: Element, settings: Settings) -> Mapping[str, float]:
 def _effort(settings: Settings, element: Element) -> float | None:
     gear = abs(float(settings.faults.numbers(element, "gear", range(1, 7), (1.0,))[0]))
     force = bounded(settings, element, "forcerange", "forcelimited")
-    if force is None and element.tag == "motor":
-        force = bounded(settings, element, "ctrlrange", "ctrllimited")
-    return gear * force if force is not None and gear > 0 else None
+    if force is None and (gain := _gain(settings, element)) is not None:
+        control = bounded(settings, element, "ctrlrange", "ctrllimited")
+        force = None if control is None else gain * control
+    return gear * force if force and gear > 0 else None
+
+
+def _gain(settings: Settings, element: Element) -> float | None:
+    """Force for each unit of control, of what is a motor; None of a servo, of a muscle, and of what integrates."""
+    own = element.attributes
+    if element.tag == "motor":
+        return 1.0
+    plain = own.get("gaintype", "fixed") == "fixed" and own.get("biastype", "none") == "none"
+    if element.tag != "general" or not plain or own.get("dyntype", "none") not in FOLLOWING:
+        return None
+    return abs(float(settings.faults.numbers(element, "gainprm", range(1, 11), (1.0,))[0]))
 
 
 def bounded(settings: Settings, element: Element, key: str, flag: str) -> float | None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.choices import DECAY
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.measures import MEASURES
+from flexopt.selection.problem import elsewhere
 from flexopt.selection.result import Selection, units_of_columns
 
 # Of the best value, by which the present one may be less and nothing is to gain.
@@ -120,6 +123,8 @@ class OutcomeSelection(Selection):
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain, *map(str, self.kept)) if sentence]
         if self.initial is not None and self.present is not None:
             e, now = self.initial, self.present
+            off = elsewhere(self.problem, np.concatenate([e.base, e.posture]))
             nominal = " with the machine's own numbers" if self.uncertainty else ""
-            lines.append("   now " + " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture)) + f" {now:16.6g}{nominal}")
+            there = " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture))
+            lines.append(f"   now {there} {now:16.6g}{nominal}{off and '   ' + off}")
         return "\n".join([*lines, *repr(self.settings[0]).splitlines()])

@@ -98,6 +98,8 @@ def best_placements(
         better = _exchanged(program, end.x, seed)
         if better is not None:
             ends.append(end_from(program, better))
+    if progress is not None:
+        progress(len(ends), len(ends))
     picks = [_picks(reached) for reached in found]
     best = np.argsort(-_worth(program, found), kind="stable")[:SEEN]
     seen = [program.packed([r.z[:, j, pick[j]] for r, pick in zip(found, picks, strict=True)]) for j in best]
