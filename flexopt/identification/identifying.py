@@ -19,7 +19,7 @@ from flexopt.identification.cleaning import after_stop, evened, held_posture, sw
 from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words
 from flexopt.identification.fitting import INTEGRATION, Fit, fit
 from flexopt.identification.log import FrameLike, MeasuredLog, read_log
-from flexopt.identification.modes import described_modes
+from flexopt.identification.modes import described_modes, swinging_joints
 from flexopt.identification.poles import Poles, find_poles
 from flexopt.identification.result import FittedColumn, Identification
 from flexopt.identification.small_swing import (
@@ -154,6 +154,7 @@ def identify(
     doubts += _decay_doubts(swing, poles, np.where(np.isin(np.arange(len(entries)), springs), starts[0], 0.0))
     found, others = _fits(swing, shown, candidates, noise)
     _check_motion(shown, found.sigma)
+    doubts += swinging_joints(swing, chosen, found)
     weak, unseen = hidden(swing, found, shown.time)
     doubts += [
         f"a motion of {hertz:.4g} Hz does not stand out of the noise: what it alone would tell is left open"

@@ -1,4 +1,4 @@
-"""Which mode is which, in words: a machine's modes with its arm held, before and after a fit."""
+"""A machine's modes with its arm held, before and after a fit, in words; and joints that swing along instead."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ import numpy as np
 
 from flexopt.foundation.arrays import Array, Vector
 from flexopt.identification.fitting import Fit
+from flexopt.identification.log import MeasuredLog
 from flexopt.identification.result import IdentifiedMode
-from flexopt.identification.swing import HeldSwing
+from flexopt.identification.swing import Complex, HeldSwing
 
 # Where one coordinate has this share of the energy it is named alone; below it, all with the lesser share.
 MOSTLY, PARTLY = 0.6, 0.15
+# A joint swings along from this share of the end-point's motion on, where that takes so many times the variance that as
+# many unknowns take of mere noise.
+ALONG, STANDS_OUT = 0.01, 10.0
 
 
 def described_modes(swing: HeldSwing, time: Vector, found: Fit) -> tuple[IdentifiedMode, ...]:
@@ -52,6 +56,32 @@ def described_modes(swing: HeldSwing, time: Vector, found: Fit) -> tuple[Identif
             )
         )
     return tuple(modes)
+
+
+def swinging_joints(swing: HeldSwing, log: MeasuredLog, found: Fit) -> list[str]:
+    """Measured joints that swing along, and so move the end-point by more than a share of what the base does."""
+    theta, m = found.theta, swing.m
+    roots, v, left = swing.modes(theta)
+    q, told = np.concatenate([swing.rest(theta)[:m], swing.posture]), list[str]()
+    moves: Array = swing.plant.jacobian.call([q, swing.base, swing.parameters(theta)])[0].full()
+    waves: Complex = np.exp(np.minimum(np.outer(log.time - log.time[0], roots), 50.0))
+    by_base: Array = 2 * ((waves * (left @ (found.start - swing.rest(theta)))) @ (moves[:, :m] @ v[:m]).T).real
+    of_base = float(np.sqrt(np.mean(np.sum(by_base**2, axis=1))))
+    swings: Array = np.hstack([waves.real, waves.imag])
+    basis: Array = np.hstack([swings, np.ones((log.time.size, 1)), log.time[:, None]])
+    for k in log.of("joint"):
+        column, there = log.values[:, k], np.isfinite(log.values[:, k])
+        weights: Vector = np.linalg.lstsq(basis[there], column[there], rcond=None)[0]
+        size, joint = float(np.std(swings @ weights[:-2])), log.channels[k].index
+        noise = float(np.mean((column - basis @ weights)[there] ** 2)) * weights.size / float(there.sum())
+        by_joint = size * float(np.linalg.norm(moves[:, m + joint]))
+        if size**2 > STANDS_OUT * noise and by_joint > ALONG * of_base:
+            name, unit = swing.machine.joints[joint], swing.machine.coordinate_units[m + joint]
+            told.append(
+                f"{name} swings along, by {size:.2g} {unit} root mean square, which moves the end-point by "
+                f"{by_joint / of_base:.0%} of what the base does: the model takes the arm as held"
+            )
+    return told
 
 
 def _in_words(share: Vector, names: tuple[str, ...]) -> str:

@@ -171,14 +171,15 @@ def solved(
     """As `solve_selection`; without `climbs` optima stay where they were found, also where they are surfaces."""
     warn_implausible(problem.machine)
     count = workers or available_cores()
-    problem, found, attempts = first_optima(problem, starting_points(problem, count), count, progress)
+    starts = starting_points(problem, count)
+    problem, found, attempts = first_optima(problem, starts, count, progress)
     kept: list[Kept] = []
     while len(problem.kept) + 1 < len(problem.objectives):
         problem, now = next_stage(problem, found)
         kept.append(now)
         found, more = later_optima(problem, [z for z, _, _ in found], count)
         attempts += more
-    if progress is not None:
+    if progress is not None and len(attempts) > len(starts):
         # Later objectives, and points that were seen to be better, bring starts of their own.
         progress(len(attempts), len(attempts))
     bests = along_surfaces(problem, found, count) if climbs else [Best(item) for item in found]

@@ -288,7 +288,7 @@ def test_pictures_show_the_results(loops, gain_map):
     assert objective.lines[1].get_ydata()[-1] == loops.climb.V[-1]
     planes = draw.plot_gains(gain_map, loops.pairs, kv=KV_HELD, ratios=RATIOS).axes
     for k, name in enumerate(gain_map.names):
-        np.testing.assert_array_equal(planes[k].collections[0].get_array(), gain_map.growth_rate[k])
+        np.testing.assert_array_equal(planes[k].collections[0].get_array(), -gain_map.growth_rate[k])
         lines = {line.get_label(): line for line in planes[k].lines}
         crosses = lines["run and eigenvalues differ"]
         assert list(zip(crosses.get_xdata(), crosses.get_ydata(), strict=True)) == [

@@ -263,6 +263,20 @@ def test_a_motion_that_the_noise_hides_tells_nothing() -> None:
         assert low < truth[name] < high
 
 
+@pytest.mark.parametrize("along", [0.0, 3e-4])
+def test_joints_that_swing_along_are_told(along: float) -> None:
+    """An arm that is not held moves other masses; its joints' own noise says nothing."""
+    swung, rng = planar(), np.random.default_rng(5)
+    log = swung.log(*PLANAR)
+    sway = log["gyro_z"] / np.std(log["gyro_z"])
+    for k, (name, q) in enumerate(zip(swung.machine.joints, swung.posture, strict=True)):
+        log[name] = q + 1e-4 * rng.standard_normal(sway.size) + (along * sway if k == 1 else 0.0)
+    found = flexopt.identify(swung.machine, log)
+    told = [doubt for doubt in found.doubts if "swings along" in doubt]
+    assert [doubt.split()[0] for doubt in told] == ([swung.machine.joints[1]] if along else [])
+    assert all("0.0003 rad" in doubt for doubt in told)
+
+
 def test_what_is_refused(tmp_path: Path) -> None:
     machine, t, rng = planar().machine, np.arange(0, 4, 0.01), np.random.default_rng(0)
     swing = np.exp(-0.5 * t) * np.sin(20 * t) * 1e-2

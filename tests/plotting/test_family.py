@@ -147,7 +147,7 @@ def test_verdicts_have_their_colours():
     kp = np.asarray(ensemble.dataset["kp"])
     for word, color in names.items():
         if color in shown:
-            expected = np.column_stack([kp, ensemble.linear_growth_rate])[ensemble.verdict == word]
+            expected = np.column_stack([kp, -ensemble.linear_growth_rate])[ensemble.verdict == word]
             np.testing.assert_array_equal(shown[color], expected)
 
 

@@ -98,7 +98,7 @@ def best_placements(
         better = _exchanged(program, end.x, seed)
         if better is not None:
             ends.append(end_from(program, better))
-    if progress is not None:
+    if progress is not None and len(ends) > len(begins):
         progress(len(ends), len(ends))
     picks = [_picks(reached) for reached in found]
     best = np.argsort(-_worth(program, found), kind="stable")[:SEEN]
