@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -65,13 +66,14 @@ def swinging_joints(swing: HeldSwing, log: MeasuredLog, found: Fit) -> list[str]
     q, told = np.concatenate([swing.rest(theta)[:m], swing.posture]), list[str]()
     moves: Array = swing.plant.jacobian.call([q, swing.base, swing.parameters(theta)])[0].full()
     waves: Complex = np.exp(np.minimum(np.outer(log.time - log.time[0], roots), 50.0))
-    by_base: Array = 2 * ((waves * (left @ (found.start - swing.rest(theta)))) @ (moves[:, :m] @ v[:m]).T).real
-    of_base = float(np.sqrt(np.mean(np.sum(by_base**2, axis=1))))
+    amounts: Complex = left @ (found.start - swing.rest(theta))
+    by_base: Array = 2 * np.real((waves * amounts) @ (moves[:, :m] @ v[:m]).T)
+    of_base = math.sqrt(float(np.sum(by_base**2)) / log.time.size)
     swings: Array = np.hstack([waves.real, waves.imag])
     basis: Array = np.hstack([swings, np.ones((log.time.size, 1)), log.time[:, None]])
     for k in log.of("joint"):
         column, there = log.values[:, k], np.isfinite(log.values[:, k])
-        weights: Vector = np.linalg.lstsq(basis[there], column[there], rcond=None)[0]
+        weights = cast(Vector, np.linalg.lstsq(basis[there], column[there], rcond=None)[0])
         size, joint = float(np.std(swings @ weights[:-2])), log.channels[k].index
         noise = float(np.mean((column - basis @ weights)[there] ** 2)) * weights.size / float(there.sum())
         by_joint = size * float(np.linalg.norm(moves[:, m + joint]))
