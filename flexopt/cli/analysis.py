@@ -47,7 +47,7 @@ from flexopt.foundation.arrays import Document
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.writing import write_file
 from flexopt.model import load, load_any
-from flexopt.model.choices import OUTCOMES
+from flexopt.model.choices import OUTCOMES, asks_for_loop
 from flexopt.robustness import evaluate
 from flexopt.robustness.evaluation import without_rounding
 
@@ -147,8 +147,6 @@ def select_command(
     if log is not None and not log.lower().endswith(".csv"):
         sentence = "must be a .csv file of how the machine swings; --proof writes what a certificate stands on"
         raise InputError(f"select: --log = {log!r}: {sentence}", [Fault("--log", sentence, log)])
-    from flexopt.model.problem import asks_for_loop  # noqa: PLC0415  (`evaluate` does not need it)
-
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
     with option_names(judged):
@@ -226,8 +224,6 @@ def _certificate(result: Any, proof: str | None) -> dict[str, Any]:
 
 def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], own: dict[str, Any]) -> None:
     """What no verdict and no choice by the loop can be had of, before anything is solved."""
-    from flexopt.model.problem import asks_for_loop  # noqa: PLC0415  (`evaluate` does not need it)
-
     faults = list[Fault]()
     by_loop = asks_for_loop(settings.get("objective"), settings.get("constraints"))
     if any(judged.values()) and not by_loop and settings.get("base") is None and settings["machine"].base_coordinates:

@@ -212,10 +212,10 @@ def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
         yield lambda _done, _total: None
         return
     if not sys.stderr.isatty():
-        told: list[str] = [""]
-        yield lambda done, total: told.append(f"{what} {done}/{total}")
-        if told[-1]:
-            click.echo(told[-1], err=True)
+        told = list[str]()
+        yield lambda done, total: told.__setitem__(slice(None), [f"{what} {done}/{total}"])
+        for line in told:
+            click.echo(line, err=True)
         return
     VOICE.telling = True
     try:

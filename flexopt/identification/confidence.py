@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Array, Vector
 from flexopt.identification.fitting import Fit
-from flexopt.identification.swing import HeldSwing
+from flexopt.identification.swing import HeldSwing, oscillations
 
 LEVEL = 0.95
 # A parameter is identified where its interval is within this factor of its value either way.
@@ -74,14 +74,13 @@ def hidden(swing: HeldSwing, found: Fit, time: Vector) -> tuple[Vector, Array]:
     moves change it by as much as its size, and the poles of the others not at all.
     """
     theta = found.theta
-    roots, v, left = swing.modes(theta)
-    _, c, rest = swing.linear(theta)
-    elapsed, shapes = time - time[0], (c @ v) * (left @ (found.start - rest))
-    waves = np.exp(np.minimum(np.outer(elapsed, roots), 50.0))[:, None, :] * shapes
-    taken = np.sum((2 * waves.real / found.sigma[:, None])[found.used] ** 2, axis=0)
+    roots, shapes = swing.excited(theta, found.start)
+    parts = 2 * (oscillations(roots, time)[:, None, :] * (swing.linear(theta)[1] @ shapes)).real
+    taken = np.sum((parts / found.sigma[:, None])[found.used] ** 2, axis=0)
     weak = taken < 2 * math.log(max(2, int(found.used.sum()))) + SEEN
-    pairs = [(swing.roots(theta + way), swing.roots(theta - way)) for way in MOVED * np.eye(theta.size)]
-    if not weak.any() or any(root.shape != roots.shape for pair in pairs for root in pair):
+    ways = MOVED * np.eye(theta.size) if weak.any() else ()
+    pairs = [(swing.roots(theta + way), swing.roots(theta - way)) for way in ways]
+    if not pairs or any(root.shape != roots.shape for pair in pairs for root in pair):
         return np.zeros(0), np.zeros((theta.size, 0))
     slopes = np.array([(more - less) / (2 * MOVED) for more, less in pairs]).T / np.abs(roots)[:, None]
     seen, unseen = (np.vstack([part.real, part.imag]) for part in (slopes[~weak], slopes[weak]))

@@ -252,11 +252,10 @@ def _check_motion(log: MeasuredLog, noise: Vector) -> None:
 
 def _check_duration(swing: HeldSwing, duration: float, found: Fit) -> None:
     """Refuse a log that ends before it has swung."""
-    roots, v, left = swing.modes(found.theta)
+    roots, shapes = swing.excited(found.theta, found.start)
     if not roots.size:
         return
-    _, c, rest = swing.linear(found.theta)
-    strength = (np.abs(c @ v) / found.sigma[:, None]).max(axis=0) * np.abs(left @ (found.start - rest))
+    strength = (np.abs(swing.linear(found.theta)[1] @ shapes) / found.sigma[:, None]).max(axis=0)
     period = 2 * math.pi / abs(roots[int(np.argmax(strength))])
     if duration < PERIODS * period:
         raise _refused(f"is too short: {duration:.3g} s, while its strongest motion takes {period:.3g} s to and fro")

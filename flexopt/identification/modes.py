@@ -13,7 +13,7 @@ from flexopt.foundation.arrays import Array, Vector
 from flexopt.identification.fitting import Fit
 from flexopt.identification.log import MeasuredLog
 from flexopt.identification.result import IdentifiedMode
-from flexopt.identification.swing import Complex, HeldSwing
+from flexopt.identification.swing import HeldSwing, oscillations
 
 # Where one coordinate has this share of the energy it is named alone; below it, all with the lesser share.
 MOSTLY, PARTLY = 0.6, 0.15
@@ -27,10 +27,10 @@ def described_modes(swing: HeldSwing, time: Vector, found: Fit) -> tuple[Identif
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  (loads slowly)
 
     m, plant = swing.m, swing.plant
-    roots, v, left = swing.modes(found.theta)
-    _, c, rest = swing.linear(found.theta)
+    roots, shapes = swing.excited(found.theta, found.start)
+    v, c = swing.modes(found.theta)[1], swing.linear(found.theta)[1]
+    waves = oscillations(roots, time)
     springs: Array = plant.stiffness.call([ca.DM(swing.parameters(found.theta))])[0].full()[:m, :m]
-    amount = left @ (found.start - rest)
     told = replace(swing, unknown=(), reference=np.zeros(0))
     roots0, v0, _ = told.modes(np.zeros(0))
     scale = np.sqrt(np.diag(springs))[:, None]
@@ -41,8 +41,8 @@ def described_modes(swing: HeldSwing, time: Vector, found: Fit) -> tuple[Identif
     for k, root in enumerate(roots.tolist()):
         energy = np.abs((v[:m, k].conj() * (springs @ v[:m, k])).real)
         share = energy / energy.sum()
-        waves = 2 * (np.outer(np.exp(root * (time - time[0])), c @ v[:, k]) * amount[k]).real
-        seen = float((np.sqrt(np.mean(waves**2, axis=0)) / found.sigma).max())
+        part = 2 * np.outer(waves[:, k], c @ shapes[:, k]).real
+        seen = float((np.sqrt(np.mean(part**2, axis=0)) / found.sigma).max())
         hertz, old = abs(root) / (2 * math.pi), pairs.get(k)
         words = f"mode {k + 1}, {hertz:.3g} Hz: {_in_words(share, swing.machine.coordinates)}"
         modes.append(
@@ -62,12 +62,11 @@ def described_modes(swing: HeldSwing, time: Vector, found: Fit) -> tuple[Identif
 def swinging_joints(swing: HeldSwing, log: MeasuredLog, found: Fit) -> list[str]:
     """Measured joints that swing along, and so move the end-point by more than a share of what the base does."""
     theta, m = found.theta, swing.m
-    roots, v, left = swing.modes(theta)
+    roots, shapes = swing.excited(theta, found.start)
     q, told = np.concatenate([swing.rest(theta)[:m], swing.posture]), list[str]()
     moves: Array = swing.plant.jacobian.call([q, swing.base, swing.parameters(theta)])[0].full()
-    waves: Complex = np.exp(np.minimum(np.outer(log.time - log.time[0], roots), 50.0))
-    amounts: Complex = left @ (found.start - swing.rest(theta))
-    by_base: Array = 2 * np.real((waves * amounts) @ (moves[:, :m] @ v[:m]).T)
+    waves = oscillations(roots, log.time)
+    by_base: Array = 2 * np.real(waves @ (moves[:, :m] @ shapes[:m]).T)
     of_base = math.sqrt(float(np.sum(by_base**2)) / log.time.size)
     swings: Array = np.hstack([waves.real, waves.imag])
     basis: Array = np.hstack([swings, np.ones((log.time.size, 1)), log.time[:, None]])

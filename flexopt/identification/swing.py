@@ -30,6 +30,14 @@ Complex = NDArray[np.complex128]
 PHASE = 0.8
 # Steps of one call, and of a whole log at most.
 CHUNK, STEPS_MAX = 128, 400_000
+# Exponents of what grows, at most.
+GROWN = 50.0
+
+
+def oscillations(roots: Complex, time: Vector) -> Complex:
+    """e^{λ_k (t − t_0)} (N, k), at the times of a log."""
+    exponents: Complex = np.outer(time - time[0], roots)
+    return np.exp(np.minimum(exponents.real, GROWN) + 1j * exponents.imag)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +226,11 @@ class HeldSwing:
         chosen = np.flatnonzero(roots.imag > 0)
         chosen = chosen[np.argsort(np.abs(roots[chosen]), kind="stable")]
         return roots[chosen], v[:, chosen], left[chosen]
+
+    def excited(self, theta: Vector, start: Vector) -> tuple[Complex, Complex]:
+        """The oscillations that a first state holds: λ (k,) and shapes S (2m, k), x − rest = Σ 2 Re(S_k e^{λ_k t})."""
+        roots, v, left = self.modes(theta)
+        return roots, v * (left @ (start - self.rest(theta)))
 
     @cached_property
     def _steps(self) -> ca.Function:

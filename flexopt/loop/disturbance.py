@@ -182,19 +182,21 @@ class Disturbed:
         return self.kept / self.scale, (self.kept * self.scale).T
 
     @cached_property
+    def _left(self) -> tuple[Vector, Vector, Vector]:
+        """A, G and C of what is left: its motion in a sample, the noise that comes in, the end-point."""
+        down, up = self._lifts
+        return down @ self.sample.matrix @ up, down @ self._entering @ self._joint, self._shown @ up
+
+    @cached_property
     def _solved(self) -> tuple[Vector, Vector]:
         """Z and F: Z Zᵀ is the covariance of what is left, Fᵀ F the end-point's variance by what comes in there."""
-        down, up = self._lifts
-        matrix = down @ self.sample.matrix @ up
-        come, shown = down @ self._entering @ self._joint, self._shown @ up
+        matrix, come, shown = self._left
         return _summed(matrix, come), _summed(matrix.T, shown.T).T
 
     @cached_property
     def _products(self) -> tuple[Vector, Vector]:
         """Z Zᵀ and Fᵀ F to rounding: where slow motions lie close, factors summed in doubles leave derivatives 1e-7."""
-        down, up = self._lifts
-        matrix, (z, f) = down @ self.sample.matrix @ up, self._solved
-        come, shown = down @ self._entering @ self._joint, self._shown @ up
+        (matrix, come, shown), (z, f) = self._left, self._solved
         return summed_to_rounding(matrix, come, z @ z.T), summed_to_rounding(matrix.T, shown.T, f.T @ f)
 
     @cached_property

@@ -47,6 +47,11 @@ def of_loop(objective: Any) -> bool:
     return isinstance(objective, str) and not set(OUTCOMES).isdisjoint(objective.split(","))
 
 
+def asks_for_loop(objective: Any, constraints: Any) -> bool:
+    """Whether a choice is by what the real loop does: its objective, or a constraint."""
+    return of_loop(objective) or getattr(constraints, "outcome", None) is not None
+
+
 @accepting({"type": "string"})
 def check_assume(value: Any) -> str:
     """`everything`, `nothing`, or some of `ASSUMPTIONS`, separated by commas."""

@@ -30,9 +30,9 @@ from flexopt.model.choices import (
     STARTS,
     Combine,
     Elbow,
+    asks_for_loop,
     check_assume,
     check_weights,
-    of_loop,
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.file_model import BuiltByCall
@@ -223,11 +223,6 @@ class Problem(OnMachine):
         if asks_for_loop(self.selection.objective, self.constraints):
             options |= {"loop": self.loop, "ranges": self.uncertainty or None}
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options
-
-
-def asks_for_loop(objective: Any, constraints: Any) -> bool:
-    """Whether a choice is by what the real loop does: its objective, or a constraint."""
-    return of_loop(objective) or getattr(constraints, "outcome", None) is not None
 
 
 TABLE["problem"] = holding_machine(Problem, "a Problem, from flexopt.load_problem")

@@ -58,7 +58,7 @@ class Line:
 
     def border(self, level: float) -> float:
         """The first level, this one at most, at which the loop grows."""
-        told = sorted(self._looked(level))
+        told = sorted(self._looked(level)[0])
         rates = np.array([rate for _, rate in told])
         grows = np.flatnonzero(rates < 0)
         if not grows.size:
@@ -70,11 +70,11 @@ class Line:
 
     def nearest(self, level: float) -> list[float]:
         """Levels before this one where the rate is least among its neighbours, the lowest of them."""
-        dips = self._looked(level)[POINTS:] if level > self.start else []
+        dips = self._looked(level)[1] if level > self.start else []
         return [x for x, _ in sorted(dips, key=lambda dip: dip[1])[:PLACES]]
 
-    def _looked(self, level: float) -> list[tuple[float, float]]:
-        """Levels up to this one with the rates there, and after these where between them the rate is least."""
+    def _looked(self, level: float) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+        """Levels up to this one with the rates there; and of these where the rate is least among its neighbours."""
         from scipy.optimize import minimize_scalar  # noqa: PLC0415  (loads slowly)
 
         levels = np.linspace(self.start, level, POINTS)
@@ -82,16 +82,17 @@ class Line:
         # At a border the rate falls to zero, which hides where another motion comes near to it just before.
         last = POINTS - 2
         inner = [k for k in range(1, last) if rates[k] <= min(rates[k - 1], rates[k + 1])]
-        found = list(zip(levels.tolist(), rates.tolist(), strict=True))
+        found, dips = list(zip(levels.tolist(), rates.tolist(), strict=True)), list[tuple[float, float]]()
         for k in [*sorted(inner, key=lambda k: rates[k])[:PLACES], last]:
             low, high = float(levels[k - 1]), float(levels[k + 1])
             best: Any = minimize_scalar(
                 self.rate, bounds=(low, high), method="bounded", options={"xatol": DIP * (high - low)}
             )
+            found.append((float(best.x), float(best.fun)))
             beside = [float(best.x) + side * 2 * DIP * (high - low) for side in (-1, 1)]
             if low < beside[0] < beside[1] < high and best.fun < min(map(self.rate, beside)):
-                found.append((float(best.x), float(best.fun)))
-        return found
+                dips.append(found[-1])
+        return found, dips
 
 
 class Border(Measure):
