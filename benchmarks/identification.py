@@ -1,4 +1,4 @@
-"""Identified numbers beside the truth. `python -m benchmarks.identification [--draws 100] [--seed 1]`.
+"""Identified numbers beside the truth. `python -m benchmarks.identification [--draws 100] [--seed 1] [--workers 2]`.
 
 Machines with other springs and dampers than their files (factors up to 1.6 either way) are set swinging; SciPy
 integrates them with error control. Logs last 10 s at 100 Hz, with white noise of 1 % of what each column moves at most.
@@ -8,10 +8,13 @@ How often lies the truth in the 95 % interval, how wide are they, and is any num
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 import warnings
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -23,7 +26,10 @@ from flexopt.model.parameter_values import with_parameters
 from flexopt.model.uncertainty import parameters_of
 from tests.oracles.free_swing import FreeSwing
 
+TOLD_EVERY = 10
 SPREAD, NOISE, DURATION, RATE = 0.5, 0.01, 10.0, 100.0
+# Whether the truth is inside, the interval's half-width, the value's error; of none identified, None.
+Judged = tuple[bool, float, float] | None
 # A claim of 1 %: the whole interval lies within 1 % of the value.
 CLOSE = 0.01
 
@@ -74,20 +80,36 @@ def pushed(case: Case, rng: np.random.Generator) -> tuple[AnyMachine, dict[str, 
     return machine, truth, log
 
 
-def judge(case: Case, draws: int, seed: int) -> dict[str, Counts]:
-    """Identify that many logs."""
-    found = defaultdict[str, Counts](Counts)
-    for draw in range(draws):
-        machine, truth, log = pushed(case, np.random.default_rng([seed, draw]))
+def judged(task: tuple[str, int, int]) -> dict[str, Judged]:
+    """What is told of one log's parameters; of those that are identified alone."""
+    name, draw, seed = task
+    case = CASES[name]
+    machine, truth, log = pushed(case, np.random.default_rng([seed, draw]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", flexopt.FlexoptWarning)
         result = flexopt.identify(machine, log, posture=case.posture, unknown=list(case.unknown))
-        for name, true in truth.items():
-            counts, interval, value = found[name], result.intervals[name], result.values[name]
-            if interval is None or value is None:
+    found: dict[str, Judged] = {}
+    for parameter, true in truth.items():
+        interval, value = result.intervals[parameter], result.values[parameter]
+        if interval is None or value is None:
+            found[parameter] = None
+        else:
+            width = max(abs(end / value - 1) for end in interval)
+            found[parameter] = (interval[0] <= true <= interval[1], width, abs(value / true - 1))
+    return found
+
+
+def counted(logs: Iterable[dict[str, Judged]]) -> dict[str, Counts]:
+    """Each parameter's counts over all draws."""
+    found = defaultdict[str, Counts](Counts)
+    for log in logs:
+        for name, each in log.items():
+            counts = found[name]
+            if each is None:
                 continue
-            low, high = interval
-            width, error = max(abs(high / value - 1), abs(low / value - 1)), abs(value / true - 1)
+            inside, width, error = each
             counts.identified += 1
-            counts.inside += low <= true <= high
+            counts.inside += inside
             counts.widths.append(width)
             counts.errors.append(error)
             if width <= CLOSE:
@@ -115,16 +137,24 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--case", choices=list(CASES), action="append")
+    parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
-    warnings.simplefilter("ignore")
     for name in options.case or CASES:
         case, start = CASES[name], time.perf_counter()
-        found = judge(case, options.draws, options.seed)
-        seconds = time.perf_counter() - start
+        tasks = [(name, draw, options.seed) for draw in range(options.draws)]
+        logs: list[dict[str, Judged]] = []
+        with get_context("spawn").Pool(options.workers) as pool:
+            for log in pool.imap_unordered(judged, tasks):
+                logs.append(log)
+                if len(logs) % TOLD_EVERY == 0:
+                    print(f"{name}: {len(logs)} of {options.draws} draws", file=sys.stderr, flush=True)
+        seconds, found = time.perf_counter() - start, counted(logs)
         print(table(f"{name}: {case.machine}, {', '.join(case.columns)}", lines(case, found, options.draws)))
         shares = [counts.inside / counts.identified for counts in found.values() if counts.identified]
         print(
-            f"truth inside: {min(shares):.0%} to {max(shares):.0%} of draws; {seconds / options.draws:.1f} s a draw\n"
+            f"truth inside: {min(shares):.0%} to {max(shares):.0%} of draws; {options.workers} workers, "
+            f"{seconds / options.draws:.1f} s a draw\n",
+            flush=True,
         )
 
 

@@ -26,7 +26,6 @@ MAY_VARY: dict[str, tuple[str, ...]] = {
     "selection": ("target", "base"),
     "simulation": ("posture", "base", *GAINS),
 }
-ANGLES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def _axis(study: Study, k: int, each: Vary) -> tuple[StudyAxis | None, list[Faul
     places = {
         "posture": (machine.joints, machine.joint_units),
         "base": (machine.base_coordinates, machine.base_units),
-        "target": (machine.task_rows, tuple("rad" if row in ANGLES else "m" for row in machine.task_rows)),
+        "target": (machine.task_rows, ("m",) * len(machine.task_rows)),
     }
     if word == "base" and name not in machine.base_coordinates:
         del places[word]  # planar machines have parameters of such names

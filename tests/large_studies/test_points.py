@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import kstest, qmc
 
 import flexopt
 from flexopt.large_studies.points import StudyPoints
+from flexopt.model.study_axes import study_axes
 from tests.large_studies.studies import small
+
+MODELS = Path(__file__).parents[2] / "models"
 
 
 def columns(study: flexopt.Study, order: list[int] | None = None) -> np.ndarray:
@@ -101,3 +107,19 @@ def test_a_study_in_its_folder_is_the_same_study() -> None:
         assert digest_of(study) != digest_of(
             small(machine=name, vary=vary, seed=1, **({"posture": [0.3, -1.0]} | more))
         )
+
+
+def test_orientation_rows_of_a_target_are_in_metres(tmp_path: Path) -> None:
+    """They are the rotation vector times a length."""
+    shutil.copytree(MODELS, tmp_path, dirs_exist_ok=True)
+    machine, problem = tmp_path / "slewing-excavator.toml", tmp_path / "problem.toml"
+    text = machine.read_text(encoding="utf-8")
+    machine.write_text(text.replace("[end_point]", '[end_point]\nrows = ["x", "y", "z", "yaw"]'), encoding="utf-8")
+    problem.write_text(
+        'name = "turned"\nmachine = "slewing-excavator.toml"\n[target]\nend_point = [1.0, 0.5, 1.0, 0.1]\n'
+        '[selection]\nobjective = "w1"\n',
+        encoding="utf-8",
+    )
+    vary = [{"of": f"target.{row}", "value": [0.0, 0.1], "count": 2} for row in ("x", "yaw")]
+    study = flexopt.Study(name="turned", problem=str(problem), compute="selection", vary=vary)
+    assert [axis.unit for axis in study_axes(study)] == ["m", "m"]
