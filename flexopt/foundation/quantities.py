@@ -24,6 +24,8 @@ ANGLE_MAX = 4 * math.pi
 DEGREES_MAX = 720.0
 # The upper ends are far beyond any machine; they keep squares and products of the numbers finite.
 LENGTH_MAX, COORDINATE_MAX = 1e4, 1e6
+# Dead times last so long at most, s; runs may last longer.
+SHORT = 10.0
 # Smallest positive normal number in single precision: what must be greater than 0 is at least this.
 POSITIVE = 1.1754944e-38
 KINDS: dict[type, str] = {
@@ -104,9 +106,16 @@ class Quantity(Checked[float]):
             raise ValueError(f"must be finite; it {self.allowed}")
         low = -math.inf if self.low is None else self.low
         if (self.above is not None and not number > self.above) or not low <= number <= self.high:
-            hint = "; is it in mm?" if self.unit == "m" and self.high == LENGTH_MAX and abs(number) > self.high else ""
-            raise ValueError(self.allowed + hint + degrees_hint(self.unit, number))
+            raise ValueError(self.allowed + self._unit_hint(number))
         return number + 0.0  # −0.0 becomes 0.0, so that equal inputs have equal hashes
+
+    def _unit_hint(self, number: float) -> str:
+        """The end of a sentence about a number that is too large, where it may have been meant in another unit."""
+        if self.unit == "m" and self.high == LENGTH_MAX and abs(number) > self.high:
+            return "; is it in mm?"
+        if self.unit == "s" and self.high <= SHORT and self.high < number <= 1e3 * self.high:
+            return "; is it in ms?"
+        return degrees_hint(self.unit, number)
 
 
 def degrees_hint(unit: str, value: float) -> str:
