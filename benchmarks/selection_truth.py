@@ -68,7 +68,7 @@ def configurations(machine: Machine, target: np.ndarray, count: int, seed: int) 
     for _ in range(200):
         x = target[0] - height[0] + rng.uniform(-reach, reach, 4 * count)
         joints = rng.uniform(-math.pi, math.pi, (n, x.size))
-        z = np.vstack([x, _closed(machine, target, x, joints, rng.integers(0, 2, x.size) * 2 - 1)])
+        z = np.vstack([x, closed_arm(machine, target, x, joints, rng.integers(0, 2, x.size) * 2 - 1)])
         z = z[:, np.isfinite(z).all(axis=0)]
         limits = np.array(machine.limits)
         z[1:] = np.where(np.isfinite(limits[:, :1]), z[1:], (z[1:] + math.pi) % (2 * math.pi) - math.pi)
@@ -82,7 +82,9 @@ def configurations(machine: Machine, target: np.ndarray, count: int, seed: int) 
     return np.concatenate(found, axis=1)[:, :count]
 
 
-def _closed(machine: Machine, target: np.ndarray, x: np.ndarray, joints: np.ndarray, elbow: np.ndarray) -> np.ndarray:
+def closed_arm(
+    machine: Machine, target: np.ndarray, x: np.ndarray, joints: np.ndarray, elbow: np.ndarray
+) -> np.ndarray:
     """Joints with the last two such that the end-point is on the target; NaN where it is out of their reach.
 
     Rigid offsets between joints, those of passive links at rest among them, are seen by placing the arm twice.
