@@ -121,7 +121,7 @@ def verify_command(as_json: bool, folder: str, **options: Any) -> None:
     """
     from flexopt.export import verify_bundle  # noqa: PLC0415  (only this command needs it)
 
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("targets") as progress:
+    with option_names(options), warnings_to_stderr(as_json), progress_bar("checks") as progress:
         result = verify_bundle(folder, progress=progress, **given(options))
     if as_json:
         print_json(result.to_dict())

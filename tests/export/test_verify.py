@@ -167,7 +167,9 @@ def test_missing_tools_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     folder = exported(tmp_path / "b", parts=["kinematics"])
     which = tools.shutil.which
     monkeypatch.setattr(tools.shutil, "which", lambda name: None if name.startswith(("qemu", "arm-")) else which(name))
-    result = verify_bundle(folder, target="cortex-m7", inputs=10)
+    counted: list[tuple[int, int]] = []
+    result = verify_bundle(folder, target="cortex-m7", inputs=10, progress=lambda *count: counted.append(count))
+    assert counted == [(k + 1, len(result.checks)) for k in range(len(result.checks))]
     assert not result.complete
     assert not result.failed
     assert any("qemu-system-arm" in line for line in result.not_verified)
@@ -266,7 +268,7 @@ def test_objects_show_what_may_not_be(addition: str, sentence: str, target, tmp_
         file.write(f"\n{addition}\n")
     bench = examined(folder, tmp_path / "scratch")
     compiler, flags = ("gcc", ["-fno-pic"]) if target == "host" else ("arm-none-eabi-gcc", ["-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"])  # fmt: skip
-    check = objects.check_objects(bench, target, compiler, ["-O1", *flags])
+    check = objects.objects_check(bench, target, compiler, ["-O1", *flags]).made()
     assert check.state == "failed"
     assert sentence in check.finding
 

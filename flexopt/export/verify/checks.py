@@ -77,15 +77,30 @@ class Finding:
     tables: Sequence[Table] = field(default_factory=tuple[Table, ...])
 
 
-def attempt(name: str, target: Target, look: Callable[[], Finding]) -> VerificationCheck:
-    """Run one check; a missing tool makes it not verified, a program that fails makes it fail."""
-    try:
-        found = look()
-    except ToolMissing as error:
-        return VerificationCheck(name, target, "not verified", str(error), missing=error.names)
-    except StepFailed as error:
-        return VerificationCheck(name, target, "failed", str(error))
-    if found.faults:
-        more = f" and {len(found.faults) - 8} more" if len(found.faults) > 8 else ""
-        return VerificationCheck(name, target, "failed", "; ".join(found.faults[:8]) + more, tuple(found.tables))
-    return VerificationCheck(name, target, "passed", found.sentence, tuple(found.tables))
+@dataclass(frozen=True)
+class PlannedCheck:
+    """What is to be looked at, where, and how.
+
+    Attributes:
+        name, target: as of `VerificationCheck`.
+        look: makes the finding.
+    """
+
+    name: str
+    target: Target
+    look: Callable[[], Finding]
+
+    def made(self) -> VerificationCheck:
+        """What is found; a missing tool makes it not verified, a program that fails makes it fail."""
+        try:
+            found = self.look()
+        except ToolMissing as error:
+            return VerificationCheck(self.name, self.target, "not verified", str(error), missing=error.names)
+        except StepFailed as error:
+            return VerificationCheck(self.name, self.target, "failed", str(error))
+        sentence = found.sentence
+        if found.faults:
+            more = f" and {len(found.faults) - 8} more" if len(found.faults) > 8 else ""
+            sentence = "; ".join(found.faults[:8]) + more
+        state = "failed" if found.faults else "passed"
+        return VerificationCheck(self.name, self.target, state, sentence, tuple(found.tables))

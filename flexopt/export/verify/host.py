@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexopt.export.operations import Array, Operation
 from flexopt.export.verify import optimiser, replay
 from flexopt.export.verify.bench import STRICT, Bench, warnings_in
-from flexopt.export.verify.checks import Finding, Table, VerificationCheck, attempt
+from flexopt.export.verify.checks import Finding, PlannedCheck, Table
 from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run, sanitizing_compiler
 
 COMPILERS = (("gcc", "g++"), ("clang", "clang++"))
@@ -28,18 +28,18 @@ FUZZ_SEED = 30
 COMPARED = 1000
 
 
-def check_host(bench: Bench) -> list[VerificationCheck]:
+def host_checks(bench: Bench) -> list[PlannedCheck]:
     """Every check of the host."""
-    checks = [attempt(f"README followed, {c}", "host", lambda c=c: _readme(bench, c)) for c, _ in COMPILERS]
-    checks += [attempt(f"no warning, {c}", "host", lambda c=c, p=p: _warnings(bench, c, p)) for c, p in COMPILERS]
-    checks += [attempt(f"equal to Python, {c}", "host", lambda c=c: _agreement(bench, c)) for c, _ in COMPILERS]
-    checks.append(attempt("faulty calls under ASan and UBSan", "host", lambda: _fuzz(bench)))
+    checks = [PlannedCheck(f"README followed, {c}", "host", lambda c=c: _readme(bench, c)) for c, _ in COMPILERS]
+    checks += [PlannedCheck(f"no warning, {c}", "host", lambda c=c, p=p: _warnings(bench, c, p)) for c, p in COMPILERS]
+    checks += [PlannedCheck(f"equal to Python, {c}", "host", lambda c=c: _agreement(bench, c)) for c, _ in COMPILERS]
+    checks.append(PlannedCheck("faulty calls under ASan and UBSan", "host", lambda: _fuzz(bench)))
     if optimiser.PART in bench.library.standalone:
         checks += [
-            attempt(f"optimiser beside IPOPT, {c}", "host", lambda c=c: _optimiser(bench, c)) for c, _ in COMPILERS
+            PlannedCheck(f"optimiser beside IPOPT, {c}", "host", lambda c=c: _optimiser(bench, c)) for c, _ in COMPILERS
         ]
         name = "optimiser's faulty calls and the self-test under ASan and UBSan"
-        checks.append(attempt(name, "host", lambda: optimiser.sanitized(bench, SANITIZERS)))
+        checks.append(PlannedCheck(name, "host", lambda: optimiser.sanitized(bench, SANITIZERS)))
     return checks
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from flexopt.export.kernels import MATH
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Finding, Table, Target, VerificationCheck, attempt
+from flexopt.export.verify.checks import Finding, PlannedCheck, Table, Target
 from flexopt.export.verify.tools import need, run
 
 # What compilers call by themselves: copying, and arithmetic that the processor has not.
@@ -69,9 +69,9 @@ class CallGraph:
         return self.stack.get(name, 0) + max((self.stack_from(c) for c in self.calls.get(name, ())), default=0)
 
 
-def check_objects(bench: Bench, target: Target, compiler: str, flags: Sequence[str]) -> VerificationCheck:
+def objects_check(bench: Bench, target: Target, compiler: str, flags: Sequence[str]) -> PlannedCheck:
     """The objects that `compiler` makes of the library."""
-    return attempt("object files and sources", target, lambda: _examined(bench, target, compiler, flags))
+    return PlannedCheck("object files and sources", target, lambda: _examined(bench, target, compiler, flags))
 
 
 def accounted(bench: Bench, target: Target, compiler: str, flags: Sequence[str]) -> dict[str, Path]:

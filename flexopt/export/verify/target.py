@@ -17,7 +17,7 @@ import numpy as np
 from flexopt.export.operations import Operation
 from flexopt.export.verify import objects, optimiser, replay
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Finding, Table, Target, VerificationCheck, attempt
+from flexopt.export.verify.checks import Finding, PlannedCheck, Table, Target
 from flexopt.export.verify.host import agreement
 from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run
 from flexopt.foundation.writing import write_file
@@ -46,20 +46,20 @@ BOARDS: dict[Target, Board] = {
 }
 
 
-def check_target(bench: Bench, target: Target) -> list[VerificationCheck]:
+def target_checks(bench: Bench, target: Target) -> list[PlannedCheck]:
     """Every check of one board."""
     board = BOARDS[target]
     flags = ["-std=c99", "-O2", *board.flags]
     checks = [
-        attempt("equal to Python; instructions, stack", target, lambda: _agreement(bench, board, target, flags)),
-        attempt("flash and RAM by part", target, lambda: _memory(bench, target, flags)),
-        objects.check_objects(bench, target, COMPILER, flags),
+        PlannedCheck("equal to Python; instructions, stack", target, lambda: _agreement(bench, board, target, flags)),
+        PlannedCheck("flash and RAM by part", target, lambda: _memory(bench, target, flags)),
+        objects.objects_check(bench, target, COMPILER, flags),
     ]
     if optimiser.PART in bench.library.standalone:
         name = "optimiser beside IPOPT; instructions, stack"
-        checks.append(attempt(name, target, lambda: _optimiser(bench, target, flags)))
+        checks.append(PlannedCheck(name, target, lambda: _optimiser(bench, target, flags)))
     if bench.single and target == "cortex-m4f" and "controller" in bench.library.operations:
-        checks.append(attempt("against the plain CasADi export", target, lambda: _against_plain(bench, board)))
+        checks.append(PlannedCheck("against the plain CasADi export", target, lambda: _against_plain(bench, board)))
     return checks
 
 

@@ -21,11 +21,11 @@ from flexopt.export.bundle import (
     render_library,
 )
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import TARGETS, Finding, Target, VerificationCheck, attempt
-from flexopt.export.verify.host import check_host
-from flexopt.export.verify.misra import check_misra
-from flexopt.export.verify.objects import check_objects
-from flexopt.export.verify.target import check_target
+from flexopt.export.verify.checks import TARGETS, Finding, PlannedCheck, Target, VerificationCheck
+from flexopt.export.verify.host import host_checks
+from flexopt.export.verify.misra import misra_check
+from flexopt.export.verify.objects import objects_check
+from flexopt.export.verify.target import target_checks
 from flexopt.export.verify.tools import PACKAGES, version
 from flexopt.foundation.arrays import Document, Progress
 from flexopt.foundation.boundary import public, whole, words
@@ -149,7 +149,7 @@ def verify_bundle(
         target: `"host"`, `"cortex-m4f"` or `"cortex-m7"`; all of them by default.
         inputs: random inputs for each function, compared with Python.
         fuzz_calls: faulty calls for each function.
-        progress: called with the number of stages done and of all stages.
+        progress: called with the number of checks made and of all checks.
 
     Raises:
         InputError: the folder is no bundle, or an argument is not usable.
@@ -167,11 +167,14 @@ def verify_bundle(
     targets = TARGETS if target is None else (target,)
     with tempfile.TemporaryDirectory(prefix="flexopt-verify-") as scratch:
         bench = Bench(path, Path(scratch), manifest, library_of(manifest), inputs, fuzz_calls)
-        checks: list[VerificationCheck] = [attempt("files as they were exported", targets[0], lambda: _files(bench))]
-        for done, one in enumerate(targets):
-            checks += _stage(bench, one)
+        planned = [PlannedCheck("files as they were exported", targets[0], lambda: _files(bench))]
+        for one in targets:
+            planned += _checks(bench, one)
+        checks: list[VerificationCheck] = []
+        for check in planned:
+            checks.append(check.made())
             if progress is not None:
-                progress(done + 1, len(targets))
+                progress(len(checks), len(planned))
     result = Verification(
         folder=path,
         machine=manifest["machine"]["name"],
@@ -188,10 +191,10 @@ def verify_bundle(
     return result
 
 
-def _stage(bench: Bench, target: Target) -> list[VerificationCheck]:
+def _checks(bench: Bench, target: Target) -> list[PlannedCheck]:
     if target == "host":
-        return [*check_host(bench), check_objects(bench, "host", "gcc", HOST_OBJECT_FLAGS), check_misra(bench)]
-    return check_target(bench, target)
+        return [*host_checks(bench), objects_check(bench, "host", "gcc", HOST_OBJECT_FLAGS), misra_check(bench)]
+    return target_checks(bench, target)
 
 
 def _files(bench: Bench) -> Finding:
