@@ -53,7 +53,9 @@ def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
         for name, arm in arms.items():
             draw_arm(axes, arm, name)
         label_plane(axes, plane, title, left=k == 0)
-    figure.suptitle(f"Fig. 6: $\\epsilon_{{max}}$ over the workspace, kr = {inverse.attrs['gain']:.4g}")
+    figure.suptitle(
+        f"Fig. 6: $\\epsilon_{{max}}$ over the workspace, kr = {inverse.attrs['gain']:.4g} {inverse.attrs['gain_unit']}"
+    )
     return figure
 
 

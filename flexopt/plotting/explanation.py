@@ -20,6 +20,8 @@ from flexopt.foundation.palette import colors
 from flexopt.plotting.scene import Actor, draw_scene
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
+from flexopt.plotting.units import written
+from flexopt.robustness.residues import residue_unit
 
 # Length of an arrow, share of the machine's size; a line's letters where there is nothing to move.
 ARROW, LETTERS = 0.2, 38
@@ -58,7 +60,7 @@ def plot_explanation(sheet: Sheet, found: Any) -> None:
     for column in zip(*drawn, strict=True):
         _align(column)
     of = found.evaluation
-    sheet.title(f"{mathtext(of.machine)}, {mathtext(of.control)} control: why, mode by mode")
+    sheet.title(f"{mathtext(of.machine)}, Jacobian {mathtext(of.control)} control: why, mode by mode")
 
 
 def _align(column: Sequence[Axes]) -> None:
@@ -134,7 +136,8 @@ def _draw_move(axes: Axes, found: Any, i: int) -> None:
     axes.set_xlabel(
         f"for each {move.unit} of {mathtext(move.variable)}, {' and '.join(sorted(set(found.variable_units)))}"
     )
-    axes.set_title(f"raises $w_{{{i + 1}}}$ by {move.rate:.3g} per {move.unit}", loc="left")
+    unit = written(residue_unit(found.evaluation.control, found.evaluation.joint_units))
+    axes.set_title(f"raises $w_{{{i + 1}}}$ by {move.rate:.3g} {unit} per {move.unit}", loc="left")
     axes.grid(axis="x")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

@@ -91,9 +91,10 @@ def plot_workspace(sheet: Sheet, chart: Any, *, marks: Mapping[str, tuple[float,
             named |= dict(zip(names, handles, strict=True))
     if named and sheet.axes is None:
         sheet.figure.legend(list(named.values()), list(named), loc="outside lower right", ncols=3, frameon=False)
-    gain = f", kr = {float(dataset.attrs['gain']):.3g}" if "gain" in dataset.attrs else ""
+    attrs = dataset.attrs
+    gain = f", kr = {float(attrs['gain']):.3g} {attrs['gain_unit']}" if "gain" in attrs else ""
     if sheet.axes is None:
-        sheet.title(textwrap.fill(f"{mathtext(dataset.attrs['title'], TITLE_MAX)}{gain}", int(15 * sheet.size[0])))
+        sheet.title(textwrap.fill(f"{mathtext(attrs['title'], TITLE_MAX)}{gain}", int(15 * sheet.size[0])))
 
 
 @themed

@@ -15,7 +15,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, Progress, RangeLike, TargetLike, Vector
 from flexopt.foundation.boundary import anything, by, flag, public, words
-from flexopt.foundation.control import Control
+from flexopt.foundation.control import Control, gain_units
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import entries
 from flexopt.loop.many import Decays, decays, expect_decays
@@ -218,6 +218,7 @@ def _attributes(machine: AnyMachine, plane: Plane, options: dict[str, Any]) -> d
         "machine": machine.name,
         "control": options["control"],
         "gain": options["gain"],
+        "gain_unit": gain_units(options["control"], machine.joint_units)[0],
         "gravity": str(options["gravity"]).lower(),
         "over": options["over"],
         "elbow": options.get("elbow", ""),
