@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import io
+import os
 import sys
 import time
 import traceback
@@ -97,6 +98,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Entry point of the `flexopt` command."""
     # Graphs are many small objects that live as long as the command: a search for garbage in them finds none.
     gc.set_threshold(100_000)
+    # To look for plugins of pydantic, which have no say in our files, is to read what every installed package tells.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     given = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -434,7 +434,7 @@ class LoopPoint:
     @cached_property
     def move(self) -> StandardMove | None:
         """Its motion; None of a loop that grows."""
-        return StandardMove(self.motions, self.smooth) if self.loop.stable else None
+        return StandardMove(self.motions, self.smooth, self._neutral) if self.loop.stable else None
 
     def settling(self) -> Measured:
         """After which time of the standard move |e| stays below 2 % of its start, s, exactly, between samples too.

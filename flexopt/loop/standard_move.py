@@ -7,10 +7,11 @@ the largest deflections and end-point errors on the way, and what they are diffe
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,15 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.roots import root
 from flexopt.loop.assembly import OneSample, Slopes, through_exponential
 from flexopt.loop.small_motions import Parts, SmallMotions
+from flexopt.loop.spectrum import balance, without_neutral
 from flexopt.loop.tangent import exponential
 
 # Share of the error at the start that is left when a move has settled, as in `flexopt.simulate`; how long it is
 # waited for, s; samples that are looked at together.
 SETTLED, LONGEST, BLOCK = 0.02, 60.0, 2048
+# Share of the band below which what is left of all motions together must lie before no more is looked at, less than 1
+# for what is between two places; how many times the longest wait is looked at for it.
+QUIET, PATIENCE = 0.95, 3
 # Share of the band by which an excursion may leave it that is none: rounding does not decide which one is the last.
 TOUCH = 5e-7
 # Phase, rad, of the plant's fastest oscillation between two places that are looked at, and how many in a sample.
@@ -78,10 +83,12 @@ class StandardMove:
     Attributes:
         motions: the loop's Functions.
         sample: one of it, as derivatives are taken of it.
+        neutral: in how many directions it may rest elsewhere, as of `neutral_directions`.
     """
 
     motions: SmallMotions
     sample: OneSample
+    neutral: int = 0
 
     @property
     def _period(self) -> float:
@@ -208,12 +215,15 @@ class StandardMove:
 
     # What it shows.
 
-    @cached_property
+    @property
     def _tracks(self) -> list[_Track]:
+        return self._looked[0]
+
+    @cached_property
+    def _looked(self) -> tuple[list[_Track], bool]:
         """Along each task row: the squares of the signals, close enough that no oscillation slips through.
 
-        Until there was a block of samples in which no end-point error is loud, behind which the loop, as it decays,
-        has no reason to become so.
+        And whether no end-point error is loud behind them: a slow one may be quiet for long and come back.
         """
         p, steps = self.sample.parts, math.ceil(LONGEST / self._period)
         fastest = float(np.abs(np.linalg.eigvals(p.flow).imag).max(initial=0.0))
@@ -228,7 +238,9 @@ class StandardMove:
         count, many = self.start.shape[1], len(rows)
         block, found, begun = min(BLOCK, steps), list[Vector](), 0
         whole, first = np.linalg.matrix_power(self.sample.matrix, block), self.start
-        while begun < steps:
+        bound = self._bound(np.stack(shown[::2])[:, parts[0]])
+        ended = late = False
+        while not (ended or late) and begun < PATIENCE * steps:
             states = np.stack([_powers(self.sample.matrix, first[:, row], block) for row in range(count)], axis=1)
             seen = (np.vstack(shown) @ states.reshape(len(states), -1)).reshape(looks, 2, many, count, block)
             value, rate = seen[:, 0], seen[:, 1]
@@ -238,12 +250,44 @@ class StandardMove:
                 for product in (value**2, 2 * value * rate)
             ])  # fmt: skip
             found.append(pairs.reshape(2, len(parts), count, -1))
+            behind = max(0, steps - begun) * looks
+            late = bool(np.any(found[-1][0, 0, :, behind:] > SETTLED**2))
             begun += block
             first = whole @ first
-            if not np.any(found[-1][0, 0] > SETTLED**2):
-                break
+            ended = bound(begun, first) < QUIET * SETTLED
         every = np.concatenate(found, axis=-1)
-        return [_Track(every[0, :, row], every[1, :, row], looks) for row in range(count)]
+        return [_Track(every[0, :, row], every[1, :, row], looks) for row in range(count)], ended
+
+    def _bound(self, shown: Vector) -> Callable[[int, Vector], float]:
+        """Of |e| from the k-th sample x_k (n_x, r) on, at the places of a sample that `shown` (looks, rows, n_x) sees.
+
+        The less of Σ_i |C v_i| |w_iᴴ x_0 / w_iᴴ v_i| |μ_i|ᵏ, which says nothing where two motions are nearly one, and
+        of the root of Σ_j≥k |e_j|² = x_kᵀ W x_k, W = Φᵀ W Φ + CᵀC, which says little where the slowest decays slowly.
+        """
+        from scipy.linalg import eig, solve_discrete_lyapunov  # noqa: PLC0415  (loads slowly)
+
+        balanced, scale = balance(self.sample.matrix)
+        matrix, kept = without_neutral(balanced, self.neutral)
+        solved: Any = eig(matrix, left=True, right=True)
+        lyapunov: Any = solve_discrete_lyapunov
+        values, left, right = solved
+        seen, told = shown @ (scale[:, None] * kept.T), kept / scale
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.abs(left.conj().T @ told @ self.start) / np.abs(np.sum(left.conj() * right, axis=0))[:, None]
+            sizes = np.linalg.norm(seen @ right, axis=1).max(axis=0)[:, None] * shares
+        every = seen.reshape(-1, seen.shape[-1])
+        decays = np.abs(values).max() < 1
+        energy: Vector = lyapunov(matrix.T, every.T @ every) if decays else np.full(matrix.shape, math.inf)
+
+        def bound(k: int, x: Vector) -> float:
+            left = (np.abs(values) ** k)[:, None]
+            with np.errstate(invalid="ignore"):
+                # Forces on their way have many motions at 0, nearly one, which are gone.
+                motions = np.where(left > 0, left * sizes, 0.0).sum(axis=0)
+                energies = np.sqrt(np.maximum(np.sum((told @ x) * (energy @ told @ x), axis=0), 0.0))
+            return float(np.fmin(motions, energies).max())
+
+        return bound
 
     def _crossing(self, row: int, signal: int, place: int, low: float, level: float | None) -> tuple[float, float]:
         """Within a place that is looked at, from `low` after its sample on, where a square falls through a level.
@@ -299,7 +343,8 @@ class StandardMove:
     def settled(self) -> list[float]:
         """Along each task row, after which time |e| stays below 2 % of its start, s; NaN where it does not in a minute.
 
-        Excursions that exceed the band by less than a half millionth of it do not count.
+        Or where that is not known: no excursion may follow, however late. Those that exceed the band by less than a
+        half millionth of it do not count.
         """
         return [self._settled(row, track) for row, track in enumerate(self._tracks)]
 
@@ -317,7 +362,7 @@ class StandardMove:
                 last, low = int(places[k]), span
                 break
         quiet = np.flatnonzero(squares[last + 1 :] < band)
-        if not quiet.size:
+        if not (quiet.size and self._looked[1]):
             return math.nan
         # Up to the place before all is loud, or beyond the band by what does not count.
         place = last + int(quiet[0])

@@ -203,6 +203,23 @@ def test_what_does_not_settle_in_a_minute() -> None:
     assert point.swing().value > 0
 
 
+def test_slow_motions_do_not_come_back() -> None:
+    """Weak gains swing so slowly that the error is quiet for many seconds, and loud again: no settling is told then."""
+    told = list[bool]()
+    for share in np.linspace(1.0, 3.0, 17):
+        point = made("excavator", (0.905, 1.4827), {"kp": 25.8 * share**2, "kv": 196.0 * share})[2]
+        move, settling, last = point.move, point.settling().value, 0.0
+        assert move is not None
+        to_error, state = point.parts.measured[: point.motions.plant.n_task], move.start
+        for k in range(round(400.0 / point.period)):
+            if np.linalg.norm(to_error @ state[: to_error.shape[1]], axis=0).max() > SETTLED:
+                last = k * point.period
+            state = move.sample.matrix @ state
+        told.append(math.isfinite(settling))
+        assert last > 60.0 if math.isnan(settling) else last - 1e-9 <= settling <= last + 2 * point.period
+    assert 3 <= sum(told) <= 14
+
+
 def test_settling_jumps_where_an_excursion_leaves_the_band() -> None:
     """Along a gain, where it jumps, the peak that begins to count touches 2 %."""
 

@@ -43,9 +43,9 @@ def test_nothing_that_a_scan_sees_is_better(name: str) -> None:
     assert found.to_dict()["measure"] == name
 
 
-def line(rate: Callable[[float], float]) -> Line:
+def line(rate: Callable[[float], float], own: bool = False) -> Line:
     """Of rates alone."""
-    return Line(loop=lambda _: pytest.fail("no loop"), rate=rate, start=0.0, by=lambda *_: pytest.fail("no slopes"))
+    return Line(lambda _: pytest.fail("no loop"), rate, 0.0, own, lambda *_: pytest.fail("no slopes"))
 
 
 @pytest.mark.parametrize("place", [0.41, 0.9, 0.955, 0.98])
@@ -60,6 +60,7 @@ def test_where_a_rate_comes_near_to_zero_before_a_border(place: float) -> None:
 @pytest.mark.parametrize("rate", [lambda x: 1.0 - x, lambda x: x, lambda x: 1.0 - x**2, lambda x: x * (1.0 - x)])
 def test_rates_that_only_fall_or_rise_come_near_to_zero_nowhere(rate: Callable[[float], float]) -> None:
     assert not line(rate).nearest(1.0)
+    assert line(rate, own=True).nearest(1.0) == ([0.0] if rate(0.1) > rate(0.0) else [])
 
 
 def test_an_optimum_at_which_the_way_to_its_border_closes_is_verified() -> None:
@@ -73,6 +74,21 @@ def test_an_optimum_at_which_the_way_to_its_border_closes_is_verified() -> None:
             for step in (-1e-3, -1e-5, 1e-5, 1e-3)]  # fmt: skip
     assert max(near) < found.best.objective * (1 + 1e-9)
     assert min(near) < 0.8 * found.best.objective
+
+
+def test_an_optimum_at_which_the_loop_itself_begins_to_grow_is_verified() -> None:
+    """A delay margin there ends at once, as another motion decays the better the later the loop is."""
+    loop, target = {"kp": 7.02e3, "kv": 3.4e3, "dead_time": 0.013}, (0.4, 2.4)
+    found = flexopt.select(EXCAVATOR, target, objective="delay_margin", loop=loop, starts=8)
+    assert isinstance(found, OutcomeSelection)
+    assert found.unverified is None
+    x, posture = float(found.best.evaluation.base[0]), found.best.evaluation.posture
+    elbow = min(("up", "down"), key=lambda word: float(np.abs(np.subtract(posture_at(x, word, target), posture)).max()))
+    near = [worth("delay_margin", x + step, posture_at(x + step, elbow, target), loop)
+            for step in (-1e-3, -1e-5, 1e-5, 1e-3)]  # fmt: skip
+    assert max(near) < found.best.objective * (1 + 1e-9)
+    assert min(near) == -math.inf
+    assert max(near) > 0.999 * found.best.objective
 
 
 CASES = [(name, machine) for name in OUTCOMES for machine in ("excavator", "slewing-excavator")]

@@ -47,13 +47,14 @@ class Line:
 
     Attributes:
         loop: at a level;  rate: of its slowest motion there, 1/s.
-        start: level at which the line begins;  by: from a derivative there by a loop's numbers, those by y's, and by
-            the level.
+        start: level at which the line begins;  own: whether that is the loop itself, which must decay, too.
+        by: from a derivative there by a loop's numbers, those by y's, and by the level.
     """
 
     loop: Callable[[float], LoopPoint]
     rate: Callable[[float], float]
     start: float
+    own: bool
     by: Callable[[LoopPoint, Slopes], tuple[dict[str, Any], float]]
 
     def border(self, level: float) -> float:
@@ -69,7 +70,10 @@ class Line:
         return root(self.rate, low, high, xtol=1e-13, rtol=1e-14)
 
     def nearest(self, level: float) -> list[float]:
-        """Levels before this one where the rate is least among its neighbours, the lowest of them."""
+        """Levels before this one where the rate is least among its neighbours, the lowest of them.
+
+        Where the line begins it may rise, too: of a loop that stands at a border of stability itself.
+        """
         dips = self._looked(level)[1] if level > self.start else []
         return [x for x, _ in sorted(dips, key=lambda dip: dip[1])[:PLACES]]
 
@@ -92,6 +96,8 @@ class Line:
             beside = [float(best.x) + side * 2 * DIP * (high - low) for side in (-1, 1)]
             if low < beside[0] < beside[1] < high and best.fun < min(map(self.rate, beside)):
                 dips.append(found[-1])
+        if self.own and rates[0] <= min(rates[1], self.rate(self.start + DIP * float(levels[1] - self.start))):
+            dips.append(found[0])
         return found, dips
 
 
@@ -154,7 +160,7 @@ class AllowedGain(Border):
             return {**slopes, "ratio": {"kp": of["kp"] - total, "kv": of["kv"]}}, total
 
         start = level - DECADES * math.log(10)
-        return [Line(loop, lambda x: -point.growth_at((x - math.log(kp)) / math.log(10)), start, by)]
+        return [Line(loop, lambda x: -point.growth_at((x - math.log(kp)) / math.log(10)), start, False, by)]
 
 
 class DelayMargin(Border):
@@ -186,7 +192,7 @@ class DelayMargin(Border):
         def by(there: LoopPoint, slopes: Slopes) -> tuple[dict[str, Any], float]:  # noqa: ARG001
             return dict(slopes), float(slopes[DEAD_TIME][0]) * at.size
 
-        return [Line(loop, lambda x: rates_of(loop(x))[0], 0.0, by)]
+        return [Line(loop, lambda x: rates_of(loop(x))[0], 0.0, True, by)]
 
 
 class Radius(Border):
@@ -231,7 +237,7 @@ class Radius(Border):
         def by(there: LoopPoint, slopes: Slopes) -> tuple[dict[str, Any], float]:
             return dict(slopes), float(slopes["p"] @ (ways * there.numbers["p"]))
 
-        return Line(loop, lambda x: rates_of(loop(x))[0], 0.0, by)
+        return Line(loop, lambda x: rates_of(loop(x))[0], 0.0, True, by)
 
 
 def _of_springs(loop: UncertainLoop) -> UncertainLoop:
