@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from flexopt.foundation.boundary import instance
@@ -28,6 +29,7 @@ BANDS = (((0.05, 0.95), 0.2), ((0.25, 0.75), 0.35))
 DECADES = 20.0
 # Where what has no number any more is drawn: beyond every axis.
 ABOVE = 1e30
+BY_NUMBER = "member, by number"
 NAMES = {"converges": "settles", "grows": "grows", "undecided": "undecided"}
 
 
@@ -79,7 +81,9 @@ def _draw_rates(axes: Axes, ensemble: Ensemble) -> None:
                 markeredgecolor=inks.edge, markeredgewidth=0.5, label=NAMES[word],
             )  # fmt: skip
     axes.axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)
-    if at.min() > 0 and at.max() / at.min() > DECADES:
+    if label == BY_NUMBER:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    elif at.min() > 0 and at.max() / at.min() > DECADES:
         axes.set_xscale("log")
     axes.set_xlabel(label)
     axes.set_ylabel("decay, 1/s")
@@ -98,7 +102,7 @@ def _varied(ensemble: Ensemble) -> tuple[str, Values]:
             of_gains = gain_units(scenario.options.control, scenario.machine.joint_units)
             units |= zip(("kp", "kv", "ki"), of_gains, strict=True)
             return labelled(mathtext(name), units.get(name, "SI")), values
-    return "member, by number", np.arange(1.0, ensemble.n_members + 1)
+    return BY_NUMBER, np.arange(1.0, ensemble.n_members + 1)
 
 
 def _draw_bands(axes: Axes, ensemble: Ensemble, values: Values) -> None:

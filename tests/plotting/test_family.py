@@ -151,6 +151,18 @@ def test_verdicts_have_their_colours():
             np.testing.assert_array_equal(shown[color], expected)
 
 
+def test_members_that_differ_in_much_stand_side_by_side():
+    """Over their number, which is no quantity: evenly, at whole numbers."""
+    gains = np.geomspace(5e2, 2e3, 30)
+    ensemble = flexopt.simulate_ensemble(
+        flexopt.load("excavator"), (0.992, -1.4056), vary={"kp": 10 * gains, "kv": gains}, duration=0.1
+    )
+    (panel,) = ensemble.plot().axes
+    assert panel.get_xscale() == "linear"
+    ticks = panel.get_xticks()
+    np.testing.assert_array_equal(ticks, np.round(ticks))
+
+
 def test_bands_hold_the_quantiles():
     ensemble = made("ensemble excavator")
     error = ensemble.plot().axes[1]
