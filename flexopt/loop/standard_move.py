@@ -276,16 +276,18 @@ class StandardMove:
             shares = np.abs(left.conj().T @ told @ self.start) / np.abs(np.sum(left.conj() * right, axis=0))[:, None]
             sizes = np.linalg.norm(seen @ right, axis=1).max(axis=0)[:, None] * shares
         every = seen.reshape(-1, seen.shape[-1])
-        decays = np.abs(values).max() < 1
-        energy: Vector = lyapunov(matrix.T, every.T @ every) if decays else np.full(matrix.shape, math.inf)
+        # An arm that drifts along its self-motion has no such sum.
+        energy: Vector | None = lyapunov(matrix.T, every.T @ every) if np.abs(values).max() < 1 else None
 
         def bound(k: int, x: Vector) -> float:
-            left = (np.abs(values) ** k)[:, None]
-            with np.errstate(invalid="ignore"):
+            with np.errstate(over="ignore", invalid="ignore"):
+                remains = (np.abs(values) ** k)[:, None]
                 # Forces on their way have many motions at 0, nearly one, which are gone.
-                motions = np.where(left > 0, left * sizes, 0.0).sum(axis=0)
-                energies = np.sqrt(np.maximum(np.sum((told @ x) * (energy @ told @ x), axis=0), 0.0))
-            return float(np.fmin(motions, energies).max())
+                found = np.where(remains > 0, remains * sizes, 0.0).sum(axis=0)
+            if energy is not None:
+                state = told @ x
+                found = np.fmin(found, np.sqrt(np.maximum(np.sum(state * (energy @ state), axis=0), 0.0)))
+            return float(found.max())
 
         return bound
 
