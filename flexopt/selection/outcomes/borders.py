@@ -112,8 +112,12 @@ class Border(Measure):
         """The slowest rates at the level, and where they come near to zero before."""
         found = list[tuple[float, Vector, float]]()
         for point in at.points:
+            known = set[float]()
             for line in self.lines(at, point, level):
-                places = [(level, 1.0), *((x, 0.0) for x in line.nearest(level))]
+                near = [x for x in line.nearest(level) if x not in known]
+                places = [(level, 1.0), *((x, 0.0) for x in near)]
+                if line.own and line.start in near:
+                    known.add(line.start)  # further lines begin alike
                 for place, moves in places:
                     there = line.loop(place)
                     for k, value in enumerate(rates_of(there)[: SLOWEST_MOTIONS if moves else 1]):
