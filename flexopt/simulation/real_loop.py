@@ -31,6 +31,14 @@ def whole_samples(dead_time: float, rate: float) -> int:
     return math.ceil(dead_time * rate - PART_OF_SAMPLE)
 
 
+def late_sentence(dead_time: float, rate: float) -> str:
+    """What a run makes of a dead time between its samples; empty where it makes nothing of it."""
+    late = whole_samples(dead_time, rate) / rate
+    if abs(late - dead_time) * rate <= PART_OF_SAMPLE:
+        return ""
+    return f"runs wait whole samples: the dead time of {dead_time:g} s is taken as {late:g} s"
+
+
 def run_options(machine: AnyMachine, settings: LoopSettings, waits: int) -> dict[str, Any]:
     """Options of `flexopt.simulate` for this loop, by a measurement `waits` samples old; see `braked_by`.
 
@@ -86,7 +94,5 @@ def with_loop(
     brought = run_options(machine, settings, waits)
     more = {name: brought[name] | table_entries(told.get(name)) for name in BROUGHT_BY_TABLES}
     machine = braked(machine, braked_by(machine, settings, gravity=options.gravity))
-    late, sentences = waits / settings.rate, list[str]()
-    if abs(late - settings.dead_time) * settings.rate > PART_OF_SAMPLE:
-        sentences.append(f"runs wait whole samples: the dead time of {settings.dead_time:g} s is taken as {late:g} s")
-    return machine, brought | told | more, settings, tuple(sentences)
+    late = late_sentence(settings.dead_time, settings.rate)
+    return machine, brought | told | more, settings, (late,) if late else ()

@@ -5,7 +5,7 @@ In: decays of the present configuration and of others, on the same members of wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -68,6 +68,7 @@ def decide(
     unconfirmed: Sequence[str] = (),
     *,
     tried: bool = False,
+    refuted: Place | None = None,
 ) -> Decision:
     """The word by `RULE`.
 
@@ -77,6 +78,7 @@ def decide(
         changed: the best place with other gains, where runs confirm it.
         unconfirmed: names of places that nonlinear runs do not confirm.
         tried: whether other gains were.
+        refuted: the best place with other gains, where runs do not confirm it.
     """
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
@@ -113,7 +115,23 @@ def decide(
     if doubted:
         return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {' and '.join(doubted)}")
     with_others = ", nor with others that were tried" if tried else ""
+    if refuted is not None and refuted.holds:
+        with_others = f"; with others {refuted.name} is, but nonlinear runs do not confirm that"
     return Decision("cannot tell", "", f"no place found is stable on every ground with these gains{with_others}")
+
+
+def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None) -> tuple[str, Vector]:
+    """What decides where the word is "cannot tell", in words, and as numbers (n,) on the members, by sign."""
+    most = max(known.values(), key=lambda each: (np.mean(each.decays > 0), each.slowest))
+    place = known.get(decision.place, most)
+    if not place.holds and (place.decays > 0).all():  # the search alone found the ground on which it grows
+        return f"how far {place.name} is from growing", place.decays - place.decays.mean()
+    if not place.holds:
+        # It cannot be had, whatever is gained elsewhere: what tells the grounds apart on which it grows decides.
+        return f"whether {place.name} is stable", np.where(place.decays > 0, 1.0, -1.0)
+    if stay is None or place.name == stay.name:
+        return f"the decay at {place.name}", place.decays
+    return f"what is gained by moving to {place.name}", place.decays - stay.decays
 
 
 def _why_not(rival: Place, share: float, unconfirmed: Sequence[str]) -> str:

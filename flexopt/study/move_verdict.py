@@ -33,7 +33,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
 from flexopt.study.confirmation import Runs
-from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, faster
+from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster
 from flexopt.study.gain_search import best_gains
 from flexopt.study.place_loops import (
     Chosen,
@@ -160,11 +160,13 @@ def verdict(
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
     tried = _tries(asked, known, unconfirmed)
     changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
+    refuted: Place | None = None
     if changed is not None and runs:
         of_few = changed[1].runs(points[:runs], changed[1].decays(points[:runs]), duration)
-        changed = changed if of_few.confirming >= MOST else None
+        if of_few.confirming < MOST:
+            changed, refuted = None, changed[0]
     stages.next()
-    decision = decide(stay, rest, changed and changed[0], unconfirmed, tried=tried)
+    decision = decide(stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted)
     places = tuple(
         _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told
     )
@@ -172,7 +174,7 @@ def verdict(
         word=decision.word,
         place=decision.place,
         reason=decision.reason,
-        measure=_measure(decision, box, points, decays, stay) if decision.word == "cannot tell" else "",
+        measure=_measure(decision, box, points, known, stay) if decision.word == "cannot tell" else "",
         gains=gains if decision.word == "change gains" else {},
         places=places,
         settings=settings,
@@ -296,14 +298,10 @@ def _band(values: Vector) -> Band:
 
 
 def _measure(
-    decision: Decision, box: UncertaintyBox, points: Vector, decays: Mapping[str, Vector], stay: Place | None
+    decision: Decision, box: UncertaintyBox, points: Vector, known: Mapping[str, Place], stay: Place | None
 ) -> str:
     """Which uncertain number decides."""
-    name = decision.place or max(decays, key=lambda each: float(decays[each].min()))
-    values = decays[name] - (0.0 if stay is None or name == stay.name else stay.decays)
+    what, values = deciding(decision, known, stay)
     # What has one sign everywhere no measurement changes.
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
-    if not which:
-        return ""
-    what = "its decay" if stay is None or name == stay.name else "what is gained by moving there"
-    return f"to tell, measure {which}: at {name} {what} goes with it (rank correlation {rank:+.2f})"
+    return f"to tell, measure {which}: {what} goes with it (rank correlation {rank:+.2f})" if which else ""

@@ -19,6 +19,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.problem import elsewhere
+from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word
 from flexopt.study.place_loops import Chosen, problems_of
@@ -181,7 +182,9 @@ class Verdict(Pictured, Result):
         """What is uncertain, and how much of it was looked at, a sentence."""
         known = ", ".join(_interval(each, self.problems[0].machine) for each in self.uncertainty)
         several = f"; the worst of {len(self.problems)} targets" if len(self.problems) > 1 else ""
-        return f"uncertain: {known}; {self.members} members and a search, not a proof{several}"
+        late = late_sentence(self.settings.dead_time, self.settings.rate)
+        runs = f"; nonlinear {late}" if late and any(place.runs for place in self.places) else ""
+        return f"uncertain: {known}; {self.members} members and a search, not a proof{several}{runs}"
 
     @property
     def proven(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexopt.study.decision import Place, decide, faster
+from flexopt.study.decision import Place, decide, deciding, faster
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -81,6 +81,35 @@ def test_reasons_say_what_is_so() -> None:
     nowhere = decide(place("stay", -GROUNDS), [place("near", -GROUNDS)])
     assert nowhere.reason.endswith("with these gains")
     assert "nor with others that were tried" in decide(place("stay", -GROUNDS), [], tried=True).reason
+
+
+def test_gains_that_runs_do_not_confirm_are_not_said_to_grow() -> None:
+    grows = place("stay", -GROUNDS)
+    refuted = decide(grows, [], tried=True, refuted=place("stay", GROUNDS))
+    assert refuted.reason.endswith("with others stay is, but nonlinear runs do not confirm that")
+    assert "nor with others that were tried" in decide(grows, [], tried=True, refuted=grows).reason
+
+
+def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
+    """Elsewhere the gain by moving follows the ground; whether the place can be had follows another number."""
+    payload = np.tile([-1.0, 1.0, 1.0, 1.0], 10)
+    stay = place("stay", np.where(payload < 0, -5.0, GROUNDS))
+    near = place("near", np.where(payload < 0, -5.0 - GROUNDS, GROUNDS**2))
+    decision = decide(stay, [near])
+    assert decision.word == "cannot tell"
+    what, values = deciding(decision, {"stay": stay, "near": near}, stay)
+    assert what == "whether stay is stable"
+    assert np.array_equal(values, payload)
+    gained = place("near", np.where(np.arange(40) < 20, 2.0, 0.7) * GROUNDS)
+    what, values = deciding(decide(STAY, [gained]), {"stay": STAY, "near": gained}, STAY)
+    assert what == "what is gained by moving to near"
+    assert np.array_equal(values, gained.decays - STAY.decays)
+    found_by_search = Place("near", GROUNDS, -0.1, 0.0)
+    what, values = deciding(
+        decide(grows := place("stay", -GROUNDS), [found_by_search]), {"near": found_by_search}, grows
+    )
+    assert what == "how far near is from growing"
+    assert values.min() < 0 < values.max()
 
 
 def test_out_of_reach_from_here() -> None:

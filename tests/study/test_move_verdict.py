@@ -72,6 +72,14 @@ def test_drives_that_give_nothing_confirm_nothing() -> None:
     assert found.word == "cannot tell"
 
 
+def test_runs_that_wait_longer_than_the_loop_say_so() -> None:
+    late = "nonlinear runs wait whole samples: the dead time of 0.008 s is taken as 0.01 s"
+    found = judged("article", loop=ARTICLE | {"dead_time": 0.008}, runs=1, members=2, duration=1.0)
+    assert late in str(found)
+    assert late not in str(judged("article", loop=ARTICLE | {"dead_time": 0.008}, runs=0, members=2))
+    assert "whole samples" not in str(judged("article", loop=ARTICLE, runs=1, members=2, duration=1.0))
+
+
 def test_gains_are_changed_where_no_place_bears_them() -> None:
     """At 20 ms of dead time no place found bears Kp 1e5 and Kv 2e3; smaller ones it does."""
     found = judged("article", loop={"kp": 1e5, "kv": 2e3, "dead_time": 0.02}, runs=0)
