@@ -138,20 +138,20 @@ def _of_ground(gives: str, directions: tuple[str, ...], least: int) -> list[Ques
         ),
         Question(
             "stiffness",
-            f"Stiffness of each, N/m or N m/rad, greater than 0, or {FROM_MODE} if only the first mode's is known",
+            f"Stiffness of each, N/m or N m/rad, greater than 0, or {FROM_MODE} if only how fast it swings is known",
             word_or(FROM_MODE, _springs(LINEAR, TURNING)), lambda _: FROM_MODE, some,
         ),
         Question(
             "damping",
-            f"Damping of each, N s/m or N m s/rad, at least 0, or {FROM_RATIO} if only the first mode's ratio is known",
+            f"Damping of each, N s/m or N m s/rad, at least 0, or {FROM_RATIO} if only the swing's ratio is known",
             word_or(FROM_RATIO, _springs(LINEAR_DAMPING, TURNING_DAMPING)), lambda _: FROM_RATIO, some,
         ),
         Question(
-            "frequency", "Frequency of the first mode, Hz, up to 1000", one(FREQUENCY), lambda _: "2",
+            "frequency", "Frequency of its swing, the arm held, Hz, up to 1000", one(FREQUENCY), lambda _: "2",
             lambda known: some(known) and known["stiffness"] is None,
         ),
         Question(
-            "ratio", "Damping ratio of the first mode, 0 to 0.99", one(RATIO), lambda _: "0.02",
+            "ratio", "Damping ratio of that swing, 0 to 0.99", one(RATIO), lambda _: "0.02",
             lambda known: some(known) and known["damping"] is None,
         ),
     ]  # fmt: skip
@@ -254,10 +254,10 @@ def _spelt(name: str) -> str:
 @value("--base-mass", "M", "Of the base, kg.")
 @value("--base-inertia", "I", "Of the base about its centre of mass, kg m².")
 @value("--gives", "x,y,rotation", f"Directions in which the base gives; of a robot file some of {','.join(SPATIAL)}.")
-@value("--stiffness", f"A,B,…|{FROM_MODE}", "Of these directions, N/m and N m/rad; or from the first mode.")
-@value("--damping", f"A,B,…|{FROM_RATIO}", "Of these directions, N s/m and N m s/rad; or from the first mode.")
-@value("--frequency", "HZ", "Of the first mode, from which stiffnesses follow.")
-@value("--ratio", "ZETA", "Damping ratio of the first mode, from which dampers follow.")
+@value("--stiffness", f"A,B,…|{FROM_MODE}", "Of these directions, N/m and N m/rad; or from how it swings.")
+@value("--damping", f"A,B,…|{FROM_RATIO}", "Of these directions, N s/m and N m s/rad; or from how it swings.")
+@value("--frequency", "HZ", "Of the slowest swing with the arm held, from which stiffnesses follow.")
+@value("--ratio", "ZETA", "Damping ratio of that swing, from which dampers follow.")
 @value("--actuated", "A,B,…", "Of a robot file: joints that the controller moves (all on the way to the end-point).")
 @value(
     "--tip",

@@ -80,10 +80,11 @@ def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     return tuple(found)
 
 
-def modes_at(plant: Plant, posture: Array) -> tuple[Array, Array]:
+def modes_at(plant: Plant, posture: Array, *, held: bool = False) -> tuple[Array, Array]:
     """Frequencies, Hz, ascending, and damping ratios φᵀDφ / (2 ω), with the joints free as in `robustness.modes`.
 
-    In numbers: `flexopt.check` would take a fifth longer if it built the measures' graphs.
+    `held`: the arm held, as where somebody times how the machine swings. In numbers: `flexopt.check` would take a fifth
+    longer if it built the measures' graphs.
     """
     m, p = plant.n_passive, plant.parameter_values
     base = np.zeros(plant.n_base)
@@ -92,7 +93,7 @@ def modes_at(plant: Plant, posture: Array) -> tuple[Array, Array]:
     stiffness: Array = plant.stiffness(p).full()
     damping: Array = plant.damping(p).full()
     with np.errstate(all="ignore"):
-        follow = -np.linalg.solve(mass[m:, m:], mass[m:, :m])
+        follow = -np.linalg.solve(mass[m:, m:], mass[m:, :m]) * (not held)
         lower = np.linalg.cholesky(stiffness[:m, :m])
         compliance = np.linalg.solve(mass[:m, :m] + mass[:m, m:] @ follow, lower)
         symmetric = lower.T @ compliance

@@ -66,7 +66,7 @@ Build = Callable[[Springs], AnyMachine]
 
 @dataclass(frozen=True)
 class Ground:
-    """What is known of the springs of a base: numbers, or the first mode's frequency, Hz, and damping ratio.
+    """What is known of the springs of a base: numbers, or frequency, Hz, and damping ratio of its swing, the arm held.
 
     `gives` names the directions; `stiffness` and `damping` are of each of them, None where they follow from the mode.
     `alone`: the machine has other springs, too, and frequency and ratio are of each direction with all else held.
@@ -82,8 +82,8 @@ class Ground:
     def springs(self, build: Build) -> Springs:
         """What follows for the machine that `build` makes of springs.
 
-        K = s diag(M_p), with which each direction alone has one frequency; ω_1² is proportional to s. D = β K, which
-        adds β ω_1 / 2 to ζ_1.
+        K = s diag(M_p), with which each direction alone has one frequency; with the arm held ω_1² is proportional to s.
+        D = β K, which makes ζ_1 = β ω_1 / 2.
         """
         ones, nothing = (1.0,) * len(self.gives), (0.0,) * len(self.gives)
         machine = build(Springs(self.stiffness or ones, self.damping or nothing))
@@ -93,46 +93,43 @@ class Ground:
         mass: Vector = plant.mass(plant.rest(base, posture, p), base, p).full()
         names = plant.coordinates[: plant.n_passive]
         each = np.array([mass[k, k] for k in (names.index(f"base.{word}") for word in self.gives)])
-        which = "each direction alone, all else held," if self.alone else "the first mode"
+        which = "each direction alone, all else held," if self.alone else "the machine, its arm held,"
         notes = ["", ""]
 
-        def first(stiffness: tuple[float, ...]) -> tuple[float, float]:
+        def first(stiffness: tuple[float, ...]) -> float:
             return _first_mode(build_plant(build(Springs(stiffness, nothing))), posture)
 
         stiffness = self.stiffness
         if stiffness is None:
-            scale = 1.0 if self.alone else (omega / first(tuple(each.tolist()))[0]) ** 2
+            scale = 1.0 if self.alone else (omega / first(tuple(each.tolist()))) ** 2
             stiffness = tuple(rounded(k) for k in each * (omega**2 if self.alone else scale))
-            notes[0] = f" (so that {which} has {self.frequency:g} Hz at posture {held})"
+            notes[0] = f" (so that {which} swings at {self.frequency:g} Hz at posture {held})"
         damping = self.damping
         if damping is None and self.alone:
             damping = tuple(rounded(2 * self.ratio * math.sqrt(k * m)) for k, m in zip(stiffness, each, strict=True))
             notes[1] = f" (so that {which} has the damping ratio {self.ratio:g} at posture {held})"
         elif damping is None:
-            omega, own = first(stiffness)
-            damping = tuple(rounded(max(0.0, 2 * (self.ratio - own) / omega * k)) for k in stiffness)
+            damping = tuple(rounded(2 * self.ratio / first(stiffness) * k) for k in stiffness)
             notes[1] = f" (so that {which} has the damping ratio {self.ratio:g} at posture {held})"
-            if own > self.ratio:
-                notes[1] = f" (the joints alone give the first mode a damping ratio of {own:.3g} at posture {held})"
         return Springs(stiffness, damping, posture, (notes[0], notes[1]))
 
 
-def _first_mode(plant: Plant, posture: Sequence[float]) -> tuple[float, float]:
-    """Its frequency, rad/s, and damping ratio.
+def _first_mode(plant: Plant, posture: Sequence[float]) -> float:
+    """Its frequency with the arm held, rad/s.
 
     Raises:
         InputError: there is none, for what gives carries nothing that the joints do not carry, too.
     """
     try:
-        first, ratio = (float(values[0]) for values in modes_at(plant, np.array(posture)))
+        free, first = (float(modes_at(plant, np.array(posture), held=held)[0][0]) for held in (False, True))
     except np.linalg.LinAlgError:
-        first = ratio = math.nan
-    if not 0 < first < FREQUENCY_MAX:
+        free = first = math.nan
+    if not (0 < free < FREQUENCY_MAX and first > 0):
         raise InputError(
             "new: the base has no modes of its own in the directions in which it gives, as where joints move all that "
             "has mass in the same ways: give others, --gives, or actuate other joints, --actuated"
         )
-    return math.tau * first, ratio
+    return math.tau * first
 
 
 def rounded(value: float) -> float:

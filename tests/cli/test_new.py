@@ -1,16 +1,19 @@
-"""`flexopt new`: what it writes loads, passes the check, evaluates where it says, and has the mode that was asked for."""
+"""`flexopt new`: what it writes loads, passes the check, evaluates where it says, and swings as was asked for."""
 
 from __future__ import annotations
 
 import io
 import shlex
 import tomllib
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 import flexopt
+from flexopt.plant import build_plant
 from tests.cli.command import Command
 from tests.model.robots.files import MJCF, URDF
 from tests.model.robots.test_public_robots import MJCF_PATHS, URDF_PATHS
@@ -36,8 +39,9 @@ def test_a_machine_of_proposals_alone(command: Command) -> None:
     document, evaluation = followed(command)
     assert document["file"] == "machine.toml"
     assert command("check", "machine.toml").stdout.strip() == "machine 'machine': nothing to mend"
-    assert evaluation["frequencies_hz"][0] == pytest.approx(2.0, rel=1e-5)
-    assert evaluation["damping_ratios"][0] == pytest.approx(0.02, rel=1e-5)
+    machine = flexopt.load("machine.toml")
+    assert held_swing(machine, document["posture"]) == (pytest.approx(2.0, rel=1e-5), pytest.approx(0.02, rel=1e-5))
+    assert evaluation["frequencies_hz"][0] >= 2.0
     printed = command("new", "--yes", "--force").stdout
     assert all(step in printed for step in document["next"])
 
@@ -52,6 +56,16 @@ def test_the_posture_to_look_at_first_is_above_the_ground(command: Command, link
     ))  # fmt: skip
     assert heights.min() > 0
     assert evaluation["end_point"][1] == pytest.approx(heights[-1], abs=1e-6)
+
+
+def held_swing(machine: flexopt.Machine | flexopt.Tree, posture: list[float]) -> tuple[float, float]:
+    """Frequency, Hz, and damping ratio of the slowest motion of the base in M_pp ẍ + D_pp ẋ + K_pp x = 0."""
+    plant, p = build_plant(machine), build_plant(machine).parameter_values
+    m, base = plant.n_passive, np.zeros(plant.n_base)
+    mass = plant.mass(plant.rest(base, posture, p), base, p).full()[:m, :m]
+    values, shapes = eigh(plant.stiffness(p).full()[:m, :m], mass)
+    omega, first = np.sqrt(values[0]), shapes[:, 0]
+    return omega / (2 * np.pi), first @ plant.damping(p).full()[:m, :m] @ first / (2 * omega)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -69,9 +83,12 @@ def test_a_planar_machine_is_what_was_said(command: Command, seed: int) -> None:
     }  # fmt: skip
     options = [str(part) for pair in given.items() for part in pair]
     document, evaluation = followed(command, "mine.toml", *options)
-    assert evaluation["frequencies_hz"][0] == pytest.approx(frequency, rel=1e-5)
-    assert evaluation["damping_ratios"][0] == pytest.approx(ratio, rel=1e-4)
     machine = flexopt.load("mine.toml")
+    assert held_swing(machine, document["posture"]) == (
+        pytest.approx(frequency, rel=1e-5),
+        pytest.approx(ratio, rel=1e-4),
+    )
+    assert evaluation["frequencies_hz"][0] >= frequency
     assert machine.name == document["machine"] == 'rig #1 "é"'
     assert [link.length for link in machine.links] == list(lengths)
     assert [link.mass for link in machine.links] == list(masses)
@@ -90,7 +107,7 @@ def test_springs_that_are_known_stay_as_they_are(command: Command) -> None:
     assert [link.inertia for link in machine.links] == [300, 50]
     text = Path("mine.toml").read_text(encoding="utf-8")
     assert "slender rod" not in text
-    assert "first mode" not in text
+    assert "arm held" not in text
 
 
 @pytest.mark.parametrize(
@@ -115,10 +132,15 @@ def test_a_robot_file_becomes_a_machine(command: Command, robot: Path | str) -> 
     text = Path("work/own.toml").read_text(encoding="utf-8")
     for joint in data["actuated"]:
         assert f"#   {joint}: " in text
-    if "so that the first mode has 2 Hz" in text:
-        assert evaluation["frequencies_hz"][0] == pytest.approx(2.0, rel=1e-5)
-        if "so that the first mode has the damping ratio" in text:
-            assert evaluation["damping_ratios"][0] == pytest.approx(0.02, rel=1e-3)
+    if "so that the machine, its arm held, swings at 2 Hz" in text:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", flexopt.FlexoptWarning)  # of what the format does not have
+            machine = flexopt.load("work/own.toml")
+        swing = held_swing(machine, document["posture"])
+        assert swing[0] == pytest.approx(2.0, rel=1e-5)
+        assert evaluation["frequencies_hz"][0] >= 2.0
+        if "so that the machine, its arm held, has the damping ratio" in text:
+            assert swing[1] == pytest.approx(0.02, rel=1e-3)
     assert ("base" in data) == (path.name not in {"mobile-manipulator.xml", "arm.xml"})
 
 
@@ -265,9 +287,8 @@ def test_questions_are_asked_again_until_the_answer_can_be_used(
     machine = flexopt.load("digger.toml")
     assert [link.length for link in machine.links] == [2.0, 1.5, 1.0]
     assert machine.base.length == 0.6
-    found = flexopt.evaluate(machine, outcome.document["posture"])
-    assert found.frequencies_hz[0] == pytest.approx(3.0, rel=1e-5)
-    assert found.damping_ratios[0] == pytest.approx(0.05, rel=1e-4)
+    swing = held_swing(machine, outcome.document["posture"])
+    assert swing == (pytest.approx(3.0, rel=1e-5), pytest.approx(0.05, rel=1e-4))
 
 
 def test_without_answers_nothing_is_written(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
