@@ -141,10 +141,11 @@ def option_names(options: dict[str, Any]) -> Generator[None]:
             given = asked.get(word) not in (None, ()) or (missing and fault.sentence.startswith(NEEDED))
             field = f"--{word.replace('_', '-')}{re.sub(r'^[.]', ' ', rest)}" if given else fault.field
             renamed.append(Fault(field, fault.sentence, None if missing else fault.value))
-        if type(error) is InputError:
+        # A sentence that was not made of its faults stays as it is, unless an option gave what it speaks of.
+        if type(error) is InputError and (error.heading or renamed != list(error.faults)):
             # A command that calls another's function, as verdict calls select, goes by its own name.
             command = click.get_current_context().command_path.partition(" ")[2]
-            raise_if_any(InputError, command if error.heading.isidentifier() else error.heading, renamed)
+            raise_if_any(InputError, command if error.heading.isidentifier() else error.heading or command, renamed)
         raise
 
 

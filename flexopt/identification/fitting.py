@@ -6,6 +6,7 @@ every column as its residuals have it, samples left out because they do not belo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,8 +104,11 @@ def longest_step(swing: HeldSwing, theta: Vector, time: Vector) -> float:
     fastest = float(np.abs(np.linalg.eigvals(swing.linear(theta)[0])).max())
     longest = PHASE / fastest
     if (time[-1] - time[0]) / longest > STEPS_MAX:
-        sentence = f"lasts too long beside the machine's fastest mode, {fastest / 6.283:.4g} Hz; choose a window"
-        raise InputError(f"identify: the log {sentence}", [Fault("log", sentence, f"{time[-1] - time[0]:g} s")])
+        lasts = (
+            f"lasts too long, {time[-1] - time[0]:g} s, beside the machine's fastest mode, {fastest / math.tau:.4g} Hz"
+        )
+        sentence = f"{lasts}: choose a window; or is t in another unit than s?"
+        raise InputError(f"identify: the log {sentence}", [Fault("log", sentence)])
     return longest
 
 

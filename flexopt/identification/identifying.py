@@ -17,7 +17,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
 from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, without_spikes
 from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words
-from flexopt.identification.fitting import INTEGRATION, Fit, fit
+from flexopt.identification.fitting import INTEGRATION, Fit, fit, longest_step
 from flexopt.identification.log import FrameLike, MeasuredLog, read_log
 from flexopt.identification.modes import described_modes, swinging_joints
 from flexopt.identification.poles import Poles, find_poles
@@ -177,11 +177,26 @@ def _fits(
     swing: HeldSwing, log: MeasuredLog, starts: list[tuple[Vector, Vector]], noise: Vector
 ) -> tuple[Fit, list[Vector]]:
     """The best fit and θ of others that the log does not tell from it; of these the nearest to the file is the best."""
+    longest_step(swing, np.zeros(len(swing.names)), log.time)
+    if not all(_is_slow(swing, theta, log.time) for theta, _ in starts):
+        raise _refused(
+            "shows a motion that this machine does not make with any springs near its file's: are signs and units of "
+            "its columns right, and its first and last samples no spikes?"
+        )
     fits = [fit(swing, log, theta, deviation, noise) for theta, deviation in starts]
     least = min(fits, key=lambda each: each.misfit)
     alike = [each for each in fits if each.misfit <= least.misfit + ALIKE]
     best = min(alike, key=lambda each: float(each.theta @ each.theta))
     return best, [each.theta for each in alike if each is not best]
+
+
+def _is_slow(swing: HeldSwing, theta: Vector, time: Vector) -> bool:
+    """Whether its fastest mode is one that can be integrated."""
+    try:
+        longest_step(swing, theta, time)
+    except InputError:
+        return False
+    return True
 
 
 def _refused(sentence: str) -> InputError:
@@ -206,14 +221,18 @@ def _held(machine: AnyMachine, log: MeasuredLog, posture: Any) -> tuple[Vector, 
     """How the arm is held, and where that is doubtful."""
     measured = held_posture(log, len(machine.joints))
     if posture is None and measured is None:
-        listed = ", ".join(machine.joints)
-        sentence = f"is needed: the log does not hold all actuated joints ({listed})"
+        there = {log.channels[k].index for k in log.of("joint")}
+        listed = ", ".join(joint for k, joint in enumerate(machine.joints) if k not in there) or "a joint has no number"
+        sentence = f"is needed: the log does not hold all actuated joints (missing: {listed})"
         raise_if_any(InputError, "identify", [Fault("posture", sentence)])
     if posture is None:
         assert measured is not None
         outside = [
-            f"{joint} stands at {q:.4g}, outside its limits {low:.4g} … {high:.4g}"
-            for joint, q, (low, high) in zip(machine.joints, measured, machine.limits, strict=True)
+            f"{joint} stands at {q:.4g} {unit}, outside its limits {low:.4g} … {high:.4g}"
+            + ("; is it in degrees?" if unit == "rad" and abs(q) > math.tau else "")
+            for joint, q, (low, high), unit in zip(
+                machine.joints, measured, machine.limits, machine.joint_units, strict=True
+            )
             if not low <= q <= high
         ]
         return measured, outside

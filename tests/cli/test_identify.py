@@ -55,3 +55,9 @@ def test_the_command_refuses(command: Command) -> None:
         refused = command(*words)
         assert refused.code == 2
         assert sentence in refused.stderr
+
+
+def test_what_is_wrong_with_a_log_is_one_sentence(command: Command) -> None:
+    command.write("swing.csv", "t,gyro_z\n" + "\n".join(f"{k / 100},{k % 2}" for k in range(20)) + "\n")
+    said = command("identify", "excavator", "swing.csv", "--posture", POSTURE).stderr
+    assert said.startswith("flexopt: identify: the log is too short: 20 samples")

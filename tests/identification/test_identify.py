@@ -296,6 +296,8 @@ def test_what_is_refused(tmp_path: Path) -> None:
     refused(machine, {"t": t[::-1], "gyro_z": swing}, "must not run backwards")
     refused(machine, {"t": t, "gyro_z": swing[:-1]}, "must be of one length")
     refused(machine, good, "posture: is needed", posture=None)
+    one = {"stick": np.full(t.size, -1.2), "bucket": np.full(t.size, -0.7)}
+    refused(machine, good | one, r"joints \(missing: boom\)", posture=None)
     refused(machine, good, "has no loop", unknown="dead_time")
     refused(machine, good, "did you mean 'payload.mass'", unknown="payload.mas")
     refused(machine, good, "is 0: a factor of it cannot be identified", unknown=["boom.joint_damping"])
@@ -314,6 +316,21 @@ def test_what_is_refused(tmp_path: Path) -> None:
         refused(machine, tmp_path / "bad.csv", sentence)
     refused(machine, tmp_path / "none.csv", "cannot be read")
     refused(machine, tmp_path / "frf.uff", "UFF")
+
+
+def test_a_column_with_the_wrong_sign_is_told_as_such() -> None:
+    """The springs that come nearest to it are no springs: the machine's own modes are not to blame."""
+    swung = planar()
+    log = swung.log(*PLANAR)
+    refused(swung.machine, log | {"gyro_z": -log["gyro_z"]}, "are signs and units of its columns right")
+
+
+def test_joints_in_degrees_are_told() -> None:
+    swung = planar()
+    names = ("boom", "stick", "bucket")
+    held = {name: np.full(swung.time.size, np.degrees(q)) for name, q in zip(names, swung.posture, strict=True)}
+    found = flexopt.identify(swung.machine, swung.log(*PLANAR) | held)
+    assert "boom stands at -34.38 rad, outside its limits -2.292 … -0.451; is it in degrees?" in found.doubts
 
 
 def test_the_picture(tmp_path: Path) -> None:
