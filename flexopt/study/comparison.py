@@ -17,6 +17,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
 from flexopt.robustness.residues import residue_unit
+from flexopt.study.places import MOVE, STAY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -83,7 +84,22 @@ CHOICE = (
     SavedQuantity("best.objective", "objective", more=True, scale="problem.objective_scale"),
     *within("best", POSTURE),
 )
-VERDICT = (SavedQuantity("word", "word"), SavedQuantity("place", "place"), SavedQuantity("reason", "reason"))
+# Of a place that a verdict tells of the worst over what is uncertain, as in its table.
+PLACE = (
+    SavedQuantity("drive", "drive", "m", more=False),
+    SavedQuantity("decay.least", "slowest decay", "1/s", more=True),
+    SavedQuantity("allowed_gain.least", "least allowed Kp", more=True, units="gain_units"),
+    SavedQuantity("delay_margin.least", "least delay margin", "s", more=True),
+    SavedQuantity("settling.greatest", "longest settling time", "s", more=False),
+    SavedQuantity("swing.greatest", f"largest base swing, move of {MOVE:g} m", more=False, units="swing_units"),
+)
+VERDICT = (
+    SavedQuantity("word", "word"),
+    SavedQuantity("place", "place"),
+    SavedQuantity("reason", "reason"),
+    *(each._replace(label=f"staying: {each.label}") for each in within("staying", PLACE[1:])),
+    *(each._replace(label=f"its place: {each.label}") for each in within("pointed_to", PLACE)),
+)
 # Kinds of documents: keys by which they are known, and their quantities.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[SavedQuantity, ...]]] = {
     "report": (("selection", "no_verdict"), (*within("verdict", VERDICT), *within("selection", CHOICE))),
@@ -202,7 +218,7 @@ def compare_saved(paths: Sequence[str]) -> Comparison:
     names = stems if len(set(stems)) == len(stems) else list(paths)
     if len(set(names)) < len(names):
         names = [f"{k}: {name}" for k, name in enumerate(names, start=1)]
-    documents = [document for _, document in read]
+    documents = [_with_places(document) for _, document in read]
     rows = [row for quantity in KINDS[kinds[0]][1] for row in _rows(quantity, documents)]
     return Comparison(kinds[0], tuple(names), tuple(rows), tuple(_differences(documents)))
 
@@ -211,6 +227,21 @@ def _kind(document: Any) -> str:
     """What a document is of; empty where it is none."""
     keys = set(cast(Mapping[str, Any], document)) if isinstance(document, dict) else set[str]()
     return next((kind for kind, (marks, _) in KINDS.items() if keys >= set(marks)), "")
+
+
+def _with_places(document: dict[str, Any]) -> dict[str, Any]:
+    """A verdict's document, or a report's, with the places that are compared: the present and that it speaks of."""
+    inner = document.get("verdict")
+    if isinstance(inner, dict):
+        return document | {"verdict": _with_places(cast(dict[str, Any], inner))}
+    listed, added = _listed(document, "places"), dict[str, Any]()
+    tables = [cast(dict[str, Any], place) for place in listed if isinstance(place, dict)]
+    named = {str(place.get("name")): place for place in tables}
+    for key, name in (("staying", STAY), ("pointed_to", document.get("place"))):
+        if isinstance(name, str) and name in named and (key == "staying" or name != STAY):
+            units = {"gain_units": _at(document, "settings.gain_units"), "swing_units": [named[name].get("swing_unit")]}
+            added[key] = named[name] | units
+    return document | added
 
 
 def _at(document: Any, path: str) -> Any:
@@ -282,8 +313,15 @@ def _number(value: Any) -> float | None:
 
 
 def _differences(documents: Sequence[Any]) -> list[tuple[str, tuple[str, ...]]]:
-    """Machine, versions and options that are not the same in all."""
+    """Machine, versions, options, and of verdicts the loop and what is uncertain, that are not the same in all."""
     flat = [dict(_leaves(document.get("provenance") or {}, "")) for document in documents]
+    for each, document in zip(flat, documents, strict=True):
+        of = document.get("verdict") if isinstance(document.get("verdict"), dict) else document
+        settings = _at(of, "settings") if _listed(of, "places") else None
+        if isinstance(settings, dict):
+            items = cast(dict[str, Any], settings).items()
+            asked = {key: value for key, value in items if key != "sources"}
+            each.update(_leaves({"loop": asked, "uncertain": _at(of, "uncertainty")}, ""))
     found = list[tuple[str, tuple[str, ...]]]()
     for key in dict.fromkeys(key for each in flat for key in each):
         texts = tuple(each.get(key, "–") for each in flat)

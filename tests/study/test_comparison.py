@@ -94,8 +94,17 @@ def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     assert ["control", ["inverse", "transpose"]] in document["differences"]
     verdicts = [flexopt.verdict(found[0], loop={"kp": kp, "kv": kp / 10}, members=2, runs=0) for kp in (1e4, 3e4)]
     files = [save(tmp_path, name, each) for name, each in zip("ab", verdicts, strict=True)]
-    rows = rows_of(command("compare", *files, "--json").document)
+    document = command("compare", *files, "--json", "--plot", "beside.png").document
+    rows = rows_of(document)
     assert rows["word"] == [each.word for each in verdicts]
+    assert ["loop.kp", ["[10000.0, 10000.0]", "[30000.0, 30000.0]"]] in document["differences"]
+    assert rows["staying: slowest decay"] == [each.places[0].decay.least for each in verdicts]
+    pointed = [next((p for p in each.places if p.name == each.place), None) for each in verdicts]
+    assert any(pointed)
+    assert rows["its place: least allowed Kp"] == [place and place.allowed_gain.least for place in pointed]
+    units = {row["label"]: row["unit"] for row in document["rows"]}
+    assert units["staying: least allowed Kp"] == "N m"
+    assert units["its place: largest base swing, move of 0.1 m"] == "rad"
 
 
 def test_faults(command: Command, tmp_path: Path) -> None:
