@@ -47,7 +47,7 @@ _PLACE, _SIDES = (vector(_IN_M, quantity, "xy", "xyz") for quantity in (COORDINA
 _DIRECTION = vector(_IN_M.replace(" in m", ""), Quantity("", low=-LENGTH_MAX, high=LENGTH_MAX), "xy", "xyz")
 _INTERVAL = pair(COORDINATE["m"], "an interval [lower, upper] or a polygon [[x, y], …],")
 _POSITIVE = Quantity("", above=0.0, high=1e12)
-_LEAST = Quantity("1/s or s", low=-1e6, high=1e6)
+_RATE, _TIME = (Quantity(unit, low=-1e6, high=1e6) for unit in ("1/s", "s"))
 
 
 @accepting({"anyOf": [ANGLE.accepts, a_list(ANGLE.accepts or {}, 2, 2)]})
@@ -246,9 +246,9 @@ class LeastOutcomes(FileModel):
         swing: of the base in the standard move, at most, rad (of a base that cannot turn m) for each m of the move.
     """
 
-    decay: Annotated[float, _LEAST] | None = None
+    decay: Annotated[float, _RATE] | None = None
     allowed_gain: Annotated[float, _POSITIVE] | None = None
-    delay_margin: Annotated[float, _LEAST] | None = None
+    delay_margin: Annotated[float, _TIME] | None = None
     allowance: Annotated[float, _POSITIVE] | None = None
     radius: Annotated[float, Quantity("", low=1.0, high=10.0)] | None = None
     settling: Annotated[float, Quantity("s", above=0.0, high=60.0)] | None = None

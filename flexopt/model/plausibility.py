@@ -141,11 +141,13 @@ def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) ->
         known = max(part.length, part.size)
         if 0 < FAR * (max(known, 0.02 * reach) if known else reach) < part.com:
             compared = f"{part.com / known:.0f} lengths" if known else f"{part.com / reach:.0f} times the arm's reach"
+            across = isinstance(machine, Machine) and abs(part.aside) > abs(part.along)
+            far = part.aside if across else part.com
             yield ImplausibleNumber(
-                f"{part.where}.com",
-                f"{part.com:g} m",
+                f"{part.where}.{'com_offset' if across else 'com'}",
+                f"{far:g} m",
                 f"the centre of mass lies {compared} away from the joint",
-                f"probably in mm: {part.com / 1000:g} m",
+                f"probably in mm: {far / 1000:g} m",
             )
     if reach > REACH_MAX:
         longest = max(parts, key=lambda part: part.path)
@@ -295,7 +297,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
     }
     part = BodyNumbers(
         where="base", length=base.length, size=_capsules(machine, "base"), com=math.hypot(base.com, base.com_offset),
-        along=base.com, aside=abs(base.com_offset), mass=base.mass, inertia=base.inertia,
+        along=base.com, aside=base.com_offset, mass=base.mass, inertia=base.inertia,
         variance=base.inertia / base.mass, across=0.0, path=0.0, link=False, springs=springs,
         rest=("base.rest_angle", base.rest_angle), joint="base",
     )  # fmt: skip
@@ -304,7 +306,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
         where = f"links[{index}] ({link.name})"
         inner = BodyNumbers(
             where=where, length=link.length, size=_capsules(machine, link.name),
-            com=math.hypot(link.com, link.com_offset), along=link.com, aside=abs(link.com_offset), mass=link.mass,
+            com=math.hypot(link.com, link.com_offset), along=link.com, aside=link.com_offset, mass=link.mass,
             inertia=link.inertia, variance=link.inertia / link.mass, across=0.0, path=parts[-1].length, link=True,
             springs={f"{where}.stiffness": (True, link.stiffness)} if link.passive and link.stiffness else {},
             effort=link.effort or math.inf, speed=link.speed or math.inf, limits=link.limits,

@@ -62,7 +62,9 @@ POSTURE = (
 )
 RUN = (
     SavedQuantity("verdict", "verdict"),
-    SavedQuantity("growth_rate", "decay of the run", "1/s", error="growth_rate_error", more=True, turned=True),
+    SavedQuantity(
+        "growth_rate", "decay of the base in the run", "1/s", error="growth_rate_error", more=True, turned=True
+    ),
     SavedQuantity("linear_growth_rate", "decay of the linear loop", "1/s", more=True, turned=True),
     SavedQuantity("settling_time", "settling time", "s", more=False),
     SavedQuantity("overshoot", "overshoot", more=False),

@@ -241,8 +241,10 @@ def _loops(report: Report) -> Table:
                 f"{run.time[-1]:g}",
             ]
         )  # fmt: skip
-    header = ["configuration", "verdict", "decay of the run, 1/s", "decay of the linear loop, 1/s", "settles in, s",
-              "largest base rotation, mrad", "end-point at the end, mm off", "duration, s"]  # fmt: skip
+    header = [
+        "configuration", "verdict", "decay of the base in the run, 1/s", "decay of the linear loop, 1/s",
+        "settles in, s", "largest base rotation, mrad", "end-point at the end, mm off", "duration, s",
+    ]  # fmt: skip
     return (header, rows) if rows else None
 
 

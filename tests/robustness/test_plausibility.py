@@ -404,6 +404,22 @@ def test_an_end_point_in_its_bodys_joint_leaves_the_body_without_a_length() -> N
     assert any(field.endswith(".com") for field in found)
 
 
+def test_a_centre_of_mass_to_the_side_is_told_by_its_own_key() -> None:
+    data = flexopt.load("excavator").to_dict()
+    data["base"]["com_offset"] = -300.0
+    found = flexopt.check(flexopt.machine_from_dict(data)).findings[0]
+    assert (found.field, found.value) == ("base.com_offset", "-300 m")
+    assert found.meant == "probably in mm: -0.3 m"
+
+
+def test_rates_and_times_of_outcomes_have_their_own_units(tmp_path: Path) -> None:
+    bounds = "[constraints.outcome]\ndecay = 1e9\ndelay_margin = 1e9\n"
+    (tmp_path / "p.toml").write_text('name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n' + bounds)
+    decay, margin = flexopt.check(tmp_path / "p.toml").faults
+    assert decay.sentence.endswith("1e+06 1/s")
+    assert margin.sentence.endswith("1e+06 s")
+
+
 def test_a_clearance_of_a_machine_without_volumes_is_told(tmp_path: Path) -> None:
     text = (
         'name = "job"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n'

@@ -44,7 +44,7 @@ def test_runs(command: Command, tmp_path: Path) -> None:
     assert document["names"] == list(runs)
     rows = rows_of(document)
     assert rows["verdict"] == [run.verdict for run in runs.values()] == ["grows", "converges"]
-    assert rows["decay of the run"] == [-run.growth_rate for run in runs.values()]
+    assert rows["decay of the base in the run"] == [-run.growth_rate for run in runs.values()]
     assert rows["largest rotation of the base"] == [run.peak_base_rotation for run in runs.values()]
     assert [name for name, _ in document["differences"]] == ["posture"]
     table = command("compare", *files)
