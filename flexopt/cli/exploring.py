@@ -16,6 +16,7 @@ from flexopt.cli.common import (
     numbers,
     option_names,
     print_json,
+    progress_bar,
     read,
     say,
     value,
@@ -50,8 +51,8 @@ def explore_command(as_json: bool, machine: str, out: str | None, **options: Any
     check_output("--out", path, (".html",))
     loaded = read(load_any, machine)
     own = loaded.loop or loaded.loaded_machine.loop if isinstance(loaded, Problem) else loaded.loop
-    with option_names(options), warnings_to_stderr(True):
-        result = explore(loaded, loop=real_loop(own, options.pop("loop")), **given(options))
+    with option_names(options), warnings_to_stderr(True), progress_bar() as progress:
+        result = explore(loaded, loop=real_loop(own, options.pop("loop")), progress=progress, **given(options))
     write_output("--out", path, lambda: write_file(path, result.page))
     if as_json:
         print_json(result.to_dict())

@@ -20,7 +20,7 @@ from flexopt.explorer.contents import contents, size_of
 from flexopt.explorer.graphs import explorer_functions, scripts
 from flexopt.explorer.meshes import Meshes, body_meshes
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Vector
+from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Progress, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, provenance
@@ -138,6 +138,7 @@ def explore(
     control: Control | None = None,
     gravity: bool = False,
     loop: LoopLike | None = None,
+    progress: Progress | None = None,
 ) -> Explorer:
     """One HTML page on which a machine is moved with the mouse, computed in the browser with its own graphs.
 
@@ -154,6 +155,7 @@ def explore(
         control: of a machine: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default the loop's.
         gravity: of a machine: everything under static deflection, as in `flexopt.evaluate`.
         loop: the real controller, as in `flexopt.outcome`; the machine's own by default.
+        progress: of a problem: called with the number of starts done and of all, as it is solved.
 
     Returns:
         An `Explorer`: `.save("page.html")`; a notebook shows it by itself.
@@ -176,7 +178,10 @@ def explore(
         start = _open_posture(machine, place) if posture is None else cast(Vector, posture)
         return _page(machine, {PRESENT: (place, start)}, control, known, gravity, {"title": machine.name})
     asked = machine_or_problem
-    found = select(**asked.select_arguments()) if isinstance(asked, Problem) else solve_selection(asked)
+    if isinstance(asked, Problem):
+        found = select(**asked.select_arguments(), progress=progress)
+    else:
+        found = solve_selection(asked, progress=progress)
     problem = found.problem
     stands = {PRESENT: found.initial, BEST: found.best.evaluation}
     configurations = {name: (stand.base, stand.posture) for name, stand in stands.items() if stand is not None}

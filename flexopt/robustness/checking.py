@@ -22,7 +22,7 @@ from flexopt.model.plausibility import REACH_MAX, ImplausibleNumber
 from flexopt.model.simulation import Experiment
 from flexopt.model.study import Study
 from flexopt.model.study_file import study_from
-from flexopt.robustness.plausibility import implausibilities
+from flexopt.robustness.plausibility import implausibilities, slow_rate
 
 # A start displacement beyond this, rad, is a quarter turn: hardly a disturbance.
 OFFSET_MAX = math.pi / 2
@@ -95,8 +95,8 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | Study | str | os.
 
     Looked for are slips of unit: kN for N, mm for m, tonnes and grams, degrees, inertia about the pivot. A link's
     radius of gyration is compared with its length, springs and drives with the weight that they carry, the total mass
-    with the square of the reach, the first mode with 0.1 to 100 Hz, modal damping with the critical one, the reach with
-    100 m.
+    with the square of the reach, the first mode with 0.1 to 100 Hz and with the loop's rate, modal damping with the
+    critical one, the reach with 100 m.
 
     Args:
         machine_or_path: a machine, problem, experiment or study, or the name or path of one; a URDF or MJCF file, too.
@@ -143,9 +143,11 @@ def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple
     machine = loaded if isinstance(loaded, AnyMachine) else loaded.loaded_machine
     kind = "machine" if loaded is machine else type(loaded).__name__.lower()
     found = [*implausibilities(machine)]
+    loop = (loaded.loop if isinstance(loaded, AnyMachine | Problem) else None) or machine.loop
+    found += slow_rate(machine, loop) if loop is not None else ()
     if isinstance(loaded, Problem):
         found += _targets(loaded)
-        sentences += _volumes(loaded)
+        sentences += (*_volumes(loaded), *_weights(loaded))
     elif isinstance(loaded, Experiment):
         found += _offsets(loaded)
     return Check(loaded.name, kind, machine.name, (), tuple(found), sentences, provenance(machine))
@@ -163,6 +165,17 @@ def _volumes(problem: Problem) -> tuple[str, ...]:
             sentence = f"{machine.name} has no {table}, without which a selection refuses this"
             told.append(f"{' and '.join(asked)}: {sentence}")
     return tuple(told)
+
+
+def _weights(problem: Problem) -> Iterator[str]:
+    """Weights that are not as many as the modes, which a selection will refuse."""
+    machine, weights = problem.loaded_machine, problem.selection.weights
+    modes = len(machine.coordinates) - len(machine.joints)
+    if weights is not None and len(weights) not in (modes, modes + 1):
+        yield (
+            f"selection.weights: {len(weights)} of them, but {machine.name} has {modes} modes: a selection needs "
+            f"{modes}, or {modes + 1} with the last for ε_max"
+        )
 
 
 def _targets(problem: Problem) -> Iterator[ImplausibleNumber]:

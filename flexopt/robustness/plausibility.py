@@ -9,6 +9,8 @@ from __future__ import annotations
 import inspect
 import math
 import warnings
+from collections.abc import Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,6 +19,7 @@ import numpy as np
 from flexopt.errors import ImplausibleMachine
 from flexopt.foundation.arrays import spread
 from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop
 from flexopt.model.plausibility import Array, ImplausibleNumber, implausible_numbers
 from flexopt.plant import Plant, build_plant
 
@@ -45,6 +48,22 @@ def warn_implausible(machine: AnyMachine) -> None:
     while frame is not None and frame.f_back is not None and Path(frame.f_code.co_filename).is_relative_to(PACKAGE):
         frame, level = frame.f_back, level + 1
     warnings.warn(sentence, ImplausibleMachine, stacklevel=level)
+
+
+def slow_rate(machine: AnyMachine, loop: Loop) -> Iterator[ImplausibleNumber]:
+    """A sampling rate of `loop` that cannot see the first mode."""
+    if loop.rate is None:
+        return
+    plant = build_plant(machine)
+    with suppress(np.linalg.LinAlgError):
+        first = min(float(modes_at(plant, posture)[0][0]) for posture in _postures(machine))
+        if loop.rate < 2 * first:
+            yield ImplausibleNumber(
+                "loop.rate",
+                f"{loop.rate:g} Hz",
+                f"samples the first mode, {first:.3g} Hz, less than twice a period",
+                f"probably the period in s: {1 / loop.rate:g} Hz",
+            )
 
 
 def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:

@@ -199,6 +199,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "control": "inverse",
         "gravity": False,
         "loop": {"kp": 1e4, "kv": 1e3},
+        "progress": print,
     },
     "explain": lambda: _machine(
         posture=POSTURE, base=0.0, control="inverse", gravity=False, loop={"kp": 1e4, "kv": 1e3}

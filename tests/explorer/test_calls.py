@@ -84,3 +84,9 @@ def test_a_problem_by_what_the_loop_does() -> None:
     found = flexopt.select(**asked.select_arguments())
     _, posture = flexopt.explore(asked).configurations["recommended"]
     assert posture == pytest.approx(found.best.evaluation.posture)
+
+
+def test_progress_of_a_problem_is_told() -> None:
+    told = list[tuple[int, int]]()
+    flexopt.explore(flexopt.load_problem("article"), progress=lambda *done: told.append(done))
+    assert told[-1][0] == told[-1][1] > 0

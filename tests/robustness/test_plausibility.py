@@ -412,6 +412,26 @@ def test_a_centre_of_mass_to_the_side_is_told_by_its_own_key() -> None:
     assert found.meant == "probably in mm: -0.3 m"
 
 
+def test_a_period_for_a_rate_is_told(tmp_path: Path) -> None:
+    data = flexopt.load("excavator").to_dict() | {"loop": {"rate": 0.01}}
+    (found,) = flexopt.check(flexopt.machine_from_dict(data)).findings
+    assert (found.field, found.value, found.meant) == ("loop.rate", "0.01 Hz", "probably the period in s: 100 Hz")
+    text = 'name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n[loop]\nrate = {}\n'
+    (tmp_path / "p.toml").write_text(text.format(0.01))
+    assert flexopt.check(tmp_path / "p.toml").findings[0].field == "loop.rate"
+    (tmp_path / "p.toml").write_text(text.format(20))
+    assert flexopt.check(tmp_path / "p.toml").findings == ()
+
+
+def test_weights_that_a_selection_refuses_are_told(tmp_path: Path) -> None:
+    text = 'name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n[selection]\nobjective = "V"\nweights = {}\n'
+    (tmp_path / "p.toml").write_text(text.format([1] * 5))
+    assert "selection.weights: 5 of them, but excavator has 3 modes" in flexopt.check(tmp_path / "p.toml").warnings[0]
+    for allowed in (3, 4):
+        (tmp_path / "p.toml").write_text(text.format([1] * allowed))
+        assert flexopt.check(tmp_path / "p.toml").status == "good"
+
+
 def test_rates_and_times_of_outcomes_have_their_own_units(tmp_path: Path) -> None:
     bounds = "[constraints.outcome]\ndecay = 1e9\ndelay_margin = 1e9\n"
     (tmp_path / "p.toml").write_text('name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n' + bounds)
