@@ -171,7 +171,8 @@ def _title(m: Compared) -> str:
 def _worst(place: PlaceVerdict, m: Compared) -> BoxNumber:
     value = getattr(getattr(place, m.attribute), m.worst)
     unit = f" {m.unit}" if m.unit else ""
-    return BoxNumber(m.none if math.isnan(value) else told(value, m.factor, unit).replace("-", "−"), value)
+    none = "grows" if m.attribute == "settling" and place.decay.least <= 0 else m.none
+    return BoxNumber(none if math.isnan(value) else told(value, m.factor, unit).replace("-", "−"), value)
 
 
 def _pictures(verdict: Verdict) -> list[Picture]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,13 @@ def test_drives_that_give_nothing_confirm_nothing() -> None:
     found = judged("article", loop=ARTICLE | {"torque_limit": 0.0}, runs=2, members=4)
     assert all(place.runs is not None and place.runs.confirming == 0.0 for place in found.places)
     assert found.word == "cannot tell"
+
+
+def test_what_grows_is_not_said_to_settle_late(tmp_path: Path) -> None:
+    found = judged("article", loop=ARTICLE, members=2, runs=0)
+    assert found.places[0].decay.least < 0
+    found.to_html(tmp_path / "verdict.html")
+    assert "over 60 s" not in (tmp_path / "verdict.html").read_text(encoding="utf-8")
 
 
 def test_runs_that_wait_longer_than_the_loop_say_so() -> None:
