@@ -61,6 +61,11 @@ def faster(one: Vector, other: Vector) -> NDArray[np.bool_]:
     return (one - other > FASTER * np.abs(other)) | ((one > 0) & (other <= 0))
 
 
+def ranked(decays: Mapping[str, Vector]) -> list[str]:
+    """Names of places, the best first: stable on the most grounds, then in the worst case."""
+    return sorted(decays, key=lambda name: (np.mean(decays[name] > 0), np.min(decays[name])), reverse=True)
+
+
 def decide(
     stay: Place | None,
     others: Sequence[Place],
@@ -122,8 +127,7 @@ def decide(
 
 def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None) -> tuple[str, Vector]:
     """What decides where the word is "cannot tell", in words, and as numbers (n,) on the members, by sign."""
-    most = max(known.values(), key=lambda each: (np.mean(each.decays > 0), each.slowest))
-    place = known.get(decision.place, most)
+    place = known[decision.place or ranked({name: each.decays for name, each in known.items()})[0]]
     if not place.holds and (place.decays > 0).all():  # the search alone found the ground on which it grows
         return f"how far {place.name} is from growing", place.decays - place.decays.mean()
     if not place.holds:

@@ -33,7 +33,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
 from flexopt.study.confirmation import Runs
-from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster
+from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.gain_search import best_gains
 from flexopt.study.place_loops import (
     Chosen,
@@ -146,7 +146,7 @@ def verdict(
     }
     each = {name: place.decays(points) for name, place in loops.items()}
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
-    others = sorted((name for name in stands if name != STAY), key=lambda name: -float(decays[name].min()))[:TOLD]
+    others = [name for name in ranked(decays) if name != STAY][:TOLD]
     told = [name for name in (STAY, *others) if name in stands]
     slowest = {name: loops[name].slowest(points, each[name]) for name in told}
     drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}

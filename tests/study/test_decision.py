@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexopt.study.decision import Place, decide, deciding, faster
+from flexopt.study.decision import Place, decide, deciding, faster, ranked
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -55,6 +55,12 @@ def test_gains_that_spare_the_drive() -> None:
     assert decide(STAY, [], place("stay", 1.05 * GROUNDS)).word == "stay"
     assert decide(place("stay", -GROUNDS), [], place("stay", 0.1 * GROUNDS)).word == "change gains"
     assert decide(place("stay", -GROUNDS), [], place("stay", -GROUNDS)).word == "cannot tell"
+
+
+def test_a_place_that_grows_fast_on_one_ground_goes_before_one_that_grows_slowly_on_most() -> None:
+    nearly, mostly = np.array([0.5, 0.5, 0.5, -28.0]), np.array([0.5, -0.1, -0.1, -27.0])
+    assert ranked({"mostly": mostly, "nearly": nearly}) == ["nearly", "mostly"]
+    assert ranked({"slow": np.array([0.1, 0.2]), "fast": np.array([0.3, 0.2])}) == ["fast", "slow"]
 
 
 def test_reasons_say_what_is_so() -> None:
