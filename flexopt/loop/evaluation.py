@@ -21,7 +21,7 @@ from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
-from flexopt.robustness.evaluation import evaluate_checked
+from flexopt.robustness.evaluation import evaluate_checked, without_rounding
 
 # Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
 Slopes = Mapping[str, Mapping[str, Vector]]
@@ -224,6 +224,11 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
     outcome = settings.outcome(machine, stand.base, stand.posture, gravity=gravity)
     of_modes: dict[str, Any]
     of_modes, gradient = lagged_modes(outcome.motions).at(outcome.numbers, settings.dead_time)
+    unexcited = without_rounding(stand.w, stand.scale) == 0
+    for name in ("allowance", "allowance_isotropic"):
+        of_modes[name][unexcited] = math.inf
+        for slopes in gradient[name].values():
+            slopes[unexcited] = np.nan
     alone = np.ones(len(stand.w), dtype=bool)
     for cluster in stand.clusters:
         alone[list(cluster)] = False

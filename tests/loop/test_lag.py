@@ -55,6 +55,19 @@ def test_the_allowance_is_the_smallest_gain_that_excites(posture):
         assert growth(0.998 * kappa) < 0 < growth(1.002 * kappa)
 
 
+def test_what_nothing_excites_allows_every_gain():
+    """Turned by π the machine is as symmetric as at 0, but sines are rounding there, and so is w."""
+    machine = flexopt.load("slewing-excavator")
+    turned, straight = (flexopt.evaluate(machine, (slew, 0.5, -1.2, -0.5), loop={}) for slew in (math.pi, 0.0))
+    rounding = np.abs(turned.w) < 1e-13 * turned.scale
+    assert rounding.any()
+    for name in ("allowance", "allowance_isotropic"):
+        assert np.all(np.isinf(getattr(turned.outcome, name)[rounding])), name
+        assert np.all(np.isinf(getattr(straight.outcome, name)[straight.w == 0])), name
+        assert np.all(np.isnan(turned.outcome.gradient[name]["posture"][rounding])), name
+        assert np.all(np.isfinite(turned.outcome.allowance[~rounding])), name
+
+
 def test_allowances_beside_each_other():
     for name in STANDS:
         loop = stand(name)[0]
