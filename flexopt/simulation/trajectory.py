@@ -293,7 +293,7 @@ class Trajectory(Pictured, Result):
         verdict = "may grow or not, undecided" if self.verdict == "undecided" else self.verdict
         lines = [
             f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {verdict} "
-            f"(decay {shown} in the run, {exact} in the linear loop)",
+            f"(decay {shown} of the base in the run, {exact} of the linear loop)",
             f"  end-point: {settles}, {beyond}{number(self.end_error, '{:.3e} m')} off at the end",
             f"  base: turns by up to {rotation}; left in its modes: {modes}",
         ]
