@@ -26,7 +26,7 @@ from flexopt.identification.small_swing import (
     SmallSwing,
     grown,
     near_starts,
-    tilt_doubts,
+    size_doubts,
     unit_doubts,
 )
 from flexopt.identification.swing import HeldSwing
@@ -147,7 +147,7 @@ def identify(
         swing = swing_of(shown)
         starts, beginning = near_starts(_small(swing, shown), _poles(shown, swing.m), springs)
     small, poles = _small(swing, shown), _poles(shown, swing.m)
-    doubts += tilt_doubts(small, poles)
+    doubts += size_doubts(small, poles)
     candidates = grown(small, starts, beginning, springs)
     noise = _first_noise(small, candidates[0][0])
     _check_motion(shown, noise)

@@ -19,6 +19,7 @@ from flexopt.foundation.arrays import Array, Vector
 from flexopt.identification.measured import MISTAKEN
 from flexopt.identification.poles import Poles
 from flexopt.identification.swing import Complex, HeldSwing, eigen
+from flexopt.plant.reach import outer_reach
 
 # Nothing known beyond the file: its numbers are right within a factor of e³, in standard deviations.
 PRIOR = 3.0
@@ -40,8 +41,8 @@ SEARCHES, APART = 64, 1.2
 # Evaluations of such a search, and poles that are nearly the same: their sizes, in logarithms, and angles, rad. Dampers
 # that are not negative may not bring them nearer; whether the log goes with them is asked then.
 MATCHING, SAME_SIZE, SAME_ANGLE = 30, 0.02, 0.1
-# A base hardly tilts by more either way, rad.
-TILT = 0.05
+# A base hardly tilts by more either way, rad; by which share of the arm's reach nothing moves.
+TILT, FAR = 0.05, 0.1
 THETA_MAX = 12.0
 
 
@@ -278,15 +279,21 @@ def unit_doubts(beginning: SmallSwing, theta: Vector) -> dict[int, str]:
     return found
 
 
-def tilt_doubts(small: SmallSwing, poles: Poles) -> list[str]:
-    """Rates that would be those of a base that tilts by more than any base does."""
+def size_doubts(small: SmallSwing, poles: Poles) -> list[str]:
+    """Columns in which the base would tilt, or something move, by more than any base lets it."""
     found = list[str]()
     if not poles.values.size:
         return found
+    reach = outer_reach(small.swing.plant)[1]
     for k, channel in enumerate(small.swing.channels):
+        size = np.abs(poles.shapes[k])
+        if channel.unit == "m" and (way := float(np.sum(size))) > FAR * reach:
+            found.append(
+                f"{channel.name} would move by {way:.3g} m either way, of an arm that reaches {reach:.3g} m: is it in "
+                "mm, not m?"
+            )
         if channel.unit not in ("rad/s", "rad"):
             continue
-        size = np.abs(poles.shapes[k])
         angle = float(np.sum(size / np.abs(poles.values)) if channel.unit == "rad/s" else np.sum(size))
         if angle > TILT:
             meant = "deg/s, not rad/s" if channel.unit == "rad/s" else "deg, not rad"

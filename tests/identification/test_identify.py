@@ -127,6 +127,12 @@ def test_a_unit_that_is_told_wrongly() -> None:
     check(found, swung)
     alone = flexopt.identify(swung.machine, {"t": log["t"], "gyro_z": log["gyro_z"]}, posture=swung.posture)
     assert any("tilt the base by" in doubt and "deg/s" in doubt for doubt in alone.doubts)
+    far = flexopt.identify(
+        swung.machine, {"t": log["t"], "end_point.x": 1e3 * log["end_point.x"]}, posture=swung.posture
+    )
+    assert any("is it in mm, not m?" in doubt for doubt in far.doubts)
+    near = flexopt.identify(swung.machine, {"t": log["t"], "end_point.x": log["end_point.x"]}, posture=swung.posture)
+    assert not any("in mm" in doubt for doubt in near.doubts)
 
 
 def test_gaps_spikes_and_uneven_samples() -> None:
