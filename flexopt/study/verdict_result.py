@@ -16,7 +16,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
-from flexopt.model.uncertainty import Uncertainty, parameters_of
+from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.problem import elsewhere
 from flexopt.simulation.real_loop import late_sentence
@@ -183,6 +183,8 @@ class Verdict(Pictured, Result):
         known = ", ".join(_interval(each, self.problems[0].machine) for each in self.uncertainty)
         several = f"; the worst of {len(self.problems)} targets" if len(self.problems) > 1 else ""
         late = late_sentence(self.settings.dead_time, self.settings.rate)
+        if any(LATE in each.of for each in self.uncertainty):
+            late = "runs wait whole samples: every dead time is taken as the next longer one of these"
         runs = f"; nonlinear {late}" if late and any(place.runs for place in self.places) else ""
         return f"uncertain: {known}; {self.members} members and a search, not a proof{several}{runs}"
 

@@ -86,6 +86,8 @@ def test_runs_that_wait_longer_than_the_loop_say_so() -> None:
     assert late in str(found)
     assert late not in str(judged("article", loop=ARTICLE | {"dead_time": 0.008}, runs=0, members=2))
     assert "whole samples" not in str(judged("article", loop=ARTICLE, runs=1, members=2, duration=1.0))
+    between = judged("article", loop=ARTICLE, ranges={"dead_time": (0.001, 0.004)}, runs=1, members=2, duration=1.0)
+    assert "every dead time is taken as the next longer one" in str(between)
 
 
 def test_gains_are_changed_where_no_place_bears_them() -> None:
