@@ -111,7 +111,7 @@ class BodyNumbers:
 def implausible_numbers(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     """Every number of the machine's file that is hardly meant, in the order of the bodies."""
     parts, reach = _parts(machine)
-    lengths = list(_lengths(machine, parts, reach))
+    lengths = [*_lengths(machine, parts, reach), *_volumes(machine, reach)]
     found = [*lengths, *_angles(parts)]
     if not lengths:
         # What follows compares with lengths.
@@ -157,6 +157,21 @@ def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) ->
             f"machine {machine.name!r} reaches beyond {REACH_MAX:g} m, the longest step at {longest.where}",
             "lengths are probably in mm, not m",
         )
+
+
+def _volumes(machine: AnyMachine, reach: float) -> Iterator[ImplausibleNumber]:
+    """Capsules, and what the machine stands on, beyond many times the arm's reach."""
+    capsules = [
+        (f"capsules[{number}] of {c.body}, {key}", math.hypot(*numbers))
+        for number, c in enumerate(machine.capsules)
+        for key, numbers in (("start", c.start), ("end", c.end), ("radius", (c.radius,)))
+    ]
+    corners = [("support", math.hypot(*corner)) for corner in machine.support_points]
+    for name, far in [*capsules, *sorted(corners, key=lambda corner: -corner[1])[:1]]:
+        if far > FAR * reach > 0:
+            yield ImplausibleNumber(
+                name, f"{far:g} m", f"is {far / reach:.0f} times the arm's reach", f"probably in mm: {far / 1000:g} m"
+            )
 
 
 def _angles(parts: Sequence[BodyNumbers]) -> Iterator[ImplausibleNumber]:

@@ -412,6 +412,31 @@ def test_a_centre_of_mass_to_the_side_is_told_by_its_own_key() -> None:
     assert found.meant == "probably in mm: -0.3 m"
 
 
+@pytest.mark.parametrize("name", SHIPPED)
+def test_capsules_and_supports_in_mm_are_told(name: str) -> None:
+    given = flexopt.load(name).to_dict()
+    tried = 0
+    for key in ("start", "end", "radius"):
+        data = copy.deepcopy(given)
+        for number, capsule in enumerate(data.get("capsules") or []):
+            if np.linalg.norm(np.atleast_1d(capsule[key])) < 0.1:
+                continue
+            data["capsules"][number][key] = (1000 * np.array(capsule[key])).tolist()
+            assert f"capsules[{number}] of {capsule['body']}, {key}" in [each.field for each in _findings(data)]
+            tried += 1
+    for key in ("span", "polygon"):
+        if key in (given.get("support") or {}):
+            data = copy.deepcopy(given)
+            data["support"][key] = (1000 * np.array(given["support"][key])).tolist()
+            assert [each.field for each in _findings(data)] == ["support"]
+            tried += 1
+    assert tried or not (given.get("capsules") or given.get("support"))
+
+
+def _findings(data: Data) -> tuple[Any, ...]:
+    return flexopt.check(built(data)).findings
+
+
 def test_a_period_for_a_rate_is_told(tmp_path: Path) -> None:
     data = flexopt.load("excavator").to_dict() | {"loop": {"rate": 0.01}}
     (found,) = flexopt.check(flexopt.machine_from_dict(data)).findings
