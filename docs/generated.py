@@ -13,7 +13,7 @@ import click
 import flexopt
 from docs import gallery
 from docs.public import TOPICS, TYPES, names, words
-from flexopt.cli import cli
+from flexopt.cli.commands import cli
 from flexopt.cli.examples import EXAMPLES
 from flexopt.foundation.offered import PLUMBING
 from flexopt.model.file_schema import MODELS

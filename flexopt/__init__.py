@@ -114,6 +114,8 @@ if TYPE_CHECKING:
     from flexopt.study import report as report
     from flexopt.study import verdict as verdict
 
+__version__ = "0.1.0"
+
 __all__ = [
     "Actuator",
     "Atlas",

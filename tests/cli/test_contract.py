@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.cli import _COMMANDS
 from flexopt.cli.analysis import select_command
+from flexopt.cli.commands import COMMANDS
 from flexopt.selection.program import Program
 from tests.cli.command import MACHINE, PROBLEM, THIRD_LINK, Command, strict_json, toml
 
@@ -99,7 +99,7 @@ def test_provenance(command: Command) -> None:
     assert provenance["machine"] == "excavator"
     assert provenance["machine_sha256"] == flexopt.load("excavator").content_hash
     assert provenance["casadi"] == version("casadi")
-    assert isinstance(provenance["flexopt"], str)
+    assert provenance["flexopt"] == version("flexopt")
     assert provenance["options"]["gravity"] is True
     assert provenance["options"]["damped"] is True
 
@@ -392,7 +392,7 @@ def test_doctor_fails_on_a_broken_shipped_machine(command: Command, monkeypatch:
     assert "base.mass = -1.0" in finding
 
 
-@pytest.mark.parametrize("arguments", [(), *[(name,) for name in _COMMANDS]], ids=lambda a: a[0] if a else "flexopt")
+@pytest.mark.parametrize("arguments", [(), *[(name,) for name in COMMANDS]], ids=lambda a: a[0] if a else "flexopt")
 def test_help(command: Command, arguments: tuple[str, ...]) -> None:
     outcome = command(*arguments, "--help")
     assert outcome.code == 0
@@ -407,7 +407,8 @@ def test_help(command: Command, arguments: tuple[str, ...]) -> None:
 def test_version(command: Command) -> None:
     outcome = command("--version")
     assert outcome.code == 0
-    assert outcome.stdout.startswith("flexopt")
+    assert outcome.stdout.strip() == f"flexopt, version {version('flexopt')}"
+    assert flexopt.__version__ == version("flexopt")
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])

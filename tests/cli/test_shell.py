@@ -17,7 +17,8 @@ import pytest
 from click.shell_completion import ShellComplete
 
 import flexopt
-from flexopt.cli import _COMMANDS, cli, common, main
+from flexopt.cli import common, main
+from flexopt.cli.commands import COMMANDS, cli
 from flexopt.cli.common import clock, progress_bar
 from flexopt.cli.completing import SHELLS
 from flexopt.cli.examples import EXAMPLES
@@ -107,7 +108,7 @@ def test_what_the_script_calls_answers() -> None:
 
 
 def test_every_command_has_examples_and_every_example_is_understood(command: Command) -> None:
-    assert set(EXAMPLES) == {"", *_COMMANDS}
+    assert set(EXAMPLES) == {"", *COMMANDS}
     for name, lines in EXAMPLES.items():
         told = re.sub(r" \\\n +", " ", command(*([name] if name else []), "--help").stdout)
         assert "Examples:" in told

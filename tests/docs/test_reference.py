@@ -13,7 +13,7 @@ import flexopt
 from docs import generated
 from docs.public import TOPICS, names
 from flexopt import errors
-from flexopt.cli import _COMMANDS, cli
+from flexopt.cli.commands import COMMANDS, cli
 from flexopt.model.file_schema import MODELS
 
 
@@ -65,7 +65,7 @@ def test_every_command_has_its_help() -> None:
     sections = dict(
         re.findall(r"^## flexopt ([\w ]+)\n(.*?)(?=^## |\Z)", generated.commands(), re.MULTILINE | re.DOTALL)
     )
-    assert sorted(name for name in sections if " " not in name) == sorted(_COMMANDS)
+    assert sorted(name for name in sections if " " not in name) == sorted(COMMANDS)
     assert "study run" in sections
     for name, text in sections.items():
         said = click.testing.CliRunner().invoke(cli, [*name.split(), "--help"], prog_name="flexopt").output

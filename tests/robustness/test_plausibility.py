@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 import flexopt
 from flexopt import FlexoptError, ImplausibleMachine, InputError, ModelError, machine_from_dict, tree_from_dict
-from flexopt.cli import cli
+from flexopt.cli.commands import cli
 from flexopt.model import AnyMachine
 from tests.model.robots.files import URDF, URDF_MACHINE, changed_text, read
 from tests.oracles.spatial import in_space, matrix_of, six

@@ -1,0 +1,123 @@
+"""The group of all commands, each imported when it is asked for, and how a command ends."""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+import traceback
+from importlib import import_module
+
+import click
+
+from flexopt.cli.common import ABORTED, BAD_INPUT, FAILED, print_json, say
+from flexopt.cli.examples import epilog
+from flexopt.cli.terminal import VOICE
+from flexopt.errors import FlexoptError, InputError
+from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.escapes import TERMINAL
+
+# Commands and their modules, imported when they are asked for: what one needs takes longest.
+COMMANDS = {
+    "evaluate": "analysis",
+    "explore": "exploring",
+    "select": "analysis",
+    "simulate": "simulation",
+    "atlas": "atlas",
+    "identify": "identifying",
+    "map": "studies",
+    "new": "new",
+    "verdict": "judging",
+    "region": "judging",
+    "report": "studies",
+    "compare": "comparing",
+    "reproduce": "studies",
+    "explain": "explaining",
+    "export": "bundles",
+    "verify": "bundles",
+    "check": "checking",
+    "schema": "layouts",
+    "completion": "shell",
+    "study": "large_studies",
+    "sensitivity": "large_studies",
+    "doctor": "studies",
+}
+
+
+class _Commands(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - as click has it
+        """By name."""
+        return sorted(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as click has it
+        """From its module."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(f"flexopt.cli.{COMMANDS[cmd_name]}"), f"{cmd_name}_command")
+        command.epilog = epilog(cmd_name)
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click, but with the commands that are spelt like an unknown one, which not every version of it names."""
+        if args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            from difflib import get_close_matches  # noqa: PLC0415  (which only mistakes need)
+
+            near = " or ".join(repr(name) for name in get_close_matches(args[0], COMMANDS))
+            ctx.fail(f"No such command {args[0]!r}.{near and f' Did you mean {near}?'}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(
+    cls=_Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
+    epilog=epilog(""),
+)
+@click.version_option(package_version("flexopt"), prog_name="flexopt")
+@click.option("-q", "--quiet", is_flag=True, help="No progress and no warnings: results and errors alone.")
+@click.option("-v", "--verbose", is_flag=True, help="Versions, time, and where an error arose, on standard error.")
+@click.option("--no-color", "no_colour", is_flag=True, help="No colours; as the environment's NO_COLOR.")
+def cli(quiet: bool, verbose: bool, no_colour: bool) -> None:
+    """Configurations of a machine on a compliant base in which end-point feedback does not excite the base.
+
+    Options of all commands stand before the command: flexopt --quiet select …
+    """
+    if quiet and verbose:
+        raise InputError("flexopt: --quiet and --verbose do not go together")
+    VOICE.quiet, VOICE.verbose, VOICE.colour = quiet, verbose, not no_colour
+
+
+def run(arguments: list[str] | None = None) -> None:
+    """One command, of these arguments or of the process's own; leaves by its exit code."""
+    given = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=TERMINAL)  # Greek letters on a console that has none
+    VOICE.quiet, VOICE.verbose, VOICE.colour = False, False, True
+    began = time.perf_counter()
+    try:
+        cli.main(args=given, prog_name="flexopt", standalone_mode=False)
+    except click.exceptions.Exit as leave:
+        sys.exit(leave.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        say("Aborted", err=True)
+        sys.exit(ABORTED)
+    except click.ClickException as error:
+        _fail(InputError(error.format_message()), "--json" in given)
+    except FlexoptError as error:
+        _fail(error, "--json" in given)
+    finally:
+        if VOICE.verbose:
+            versions = ", ".join(f"{name} {package_version(name)}" for name in ("flexopt", "casadi", "numpy"))
+            took = time.perf_counter() - began
+            say(f"flexopt: {took:.2f} s; {versions}, Python {sys.version.split()[0]}", err=True)
+
+
+def _fail(error: FlexoptError, as_json: bool) -> None:
+    if VOICE.verbose:
+        say("".join(traceback.format_exception(error)).rstrip(), err=True)
+    say(f"flexopt: {error}", err=True, colour="red")
+    if as_json:
+        print_json({"status": "failed", "converged": False, "error": json_ready(error.to_dict())})
+    sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)
