@@ -39,9 +39,10 @@ class Behaviour:
         grows: the verdict (N,): the run left the finite numbers, or some mode's amplitude grows: its growth rate
             exceeds twice its standard error, or it ends three times as large as it began, or no smaller and without a
             decay of twice that error. A mode at rest at the start is taken to begin in the middle of its motion.
-        growth_rate: the largest of the modes' growth rates, 1/s: half the slope of the logarithm of the mode's energy,
-            maxima over periods of the slowest mode, least squares over the second half of the run, three at least
-            (N,); NaN where the base never moved.
+        growth_rate: of the mode that has the most energy in the end among those that clearly grow, or else of the one
+            that decays slowest, 1/s: half the slope of the logarithm of the mode's energy, maxima over periods of the
+            slowest mode, least squares over the second half of the run, three at least (N,); NaN where the base never
+            moved.
         growth_rate_error: standard error of that slope (N,); as large as the rate where a mode moves for two periods
             alone.
         settling_time: after which the end-point error stays below 2 % of what it was at the start, s; NaN where it does
@@ -154,7 +155,7 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
         if not grounds.noisy:
             growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
         wavering = np.any((np.abs(rate) <= 2 * error) & (last < GROWN * first), axis=0)
-    fastest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)[None]
+    told = _told(rate, growing & (rate > 2 * error), last)[None]
 
     loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
     last_loud = len(loud) - 1 - np.argmax(loud[::-1], axis=0)
@@ -163,8 +164,8 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     turn = np.sqrt(np.max(np.where(alive, rotation, -np.inf), axis=0, initial=0.0))
     return Behaviour(
         grows=diverged | np.any(growing, axis=0),
-        growth_rate=np.take_along_axis(rate, fastest, axis=0)[0],
-        growth_rate_error=np.take_along_axis(error, fastest, axis=0)[0],
+        growth_rate=np.take_along_axis(rate, told, axis=0)[0],
+        growth_rate_error=np.take_along_axis(error, told, axis=0)[0],
         settling_time=np.where(loud[-1], np.nan, settling),
         peak_error=np.where(diverged, np.inf, peak),
         end_error=np.where(diverged, np.inf, end_error),
@@ -176,6 +177,16 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
         slowest_hz=grounds.slowest_hz,
         duration=float(times[-1]),
     )
+
+
+def _told(rate: Vector, growing: NDArray[np.bool_], last: Vector) -> NDArray[np.intp]:
+    """Of each run the mode whose growth rate is told (N,): of those that grow the largest, else what decays slowest.
+
+    A mode that others drag along, stiff springs at large turns say, grows at a multiple of their rate.
+    """
+    slowest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)
+    largest = np.argmax(np.where(growing, last, -np.inf), axis=0)
+    return np.where(np.any(growing, axis=0), largest, slowest)
 
 
 def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, Vector]:

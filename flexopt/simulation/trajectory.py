@@ -61,8 +61,8 @@ class Trajectory(Pictured, Result):
             the same, `"undecided"` where they do not, or the run is shorter than four periods of the slowest mode, or
             the eigenvalues are 1 to rounding; where there is no `linear`, the run's own, if significant.
         verdict_reason: both, in a sentence.
-        growth_rate, growth_rate_error: of the base's amplitude in the run and its standard error, 1/s; None where it
-            never moved.
+        growth_rate, growth_rate_error: of the base's amplitude in the run and its standard error, 1/s: of the largest
+            mode that grows, or else of the one that decays slowest; None where it never moved.
         linear_growth_rate: of `linear`, 1/s.
         self_motion_rate: of a redundant arm, the largest rate of a joint at the end that leaves the end-point where it
             is, rad/s or m/s; None where there is no such motion. It is no part of the verdict.

@@ -31,11 +31,12 @@ NAMED = 0.15
 
 
 class ConstraintTables(NamedTuple):
-    """Constraints near their bounds; those farther away, and what these are called."""
+    """Constraints near their bounds; those farther away, and what these are called; how many columns are left out."""
 
     near: Table
     far: Table
     told: str
+    others: str
 
 
 def some(several: Stand | BasePlan, count: int) -> list[tuple[int, TargetConfiguration]]:
@@ -67,6 +68,9 @@ def constraints(report: Report) -> ConstraintTables | None:
     several = [name for name, names in kinds.items() if len(names) > MANY]
     told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds"
 
+    left = len(selection.candidates if one else selection.places) - len(shown)
+    others = f"{left} more {'candidates' if one else 'targets'} keep within them, too; their values are in report.json."
+
     def table(names: list[str]) -> Table:
         rows = list[list[str]]()
         for name in names:
@@ -74,7 +78,7 @@ def constraints(report: Report) -> ConstraintTables | None:
             rows.append([name, _allowed(values[0]), *(number(value.value, 4) for value in values)])
         return (header, rows) if rows else None
 
-    return ConstraintTables(table(near), table(far), told)
+    return ConstraintTables(table(near), table(far), told, others if left else "")
 
 
 def _room(value: ConstraintValue) -> float:

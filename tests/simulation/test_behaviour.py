@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import linregress
 
+import flexopt
 from flexopt.simulation.behaviour import Grounds, behaviour
 from flexopt.simulation.run import _overshoot
 
@@ -99,6 +100,22 @@ def test_the_fastest_growing_mode_decides():
     calm = judged(amplitude(-0.5), 1e-6 * amplitude(-0.3, 13.0), amplitude(-2.0, 22.0))
     assert not calm.grows[0]
     assert calm.growth_rate[0] == pytest.approx(-0.3, rel=1e-6)
+
+
+def test_a_mode_that_is_dragged_along_is_not_told():
+    """What is moved by the square of another grows at twice its rate, and is small beside it."""
+    result = judged(amplitude(0.4), 1e-6 * amplitude(0.8, 13.0), amplitude(-2.0, 22.0))
+    assert result.grows[0]
+    assert result.growth_rate[0] == pytest.approx(0.4, rel=1e-6)
+
+
+def test_a_run_at_large_turns_tells_the_rate_of_the_linear_loop():
+    """At 10 s the base turns by 0.2 rad; its stiff springs are then dragged along, at 0.74/s beside 0.48/s."""
+    run = flexopt.simulate(flexopt.load("excavator"), (0.99288, -2.6302), kp=28010.0, kv=6858.0)
+    assert run.peak_base_rotation is not None
+    assert run.peak_base_rotation > 0.15
+    # Large turns soften the loop a little.
+    assert run.growth_rate == pytest.approx(run.linear_growth_rate, rel=5e-3)
 
 
 @pytest.mark.parametrize("rate", [-0.3, 0.3])

@@ -206,6 +206,16 @@ def test_many_constraints_fold(crowded: flexopt.Report) -> None:
     assert max(map(room, near)) <= min(room(name) for name in named if name not in near)
 
 
+@pytest.mark.parametrize("name", ["judged", "crowded"])
+def test_candidates_without_a_column_of_constraints_are_counted(name: str, request: pytest.FixtureRequest) -> None:
+    report = request.getfixturevalue(name)
+    page = Parsed(page_text(report))
+    columns = {text for _, text in page.all("th", "thead") if re.fullmatch(r"candidate \d+", text)}
+    told = re.search(r"(\d+) more candidates keep within them", " ".join(text for _, text in page.all("p")))
+    assert (told is None) == (name == "judged")
+    assert len(columns) + (int(told[1]) if told else 0) == len(report.selection.candidates)
+
+
 @pytest.mark.needs("chromium")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits(path: Path, scheme: str, chromium: Browser) -> None:
